@@ -1,0 +1,1 @@
+"""One plain function per use case: all that the command line may call."""

@@ -1,0 +1,115 @@
+"""Octave and third-octave bands by IEC 61260-1."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.checks import float_array
+from roomfit.errors import InputError
+from roomfit.typing import FloatArray
+
+BandKind = Literal["octave", "third-octave"]
+
+OCTAVES_HZ = (31.5, 63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0, 16000.0)
+THIRD_OCTAVES_HZ = (
+    *(25.0, 31.5, 40.0, 50.0, 63.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0, 315.0, 400.0, 500.0),
+    *(630.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0, 3150.0, 4000.0, 5000.0, 6300.0),
+    *(8000.0, 10000.0, 12500.0, 16000.0, 20000.0),
+)
+_STEPS_PER_OCTAVE = {"octave": 1, "third-octave": 3}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Bands:
+    """Frequency bands, low to high.
+
+    Attributes
+    ----------
+    kind : {"octave", "third-octave"}
+    centres_hz : float array, shape (n_bands,)
+        Nominal centre frequencies (125, 250, ...), strictly rising.
+    """
+
+    kind: BandKind
+    centres_hz: FloatArray
+
+    def __post_init__(self) -> None:
+        if self.kind not in _STEPS_PER_OCTAVE:
+            raise InputError(
+                "unknown kind of band", found=repr(self.kind), needed="octave or third-octave"
+            )
+        centres = float_array(
+            "band centres", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz"
+        )
+        if centres.size == 0 or np.any(np.diff(centres) <= 0.0):
+            raise InputError(
+                "band centres must rise and there must be at least one",
+                found=str(centres.tolist()),
+            )
+        object.__setattr__(self, "centres_hz", centres)
+
+    def __len__(self) -> int:
+        return int(self.centres_hz.size)
+
+    @property
+    def exact_centres_hz(self) -> FloatArray:
+        """Exact base-ten centres of IEC 61260-1 nearest to the nominal ones, shape (n_bands,)."""
+        return exact_centres_hz(self.kind, self.centres_hz)
+
+    @property
+    def lower_hz(self) -> FloatArray:
+        """Lower band edges, shape (n_bands,)."""
+        return self.exact_centres_hz / _half_width(self.kind)
+
+    @property
+    def upper_hz(self) -> FloatArray:
+        """Upper band edges, shape (n_bands,)."""
+        return self.exact_centres_hz * _half_width(self.kind)
+
+
+def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
+    """Return the standard bands whose nominal centres lie within the two frequencies.
+
+    Examples
+    --------
+    >>> bands_between("octave", 125, 1000).centres_hz.tolist()
+    [125.0, 250.0, 500.0, 1000.0]
+    """
+    table = OCTAVES_HZ if kind == "octave" else THIRD_OCTAVES_HZ
+    chosen = [f for f in table if from_hz <= f <= to_hz]
+    if not chosen:
+        raise InputError(
+            "no standard band lies in the asked range",
+            found=f"{from_hz:g} to {to_hz:g} Hz",
+            needed=f"a range that holds one of {', '.join(f'{f:g}' for f in table)} Hz",
+        )
+    return Bands(kind, np.array(chosen))
+
+
+def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
+    """Return the exact centres ``1000 * 10**(3 k / (10 b))`` nearest to nominal ones.
+
+    Raises
+    ------
+    InputError
+        A frequency lies more than 3 % from every centre of that kind.
+    """
+    nominal = np.asarray(nominal_hz, dtype=np.float64)
+    step = 0.3 / _STEPS_PER_OCTAVE[kind]
+    exact = 1000.0 * 10.0 ** (step * np.round(np.log10(nominal / 1000.0) / step))
+    off = np.abs(nominal / exact - 1.0)
+    if np.any(off > 0.03):
+        raise InputError(
+            f"not a centre frequency of {kind} bands",
+            found=f"{nominal[int(np.argmax(off))]:g} Hz",
+            needed="nominal centres of IEC 61260-1 (125, 250, 500, ... for octaves)",
+        )
+    return np.asarray(exact)
+
+
+def _half_width(kind: BandKind) -> float:
+    return float(10.0 ** (0.15 / _STEPS_PER_OCTAVE[kind]))

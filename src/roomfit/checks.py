@@ -1,0 +1,141 @@
+"""Checks at the door: arrays are copied in, made read-only, and refused with a clear message."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+
+def read_only(array: np.ndarray[Any, Any]) -> np.ndarray[Any, Any]:
+    """Return the same array, set read-only."""
+    array.setflags(write=False)
+    return array
+
+
+def float_array(
+    name: str,
+    values: ArrayLike,
+    shape: tuple[int | None, ...],
+    *,
+    low: float = -np.inf,
+    high: float = np.inf,
+    unit: str = "",
+) -> FloatArray:
+    """Copy `values` into a read-only float64 array after checking shape, range and finiteness.
+
+    Parameters
+    ----------
+    name : str
+        What the array is called in a message, with its unit where it has one.
+    values : array_like
+    shape : tuple
+        Expected shape; None stands for any length.
+    low, high : float
+        Closed range that every value must lie in.
+    unit : str
+        Shown behind the range.
+
+    Raises
+    ------
+    InputError
+        Not numbers, wrong shape, not finite, or out of range.
+    """
+    try:
+        array = np.array(values, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"{name} is not an array of numbers", found=str(error), needed="finite numbers"
+        ) from error
+    _check_shape(name, array, shape)
+    bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
+    if bad.size:
+        index = tuple(int(i) for i in bad[0])
+        place = f" at index {list(index)}" if index else ""
+        raise InputError(
+            f"{name} is out of range",
+            found=f"{array[index]:g}{place}",
+            needed=f"{low:g} to {high:g} {unit}".strip(),
+        )
+    read_only(array)
+    return array
+
+
+def int_array(
+    name: str,
+    values: ArrayLike,
+    shape: tuple[int | None, ...],
+    dtype: type[np.integer[Any]] = np.int32,
+    *,
+    low: int | None = None,
+    high: int | None = None,
+) -> IntArray:
+    """Copy `values` into a read-only integer array after checking shape and range.
+
+    Raises
+    ------
+    InputError
+        Wrong shape, not whole numbers, or out of range.
+    """
+    source = np.asarray(values)
+    if source.size and not np.issubdtype(source.dtype, np.integer):
+        raise InputError(f"{name} must hold whole numbers", found=f"values of type {source.dtype}")
+    _check_shape(name, source, shape)
+    info = np.iinfo(dtype)
+    low = int(info.min) if low is None else low
+    high = int(info.max) if high is None else high
+    if source.size and (int(source.min()) < low or int(source.max()) > high):
+        raise InputError(
+            f"{name} is out of range",
+            found=f"{int(source.min())} to {int(source.max())}",
+            needed=f"{low} to {high}",
+        )
+    array = np.array(source, dtype=dtype)
+    read_only(array)
+    return array
+
+
+def bool_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> BoolArray:
+    """Copy `values` into a read-only boolean array after checking its shape."""
+    array = np.array(values, dtype=np.bool_)
+    _check_shape(name, array, shape)
+    read_only(array)
+    return array
+
+
+def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
+    """Return the names as a tuple; refuse an empty or a repeated one."""
+    names = tuple(names)
+    for i, name in enumerate(names):
+        if not name:
+            raise InputError(f"{kind} without a name", where=f"number {i + 1}")
+        if name in names[:i]:
+            raise InputError(
+                f"two {kind}s have the same name",
+                found=repr(name),
+                needed=f"every {kind} under its own name",
+            )
+    return names
+
+
+def nearest(word: str, known: Iterable[str]) -> str | None:
+    """Return the known word most like `word`, or None where nothing comes near."""
+    found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    return found[0] if found else None
+
+
+def _check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None, ...]) -> None:
+    fits = array.ndim == len(shape) and all(
+        wanted is None or wanted == got for wanted, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InputError(
+            f"{name} has the wrong shape", found=f"{array.shape}", needed=f"({wanted})"
+        )

@@ -1,0 +1,5 @@
+"""``python -m roomfit.cli``."""
+
+from roomfit.cli import main
+
+main()

@@ -1,0 +1,33 @@
+"""One typed door to numba, so that every kernel is compiled under the same rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import ParamSpec, TypeVar, cast
+
+import numba
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def kernel(*, parallel: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """Compile a module-level function with numba and keep the machine code on disk.
+
+    Strict IEEE arithmetic in float64 and no fast-math, so that the same input gives the same bits
+    on every run and for any number of threads. A parallel kernel must write each thread's result
+    to its own place and never sum across threads.
+
+    Parameters
+    ----------
+    parallel : bool
+        Whether `numba.prange` loops are spread over threads.
+    """
+
+    def decorate(function: Callable[P, R]) -> Callable[P, R]:
+        compiled = numba.njit(
+            cache=True, nogil=True, error_model="numpy", parallel=parallel, fastmath=False
+        )(function)
+        return cast(Callable[P, R], compiled)
+
+    return decorate

@@ -1,0 +1,1 @@
+"""Readers and writers of everything that lies on a disk."""

@@ -1,0 +1,1 @@
+"""Problem to fit: simplex, annealing, least squares, and where to start."""

@@ -1,0 +1,1 @@
+"""What walls do to sound: absorption and scattering, kept apart."""

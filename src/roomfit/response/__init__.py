@@ -1,0 +1,1 @@
+"""Paths and wall properties to energy responses, with derivatives."""

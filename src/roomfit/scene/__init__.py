@@ -1,0 +1,1 @@
+"""What is simulated: a room with materials, sources, receivers and air."""

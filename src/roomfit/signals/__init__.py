@@ -1,0 +1,1 @@
+"""Measured pressure: responses, filters, onsets, noise, decay curves. No files are read here."""

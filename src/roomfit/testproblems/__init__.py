@@ -1,0 +1,1 @@
+"""Rooms whose truth is known, for tests and for users."""

@@ -1,0 +1,193 @@
+"""Sound paths: the one thing that tracing makes and that every reader weighs."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roomfit.checks import float_array, int_array
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reflections:
+    """The ordered wall hits of each path, as one long list.
+
+    Attributes
+    ----------
+    offsets : int64 array, shape (n_paths + 1,)
+        Path i owns the entries ``offsets[i]:offsets[i + 1]``, first hit first.
+    material : int32 array, shape (n_entries,)
+    cosine : float array, shape (n_entries,)
+        Cosine of the angle of incidence, 0 (grazing) to 1 (normal).
+    """
+
+    offsets: IntArray
+    material: IntArray
+    cosine: FloatArray
+
+    def __post_init__(self) -> None:
+        offsets = int_array("offsets", self.offsets, (None,), np.int64, low=0)
+        n = int(offsets[-1]) if offsets.size else 0
+        object.__setattr__(self, "offsets", offsets)
+        object.__setattr__(self, "material", int_array("material", self.material, (n,), low=0))
+        object.__setattr__(
+            self, "cosine", float_array("cosine", self.cosine, (n,), low=0.0, high=1.0)
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Paths:
+    """Recorded paths from sources to receivers; absorption has not touched them.
+
+    The energy that path i brings to its receiver in a band is ``weight_per_m2[i]`` times
+    ``exp(-m length)`` for the air, times the product over materials of ``(1 - a) ** hits``, where
+    hits counts specular and diffuse ones together. Energies are absolute: the direct sound of a
+    source of unit power is ``1 / (4 pi r**2)``.
+
+    Attributes
+    ----------
+    n_pairs : int
+        How many pairs the scene has; some may own no path.
+    materials : tuple of str
+    pair : int32 array, shape (n_paths,)
+    length_m : float array, shape (n_paths,)
+        Exact length; travel time is length over speed of sound. For a ray caught by a receiver
+        sphere: to the point of its track nearest to the centre.
+    weight_per_m2 : float array, shape (n_paths,)
+        Spreading and Monte-Carlo weight at the sampling scattering coefficient: for an image path
+        ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere volume)``.
+    hits_specular, hits_diffuse : uint16 arrays, shape (n_paths, n_materials)
+        Wall hits by kind, apart so that scattering can be re-weighed.
+    departure, arrival : float32 arrays, shape (n_paths, 3)
+        Unit vectors: away from the source, and the direction in which sound travels on arrival.
+    batch : int32 array, shape (n_paths,)
+        Independent Monte-Carlo batch, 0 to n_batches - 1; -1 for image paths, which are exact.
+    n_batches : int
+    sampling_scattering : float array, shape (n_materials,)
+        Scattering coefficient with which each material was traced.
+    reflections : Reflections or None
+        Ordered reflections with angles, for image paths on request.
+    """
+
+    n_pairs: int
+    materials: tuple[str, ...]
+    pair: IntArray
+    length_m: FloatArray
+    weight_per_m2: FloatArray
+    hits_specular: IntArray
+    hits_diffuse: IntArray
+    departure: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    arrival: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    batch: IntArray
+    n_batches: int
+    sampling_scattering: FloatArray
+    reflections: Reflections | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.length_m)
+        m = len(self.materials)
+        shapes = {
+            "pair": (n,),
+            "length_m": (n,),
+            "weight_per_m2": (n,),
+            "hits_specular": (n, m),
+            "hits_diffuse": (n, m),
+            "departure": (n, 3),
+            "arrival": (n, 3),
+            "batch": (n,),
+            "sampling_scattering": (m,),
+        }
+        # Paths can be gigabytes and are made by this package only: shapes are checked and the
+        # arrays set read-only where they stand, not copied.
+        for name, shape in shapes.items():
+            array = getattr(self, name)
+            if array.shape != shape:
+                raise InputError(
+                    f"paths: {name} has the wrong shape", found=f"{array.shape}", needed=f"{shape}"
+                )
+            array.setflags(write=False)
+
+    def __len__(self) -> int:
+        return len(self.length_m)
+
+
+def hits(paths: Paths) -> IntArray:
+    """Return all wall hits of each path, specular and diffuse, uint16, (n_paths, n_materials)."""
+    return np.asarray(paths.hits_specular + paths.hits_diffuse)
+
+
+def is_image(paths: Paths) -> BoolArray:
+    """Return which paths come from image sources, shape (n_paths,)."""
+    return np.asarray(paths.batch < 0)
+
+
+def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
+    """Return the chosen paths, by mask or index; ordered reflections are carried along."""
+    reflections = None
+    if paths.reflections is not None:
+        old = paths.reflections
+        index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
+        counts = np.diff(old.offsets)[index]
+        offsets = np.concatenate(([0], np.cumsum(counts)))
+        # entry numbers of each kept path, laid end to end
+        entries = np.arange(offsets[-1]) + np.repeat(old.offsets[index] - offsets[:-1], counts)
+        reflections = Reflections(offsets, old.material[entries], old.cosine[entries])
+    return Paths(
+        paths.n_pairs,
+        paths.materials,
+        paths.pair[keep],
+        paths.length_m[keep],
+        paths.weight_per_m2[keep],
+        paths.hits_specular[keep],
+        paths.hits_diffuse[keep],
+        paths.departure[keep],
+        paths.arrival[keep],
+        paths.batch[keep],
+        paths.n_batches,
+        paths.sampling_scattering.copy(),
+        reflections,
+    )
+
+
+def concatenate(parts: Sequence[Paths]) -> Paths:
+    """Return all paths of several traces of one scene as one; reflections are not carried along.
+
+    Raises
+    ------
+    InputError
+        The parts disagree on materials, pairs or sampling scattering.
+    """
+    first = parts[0]
+    for other in parts[1:]:
+        if (other.materials, other.n_pairs) != (
+            first.materials,
+            first.n_pairs,
+        ) or not np.array_equal(other.sampling_scattering, first.sampling_scattering):
+            raise InputError(
+                "paths of different scenes cannot be joined",
+                found=f"materials {first.materials} and {other.materials}",
+                hint="trace all parts with the same room, pairs and scattering",
+            )
+
+    def joined(name: str) -> np.ndarray[Any, Any]:
+        return np.concatenate([getattr(p, name) for p in parts])
+
+    return Paths(
+        first.n_pairs,
+        first.materials,
+        joined("pair"),
+        joined("length_m"),
+        joined("weight_per_m2"),
+        joined("hits_specular"),
+        joined("hits_diffuse"),
+        joined("departure"),
+        joined("arrival"),
+        joined("batch"),
+        max(p.n_batches for p in parts),
+        first.sampling_scattering.copy(),
+    )

@@ -1,0 +1,23 @@
+"""What every test may use: where real measurements lie, and quiet, repeatable hypothesis runs."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+settings.register_profile(
+    "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("roomfit")
+
+DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def real_data() -> Path:
+    """Folder of real measurements; tests that need it are skipped where it is missing."""
+    if not DATA.is_dir():
+        pytest.skip("real measurements are not on this machine")
+    return DATA
