@@ -1,0 +1,143 @@
+"""The keys of a campaign file, format_version 1, and what each may hold."""
+
+from __future__ import annotations
+
+from typing import Annotated, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+Position = Annotated[list[float], Field(min_length=3, max_length=3)]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+PerBand = Fraction | list[Fraction]
+
+
+class Table(BaseModel):
+    """A table of the file: an unknown key is an error, and nothing changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+
+class PolygonTable(Table):
+    """``[room] polygons``: corner and plane tables."""
+
+    corners: list[str] = Field(min_length=1)
+    planes: list[str] = Field(min_length=1)
+    replace: dict[str, str] = {}
+    drop: list[int] = []
+    sides: dict[str, Literal[1, 2]] = {}
+
+
+class RoomTable(Table):
+    """``[room]``."""
+
+    file: str | None = None
+    shoebox: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
+    polygons: PolygonTable | None = None
+    unit: str | None = None
+    up: Literal["z", "y"] = "z"
+    materials: dict[str, str] = {}
+
+
+class AirTable(Table):
+    """``[air]``."""
+
+    temperature_c: float = 20.0
+    temperature_sd_c: float | None = Field(default=None, ge=0.0)
+    humidity_percent: float = 50.0
+    pressure_kpa: float = 101.325
+    speed_of_sound_m_s: float | None = None
+    attenuation: Literal["iso9613", "none"] = "iso9613"
+
+
+class Spectrum(Table):
+    """Values at frequencies, for scattering."""
+
+    centres_hz: list[float] = Field(min_length=1)
+    values: list[Fraction] = Field(min_length=1)
+
+
+class Prior(Table):
+    """What is known of an absorption beforehand: mean and standard deviation of alpha."""
+
+    mean: PerBand
+    sd: float | list[float]
+
+
+class MaterialTable(Table):
+    """``[materials.NAME]``."""
+
+    scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
+    absorption: PerBand | None = None
+    prior: Prior | str | None = None
+    bounds: Annotated[list[Fraction], Field(min_length=2, max_length=2)] | None = None
+    impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
+    impedance_start: dict[str, float | list[float]] | None = None
+
+
+class Directivity(Table):
+    """First-order directivity of a source."""
+
+    aim: Position
+    order: Literal[1] = 1
+    b: float
+
+
+class SourceTable(Table):
+    """``[sources.NAME]``."""
+
+    position: Position
+    position_sd: float | None = Field(default=None, gt=0.0)
+    directivity: str | Directivity = "omni"
+
+
+class ReceiverTable(Table):
+    """``[receivers.NAME]``."""
+
+    position: Position
+    position_sd: float | None = Field(default=None, gt=0.0)
+
+
+class MeasurementTable(Table):
+    """``[[measurements]]``."""
+
+    source: str | None = None
+    receiver: str | None = None
+    file: str | None = None
+    parameters: str | None = None
+    spectrum: str | None = None
+    channel: int | None = Field(default=None, ge=0)
+    variable: str | None = None
+    sampling_rate_variable: str | None = None
+    sampling_rate_hz: float | None = Field(default=None, gt=0.0)
+    measurement: int | None = Field(default=None, ge=0)
+    receiver_index: int | None = Field(default=None, ge=0)
+    time_zero: Literal["emission", "direct", "unknown"] = "emission"
+    latency_s: float = 0.0
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    use: Literal["fit", "validate"] = "fit"
+
+
+class IdentifyTable(Table):
+    """``[identify]``."""
+
+    bands: Literal["octave", "third-octave"] | list[float] = "octave"
+    from_hz: float = Field(default=125.0, gt=0.0)
+    to_hz: float = Field(default=4000.0, gt=0.0)
+    method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
+        "auto"
+    )
+    model: Literal["auto", "energy", "coherent"] = "auto"
+    seed: int = Field(default=1, ge=0)
+
+
+class CampaignTable(Table):
+    """The whole file."""
+
+    format_version: Literal[1] = 1
+    room: RoomTable
+    air: AirTable = AirTable()
+    materials: dict[str, MaterialTable] = {}
+    sources: dict[str, SourceTable] = {}
+    receivers: dict[str, ReceiverTable] = {}
+    measurements: list[MeasurementTable] = []
+    identify: IdentifyTable = IdentifyTable()

@@ -1,0 +1,167 @@
+"""Unknowns as named blocks, each with its transform, its prior, and its own part of a Jacobian.
+
+An optimiser sees one vector of free numbers; a problem sees physical values. The transforms keep
+absorption between its bounds and gains above zero without the optimiser knowing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit.checks import bool_array, float_array
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray
+
+Transform = Literal["identity", "log", "logit"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Block:
+    """One kind of unknown.
+
+    Attributes
+    ----------
+    name : str
+        "absorption", "gain", ...
+    labels : tuple of str
+        What each entry belongs to: a material, a source, ...
+    transform : {"identity", "log", "logit"}
+        From physical value to free number. "logit" maps the open interval (lower, upper).
+    start : float array, shape (n,)
+        Physical values where a fit starts; where `fitted` is false, the values held.
+    fitted : bool array, shape (n,)
+    prior_mean, prior_sd : float arrays, shape (n,)
+        Gaussian prior of the free number; an infinite sd is written as 0 in `prior_weight`.
+    lower, upper : float arrays, shape (n,)
+        Physical bounds, used by "logit".
+    """
+
+    name: str
+    labels: tuple[str, ...]
+    transform: Transform
+    start: FloatArray
+    fitted: BoolArray
+    prior_mean: FloatArray
+    prior_sd: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(self.labels)
+        for name in ("start", "prior_mean", "lower", "upper"):
+            values = float_array(f"{self.name} {name}", getattr(self, name), (n,))
+            object.__setattr__(self, name, values)
+        sd = np.array(self.prior_sd, dtype=np.float64)
+        if sd.shape != (n,) or not np.all(sd > 0.0):
+            raise InputError(
+                f"prior of {self.name} needs a standard deviation above zero",
+                found=str(self.prior_sd),
+                hint="to hold a value fixed, give it as known instead of as a prior",
+            )
+        sd.setflags(write=False)
+        object.__setattr__(self, "prior_sd", sd)
+        object.__setattr__(self, "fitted", bool_array(f"{self.name} fitted", self.fitted, (n,)))
+        bad = np.flatnonzero(self.lower >= self.upper)
+        if bad.size:
+            i = int(bad[0])
+            raise InputError(
+                "lower bound is not below the upper one",
+                where=f"{self.name} of {self.labels[i]!r}",
+                found=f"{self.lower[i]:g} and {self.upper[i]:g}",
+                needed="lower < upper",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Parameters:
+    """Blocks laid end to end; the free vector holds the fitted entries only, in this order."""
+
+    blocks: tuple[Block, ...]
+
+
+def to_free(block: Block, values: FloatArray) -> FloatArray:
+    """Return the free numbers of physical values, shape (n,)."""
+    if block.transform == "log":
+        return np.asarray(np.log(values))
+    if block.transform == "logit":
+        share = (values - block.lower) / (block.upper - block.lower)
+        share = np.clip(share, 1e-9, 1.0 - 1e-9)
+        return np.asarray(np.log(share) - np.log1p(-share))
+    return np.array(values, dtype=np.float64)
+
+
+def to_physical(block: Block, free: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return physical values and their derivative by the free numbers, both of shape (n,)."""
+    if block.transform == "log":
+        values = np.exp(free)
+        return values, values
+    if block.transform == "logit":
+        # exp of a negative number only: no overflow on either side
+        tail = np.exp(-np.abs(free))
+        share = np.where(free >= 0.0, 1.0, tail) / (1.0 + tail)
+        width = block.upper - block.lower
+        return block.lower + width * share, width * tail / (1.0 + tail) ** 2
+    return np.array(free, dtype=np.float64), np.ones_like(free)
+
+
+def start_vector(parameters: Parameters) -> FloatArray:
+    """Return the free vector at which a fit starts, shape (n_free,)."""
+    return np.concatenate([to_free(b, b.start)[b.fitted] for b in parameters.blocks])
+
+
+def physical_values(
+    parameters: Parameters, vector: FloatArray
+) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
+    """Return every block's physical values, held ones included, and their derivatives.
+
+    The derivative of a held entry is 0, so a chain rule may run over all entries.
+    """
+    values: dict[str, FloatArray] = {}
+    slopes: dict[str, FloatArray] = {}
+    position = 0
+    for block in parameters.blocks:
+        n = int(np.count_nonzero(block.fitted))
+        free = to_free(block, block.start)
+        free[block.fitted] = vector[position : position + n]
+        position += n
+        found, slope = to_physical(block, free)
+        # a held value is exactly the one given, without a round trip through the transform
+        values[block.name] = np.where(block.fitted, found, block.start)
+        slopes[block.name] = np.where(block.fitted, slope, 0.0)
+    return values, slopes
+
+
+def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> FloatArray:
+    """Return the Jacobian by the free vector from the blocks' own, shape (n_rows, n_free).
+
+    `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n).
+    """
+    return np.concatenate([jacobians[b.name][:, b.fitted] for b in parameters.blocks], axis=1)
+
+
+def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return (free - mean) / sd of every fitted entry with a finite prior, and the Jacobian rows.
+
+    Returns
+    -------
+    residuals : float array, shape (n_priors,)
+    jacobian : float array, shape (n_priors, n_free)
+    """
+    mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
+    sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])
+    finite = np.isfinite(sd)
+    jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
+    return ((vector - mean) / sd)[finite], jacobian
+
+
+def free_labels(parameters: Parameters) -> tuple[tuple[str, str], ...]:
+    """Return (block name, label) of each entry of the free vector."""
+    return tuple(
+        (b.name, label)
+        for b in parameters.blocks
+        for label, fitted in zip(b.labels, b.fitted, strict=True)
+        if fitted
+    )

@@ -1,0 +1,76 @@
+"""Unknowns as blocks: transforms, held entries, priors."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomfit.errors import InputError
+from roomfit.objective.parameters import (
+    Block,
+    Parameters,
+    physical_values,
+    prior_residuals,
+    start_vector,
+    to_free,
+    to_physical,
+)
+
+
+def block(transform: str, n: int = 3, **changes) -> Block:
+    settings = {
+        "name": transform,
+        "labels": tuple(f"m{i}" for i in range(n)),
+        "transform": transform,
+        "start": np.linspace(0.2, 0.4, n),
+        "fitted": np.ones(n, dtype=bool),
+        "prior_mean": np.zeros(n),
+        "prior_sd": np.full(n, np.inf),
+        "lower": np.full(n, 0.01),
+        "upper": np.full(n, 0.99),
+    }
+    return Block(**{**settings, **changes})
+
+
+@pytest.mark.parametrize("transform", ["identity", "log", "logit"])
+@given(values=st.lists(st.floats(0.02, 0.98), min_size=3, max_size=3))
+def test_a_transform_and_its_inverse_give_the_value_back(transform, values):
+    b = block(transform)
+    back, _ = to_physical(b, to_free(b, np.array(values)))
+    # two exponentials and two logarithms, each rounded once, around values of order one
+    np.testing.assert_allclose(back, values, rtol=1e-12)
+
+
+@pytest.mark.parametrize("transform", ["identity", "log", "logit"])
+@given(free=st.lists(st.floats(-6.0, 6.0), min_size=3, max_size=3))
+def test_the_stated_slope_is_the_central_difference(transform, free):
+    b = block(transform)
+    x, h = np.array(free), 1e-5
+    numeric = (to_physical(b, x + h)[0] - to_physical(b, x - h)[0]) / (2.0 * h)
+    # truncation h^2/6 |f'''| <= 1e-10 |f| and cancellation 2^-52 / h, both relative to |f|
+    scale = np.maximum(np.abs(to_physical(b, x)[0]), 1.0)
+    np.testing.assert_allclose(to_physical(b, x)[1], numeric, rtol=1e-7, atol=1e-9 * scale.max())
+
+
+def test_a_held_entry_keeps_its_exact_value_and_has_no_slope():
+    b = block("logit", fitted=np.array([True, False, True]))
+    p = Parameters((b,))
+    values, slopes = physical_values(p, start_vector(p) + 1.0)
+    assert values["logit"][1] == b.start[1]
+    assert slopes["logit"][1] == 0.0
+    assert np.all(slopes["logit"][[0, 2]] > 0.0)
+
+
+def test_a_prior_without_end_adds_no_row():
+    b = block("logit", prior_sd=np.array([1.5, np.inf, 2.0]), prior_mean=np.array([-1.0, 0.0, 1.0]))
+    p = Parameters((b,))
+    residuals, jacobian = prior_residuals(p, np.array([2.0, 5.0, 2.0]))
+    np.testing.assert_allclose(residuals, [3.0 / 1.5, 0.5])
+    np.testing.assert_allclose(jacobian, [[1.0 / 1.5, 0.0, 0.0], [0.0, 0.0, 0.5]])
+
+
+def test_a_lower_bound_above_the_upper_is_refused_by_name():
+    with pytest.raises(InputError, match=r"lower bound(?s:.)*'m1'"):
+        block("logit", lower=np.array([0.0, 0.9, 0.0]), upper=np.array([1.0, 0.5, 1.0]))
