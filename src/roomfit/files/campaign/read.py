@@ -27,7 +27,7 @@ def read_campaign_table(path: Path) -> CampaignTable:
     try:
         campaign = CampaignTable.model_validate(table)
     except ValidationError as error:
-        raise _explained(path, table, error) from None
+        raise _explained(path, error) from None
     _check_names(path, campaign)
     _check_pairs(path, campaign)
     return campaign
@@ -59,12 +59,12 @@ def _read_toml(path: Path) -> dict[str, Any]:
         ) from error
 
 
-def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> InputError:
+def _explained(path: Path, error: ValidationError) -> InputError:
     """Turn pydantic's first complaint into one message in our words."""
     complaints = error.errors(include_url=False)
     # a union tries every member; the complaint that is about an unknown key says most
     first = next((c for c in complaints if c["type"] == "extra_forbidden"), complaints[0])
-    location = tuple(part for part in first["loc"] if _is_key_or_index(part, table))
+    location = tuple(part for part in first["loc"] if _stands_in_the_file(part))
     where = f"{path}, {_key_path(location)}"
     if first["type"] == "extra_forbidden":
         key = str(first["loc"][-1])
@@ -89,8 +89,8 @@ def _explained(path: Path, table: dict[str, Any], error: ValidationError) -> Inp
     )
 
 
-def _is_key_or_index(part: int | str, table: dict[str, Any]) -> bool:
-    """Whether a part of pydantic's location stands in the file and is not a union member's name."""
+def _stands_in_the_file(part: int | str) -> bool:
+    """Whether a part of a complaint is a key or an index, not the name of a union member."""
     if isinstance(part, int):
         return True
     return not part.endswith("Table") and "[" not in part and part not in _MEMBER_NAMES
@@ -174,9 +174,11 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
 def _check_pairs(path: Path, campaign: CampaignTable) -> None:
     """Refuse the same file channel twice: it would count one measurement as two."""
     seen: dict[tuple[object, ...], int] = {}
+    key: tuple[object, ...]
     for number, row in enumerate(campaign.measurements, start=1):
-        key = (row.file, row.parameters, row.spectrum, row.channel, row.variable, row.measurement)
-        key += (row.receiver_index, row.source, row.receiver)
+        data = (row.file, row.parameters, row.spectrum)
+        key = (*data, row.channel, row.variable, row.measurement, row.receiver_index)
+        key = (*key, row.source, row.receiver)
         if key in seen:
             raise InputError(
                 "the same measurement stands twice",
