@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from roomfit.checks import float_array
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
@@ -34,3 +36,22 @@ class ImpulseResponse:
                 needed="1000 to 1000000 Hz",
             )
         object.__setattr__(self, "pressure", float_array("pressure", self.pressure, (None,)))
+
+
+def times_s(response: ImpulseResponse) -> FloatArray:
+    """Return the time after emission of every sample, shape (n_samples,)."""
+    samples = np.arange(len(response.pressure))
+    return np.asarray(samples / response.sampling_rate_hz - response.time_zero_s)
+
+
+def padded(response: ImpulseResponse, silence_s: float) -> ImpulseResponse:
+    """Return the response with silence added before and after, at unchanged times after emission.
+
+    At least `silence_s` on either side, in whole samples.
+    """
+    n = int(np.ceil(silence_s * response.sampling_rate_hz))
+    return ImpulseResponse(
+        np.pad(response.pressure, n),
+        response.sampling_rate_hz,
+        response.time_zero_s + n / response.sampling_rate_hz,
+    )

@@ -1,0 +1,225 @@
+"""The filter bank: its two front ends speak of the same energies."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomfit.bands import BandKind, Bands, bands_between
+from roomfit.errors import InputError
+from roomfit.signals.filters import (
+    FilterBank,
+    energy_bandwidth_hz,
+    energy_share,
+    filter_pressure,
+    frequency_response,
+    ringing_s,
+    smearing_kernel,
+    statistical_bandwidth_hz,
+    window_energies,
+)
+from roomfit.signals.impulse_response import ImpulseResponse
+
+KINDS: tuple[BandKind, ...] = ("octave", "third-octave")
+RATE_HZ = 48_000.0
+
+
+def bank(kind: BandKind = "octave", from_hz: float = 63.0, to_hz: float = 8000.0) -> FilterBank:
+    return FilterBank(bands_between(kind, from_hz, to_hz))
+
+
+def lone_sample(n: int, at: int) -> ImpulseResponse:
+    pressure = np.zeros(n)
+    pressure[at] = 1.0
+    return ImpulseResponse(pressure, RATE_HZ)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_squared_magnitudes_of_all_bands_add_up_to_one_between_the_outer_centres(kind):
+    """Nothing is lost and nothing counted twice, at any frequency."""
+    b = bank(kind)
+    f = np.geomspace(b.bands.exact_centres_hz[0], b.bands.exact_centres_hz[-1], 5000)
+    np.testing.assert_allclose((frequency_response(b, f) ** 2).sum(axis=0), 1.0, rtol=1e-12)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_magnitudes_meet_class_1_of_iec_61260(kind):
+    """Table 1 of IEC 61260-1:2014; for third octaves the abscissa by its formula (9)."""
+    b = bank(kind, 1000.0, 1000.0)
+    steps = {"octave": 1.0, "third-octave": 3.0}[kind]
+    octave_ratio = 10.0**0.3
+    for exponent, least_db, most_db in (
+        (0.0, -0.4, 0.4),
+        (1 / 8, -0.4, 0.5),
+        (1 / 4, -0.4, 0.7),
+        (3 / 8, -0.4, 1.4),
+        (1 / 2, 1.6, 5.3),
+        (1.0, 16.6, np.inf),
+        (2.0, 40.5, np.inf),
+        (3.0, 60.0, np.inf),
+        (4.0, 70.0, np.inf),
+    ):
+        of_octave = octave_ratio**exponent
+        edge = (octave_ratio ** (0.5 / steps) - 1.0) / (octave_ratio**0.5 - 1.0)
+        ratio = 1.0 + edge * (of_octave - 1.0)
+        for f in (1000.0 * ratio, 1000.0 / ratio):
+            with np.errstate(divide="ignore"):
+                loss_db = -20.0 * np.log10(frequency_response(b, [f])[0, 0])
+            assert least_db <= loss_db <= most_db, (exponent, f)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_bands_of_an_impulse_are_centred_on_it_without_delay(kind):
+    """The delay of every band is the same, zero: each filtered impulse is symmetric about it."""
+    at = 40_000
+    filtered = filter_pressure(bank(kind), lone_sample(80_001, at))
+    np.testing.assert_allclose(filtered, filtered[:, ::-1], atol=1e-12 * filtered.max())
+    assert np.all(np.argmax(filtered, axis=1) == at)
+
+
+def test_filtering_keeps_the_energy_of_noise_within_its_band():
+    """Parseval by another way: the periodogram of the noise, weighted and summed."""
+    rng = np.random.default_rng(5)
+    pressure = np.zeros(96_000)
+    pressure[40_000:56_000] = rng.standard_normal(16_000)
+    b = bank()
+    filtered = filter_pressure(b, ImpulseResponse(pressure, RATE_HZ))
+    spectrum = np.abs(np.fft.rfft(pressure)) ** 2
+    weights = frequency_response(b, np.fft.rfftfreq(96_000, 1 / RATE_HZ)) ** 2
+    expected = 2.0 * (weights * spectrum).sum(axis=1) / 96_000
+    # the 63 Hz band rings over the ends by less than 1e-9 of its energy
+    np.testing.assert_allclose((filtered**2).sum(axis=1), expected, rtol=1e-8)
+
+
+def test_sound_at_the_end_of_a_file_does_not_appear_at_its_beginning():
+    """No circular convolution: what rings over the end is lost, not wrapped."""
+    filtered = filter_pressure(bank(), lone_sample(48_000, 47_990))
+    start = np.abs(filtered[:, :4800]).max(axis=1)
+    # 0.9 s are 57 periods of 63 Hz; the ringing is at most 1e-5 of the peak there
+    assert np.all(start < 1e-5 * np.abs(filtered).max(axis=1))
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_smearing_kernel_is_the_squared_filtered_impulse(kind):
+    """The table of the second front end, recomputed by filtering an impulse with the first."""
+    b = bank(kind, 125.0, 4000.0)
+    kernel = smearing_kernel(b)
+    at = 60_000
+    filtered = filter_pressure(b, lone_sample(120_001, at))
+    edges = (np.array([-at, -2000.0, -50.0, -7.0, 0.0, 3.0, 40.0, 900.0, at]) - 0.5) / RATE_HZ
+    for band, p in enumerate(filtered):
+        share = energy_share(kernel, band, [0.0], edges)[0]
+        bounds = np.round(edges * RATE_HZ + 0.5).astype(int) + at
+        energy = [np.sum(p[i:j] ** 2) for i, j in itertools.pairwise(bounds)]
+        # A sample stands for its surroundings: the sum is a midpoint rule, good to
+        # (pi f / rate)^2 / 3 = 8 % of the curvature in the 4 kHz band, 1e-3 of the energy below.
+        np.testing.assert_allclose(share, np.array(energy) / np.sum(p**2), atol=2e-2)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_all_of_an_impulse_lies_within_the_stated_ringing(kind):
+    """Shares add up to one, and all but 1e-10 lies within `ringing_s`."""
+    b = bank(kind)
+    kernel = smearing_kernel(b)
+    for band, span in enumerate(ringing_s(b)):
+        share = energy_share(kernel, band, [0.1], [0.1 - span, 0.1 - 0.5 * span, 0.1 + 0.5 * span])
+        assert share.sum() == pytest.approx(1.0, abs=1e-9)
+        assert share[0, 0] < 1e-9
+
+
+def test_window_energies_of_a_lone_sample_add_up_to_its_square():
+    """Energies are absolute: height a, energy a^2 in every band, also at the very first sample."""
+    pressure = np.zeros(4000)
+    pressure[0] = 0.3
+    energies = window_energies(bank(), ImpulseResponse(pressure, RATE_HZ), [-10.0, 0.0, 10.0])
+    np.testing.assert_allclose(energies.sum(axis=1), 0.09, rtol=1e-6)
+
+
+def test_measured_and_predicted_window_energies_agree_on_average():
+    """Impulses of random sign through the first front end give the second one's sum.
+
+    With random signs the cross terms vanish on average. 400 draws from 200 impulses a decay; the
+    mean of each window must lie within 5 of its own standard errors. With 6 bands x 7 windows and
+    normal errors the chance of a false alarm is 42 * 5.7e-7 = 2.4e-5.
+    """
+    rng = np.random.default_rng(2024)
+    b = bank("octave", 125.0, 4000.0)
+    edges = np.array([-0.05, 0.004, 0.01, 0.02, 0.04, 0.08, 0.16, 0.4])
+    samples = np.sort(rng.choice(np.arange(100, 9600), 200, replace=False))
+    delays = samples / RATE_HZ
+    amplitude = np.exp(-delays / 0.05) * rng.uniform(0.2, 1.0, 200)
+
+    draws = []
+    for _ in range(400):
+        pressure = np.zeros(20_000)
+        pressure[samples] = amplitude * rng.choice([-1.0, 1.0], 200)
+        draws.append(window_energies(b, ImpulseResponse(pressure, RATE_HZ), edges))
+    measured = np.mean(draws, axis=0)
+    standard_error = np.std(draws, axis=0, ddof=1) / np.sqrt(len(draws))
+
+    kernel = smearing_kernel(b)
+    predicted = np.array(
+        [amplitude**2 @ energy_share(kernel, i, delays, edges) for i in range(len(b.bands))]
+    )
+    # the midpoint rule of the test above allows 1e-3 of a window's energy besides
+    assert np.all(np.abs(measured - predicted) < 5.0 * standard_error + 1e-3 * predicted)
+
+
+@given(
+    edges=st.lists(st.floats(-0.2, 0.5), min_size=2, max_size=8, unique=True),
+    delay=st.floats(0.0, 0.3),
+)
+def test_splitting_a_window_splits_its_energy(edges, delay):
+    """Shares of parts add up to the share of the whole."""
+    kernel = smearing_kernel(bank("octave", 500.0, 1000.0))
+    edges = np.sort(edges)
+    if np.any(np.diff(edges) <= 0.0):
+        return
+    parts = energy_share(kernel, 0, [delay], edges).sum()
+    whole = energy_share(kernel, 0, [delay], edges[[0, -1]]).sum()
+    assert parts == pytest.approx(whole, abs=1e-12)
+
+
+def test_statistical_bandwidth_is_what_the_spread_of_noise_energy_shows():
+    """The relative variance of band energy of white noise over T is 1 / (B T).
+
+    600 blocks of 0.5 s; the estimate of a variance from n values has a relative standard error of
+    sqrt(2 / n) = 5.8 %; 4 of them allowed in 6 bands: false alarm 6 * 6.3e-5 = 4e-4.
+    """
+    rng = np.random.default_rng(11)
+    b = bank("octave", 125.0, 4000.0)
+    rate_hz, block, n_blocks = 16_000.0, 8000, 600
+    noise = ImpulseResponse(rng.standard_normal(block * n_blocks), rate_hz)
+    energy = (filter_pressure(b, noise) ** 2).reshape(len(b.bands), n_blocks, block).sum(axis=2)
+    relative_variance = energy.var(axis=1) / energy.mean(axis=1) ** 2
+    np.testing.assert_allclose(
+        relative_variance * statistical_bandwidth_hz(b) * block / rate_hz, 1.0, rtol=0.24
+    )
+
+
+def test_energy_bandwidth_is_half_the_energy_that_a_lone_sample_leaves_per_sampling_rate():
+    """A sample of height one has the two-sided spectral density one: Parseval."""
+    b = bank()
+    filtered = filter_pressure(b, lone_sample(200_001, 100_000))
+    np.testing.assert_allclose(
+        (filtered**2).sum(axis=1) * RATE_HZ, 2.0 * energy_bandwidth_hz(b), rtol=1e-6
+    )
+
+
+def test_a_band_above_half_the_sampling_rate_is_refused():
+    """The message names the band and the rate it would need."""
+    response = ImpulseResponse(np.ones(100), 16_000.0)
+    with pytest.raises(InputError, match="8000 Hz") as caught:
+        filter_pressure(bank("octave", 125.0, 8000.0), response)
+    assert "at least 31698 Hz" in str(caught.value)
+    assert filter_pressure(bank("octave", 125.0, 4000.0), response).shape == (6, 100)
+
+
+def test_edges_that_do_not_rise_are_refused():
+    kernel = smearing_kernel(FilterBank(Bands("octave", np.array([1000.0]))))
+    with pytest.raises(InputError, match="rising edges"):
+        energy_share(kernel, 0, [0.0], [0.1, 0.1])
