@@ -1,0 +1,134 @@
+"""An answer in words and tables, for a terminal."""
+
+from __future__ import annotations
+
+import textwrap
+
+import numpy as np
+
+from roomfit.findings import Finding
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.answer import Answer
+
+_SHOWN = ("T20_s", "EDT_s", "C80_dB")
+_RELATIVE = ("T20_s", "T30_s", "EDT_s", "TS_ms")
+
+
+def answer_text(answer: Answer) -> str:
+    """Return everything a user must see: absorption, what can be told apart, pairs, findings."""
+    parts = [
+        absorption_table(answer),
+        separable_text(answer),
+        pairs_table(answer),
+        findings_text(answer.findings),
+    ]
+    return "\n\n".join(p for p in parts if p)
+
+
+def absorption_table(answer: Answer) -> str:
+    """Return absorption with its interval per material and band; ``?`` marks what is not sure."""
+    width = max(len(n) for n in (*answer.materials, "room mean"))
+    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
+    lines = [
+        f"Absorption, 95 % interval ({answer.interval_kind}); ? = not identifiable",
+        f"{'Hz':<{width}}  {head}",
+    ]
+    for i, name in enumerate(answer.materials):
+        cells = [
+            _interval_cell(*values, sure=bool(sure))
+            for *values, sure in zip(
+                answer.absorption[i],
+                answer.lower95[i],
+                answer.upper95[i],
+                answer.identifiable[i],
+                strict=True,
+            )
+        ]
+        lines.append(f"{name:<{width}}  " + "  ".join(cells))
+    cells = [_interval_cell(*column, sure=True) for column in answer.mean_absorption.T]
+    lines.append(f"{'room mean':<{width}}  " + "  ".join(cells))
+    return "\n".join(lines)
+
+
+def separable_text(answer: Answer) -> str:
+    """Return in words which materials the data tell apart, band by band."""
+    lines = ["What the data tell"]
+    for j, centre in enumerate(answer.bands.centres_hz):
+        sure = [
+            n for n, told in zip(answer.materials, answer.identifiable[:, j], strict=True) if told
+        ]
+        mean, lower, upper = answer.mean_absorption[:, j]
+        known = ", ".join(sure) if sure else "no single material"
+        fit = "" if answer.phi[j] <= 2.0 else f"; the model does not fit (phi {answer.phi[j]:.1f})"
+        lines.append(
+            f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
+            f"({lower:.2f} to {upper:.2f}){fit}"
+        )
+    return "\n".join(lines)
+
+
+def pairs_table(answer: Answer) -> str:
+    """Return mean absolute errors of predicted parameters beside the null model's.
+
+    The null model is the mean of the same parameter over the other fitted measurements.
+    """
+    if not answer.pairs:
+        return ""
+    lines = [
+        "Predicted against measured, mean absolute error per band (model | mean of the others)"
+    ]
+    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
+    lines.append(f"{'Hz':<16}  {head}")
+    for use in ("fit", "validate"):
+        pairs = [p for p in answer.pairs if p.use == use]
+        if not pairs:
+            continue
+        for name in _SHOWN:
+            compared = [p.parameters[name] for p in pairs]
+            ours = _mean_error(
+                name, [c.predicted for c in compared], [c.measured for c in compared]
+            )
+            null = _mean_error(name, [c.null for c in compared], [c.measured for c in compared])
+            unit = "%" if name in _RELATIVE else name.split("_")[1]
+            cells = [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
+            label = f"{name.split('_')[0]} {unit} {'fitted' if use == 'fit' else 'not fitted'}"
+            lines.append(f"{label:<16}  " + "  ".join(cells))
+    return "\n".join(lines)
+
+
+def findings_text(findings: tuple[Finding, ...]) -> str:
+    """Return the findings, most serious first."""
+    order = {"serious": 0, "warning": 1, "info": 2}
+    lines = ["Findings"] if findings else []
+    for finding in sorted(findings, key=lambda f: order[f.severity]):
+        text = f"{finding.severity}: {finding.sentence} [{finding.code}]"
+        lines.append(textwrap.fill(text, 100, initial_indent="- ", subsequent_indent="  "))
+    return "\n".join(lines)
+
+
+def _interval_cell(value: float, lower: float, upper: float, *, sure: bool) -> str:
+    mark = " " if sure else "?"
+    return f"{_short(value)}{mark}{_short(lower)}-{_short(upper)}"
+
+
+def _short(value: float) -> str:
+    """Three characters and a point less: .07, 1.0."""
+    return "1.00"[:3] if value >= 0.995 else f"{value:.2f}"[1:]
+
+
+def _pair_cell(ours: float, null: float) -> str:
+    def told(value: float) -> str:
+        return f"{value:.1f}" if np.isfinite(value) else "-"
+
+    return f"{told(ours):>5} | {told(null):>5}"
+
+
+def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
+    """Mean absolute error over pairs, in percent for times; NaN where nothing can be compared."""
+    errors = np.abs(np.array(guesses) - np.array(measured))
+    if name in _RELATIVE:
+        errors = 100.0 * errors / np.array(measured)
+    known = np.isfinite(errors)
+    counts = known.sum(axis=0)
+    sums = np.where(known, errors, 0.0).sum(axis=0)
+    return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))

@@ -1,0 +1,123 @@
+"""The answer of an identification: numbers, their intervals, and every doubt about them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+from roomfit.bands import Bands
+from roomfit.findings import Finding
+from roomfit.typing import BoolArray, FloatArray
+
+Use = Literal["fit", "validate"]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Compared:
+    """One room-acoustic parameter of one pair in every band, measured and predicted.
+
+    Attributes
+    ----------
+    measured, predicted : float arrays, shape (n_bands,)
+        NaN where it cannot be determined.
+    null : float array, shape (n_bands,)
+        The mean of this parameter over the other measurements that were fitted: what one would
+        guess without any model of the room. NaN where there is no other.
+    jnd : float array, shape (n_bands,)
+        Predicted minus measured in just noticeable differences of ISO 3382-1.
+    """
+
+    measured: FloatArray
+    predicted: FloatArray
+    null: FloatArray
+    jnd: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Decay:
+    """Energy decay curves of one pair, for looking at.
+
+    Attributes
+    ----------
+    time_s : float array, shape (n_times,)
+        After emission.
+    measured_db, predicted_db : float arrays, shape (n_bands, n_times)
+        Relative to the whole; NaN beyond the usable part.
+    """
+
+    time_s: FloatArray
+    measured_db: FloatArray
+    predicted_db: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ComparedPair:
+    """Measured against predicted for one source and receiver.
+
+    Attributes
+    ----------
+    source, receiver : str
+    use : {"fit", "validate"}
+        "validate": this pair was predicted without having been fitted.
+    parameters : mapping of "T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"
+    decay : Decay
+    """
+
+    source: str
+    receiver: str
+    use: Use
+    parameters: Mapping[str, Compared]
+    decay: Decay
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Answer:
+    """What an identification found.
+
+    Attributes
+    ----------
+    bands : Bands
+    materials : tuple of str
+    areas_m2 : float array, shape (n_materials,)
+    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
+        Energy absorption and its 95 % interval; 0 to 1 where the data tell nothing.
+    identifiable : bool array, shape (n_materials, n_bands)
+    mean_absorption : float array, shape (3, n_bands)
+        Area-weighted mean absorption of the room, its lower and its upper 95 % bound.
+    phi : float array, shape (n_bands,)
+        Pearson's chi-square over degrees of freedom; above 2 the model does not fit.
+    cost : float
+        Sum over bands of half the squared weighted residuals, priors included.
+    evaluations : int
+    converged : bool array, shape (n_bands,)
+    pairs : tuple of ComparedPair
+    findings : tuple of Finding
+    method, model : str
+    interval_kind : str
+        How the intervals were made, in words.
+    speed_of_sound_m_s : float
+    seed : int
+    seconds : float
+    """
+
+    bands: Bands
+    materials: tuple[str, ...]
+    areas_m2: FloatArray
+    absorption: FloatArray
+    lower95: FloatArray
+    upper95: FloatArray
+    identifiable: BoolArray
+    mean_absorption: FloatArray
+    phi: FloatArray
+    cost: float
+    evaluations: int
+    converged: BoolArray
+    pairs: tuple[ComparedPair, ...]
+    findings: tuple[Finding, ...]
+    method: str
+    model: str
+    interval_kind: str
+    speed_of_sound_m_s: float
+    seed: int
+    seconds: float
