@@ -77,7 +77,7 @@ def pressure_response(
     # padded to twice the length, so that the tails of the band-limited impulses do not wrap around
     n_fine = 2 * n_samples * _OVERSAMPLING
     index = np.round(lengths / truth.speed_of_sound_m_s * fine_rate_hz).astype(np.int64)
-    frequencies = np.arange(n_samples + 1) * (0.5 * sampling_rate_hz / n_samples)
+    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
     for band, share in enumerate(_octave_shares(truth.centres_hz, frequencies)):
         reflected = np.prod(np.sqrt(1.0 - truth.absorption[:, band]) ** hits, axis=1)
@@ -106,11 +106,12 @@ def box_images(
         high_hits.append(np.concatenate((np.abs(n), np.abs(n))))
     grid = np.meshgrid(*(np.arange(o.size) for o in offsets), indexing="ij")
     chosen = [g.ravel() for g in grid]
-    squares = sum((offsets[axis][chosen[axis]] ** 2 for axis in range(3)), start=np.zeros(1))
-    near = np.sqrt(squares) < reach_m * (1.0 - 1e-9)
+    steps = np.stack([offsets[axis][chosen[axis]] for axis in range(3)])
+    lengths = np.linalg.norm(steps, axis=0)
+    near = lengths < reach_m * (1.0 - 1e-9)
     chosen = [c[near] for c in chosen]
     hits = [h[chosen[axis]] for axis in range(3) for h in (low_hits[axis], high_hits[axis])]
-    return np.asarray(np.sqrt(squares[near])), np.stack(hits, axis=1)
+    return np.asarray(lengths[near]), np.stack(hits, axis=1)
 
 
 def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -> FloatArray:
