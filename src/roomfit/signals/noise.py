@@ -1,0 +1,189 @@
+"""Where a measured decay drowns in noise, band by band."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.typing import BoolArray, FloatArray
+
+_TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from
+_RISE = 4.0  # an end that is 6 dB louder than the quietest tenth is no noise floor
+_FAIR_VALUES = 16.0
+_MOST_ROUNDS = 8
+_LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class NoiseEstimate:
+    """Noise and the decay just above it, one value a band.
+
+    Attributes
+    ----------
+    floor : float array, shape (n_bands,)
+        Mean square pressure of the noise; 0 where the file ends before noise is reached.
+    reached : bool array, shape (n_bands,)
+        Whether the file runs on until the decay has drowned.
+    usable_end_s : float array, shape (n_bands,)
+        Time after emission where the decay meets the noise or the file ends. The onset itself
+        where no decay rises above the noise.
+    tail_energy : float array, shape (n_bands,)
+        What the decay would still hold after `usable_end_s`: pressure squared times seconds.
+    tail_time_constant_s : float array, shape (n_bands,)
+        Time in which the energy just above the noise falls to 1/e; T is 13.8 times as long. 0
+        where no decay rises above the noise.
+    peak_to_noise_db : float array, shape (n_bands,)
+        Level of the loudest block above the noise, or above the end of the file.
+    """
+
+    floor: FloatArray
+    reached: BoolArray
+    usable_end_s: FloatArray
+    tail_energy: FloatArray
+    tail_time_constant_s: FloatArray
+    peak_to_noise_db: FloatArray
+
+
+def estimate_noise(
+    bank: FilterBank, response: ImpulseResponse, filtered: FloatArray, onset_s: float
+) -> NoiseEstimate:
+    """Return the noise floor and the usable end of every band.
+
+    Parameters
+    ----------
+    bank : FilterBank
+    response : ImpulseResponse
+    filtered : float array, shape (n_bands, n_samples)
+        What `filter_pressure` made of the response.
+    onset_s : float
+        Arrival of the direct sound after emission; what comes before is not looked at.
+
+    Notes
+    -----
+    Lundeby's iteration [1]_: noise from the end of the file, a straight line through the levels
+    above it, their crossing, noise again from behind the crossing, until it rests. Four things
+    differ. The noise is subtracted before the line is drawn. The height of the line is set by its
+    energy, since the mean of levels lies below the level of the mean. And a crossing within the
+    last tenth of the file counts as not reached: there the "noise" is the decay itself, and
+    subtracting it would bend the curve. And an end of the file that is louder than what comes
+    before it is left out.
+
+    References
+    ----------
+    .. [1] A. Lundeby, T. E. Vigran, H. Bietz, M. Vorländer, "Uncertainties of measurements in room
+           acoustics", Acustica 81, 344-355 (1995).
+    """
+    rate_hz = response.sampling_rate_hz
+    start = max(0, round((onset_s + response.time_zero_s) * rate_hz))
+    sounding = np.flatnonzero(response.pressure)  # a file padded with zeros ends before them
+    end = int(sounding[-1]) + 1 if sounding.size else 0
+    bandwidths = statistical_bandwidth_hz(bank)
+    rows = [
+        _band(pressure[start:end] ** 2, rate_hz, bandwidth)
+        for pressure, bandwidth in zip(filtered, bandwidths, strict=True)
+    ]
+    floor, reached, length_s, tail, constant, range_db = (
+        np.array(column) for column in zip(*rows, strict=True)
+    )
+    return NoiseEstimate(
+        floor, reached.astype(np.bool_), length_s + onset_s, tail, constant, range_db
+    )
+
+
+def _band(
+    energy: FloatArray, rate_hz: float, bandwidth_hz: float
+) -> tuple[float, bool, float, float, float, float]:
+    """Return the fields of `NoiseEstimate` of one band; times count from the onset."""
+    energy = _before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
+    length_s = len(energy) / rate_hz
+    # a block holds at least four independent values, so that its level scatters by 2 dB
+    block_s = max(0.01, 4.0 / bandwidth_hz)
+    if length_s < 8.0 * block_s:
+        return 0.0, False, 0.0, 0.0, 0.0, 0.0
+    times, blocks = _blocks(energy, rate_hz, block_s)
+    peak = int(np.argmax(blocks))
+    floor = _mean_from(energy, (1.0 - _TAIL_SHARE) * length_s * rate_hz)
+    line = _line(times, blocks, floor, peak, span_db=np.inf)
+    if line is None:
+        return floor, True, 0.0, 0.0, 0.0, 0.0
+    for _ in range(_MOST_ROUNDS):
+        crossing_s = _crossing_s(*line, floor, length_s)
+        # noise begins where the decay lies 10 dB below it
+        clear_s = crossing_s + np.log(10.0) * line[1]
+        floor = _mean_from(energy, min(clear_s, (1.0 - _TAIL_SHARE) * length_s) * rate_hz)
+        following = _line(times, blocks, floor, peak, span_db=25.0)
+        if following is None:
+            break
+        line = following
+        if abs(_crossing_s(*line, floor, length_s) - crossing_s) < block_s:
+            break
+    crossing_s = _crossing_s(*line, floor, length_s)
+    peak_to_noise_db = float(10.0 * np.log10(blocks[peak] / floor))
+    reached = crossing_s < (1.0 - _TAIL_SHARE) * length_s
+    if not reached:
+        # the filter smears the end of the file over two of its own lengths
+        floor, crossing_s = 0.0, length_s - 2.0 / bandwidth_hz
+    height, constant_s = line
+    tail = height * constant_s * np.exp(-crossing_s / constant_s)
+    return floor, reached, crossing_s, tail, constant_s, peak_to_noise_db
+
+
+def _before_rise(energy: FloatArray, independent: float) -> FloatArray:
+    """Return the energy without a louder end: what circular deconvolution wraps to there.
+
+    A tenth of the file is compared with another, or more where it would hold fewer independent
+    values than a fair comparison needs.
+    """
+    n = len(energy)
+    size = int(n * max(_TAIL_SHARE, min(1.0, _FAIR_VALUES / independent)))
+    if size == 0:
+        return energy
+    cumulative = np.concatenate(([0.0], np.cumsum(energy)))
+    held = cumulative[size:] - cumulative[:-size]
+    quietest = int(np.argmin(held))
+    return energy[: quietest + size] if held[-1] > _RISE * held[quietest] else energy
+
+
+def _blocks(energy: FloatArray, rate_hz: float, block_s: float) -> tuple[FloatArray, FloatArray]:
+    """Return the mid times and the mean energies of equal blocks; a rest at the end is left out."""
+    size = max(1, round(block_s * rate_hz))
+    n = len(energy) // size
+    times = (np.arange(n, dtype=np.float64) + 0.5) * (size / rate_hz)
+    means = np.asarray(energy[: n * size].reshape(n, size).mean(axis=1), dtype=np.float64)
+    return times, np.maximum(means, _LEAST_ENERGY)
+
+
+def _mean_from(energy: FloatArray, start: float) -> float:
+    return max(float(energy[int(start) :].mean()), _LEAST_ENERGY)
+
+
+def _line(
+    times: FloatArray, blocks: FloatArray, floor: float, peak: int, span_db: float
+) -> tuple[float, float] | None:
+    """Return height and time constant of the exponential above the noise, or None.
+
+    Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
+    noise, down to that level; from the peak on where the decay is not that long.
+    """
+    below = np.flatnonzero(blocks[peak:] < 4.0 * floor)
+    stop = peak + int(below[0]) if below.size else len(blocks)
+    above = np.flatnonzero(blocks[:stop] > 4.0 * floor * 10.0 ** (0.1 * span_db))
+    start = max(peak, int(above[-1])) if above.size else peak
+    if stop - start < 4:
+        start = max(peak, stop - 4)
+    if stop - start < 3:
+        return None
+    chosen, net = times[start:stop], blocks[start:stop] - floor
+    slope = float(np.polyfit(chosen, np.log(net), 1)[0])
+    if not slope < 0.0:
+        return None
+    height = float(net.sum() / np.exp(slope * chosen).sum())
+    return height, -1.0 / slope
+
+
+def _crossing_s(height: float, constant_s: float, floor: float, length_s: float) -> float:
+    """Return when the exponential has fallen to the noise, within the file."""
+    return float(np.clip(constant_s * np.log(height / floor), 0.0, length_s))

@@ -1,0 +1,221 @@
+"""Noise, decay curves and room parameters against closed forms."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomfit.bands import bands_between
+from roomfit.errors import InputError
+from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_curve
+from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, filter_pressure
+from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.signals.noise import estimate_noise
+from roomfit.signals.room_parameters import (
+    PARAMETER_NAMES,
+    range_findings,
+    room_parameters,
+)
+
+RATE_HZ = 48_000.0
+OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))
+TRUE_T_S = np.array([1.6, 0.9, 1.3, 0.7, 1.0, 0.5])
+
+
+def tones(duration_s: float, noise_db: float | None = None, delay_s: float = 0.0):
+    """A tone at each band's centre, decaying with its own T; noise below each tone's mean square.
+
+    A filter is blind to the tones of its neighbours, so each band has exactly its own decay.
+    """
+    t = np.arange(round(duration_s * RATE_HZ)) / RATE_HZ
+    pressure = np.zeros(len(t))
+    for centre, decay in zip(OCTAVES.bands.exact_centres_hz, TRUE_T_S, strict=True):
+        pressure += np.cos(2 * np.pi * centre * t) * 10 ** (-3 * t / decay)
+    pressure = np.concatenate((np.zeros(round(delay_s * RATE_HZ)), pressure))
+    if noise_db is not None:
+        rng = np.random.default_rng(7)
+        f = np.fft.rfftfreq(len(pressure), 1 / RATE_HZ)
+        noise = np.fft.rfft(rng.standard_normal(len(pressure)))
+        # falling with 3 dB an octave, each band holds the same power: that of white noise at 1 kHz
+        noise *= np.sqrt(1000.0 / np.maximum(f, 20.0))
+        in_band = 2.0 * energy_bandwidth_hz(OCTAVES)[3] / RATE_HZ
+        scale = np.sqrt(0.5 * 10 ** (0.1 * noise_db) / in_band)
+        pressure += scale * np.fft.irfft(noise, len(pressure))
+    return ImpulseResponse(pressure, RATE_HZ)
+
+
+def exponential_echogram(decay_s, edges_s):
+    """Energy of exp(-13.8 t / T) in each bin, in closed form."""
+    rate = 6.0 * np.log(10.0) / decay_s
+    return -np.diff(np.exp(-rate * np.asarray(edges_s))) / rate
+
+
+def test_reverberation_times_of_six_different_decays_are_found_within_one_percent():
+    """Every band has its own truth, also 125 Hz, and neighbours do not leak into each other."""
+    found = room_parameters(decay_curve(OCTAVES, tones(3.0, delay_s=0.05), 0.05))
+    for name in ("T20_s", "T30_s"):
+        np.testing.assert_allclose(found.of(name), TRUE_T_S, rtol=0.01)
+
+
+def test_reverberation_times_are_found_within_three_percent_when_noise_lies_45_db_down():
+    found = room_parameters(decay_curve(OCTAVES, tones(3.0, noise_db=-45.0), 0.0))
+    for name in ("T20_s", "T30_s"):
+        np.testing.assert_allclose(found.of(name), TRUE_T_S, rtol=0.03)
+
+
+def test_noise_like_decays_give_unbiased_times_down_to_the_noise():
+    """Mean over 40 random decays; noise 40 dB down leaves T30 barely 5 dB of room.
+
+    T30 of one draw scatters by 2 to 8 % (a band holds few independent values); the mean of 40
+    must lie within 4 of its standard errors. False alarm: 12 * 6.3e-5 = 8e-4.
+    """
+    rng = np.random.default_rng(3)
+    rate_hz, n = 16_000.0, 24_000
+    envelope = 10 ** (-3 * np.arange(n) / rate_hz / 1.0)
+    found = []
+    for _ in range(40):
+        pressure = rng.standard_normal(n) * envelope + 0.01 * rng.standard_normal(n)
+        curve = decay_curve(OCTAVES, ImpulseResponse(pressure, rate_hz), 0.0)
+        found.append(room_parameters(curve).values[1:3])
+    values = np.array(found)
+    standard_error = values.std(axis=0, ddof=1) / np.sqrt(len(values))
+    assert np.all(np.abs(values.mean(axis=0) - 1.0) < 4.0 * standard_error)
+
+
+def test_the_noise_floor_and_the_knee_are_where_they_were_put():
+    """Floor within 0.5 dB, knee within 3 dB of decay of where tone and noise are equally strong."""
+    response = tones(3.0, noise_db=-45.0)
+    noise = estimate_noise(OCTAVES, response, filter_pressure(OCTAVES, response), 0.0)
+    # 3 s less the decay hold at least 2 s * 109 Hz = 218 values: 0.3 dB of standard deviation
+    np.testing.assert_allclose(10 * np.log10(noise.floor / 0.5), -45.0, atol=1.0)
+    assert np.all(noise.reached)
+    knee_s = 45.0 / 60.0 * TRUE_T_S
+    np.testing.assert_allclose(noise.usable_end_s, knee_s, atol=3.0 / 60.0 * TRUE_T_S.max())
+    np.testing.assert_allclose(13.8155 * noise.tail_time_constant_s, TRUE_T_S, rtol=0.15)
+
+
+def test_a_file_that_ends_before_the_noise_says_so_and_still_gives_its_times():
+    """Cut where 38 to 120 dB are left of the decay: no noise is invented, no curve is bent."""
+    response = tones(1.0)
+    curve = decay_curve(OCTAVES, response, 0.0)
+    noise = estimate_noise(OCTAVES, response, filter_pressure(OCTAVES, response), 0.0)
+    assert not noise.reached[0] and noise.floor[0] == 0.0
+    np.testing.assert_allclose(room_parameters(curve).of("T30_s"), TRUE_T_S, rtol=0.01)
+
+
+def test_zeros_appended_to_a_response_change_nothing():
+    """A file padded to a round length is not a file with a silent room at its end."""
+    response = tones(1.0)
+    longer = ImpulseResponse(np.pad(response.pressure, (0, 30_000)), RATE_HZ)
+    short, long = (room_parameters(decay_curve(OCTAVES, r, 0.0)) for r in (response, longer))
+    # the sample grid of the filter's transform differs: rounding and 1e-11 of ringing
+    np.testing.assert_allclose(long.values, short.values, rtol=1e-6)
+
+
+def test_sound_wrapped_to_the_end_of_the_file_is_not_taken_for_noise():
+    """Circular deconvolution puts what comes before the direct sound to the end."""
+    rng = np.random.default_rng(9)
+    pressure = tones(3.0, noise_db=-60.0).pressure.copy()
+    clean = room_parameters(decay_curve(OCTAVES, ImpulseResponse(pressure, RATE_HZ), 0.0))
+    pressure[-4800:] += 0.1 * rng.standard_normal(4800)
+    spoilt = room_parameters(decay_curve(OCTAVES, ImpulseResponse(pressure, RATE_HZ), 0.0))
+    np.testing.assert_allclose(spoilt.of("T30_s"), clean.of("T30_s"), rtol=0.01)
+    assert np.all(spoilt.valid)
+
+
+def test_a_decay_that_drowns_too_early_gives_nan_and_a_finding_not_a_number():
+    """Noise 15 dB down: EDT perhaps, T20 and T30 never."""
+    found = room_parameters(decay_curve(OCTAVES, tones(3.0, noise_db=-15.0), 0.0))
+    assert not found.valid[PARAMETER_NAMES.index("T20_s")].any()
+    assert np.isnan(found.of("T30_s")).all()
+    (finding,) = range_findings(found, "LS1 to MP1")
+    assert finding.code == "decay-range-too-small"
+    assert finding.evidence["bands_hz"] == [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
+    assert not range_findings(room_parameters(decay_curve(OCTAVES, tones(3.0), 0.0)), "x")
+
+
+def test_noise_alone_has_no_parameters():
+    rng = np.random.default_rng(4)
+    noise = ImpulseResponse(rng.standard_normal(48_000), RATE_HZ)
+    found = room_parameters(decay_curve(OCTAVES, noise, 0.0))
+    assert not found.valid.any()
+
+
+@given(decay_s=st.floats(0.2, 8.0), onset_s=st.floats(0.0, 0.05))
+def test_parameters_of_an_exponential_echogram_are_the_closed_forms(decay_s, onset_s):
+    """C = 10 log(e^kt - 1), D = 1 - e^-kt, TS = 1/k with k = 13.8 / T; bins of growing width."""
+    bands = bands_between("octave", 1000.0, 1000.0)
+    rate = 6.0 * np.log(10.0) / decay_s
+    # up to 50 dB of decay, from which the tail must be carried on; fine enough for EDT
+    edges = np.linspace(0.0, np.sqrt(decay_s * 50.0 / 60.0), 4000) ** 2
+    energy = exponential_echogram(decay_s, edges)
+    curve = echogram_decay_curve(bands, energy[None, :], edges + onset_s, onset_s)
+    found = room_parameters(curve)
+
+    # between bin edges a curved line is taken as straight: 4000 bins make 1e-4 of it
+    for name in ("EDT_s", "T20_s", "T30_s"):
+        assert found.of(name)[0] == pytest.approx(decay_s, rel=1e-3)
+    np.testing.assert_allclose(found.nonlinearity_permille, 0.0, atol=1e-3)
+    assert found.curvature_percent[0] == pytest.approx(0.0, abs=0.1)
+    assert found.of("TS_ms")[0] == pytest.approx(1000.0 / rate, rel=1e-3)
+    assert found.of("D50_percent")[0] == pytest.approx(100 * (1 - np.exp(-rate * 0.05)), rel=1e-3)
+    for name, limit_s in (("C50_dB", 0.05), ("C80_dB", 0.08)):
+        if limit_s < edges[-1]:
+            expected = 10 * np.log10(np.expm1(rate * limit_s))
+            assert found.of(name)[0] == pytest.approx(expected, abs=0.01)
+        else:
+            assert np.isnan(found.of(name)[0])
+
+
+def test_a_bent_decay_is_called_bent():
+    """Two slopes, 0.5 s and 2 s, crossing 15 dB down: T30 exceeds T20 and the line fits badly."""
+    bands = bands_between("octave", 1000.0, 1000.0)
+    edges = np.linspace(0.0, 3.0, 6001)
+    energy = exponential_echogram(0.5, edges) + 0.01 * exponential_echogram(2.0, edges)
+    found = room_parameters(echogram_decay_curve(bands, energy[None, :], edges, 0.0))
+    assert found.curvature_percent[0] > 10.0
+    assert found.nonlinearity_permille[1, 0] > 10.0
+
+
+def test_measured_and_predicted_curves_of_the_same_energy_have_the_same_parameters():
+    """The echogram of a filtered pressure, at 1 ms, through the other entrance."""
+    response = tones(3.0, delay_s=0.05)
+    measured = decay_curve(OCTAVES, response, 0.05)
+    energy = filter_pressure(OCTAVES, response) ** 2 / RATE_HZ
+    edges = (np.arange(0, energy.shape[1] + 1, 48) - 0.5) / RATE_HZ
+    binned = energy[:, : 48 * (len(edges) - 1)].reshape(len(energy), -1, 48).sum(axis=2)
+    predicted = echogram_decay_curve(OCTAVES.bands, binned, edges, 0.05)
+    a, b = room_parameters(measured), room_parameters(predicted)
+    np.testing.assert_allclose(a.of("T30_s"), b.of("T30_s"), rtol=0.003)
+    np.testing.assert_allclose(a.of("C80_dB"), b.of("C80_dB"), atol=0.05)
+    np.testing.assert_allclose(a.of("TS_ms"), b.of("TS_ms"), rtol=0.003)
+
+
+def test_the_curve_begins_at_zero_and_ends_where_nothing_is_known():
+    curve = decay_curve(OCTAVES, tones(2.0, noise_db=-50.0), 0.0)
+    levels = decay_curve_db(curve)
+    np.testing.assert_allclose(levels[:, 0], 0.0, atol=1e-12)
+    after = curve.time_s[None, :] > curve.usable_end_s[:, None] + 1.0 / RATE_HZ
+    assert np.all(np.isneginf(levels[after]))
+
+
+def test_noise_can_be_kept_as_other_programs_do():
+    """The noise of 3 s then counts as late sound and lowers clarity."""
+    response = tones(3.0, noise_db=-30.0)
+    kept = room_parameters(decay_curve(OCTAVES, response, 0.0, keep_noise=True))
+    freed = room_parameters(decay_curve(OCTAVES, response, 0.0))
+    assert np.all(kept.of("D50_percent") < freed.of("D50_percent"))
+
+
+def test_an_echogram_of_the_wrong_shape_is_refused():
+    bands = bands_between("octave", 500.0, 1000.0)
+    with pytest.raises(InputError, match="edges must rise"):
+        echogram_decay_curve(bands, np.ones((2, 2)), [0.0, 0.2, 0.1], 0.0)
+    with pytest.raises(InputError, match="wrong shape"):
+        echogram_decay_curve(bands, np.ones((3, 2)), [0.0, 0.1, 0.2], 0.0)
+    found = room_parameters(echogram_decay_curve(bands, np.ones((2, 4)), np.arange(5.0), 0.0))
+    assert not found.valid.any()
+    with pytest.raises(InputError, match="unknown room parameter"):
+        found.of("RT60")
