@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import roomfit
+from roomfit.cli.check import check
 
 app = typer.Typer(
     name="roomfit",
@@ -31,3 +32,6 @@ def options(
     ] = False,
 ) -> None:
     """Absorption of a real room's walls from impulse responses measured in it."""
+
+
+app.command()(check)
