@@ -102,15 +102,13 @@ class _Counter:
     def __init__(self, problem: EnergyProblem) -> None:
         self.problem = problem
         self.evaluations = 0
-        self._vector: FloatArray | None = None
-        self._prediction: Prediction | None = None
+        self._last: tuple[FloatArray, Prediction] | None = None
 
     def predict(self, vector: FloatArray) -> Prediction:
-        if self._prediction is None or not np.array_equal(vector, self._vector):
-            self._prediction = predict_windows(self.problem, vector)
-            self._vector = np.array(vector)
+        if self._last is None or not np.array_equal(vector, self._last[0]):
+            self._last = (np.array(vector), predict_windows(self.problem, vector))
             self.evaluations += 1
-        return self._prediction
+        return self._last[1]
 
 
 def _log_round(counter: _Counter, measured: FloatArray, start: FloatArray) -> FloatArray:

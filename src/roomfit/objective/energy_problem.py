@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -137,8 +138,8 @@ def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
         signal = gain * (observation.shares @ response.energy[0])
         signals.append(signal)
         noises.append(observation.noise)
-        assert_derivative = response.derivative
-        by_absorption.append(gain * (observation.shares @ assert_derivative[:, 0, :].T))
+        derivative = cast(FloatArray, response.derivative)
+        by_absorption.append(gain * (observation.shares @ derivative[:, 0, :].T))
         columns = np.zeros((signal.size, values["gain"].size))
         if observation.gain >= 0:
             columns[:, observation.gain] = signal / gain
@@ -200,11 +201,16 @@ def lone_rows(rows: EnergyRows) -> EnergyRows:
         2 * rows.hits[image],
         2.0 * rows.length_m[image],
         rows.batch[image],
+        rows.n_batches,
     )
 
 
 def _tracing_variance(
     rows: EnergyRows, seen: Observation, coefficients: FloatArray, attenuation: FloatArray
 ) -> FloatArray:
-    batches = batch_energies(rows, coefficients, attenuation)[:, 0, :] @ seen.shares.T
-    return np.asarray(len(batches) * np.var(batches, axis=0, ddof=1))
+    """Return the Monte-Carlo variance of each window's energy, from independent batches."""
+    if rows.n_batches < 2:
+        return np.zeros(seen.energy.size)
+    batches = batch_energies(rows, coefficients, attenuation)[:, 0, :]
+    windows = np.stack([seen.shares @ energies for energies in batches])
+    return np.asarray(len(windows) * np.var(windows, axis=0, ddof=1))

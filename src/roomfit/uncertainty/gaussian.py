@@ -53,8 +53,10 @@ def absorption_intervals(
     free = _free_values(block, vector[first : first + n])
     values, _ = physical_values(parameters, vector)
     absorption = values["absorption"]
-    lower = np.where(block.fitted, to_physical(block, free - _Z95 * sd)[0], absorption)
-    upper = np.where(block.fitted, to_physical(block, free + _Z95 * sd)[0], absorption)
+    lower, upper = (
+        np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
+        for z in (-_Z95, _Z95)
+    )
     sure = (
         (phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * block.prior_sd)
     )
