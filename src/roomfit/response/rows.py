@@ -1,0 +1,175 @@
+"""The rows of the energy response: the paths of one pair, sorted into time windows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from roomfit.checks import float_array
+from roomfit.errors import InputError
+from roomfit.tracing.paths import Paths
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnergyRows:
+    """Paths of one pair as rows ``weight * exp(-m length) * product of (1 - a) ** hits``.
+
+    The energy of a window is the sum of its rows. Arrays are kept as given and set read-only.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    n_windows : int
+    offsets : int64 array, shape (n_windows + 1,)
+        Window w owns the rows ``offsets[w]:offsets[w + 1]``.
+    weight_per_m2 : float array, shape (n_rows,)
+    hits : uint16 array, shape (n_rows, n_materials)
+        Specular and diffuse hits together.
+    length_m : float array, shape (n_rows,)
+    batch : int32 array, shape (n_rows,)
+        Independent Monte-Carlo batch; -1 for image paths, which are exact.
+    n_batches : int
+        Batches of the trace, rows or not; 0 where there were no rays.
+    max_hits : int
+        Largest entry of `hits`, worked out once.
+    """
+
+    materials: tuple[str, ...]
+    n_windows: int
+    offsets: IntArray
+    weight_per_m2: FloatArray
+    hits: IntArray
+    length_m: FloatArray
+    batch: IntArray
+    n_batches: int = 0
+    max_hits: int = field(init=False)
+
+    def __post_init__(self) -> None:
+        n, m = len(self.weight_per_m2), len(self.materials)
+        columns = {
+            "offsets": (np.int64, (self.n_windows + 1,)),
+            "weight_per_m2": (np.float64, (n,)),
+            "hits": (np.uint16, (n, m)),
+            "length_m": (np.float64, (n,)),
+            "batch": (np.int32, (n,)),
+        }
+        for name, (dtype, shape) in columns.items():
+            array = np.ascontiguousarray(getattr(self, name), dtype=dtype)
+            if array.shape != shape:
+                raise InputError(
+                    f"energy rows: {name} has the wrong shape",
+                    found=f"{array.shape}",
+                    needed=f"{shape}",
+                )
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        object.__setattr__(self, "max_hits", int(self.hits.max(initial=0)))
+
+    def __len__(self) -> int:
+        return len(self.weight_per_m2)
+
+
+def energy_rows(
+    paths: Paths, pair: int, edges_s: FloatArray, speed_of_sound_m_s: float
+) -> EnergyRows:
+    """Return the rows of one pair, each in the window ``edges[w] <= length / c < edges[w + 1]``.
+
+    Paths before the first edge or from the last on are left out. Within a window the rows keep
+    the order of the paths.
+
+    Parameters
+    ----------
+    paths : Paths
+    pair : int
+        Index of the pair in the scene.
+    edges_s : float array, shape (n_windows + 1,)
+        Strictly rising times after emission, s.
+    speed_of_sound_m_s : float
+
+    Raises
+    ------
+    InputError
+        No such pair, or the edges do not rise.
+    """
+    if not 0 <= pair < paths.n_pairs:
+        raise InputError(
+            "no such pair of source and receiver",
+            found=str(pair),
+            needed=f"0 to {paths.n_pairs - 1}",
+        )
+    edges = float_array("window edges", edges_s, (None,), unit="s")
+    if edges.size < 2 or np.any(np.diff(edges) <= 0.0):
+        raise InputError("window edges must rise and there must be at least two")
+    own = np.flatnonzero(paths.pair == pair)
+    window = np.searchsorted(edges, paths.length_m[own] / speed_of_sound_m_s, side="right") - 1
+    kept = (window >= 0) & (window < edges.size - 1)
+    own, window = own[kept], window[kept]
+    own = own[np.argsort(window, kind="stable")]
+    return EnergyRows(
+        paths.materials,
+        edges.size - 1,
+        _offsets(window, edges.size - 1),
+        paths.weight_per_m2[own],
+        paths.hits_specular[own] + paths.hits_diffuse[own],
+        paths.length_m[own],
+        paths.batch[own],
+        paths.n_batches,
+    )
+
+
+def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyRows:
+    """Return fewer rows with the same energies: those of equal window and hits become one.
+
+    Helps in small rooms without scattering (2 to 12 times fewer rows), hardly elsewhere. Exact
+    without air. With it, a merged row has the mean length of its parts, weighed by their weights;
+    its energy is then too small by at most the fraction ``(m D)**2 / 8`` for lengths that differ
+    by up to D (Jensen's inequality, second order): 2e-6 for 0.01 per metre and a 1 ms window.
+
+    Parameters
+    ----------
+    rows : EnergyRows
+    keep_batches : bool
+        Merge within a batch only, so that Monte-Carlo noise can still be told. Otherwise all
+        rows come back as batch -1 and `n_batches` is 0.
+    """
+    window = window_of_rows(rows)
+    batch = rows.batch if keep_batches else np.full(len(rows), -1, dtype=np.int32)
+    keys = np.column_stack([window, batch, rows.hits])
+    order = np.lexsort(keys.T[::-1])
+    first = _first_of_each(keys[order])
+    starts = np.flatnonzero(first)
+    if not starts.size:
+        return rows
+    weight = np.add.reduceat(rows.weight_per_m2[order], starts)
+    moment = np.add.reduceat((rows.weight_per_m2 * rows.length_m)[order], starts)
+    kept = order[starts]
+    # rows of no weight keep the length of one of them
+    length = np.divide(moment, weight, out=rows.length_m[kept].copy(), where=weight > 0.0)
+    return EnergyRows(
+        rows.materials,
+        rows.n_windows,
+        _offsets(window[kept], rows.n_windows),
+        weight,
+        rows.hits[kept],
+        length,
+        batch[kept],
+        rows.n_batches if keep_batches else 0,
+    )
+
+
+def window_of_rows(rows: EnergyRows) -> IntArray:
+    """Return the window of every row, shape (n_rows,)."""
+    return np.repeat(np.arange(rows.n_windows), np.diff(rows.offsets))
+
+
+def _offsets(window: IntArray, n_windows: int) -> IntArray:
+    counts = np.bincount(window, minlength=n_windows)
+    return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
+
+
+def _first_of_each(sorted_keys: IntArray) -> BoolArray:
+    first = np.ones(len(sorted_keys), dtype=np.bool_)
+    first[1:] = np.any(sorted_keys[1:] != sorted_keys[:-1], axis=1)
+    return first
