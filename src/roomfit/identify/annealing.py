@@ -1,0 +1,204 @@
+"""Simulated annealing combined with the downhill simplex, after Suh (2001), (8) to (10).
+
+The paper gives the rule of acceptance and the schedule (a start of, for example, 1e6, times 0.9)
+and leaves open how the two methods are combined, how a next state is proposed, how many trials a
+temperature gets and where the schedule ends. The choices here:
+
+- A next state is the current one plus an even random step in every coordinate, mirrored at the
+  walls of the box. The largest step grows where more than six trials in ten are accepted and
+  shrinks where fewer than four are (Corana et al. 1987), so that it follows the temperature.
+- Each temperature gets a fixed number of trials for every unknown.
+- The start temperature is the spread of the error over random points unless it is given: 1e6 is
+  only right for errors of about that size.
+- The walk finds the valley and the simplex its bottom: a simplex starts at the best state of the
+  whole walk, and again with fresh edges from its own answer until that gains nothing more. (A
+  simplex that has lost its shape stops short in more than four or five dimensions; fresh edges
+  cure that.)
+
+References
+----------
+.. [1] N. Metropolis et al., "Equation of state calculations by fast computing machines", J. Chem.
+       Phys. 21, 1087-1092 (1953).
+.. [2] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
+       'simulated annealing' algorithm", ACM Trans. Math. Softw. 13, 262-280 (1987).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.identify.fit import Counted, Ending, ErrorFunction, Fit, best_of
+from roomfit.identify.simplex import SimplexSettings, downhill_simplex, simplex_around
+from roomfit.typing import FloatArray, Progress
+
+_SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
+_FIRST_EDGE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class AnnealingSettings:
+    """Schedule of temperatures, and the simplex that follows.
+
+    Attributes
+    ----------
+    start_temperature : float or None
+        In the unit of the error; None takes the spread of the error over random points.
+    cooling : float
+        Factor from one temperature to the next.
+    levels : int
+        How many temperatures.
+    trials_per_unknown : int
+        Trials at each temperature for every unknown.
+    simplex : SimplexSettings
+    max_restarts : int
+        How often the simplex may start again from its own answer.
+    """
+
+    start_temperature: float | None = None
+    cooling: float = 0.9
+    levels: int = 60
+    trials_per_unknown: int = 10
+    simplex: SimplexSettings = field(default_factory=SimplexSettings)
+    max_restarts: int = 10
+
+    def __post_init__(self) -> None:
+        ranges = (
+            ("start_temperature", self.start_temperature is None or self.start_temperature > 0.0),
+            ("cooling", 0.0 < self.cooling < 1.0),
+            ("levels", self.levels >= 1),
+            ("trials_per_unknown", self.trials_per_unknown >= 1),
+            ("max_restarts", self.max_restarts >= 0),
+        )
+        for name, holds in ranges:
+            if not holds:
+                raise InputError(
+                    "annealing setting is out of range",
+                    where=name,
+                    found=f"{getattr(self, name):g}",
+                    needed="a factor between 0 and 1" if name == "cooling" else "a positive number",
+                )
+
+
+def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
+    """Return whether a step that changes the error by `change` is taken, by equation (10).
+
+    ``T log(random) < -(E_n - E_c)``: always where the error falls, and with probability
+    ``exp(-change / T)`` where it rises.
+    """
+    # 1 - random lies in (0, 1], whose logarithm is finite
+    return temperature * math.log(1.0 - rng.random()) < -change
+
+
+def anneal(
+    error: ErrorFunction,
+    n: int,
+    rng: np.random.Generator,
+    settings: AnnealingSettings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Fit:
+    """Walk the unit box while it cools, then go downhill from the best point met.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    n : int
+        Number of unknowns.
+    rng : numpy.random.Generator
+    settings : AnnealingSettings, optional
+
+    Returns
+    -------
+    Fit
+        The trail holds the state at the end of each temperature, then the simplexes' own trails.
+    """
+    settings = AnnealingSettings() if settings is None else settings
+    walk = _walk(Counted(error), n, rng, settings, progress)
+    polished = _polish(error, walk.x, settings)
+    if progress is not None:
+        progress(1.0)
+    return Fit(
+        polished.x,
+        polished.cost,
+        walk.evaluations + polished.evaluations,
+        walk.iterations + polished.iterations,
+        polished.ending,
+        np.concatenate((walk.trail, polished.trail)),
+        np.concatenate((walk.trail_cost, polished.trail_cost)),
+    )
+
+
+def _walk(
+    error: Counted,
+    n: int,
+    rng: np.random.Generator,
+    settings: AnnealingSettings,
+    progress: Progress | None,
+) -> Fit:
+    samples = rng.random((10 * n, n))
+    costs = np.array([error(x) for x in samples])
+    temperature = settings.start_temperature or max(float(np.std(costs)), np.finfo(float).tiny)
+    start = int(np.argmin(costs))
+    state, cost, step = samples[start], float(costs[start]), _LARGEST_STEP
+    best, best_cost = state, cost
+    trail, trail_cost = [], []
+    trials = settings.trials_per_unknown * n
+    for level in range(settings.levels):
+        accepted = 0
+        for _ in range(trials):
+            proposed = _mirrored(state + rng.uniform(-step, step, n))
+            proposed_cost = error(proposed)
+            if accepts(proposed_cost - cost, temperature, rng):
+                state, cost = proposed, proposed_cost
+                accepted += 1
+                if cost < best_cost:
+                    best, best_cost = state, cost
+        trail.append(state)
+        trail_cost.append(cost)
+        step = _next_step(step, accepted / trials)
+        temperature *= settings.cooling
+        if progress is not None:
+            progress((level + 1) / (settings.levels + 1))
+    ending = Ending(
+        "schedule-finished", "The walk went through all its temperatures.", converged=False
+    )
+    return Fit(
+        best,
+        best_cost,
+        error.evaluations,
+        settings.levels * trials,
+        ending,
+        np.array(trail),
+        np.array(trail_cost),
+    )
+
+
+def _polish(error: ErrorFunction, start: FloatArray, settings: AnnealingSettings) -> Fit:
+    """Descend, and again with fresh edges until a restart gains no more than the tolerance."""
+    fits = [downhill_simplex(error, simplex_around(start, _FIRST_EDGE), settings.simplex)]
+    for _ in range(settings.max_restarts):
+        last = fits[-1]
+        edge = _FIRST_EDGE / 2.0 ** len(fits)
+        again = downhill_simplex(error, simplex_around(last.x, edge), settings.simplex)
+        fits.append(again)
+        if last.cost - again.cost <= settings.simplex.tolerance:
+            return best_of(fits)
+    return best_of(fits)
+
+
+def _mirrored(x: FloatArray) -> FloatArray:
+    """Fold a point at most half a box outside back through the wall it left."""
+    return np.asarray(1.0 - np.abs(1.0 - np.abs(x)))
+
+
+def _next_step(step: float, accepted: float) -> float:
+    if accepted > 0.6:
+        step *= 1.5
+    elif accepted < 0.4:
+        step /= 1.5
+    return min(max(step, _SMALLEST_STEP), _LARGEST_STEP)
