@@ -1,0 +1,331 @@
+"""Readers of measured responses: good files exactly, bad ones with one clear message."""
+
+from __future__ import annotations
+
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import scipy.io
+import soundfile
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.files.responses.read import read_response
+from roomfit.files.responses.spec import ResponseSpec
+
+RATE_HZ = 8000
+
+
+def decay(n: int = 4000, seed: int = 1) -> np.ndarray:
+    """A noisy decay between -0.9 and 0.9 without anything doubtful about it."""
+    rng = np.random.default_rng(seed)
+    samples = rng.standard_normal(n) * np.exp(-np.arange(n) / 500.0)
+    return 0.9 * samples / np.abs(samples).max()
+
+
+def write_wav(path: Path, samples: np.ndarray, subtype: str = "FLOAT") -> Path:
+    soundfile.write(path, samples, RATE_HZ, subtype=subtype)
+    return path
+
+
+def codes(findings) -> list[str]:
+    return [finding.code for finding in findings]
+
+
+@pytest.mark.parametrize(
+    ("subtype", "step"),
+    [
+        ("PCM_16", 2.0**-15),
+        ("PCM_24", 2.0**-23),
+        ("PCM_32", 2.0**-31),
+        ("FLOAT", 2.0**-24),
+        ("DOUBLE", 2.0**-53),
+    ],
+)
+def test_every_encoding_returns_its_samples_to_the_last_bit_it_has(tmp_path, subtype, step):
+    samples = decay()
+    path = write_wav(tmp_path / "a.wav", samples, subtype)
+    response, findings = read_response(ResponseSpec(path))
+    np.testing.assert_allclose(response.pressure, samples, rtol=0, atol=step)
+    assert response.sampling_rate_hz == RATE_HZ
+    assert findings == ()
+
+
+def test_integer_samples_equal_those_unpacked_by_hand(tmp_path):
+    """The last bytes of the file, read with struct, over 2^15."""
+    path = write_wav(tmp_path / "a.wav", decay(), "PCM_16")
+    words = struct.unpack("<4000h", path.read_bytes()[-8000:])
+    response, _ = read_response(ResponseSpec(path))
+    np.testing.assert_array_equal(response.pressure, np.array(words) / 2.0**15)
+
+
+def test_latency_is_the_time_of_emission_on_the_files_clock(tmp_path):
+    path = write_wav(tmp_path / "a.wav", decay())
+    response, _ = read_response(ResponseSpec(path, latency_s=0.0228))
+    assert response.time_zero_s == 0.0228
+
+
+def test_a_file_of_several_channels_needs_one_to_be_chosen(tmp_path):
+    samples = np.stack([decay(seed=1), decay(seed=2)], axis=1)
+    path = write_wav(tmp_path / "two.wav", samples)
+    response, _ = read_response(ResponseSpec(path, channel=1))
+    np.testing.assert_array_equal(response.pressure, samples[:, 1].astype(np.float32))
+    with pytest.raises(InputError, match="several channels") as caught:
+        read_response(ResponseSpec(path))
+    assert "2 channels, 0 to 1" in str(caught.value)
+    with pytest.raises(InputError, match="no such channel"):
+        read_response(ResponseSpec(path, channel=2))
+
+
+def test_a_truncated_wav_is_refused_though_other_readers_take_it(tmp_path):
+    path = write_wav(tmp_path / "a.wav", decay(), "PCM_16")
+    cut = tmp_path / "cut.wav"
+    cut.write_bytes(path.read_bytes()[:-1000])
+    assert len(soundfile.read(cut)[0]) == 3500  # passes there without a word
+    with pytest.raises(InputError, match="cut off") as caught:
+        read_response(ResponseSpec(cut))
+    assert "8000 bytes, by its own header" in str(caught.value)
+
+
+@pytest.mark.parametrize("length", [0, 0xFFFFFFFF])
+def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_path, length):
+    content = bytearray(write_wav(tmp_path / "a.wav", decay(), "PCM_16").read_bytes())
+    at = content.index(b"data") + 4
+    content[at : at + 4] = struct.pack("<I", length)
+    content[4:8] = struct.pack("<I", length)
+    streamed = tmp_path / "streamed.wav"
+    streamed.write_bytes(bytes(content))
+    response, findings = read_response(ResponseSpec(streamed))
+    np.testing.assert_allclose(response.pressure, decay(), atol=2.0**-15)
+    assert codes(findings) == ["wav-length-unknown"]
+
+
+def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path):
+    """RF64 keeps its lengths in a chunk of its own."""
+    path = tmp_path / "a.wav"
+    with soundfile.SoundFile(path, "w", RATE_HZ, 1, "PCM_24", format="RF64") as file:
+        file.write(decay())
+    assert path.read_bytes()[:4] == b"RF64"
+    response, findings = read_response(ResponseSpec(path))
+    np.testing.assert_allclose(response.pressure, decay(), atol=2.0**-23)
+    assert findings == ()
+    path.write_bytes(path.read_bytes()[:-600])
+    with pytest.raises(InputError, match="cut off"):
+        read_response(ResponseSpec(path))
+
+
+@pytest.mark.parametrize(
+    ("spoil", "words"),
+    [
+        (lambda p: p * 0.0, "silent"),
+        (lambda p: p * 0.0 + 0.25, "silent"),
+        (lambda p: np.where(np.arange(len(p)) == 17, np.nan, p), "the first at sample 17"),
+        (lambda p: np.where(np.arange(len(p)) >= 3999, np.inf, p), "1 of 4000"),
+        (lambda p: p * 1e30, "no pressure has"),
+        (lambda p: p[:70], "too short"),
+        (lambda p: p[:0], "too short|no samples|not a WAV"),
+    ],
+)
+def test_a_file_that_holds_no_response_is_refused(tmp_path, spoil, words):
+    path = write_wav(tmp_path / "bad.wav", spoil(decay()))
+    with pytest.raises(InputError, match=words):
+        read_response(ResponseSpec(path))
+
+
+def test_clipping_is_found_and_a_normalised_peak_is_not_taken_for_it(tmp_path):
+    loud = np.clip(30.0 * np.convolve(decay(), np.ones(8) / 8, "same"), -1.0, 1.0)
+    _, findings = read_response(ResponseSpec(write_wav(tmp_path / "loud.wav", loud, "PCM_16")))
+    assert codes(findings) == ["response-clipped"]
+    assert findings[0].severity == "serious"
+    peak = decay() / np.abs(decay()).max()
+    _, findings = read_response(ResponseSpec(write_wav(tmp_path / "peak.wav", peak)))
+    assert findings == ()
+
+
+def test_a_constant_offset_is_told(tmp_path):
+    path = write_wav(tmp_path / "offset.wav", 0.5 * decay() + 0.01)
+    _, findings = read_response(ResponseSpec(path))
+    assert codes(findings) == ["dc-offset"]
+    assert findings[0].evidence["offset"] == pytest.approx(0.01, rel=1e-2)
+
+
+def test_an_encoding_that_loses_the_decay_is_refused(tmp_path):
+    path = write_wav(tmp_path / "coarse.wav", decay(), "ULAW")
+    with pytest.raises(InputError, match="encoding") as caught:
+        read_response(ResponseSpec(path))
+    assert "ULAW" in str(caught.value)
+
+
+def test_missing_empty_foreign_and_unreadable_files_are_told_apart(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        read_response(ResponseSpec(tmp_path / "none.wav"))
+    (tmp_path / "empty.wav").touch()
+    with pytest.raises(InputError, match="is empty"):
+        read_response(ResponseSpec(tmp_path / "empty.wav"))
+    with pytest.raises(InputError, match="unknown kind"):
+        read_response(ResponseSpec(tmp_path / "a.mp3"))
+    with pytest.raises(InputError, match="not a name"):
+        read_response(ResponseSpec(tmp_path / "a\0.wav"))
+    (tmp_path / "folder.wav").mkdir()
+    with pytest.raises(StoreError, match="cannot be read"):
+        read_response(ResponseSpec(tmp_path / "folder.wav"))
+
+
+def test_a_key_that_the_file_cannot_obey_is_refused(tmp_path):
+    path = write_wav(tmp_path / "a.wav", decay())
+    with pytest.raises(InputError, match="does not belong"):
+        read_response(ResponseSpec(path, variable="RIR"))
+    with pytest.raises(InputError, match="two sampling rates"):
+        read_response(ResponseSpec(path, sampling_rate_hz=44_100.0))
+    assert read_response(ResponseSpec(path, sampling_rate_hz=8000.0))[0].sampling_rate_hz == 8000.0
+
+
+def write_mat(path: Path, **table) -> Path:
+    scipy.io.savemat(path, table)
+    return path
+
+
+def test_a_column_of_a_mat_file_is_a_response(tmp_path):
+    columns = np.stack([decay(seed=1), decay(seed=2), decay(seed=3)], axis=1)
+    path = write_mat(tmp_path / "a.mat", RIR=columns, Fs=np.uint16(48_000))
+    spec = ResponseSpec(path, variable="RIR", channel=2, sampling_rate_variable="Fs")
+    response, findings = read_response(spec)
+    np.testing.assert_array_equal(response.pressure, columns[:, 2])
+    assert response.sampling_rate_hz == 48_000.0
+    assert findings == ()
+
+
+def test_a_single_response_may_stand_in_a_row_of_a_mat_file(tmp_path):
+    path = write_mat(tmp_path / "a.mat", ir=decay()[None, :])
+    response, _ = read_response(ResponseSpec(path, variable="ir", sampling_rate_hz=44_100.0))
+    np.testing.assert_array_equal(response.pressure, decay())
+
+
+def test_what_a_mat_file_leaves_open_is_asked_for_by_name(tmp_path):
+    path = write_mat(tmp_path / "a.mat", RIR=np.stack([decay(), decay()], 1), Fs=48_000, note="hi")
+    with pytest.raises(InputError, match=r"which variable.*\n.*\n.*RIR \(4000, 2\)"):
+        read_response(ResponseSpec(path, sampling_rate_hz=48_000.0))
+    with pytest.raises(InputError, match="did you mean 'RIR'"):
+        read_response(ResponseSpec(path, variable="RIRs", sampling_rate_hz=48_000.0))
+    with pytest.raises(InputError, match="several responses"):
+        read_response(ResponseSpec(path, variable="RIR", sampling_rate_hz=48_000.0))
+    with pytest.raises(InputError, match="single numbers in the file: Fs"):
+        read_response(ResponseSpec(path, variable="RIR", channel=0))
+    with pytest.raises(InputError, match="no such sampling rate"):
+        read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_variable="note"))
+    with pytest.raises(InputError, match="holds no responses"):
+        read_response(ResponseSpec(path, variable="note", channel=0, sampling_rate_hz=48_000.0))
+
+
+def test_responses_in_rows_of_a_mat_file_are_not_taken_for_columns(tmp_path):
+    path = write_mat(tmp_path / "a.mat", RIR=np.stack([decay(), decay()]))
+    with pytest.raises(InputError, match="stand in rows"):
+        read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_hz=48_000.0))
+
+
+def test_a_mat_file_of_version_7_3_is_named_as_such(tmp_path):
+    path = tmp_path / "new.mat"
+    path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600))
+    with pytest.raises(InputError, match="-v7"):
+        read_response(ResponseSpec(path, variable="RIR", sampling_rate_hz=48_000.0))
+
+
+def write_sofa(path: Path, responses: np.ndarray, delay: float = 0.0) -> Path:
+    sofar = pytest.importorskip("sofar")
+    sofa = sofar.Sofa("GeneralFIR")
+    sofa.Data_IR = responses
+    sofa.Data_SamplingRate = 48_000
+    sofa.Data_Delay = np.full((1, responses.shape[1]), delay)
+    sofa.ReceiverPosition = np.zeros((responses.shape[1], 3))
+    sofa.SourcePosition = np.ones((responses.shape[0], 3))
+    sofar.write_sofa(str(path), sofa)
+    return path
+
+
+def test_measurement_and_receiver_of_a_sofa_file_are_chosen(tmp_path):
+    responses = np.stack([[decay(seed=i), decay(seed=10 + i)] for i in range(3)])
+    path = write_sofa(tmp_path / "a.sofa", responses)
+    response, findings = read_response(ResponseSpec(path, measurement=2, receiver_index=1))
+    np.testing.assert_array_equal(response.pressure, responses[2, 1])
+    assert response.sampling_rate_hz == 48_000.0
+    assert findings == ()
+    with pytest.raises(InputError, match="several measurements"):
+        read_response(ResponseSpec(path, receiver_index=1))
+    with pytest.raises(InputError, match="no such receiver"):
+        read_response(ResponseSpec(path, measurement=0, receiver_index=2))
+
+
+def test_the_delay_that_a_sofa_file_tells_comes_before_its_first_sample(tmp_path):
+    """480 samples of delay at 48 kHz: sample 0 lies 10 ms after emission."""
+    path = write_sofa(tmp_path / "a.sofa", decay()[None, None, :], delay=480.0)
+    response, _ = read_response(ResponseSpec(path))
+    assert response.time_zero_s == pytest.approx(-0.01)
+
+
+def test_without_the_sofa_reader_the_message_says_how_to_get_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "sofar", None)
+    (tmp_path / "a.sofa").write_bytes(b"anything")
+    with pytest.raises(InputError, match="pip install"):
+        read_response(ResponseSpec(tmp_path / "a.sofa"))
+
+
+FULL_SPEC = {
+    "fuzz.wav": {"channel": 0},
+    "fuzz.mat": {"variable": "RIR", "channel": 0, "sampling_rate_variable": "Fs"},
+    "fuzz.sofa": {"measurement": 0, "receiver_index": 0},
+}
+
+
+def read_bytes_as(folder: Path, name: str, content: bytes) -> None:
+    """Read bytes under a name: a good response or a message for the user, nothing else."""
+    (folder / name).write_bytes(content)
+    try:
+        response, _ = read_response(ResponseSpec(folder / name, **FULL_SPEC[name]))
+    except RoomfitError as error:
+        assert error.what and "\n" not in error.what
+    else:
+        assert np.all(np.isfinite(response.pressure))
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory) -> Path:
+    return tmp_path_factory.mktemp("fuzz")
+
+
+@pytest.fixture(scope="module")
+def good_files(tmp_path_factory) -> dict[str, bytes]:
+    source = tmp_path_factory.mktemp("good")
+    write_wav(source / "fuzz.wav", decay(400), "PCM_16")
+    write_mat(source / "fuzz.mat", RIR=decay(400)[:, None], Fs=8000)
+    return {name: (source / name).read_bytes() for name in ("fuzz.wav", "fuzz.mat")}
+
+
+@settings(max_examples=150)
+@given(name=st.sampled_from(sorted(FULL_SPEC)), content=st.binary(max_size=400))
+def test_random_bytes_never_end_in_a_traceback(folder, name, content):
+    read_bytes_as(folder, name, content)
+
+
+@settings(max_examples=400)
+@given(
+    name=st.sampled_from(["fuzz.wav", "fuzz.mat"]),
+    changes=st.lists(st.tuples(st.integers(0, 10_000), st.integers(0, 255)), max_size=6),
+    in_header=st.booleans(),
+    keep=st.floats(0.0, 1.0),
+    cut=st.booleans(),
+)
+def test_damaged_files_never_end_in_a_traceback(
+    folder, good_files, name, changes, in_header, keep, cut
+):
+    """Bytes replaced, in the header or anywhere, and ends cut off."""
+    content = bytearray(good_files[name])
+    reach = min(len(content), 300) if in_header else len(content)
+    for position, value in changes:
+        content[position % reach] = value
+    if cut:
+        content = content[: int(keep * len(content))]
+    read_bytes_as(folder, name, bytes(content))
