@@ -8,6 +8,8 @@ import typer
 
 import roomfit
 from roomfit.cli.check import check
+from roomfit.cli.demo import demo
+from roomfit.cli.identify import identify
 
 app = typer.Typer(
     name="roomfit",
@@ -35,3 +37,5 @@ def options(
 
 
 app.command()(check)
+app.command()(demo)
+app.command()(identify)

@@ -5,9 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import least_squares
 from scipy.special import digamma, polygamma
 
+from roomfit.identify.least_squares import ResidualFunction
+from roomfit.identify.solvers import Solver
 from roomfit.objective.energy_problem import (
     EnergyProblem,
     Prediction,
@@ -53,7 +54,13 @@ class EnergyFit:
     converged: bool
 
 
-def fit_energies(problem: EnergyProblem, *, progress: Progress | None = None) -> EnergyFit:
+def fit_energies(
+    problem: EnergyProblem,
+    solver: Solver,
+    refiner: Solver,
+    *,
+    progress: Progress | None = None,
+) -> EnergyFit:
     """Return the most likely absorption and gains of one band.
 
     The first round compares logarithms, which finds its way from any start. Each further round
@@ -62,18 +69,24 @@ def fit_energies(problem: EnergyProblem, *, progress: Progress | None = None) ->
     The result solves the quasi-likelihood equations of a Gamma-like law (variance proportional
     to the mean squared) [1]_.
 
+    Parameters
+    ----------
+    problem : EnergyProblem
+    solver, refiner : Solver
+        Minimise the first round's squares, and those of the rounds that follow.
+
     References
     ----------
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
     measured = measured_energies(problem)
     counter = _Counter(problem)
-    vector = _log_round(counter, measured, start_vector(problem.parameters))
+    vector = solver(_log_squares(counter, measured), start_vector(problem.parameters))
     variance = window_variance(problem, vector)
     converged = False
     for number in range(ROUNDS):
         previous = vector
-        vector = _weighted_round(counter, measured, np.sqrt(variance), vector)
+        vector = refiner(_weighted_squares(counter, measured, variance), vector)
         sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, variance, vector))))
         converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
         variance = window_variance(problem, vector)
@@ -111,44 +124,38 @@ class _Counter:
         return self._last[1]
 
 
-def _log_round(counter: _Counter, measured: FloatArray, start: FloatArray) -> FloatArray:
-    """Solve for log energies; the mean of a log lies below the log of the mean, by digamma."""
+def _log_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
+    """Compare log energies; the mean of a log lies below the log of the mean, by digamma."""
     problem = counter.problem
-    variance = window_variance(problem, start)
-    shape = np.clip(counter.predict(start).expected ** 2 / variance, 0.5, 100.0)
-    bias = digamma(shape) - np.log(shape)
+    start = start_vector(problem.parameters)
+    expected = counter.predict(start).expected
+    shape = np.clip(expected**2 / window_variance(problem, start), 0.5, 100.0)
     sd = np.sqrt(polygamma(1, shape))
     # an empty window says "low", not minus infinity
-    floor = 1e-3 * counter.predict(start).expected
-    target = np.log(np.maximum(measured, floor)) - bias
+    target = np.log(np.maximum(measured, 1e-3 * expected)) - digamma(shape) + np.log(shape)
 
-    def residuals(vector: FloatArray) -> FloatArray:
-        prior, _ = prior_residuals(problem.parameters, vector)
-        return np.concatenate(((target - np.log(counter.predict(vector).expected)) / sd, prior))
-
-    def jacobian(vector: FloatArray) -> FloatArray:
+    def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         prediction = counter.predict(vector)
-        _, prior = prior_residuals(problem.parameters, vector)
+        prior, prior_rows = prior_residuals(problem.parameters, vector)
+        residuals = (target - np.log(prediction.expected)) / sd
         rows = -prediction.jacobian / (prediction.expected * sd)[:, None]
-        return np.concatenate((rows, prior))
+        return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
-    return np.asarray(least_squares(residuals, start, jacobian, xtol=1e-6, max_nfev=60).x)
+    return squares
 
 
-def _weighted_round(
-    counter: _Counter, measured: FloatArray, sd: FloatArray, start: FloatArray
-) -> FloatArray:
-    problem = counter.problem
+def _weighted_squares(
+    counter: _Counter, measured: FloatArray, variance: FloatArray
+) -> ResidualFunction:
+    sd = np.sqrt(variance)
 
-    def residuals(vector: FloatArray) -> FloatArray:
-        prior, _ = prior_residuals(problem.parameters, vector)
-        return np.concatenate(((measured - counter.predict(vector).expected) / sd, prior))
+    def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        prediction = counter.predict(vector)
+        prior, prior_rows = prior_residuals(counter.problem.parameters, vector)
+        residuals = np.concatenate(((measured - prediction.expected) / sd, prior))
+        return residuals, np.concatenate((-prediction.jacobian / sd[:, None], prior_rows))
 
-    def jacobian(vector: FloatArray) -> FloatArray:
-        _, prior = prior_residuals(problem.parameters, vector)
-        return np.concatenate((-counter.predict(vector).jacobian / sd[:, None], prior))
-
-    return np.asarray(least_squares(residuals, start, jacobian, xtol=1e-8, max_nfev=60).x)
+    return squares
 
 
 def _information(counter: _Counter, variance: FloatArray, vector: FloatArray) -> FloatArray:

@@ -117,7 +117,7 @@ def box_images(
 def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -> FloatArray:
     """Return the response with white Gaussian noise of a level relative to its peak."""
     sd = float(np.max(np.abs(pressure))) * 10.0 ** (level_db / 20.0)
-    return pressure + sd * rng.standard_normal(pressure.size)
+    return np.asarray(pressure + sd * rng.standard_normal(pressure.size))
 
 
 def _octave_shares(centres_hz: FloatArray, frequencies_hz: FloatArray) -> FloatArray:

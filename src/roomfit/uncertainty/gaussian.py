@@ -48,7 +48,7 @@ def absorption_intervals(
     block = next(b for b in parameters.blocks if b.name == "absorption")
     n = int(np.count_nonzero(block.fitted))
     first = _position(parameters, "absorption")
-    sd = np.zeros(len(block.labels))
+    sd: FloatArray = np.zeros(len(block.labels))
     sd[block.fitted] = np.sqrt(np.diag(covariance)[first : first + n])
     free = _free_values(block, vector[first : first + n])
     values, _ = physical_values(parameters, vector)
@@ -60,7 +60,9 @@ def absorption_intervals(
     sure = (
         (phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * block.prior_sd)
     )
-    return AbsorptionIntervals(absorption, lower, upper, sure | ~block.fitted, covariance)
+    return AbsorptionIntervals(
+        absorption, lower, upper, sure | ~block.fitted, np.asarray(covariance, dtype=np.float64)
+    )
 
 
 def weighted_mean_interval(

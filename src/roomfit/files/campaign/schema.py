@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-Position = Annotated[list[float], Field(min_length=3, max_length=3)]
+Position = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 PerBand = Fraction | list[Fraction]
 
@@ -31,10 +31,10 @@ class RoomTable(Table):
     """``[room]``."""
 
     file: str | None = None
-    shoebox: Annotated[list[float], Field(min_length=3, max_length=3)] | None = None
+    shoebox: tuple[float, float, float] | None = None
     polygons: PolygonTable | None = None
     unit: str | None = None
-    up: Literal["z", "y"] = "z"
+    up: Literal["z", "y"] | None = None
     materials: dict[str, str] = {}
 
 
@@ -69,7 +69,7 @@ class MaterialTable(Table):
     scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
     absorption: PerBand | None = None
     prior: Prior | str | None = None
-    bounds: Annotated[list[Fraction], Field(min_length=2, max_length=2)] | None = None
+    bounds: tuple[Fraction, Fraction] | None = None
     impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
     impedance_start: dict[str, float | list[float]] | None = None
 

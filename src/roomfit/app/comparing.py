@@ -1,0 +1,94 @@
+"""Predictions beside measurements and beside what one would guess without a model."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roomfit.app.measuring import MeasuredPair
+from roomfit.app.problems import BinnedPaths, smeared
+from roomfit.bands import Bands
+from roomfit.response.energy import weigh
+from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve
+from roomfit.signals.jnd import in_jnd
+from roomfit.signals.room_parameters import PARAMETER_NAMES, room_parameters
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.answer import Compared, ComparedPair, Decay
+
+_PICTURE_STEP_S = 2e-3
+
+
+def compare_pairs(
+    bands: Bands,
+    binned: BinnedPaths,
+    measured: tuple[MeasuredPair, ...],
+    absorption: FloatArray,
+    attenuation_per_m: FloatArray,
+) -> tuple[ComparedPair, ...]:
+    """Return measured against predicted for every measurement, fitted or kept for validation.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    attenuation_per_m : float array, shape (n_bands,)
+    """
+    return tuple(
+        _compare(bands, binned, m, measured, absorption, attenuation_per_m) for m in measured
+    )
+
+
+def predicted_curve(
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    attenuation_per_m: FloatArray,
+    direct_s: float,
+) -> DecayCurve:
+    """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
+    energy = weigh(binned.rows[pair], absorption, attenuation_per_m, derivative=False).energy
+    return echogram_decay_curve(bands, smeared(bands, energy), binned.edges_s, direct_s)
+
+
+def _compare(
+    bands: Bands,
+    binned: BinnedPaths,
+    m: MeasuredPair,
+    measured: tuple[MeasuredPair, ...],
+    absorption: FloatArray,
+    attenuation_per_m: FloatArray,
+) -> ComparedPair:
+    curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
+    predicted = room_parameters(curve)
+    others = [o.parameters for o in measured if o.file.use == "fit" and o is not m]
+    compared: dict[str, Compared] = {}
+    for name in PARAMETER_NAMES:
+        found = m.parameters.of(name)
+        expected = predicted.of(name)
+        null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
+        compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
+    return ComparedPair(
+        m.file.source, m.file.receiver, m.file.use, compared, _decay(m.curve, curve)
+    )
+
+
+def _mean_of_known(values: FloatArray) -> FloatArray:
+    known = np.isfinite(values)
+    counts = known.sum(axis=0)
+    sums = np.where(known, values, 0.0).sum(axis=0)
+    return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
+
+
+def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:
+    end_s = min(float(measured.usable_end_s.max()), float(predicted.time_s[-1]))
+    times = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
+    return Decay(times, _at(times, measured), _at(times, predicted))
+
+
+def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:
+    """Return the curves in dB at given times; NaN after their usable end."""
+    levels = np.maximum(decay_curve_db(curve), -200.0)
+    rows = [
+        np.where(times <= end_s, np.interp(times, curve.time_s, row), np.nan)
+        for row, end_s in zip(levels, curve.usable_end_s, strict=True)
+    ]
+    return np.stack(rows)

@@ -1,0 +1,182 @@
+"""Use case: the absorption of a measured room."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.comparing import compare_pairs
+from roomfit.app.fitting import band_answer, fit_bands, fit_findings
+from roomfit.app.measuring import MeasuredPair, measure
+from roomfit.app.planning import plan_trace
+from roomfit.app.problems import band_problems, bin_paths
+from roomfit.app.progress import part
+from roomfit.files.campaign.campaign import (
+    Campaign,
+    input_files,
+    material_knowledge,
+    read_campaign,
+)
+from roomfit.files.results import write_result
+from roomfit.files.rooms.read import read_room
+from roomfit.files.store import new_output_folder, write_bytes_atomically
+from roomfit.geometry.faults import refuse
+from roomfit.geometry.measures import surface_area_m2, volume_m3
+from roomfit.identify.start import eyring_absorption
+from roomfit.scene.positions import position_findings
+from roomfit.scene.room import Room, material_areas_m2
+from roomfit.scene.scene import Scene
+from roomfit.tracing.join import trace
+from roomfit.typing import FloatArray, Progress
+from roomfit.uncertainty.answer import Answer
+
+INTERVAL_KIND = "Gaussian, local"
+
+
+def identify_to_folder(
+    campaign_file: Path, out: Path, *, overwrite: bool = False, progress: Progress | None = None
+) -> Answer:
+    """Identify a campaign and write result.json, absorption.csv and pictures into a folder.
+
+    Nothing is written before everything is known.
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, a response or the output folder is not as needed.
+    CannotTell
+        The data cannot be fitted at all.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.answer_pictures import absorption_figure, decay_figure
+    from roomfit.report.pictures import png
+
+    campaign = read_campaign(campaign_file)
+    # refused now rather than after minutes of work; made only when there is something to put in
+    new_output_folder(out, overwrite=overwrite)
+    answer = identify(campaign, progress=part(progress, 0.0, 0.95))
+    write_result(out, answer, input_files(campaign))
+    write_bytes_atomically(out / "absorption.png", png(absorption_figure(answer)))
+    for number, pair in enumerate(answer.pairs, start=1):
+        picture = png(decay_figure(answer, pair))
+        write_bytes_atomically(
+            out / f"decay_{number:02d}_{pair.source}_{pair.receiver}.png", picture
+        )
+        if progress is not None:
+            progress(0.95 + 0.05 * number / len(answer.pairs))
+    return answer
+
+
+def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
+    """Return the absorption of every material of a measured room in every band.
+
+    Reads the room and the responses, traces once, fits every band, and predicts every pair.
+
+    Raises
+    ------
+    InputError, CannotTell
+        See `identify_to_folder`.
+    """
+    began = time.perf_counter()
+    room, room_findings = read_room(campaign.room)
+    knowledge = material_knowledge(campaign, room.materials)
+    scene = campaign_scene(campaign, room)
+    measured, measured_findings = measure(campaign, scene)
+    slowest_s, latest_s = _time_scales(measured)
+    plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed)
+    traced = trace(scene, plan.settings, plan.scattering, part(progress, 0.02, 0.5))
+    binned = bin_paths(scene, campaign.bands, traced.paths, plan.settings.duration_s)
+    start = _eyring_start(scene, campaign, measured)
+    problems = band_problems(scene, campaign.bands, knowledge, measured, binned, start)
+    fits = fit_bands(problems, campaign.method, campaign.seed, part(progress, 0.5, 0.98))
+    areas = material_areas_m2(room)
+    found = [band_answer(p, f, areas) for p, f in zip(problems, fits, strict=True)]
+    absorption = np.stack([b.intervals.absorption for b in found], axis=1)
+    attenuation = attenuation_per_m(scene.air, campaign.bands)
+    return Answer(
+        bands=campaign.bands,
+        materials=room.materials,
+        areas_m2=areas,
+        absorption=absorption,
+        lower95=np.stack([b.intervals.lower95 for b in found], axis=1),
+        upper95=np.stack([b.intervals.upper95 for b in found], axis=1),
+        identifiable=np.stack([b.intervals.identifiable for b in found], axis=1),
+        mean_absorption=np.array([b.mean for b in found]).T,
+        phi=np.array([f.phi for f in fits]),
+        cost=float(sum(f.cost for f in fits)),
+        evaluations=sum(f.evaluations for f in fits),
+        converged=np.array([f.converged for f in fits]),
+        pairs=compare_pairs(campaign.bands, binned, measured, absorption, attenuation),
+        findings=(
+            *room_findings,
+            *measured_findings,
+            *plan.findings,
+            *traced.findings,
+            *fit_findings(campaign.bands, knowledge, problems, fits),
+        ),
+        method="least-squares" if campaign.method == "auto" else campaign.method,
+        model="energy",
+        interval_kind=INTERVAL_KIND,
+        speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
+        seed=campaign.seed,
+        seconds=time.perf_counter() - began,
+    )
+
+
+def campaign_scene(campaign: Campaign, room: Room) -> Scene:
+    """Return the scene of a campaign: each pair once, however often it was measured.
+
+    Raises
+    ------
+    InputError
+        A source or a receiver stands outside the room, in a wall, or upon another.
+    """
+    refuse(position_findings(room, campaign.sources, campaign.receivers))
+    sources = [s.name for s in campaign.sources]
+    receivers = [r.name for r in campaign.receivers]
+    pairs = dict.fromkeys(
+        (sources.index(m.source), receivers.index(m.receiver)) for m in campaign.measurements
+    )
+    return Scene(room, campaign.sources, campaign.receivers, np.array(list(pairs)), campaign.air)
+
+
+def _time_scales(measured: tuple[MeasuredPair, ...]) -> tuple[float, float]:
+    """Return the longest decay time of any band, and where the last usable window ends, in s."""
+    longest = 0.0
+    for m in measured:
+        for name in ("T20_s", "EDT_s"):
+            values = m.parameters.of(name)
+            known = values[np.isfinite(values)]
+            if known.size:
+                longest = max(longest, float(known.max()))
+                break
+    # a decay that nothing could evaluate still ends where it drowns
+    latest = max(float(m.noise.usable_end_s.max()) for m in measured)
+    return longest, min(latest, longest) if longest > 0.0 else latest
+
+
+def _eyring_start(
+    scene: Scene, campaign: Campaign, measured: tuple[MeasuredPair, ...]
+) -> FloatArray:
+    """Return one absorption for all walls in every band, from the measured decays."""
+    mesh = scene.room.mesh
+    times = [m.parameters.of("T20_s") for m in measured if m.file.use == "fit"]
+    times += [m.parameters.of("EDT_s") for m in measured if m.file.use == "fit"]
+    starts = []
+    for band, m in enumerate(attenuation_per_m(scene.air, campaign.bands)):
+        known = [t[band] for t in times if np.isfinite(t[band])]
+        rate = 6.0 * np.log(10.0) / float(np.median(known)) if known else 0.0
+        starts.append(
+            eyring_absorption(
+                rate,
+                volume_m3(mesh),
+                surface_area_m2(mesh),
+                speed_of_sound_m_s(scene.air),
+                float(m),
+            )
+        )
+    return np.array(starts)

@@ -1,0 +1,85 @@
+"""How finely to trace a campaign: enough for the answer, no more than memory allows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.findings import Finding
+from roomfit.geometry.measures import volume_m3
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.materials.scattering import Scattering
+from roomfit.scene.scene import Scene
+from roomfit.tracing.settings import TraceSettings
+
+DEFAULT_SCATTERING = 0.1
+N_RAYS = 60_000
+RECEIVER_RADIUS_M = 0.5
+_MOST_IMAGES_PER_PAIR = 400_000
+_IMAGE_ORDER = 3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracePlan:
+    """Settings, scattering, and what was assumed in choosing them."""
+
+    settings: TraceSettings
+    scattering: Scattering
+    findings: tuple[Finding, ...]
+
+
+def plan_trace(
+    scene: Scene,
+    knowledge: tuple[MaterialKnowledge, ...],
+    longest_decay_s: float,
+    latest_window_s: float,
+    seed: int,
+) -> TracePlan:
+    """Choose how to trace.
+
+    A box whose walls do not scatter is done by image sources alone, which are exact; every other
+    room by image sources for the first orders and rays for the rest. Sound is followed until the
+    slowest band has fallen by 45 dB, so that T30 can be predicted.
+
+    Parameters
+    ----------
+    scene : Scene
+    knowledge : tuple of MaterialKnowledge, in the order of the room's materials
+    longest_decay_s : float
+        Longest measured reverberation time of any band.
+    latest_window_s : float
+        Where the last usable window of any measurement ends.
+    seed : int
+    """
+    findings = []
+    untold = [k.name for k in knowledge if k.scattering is None]
+    if untold:
+        findings.append(
+            Finding(
+                "scattering-assumed",
+                "info",
+                f"No scattering is told for {', '.join(untold)}; {DEFAULT_SCATTERING:g} was "
+                "assumed.",
+                {"materials": untold, "scattering": DEFAULT_SCATTERING},
+            )
+        )
+    s = [DEFAULT_SCATTERING if k.scattering is None else k.scattering for k in knowledge]
+    scattering = Scattering(scene.room.materials, np.array(s))
+    duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
+    reach_m = speed_of_sound_m_s(scene.air) * duration_s
+    n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
+    images_alone = (
+        scene.room.shoebox_m is not None
+        and not np.any(scattering.coefficients)
+        and n_images <= _MOST_IMAGES_PER_PAIR
+    )
+    settings = TraceSettings(
+        duration_s=duration_s,
+        n_rays=0 if images_alone else N_RAYS,
+        image_order=1000 if images_alone else _IMAGE_ORDER,
+        receiver_radius_m=RECEIVER_RADIUS_M,
+        seed=seed,
+    )
+    return TracePlan(settings, scattering, tuple(findings))

@@ -1,0 +1,233 @@
+"""A campaign's data and paths as one problem a band: the same reduction on both sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.measuring import MeasuredPair
+from roomfit.bands import Bands
+from roomfit.errors import CannotTell
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.objective.energy_problem import EnergyProblem, Observation, lone_rows
+from roomfit.objective.parameters import Block, Parameters
+from roomfit.objective.windows import window_edges_s
+from roomfit.response.energy import weigh
+from roomfit.response.rows import EnergyRows, energy_rows
+from roomfit.scene.scene import Scene
+from roomfit.signals.filters import (
+    FilterBank,
+    energy_bandwidth_hz,
+    energy_share,
+    smearing_kernel,
+    statistical_bandwidth_hz,
+    window_energies,
+)
+from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray
+
+BIN_S = 0.5e-3
+# A window is used down to where the decay stands 4 dB above the noise.
+_CLEAR_OF_NOISE = 2.5
+# Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
+_ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
+# Shares of a bin below this are below every other error and would fill memory.
+_LEAST_SHARE = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BinnedPaths:
+    """Paths of every pair of the scene in fine time bins.
+
+    Attributes
+    ----------
+    edges_s : float array, shape (n_bins + 1,)
+        Uniform, beginning before emission, since a zero-phase filter rings before a sound.
+    rows : tuple of EnergyRows, one a pair
+    """
+
+    edges_s: FloatArray
+    rows: tuple[EnergyRows, ...]
+
+
+def bin_paths(scene: Scene, bands: Bands, paths: Paths, duration_s: float) -> BinnedPaths:
+    """Sort the paths of every pair into bins of half a millisecond.
+
+    The bins begin four periods of the lowest band before emission.
+    """
+    first = -int(np.ceil(4.0 / bands.centres_hz[0] / BIN_S))
+    last = int(np.ceil(duration_s / BIN_S))
+    edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
+    c = speed_of_sound_m_s(scene.air)
+    rows = tuple(energy_rows(paths, pair, edges, c) for pair in range(len(scene.pairs)))
+    return BinnedPaths(edges, rows)
+
+
+def band_problems(
+    scene: Scene,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    measured: tuple[MeasuredPair, ...],
+    binned: BinnedPaths,
+    start: FloatArray,
+) -> tuple[EnergyProblem, ...]:
+    """Return the problem of every band, over the measurements that are to be fitted.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+
+    Raises
+    ------
+    CannotTell
+        A band has no measurement with a usable decay.
+    """
+    fitted = tuple(m for m in measured if m.file.use == "fit")
+    attenuation = attenuation_per_m(scene.air, bands)
+    lone = {pair: lone_rows(binned.rows[pair]) for pair in {m.pair for m in fitted}}
+    gain_labels = _gain_labels(fitted)
+    problems = []
+    for band in range(len(bands)):
+        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        observations = tuple(
+            _observation(bank, band, m, binned.edges_s, _gain_index(gain_labels, m)) for m in fitted
+        )
+        if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
+            raise CannotTell(
+                "a band has too few usable windows above the noise",
+                where=f"{bands.centres_hz[band]:g} Hz",
+                needed="more windows than unknown absorptions and gains",
+                hint="leave this band out with from_hz and to_hz, or measure with less noise",
+            )
+        absorption = _absorption_block(knowledge, band, float(start[band]))
+        gain = _gain_block(
+            gain_labels, observations, binned, fitted, absorption, float(attenuation[band])
+        )
+        problems.append(
+            EnergyProblem(
+                float(bands.centres_hz[band]),
+                float(statistical_bandwidth_hz(bank)[0]),
+                float(attenuation[band]),
+                tuple(binned.rows[m.pair] for m in fitted),
+                tuple(lone[m.pair] for m in fitted),
+                observations,
+                Parameters((absorption, gain)),
+            )
+        )
+    return tuple(problems)
+
+
+def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
+    """Return bin energies as the band filters would show them, shape (n_bands, n_bins)."""
+    kernel = smearing_kernel(FilterBank(bands))
+    n = energies.shape[1]
+    lags_s = BIN_S * (np.arange(-n, n + 1) - 0.5)
+    out = np.empty_like(energies)
+    for band, row in enumerate(energies):
+        share = energy_share(kernel, band, [0.0], lags_s)[0]
+        out[band] = np.convolve(row, share)[n : 2 * n]
+    return out
+
+
+def _observation(
+    bank: FilterBank, band: int, m: MeasuredPair, bin_edges_s: FloatArray, gain: int
+) -> Observation:
+    clear_s = (
+        m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
+    )
+    edges = window_edges_s(
+        m.direct_s,
+        min(float(clear_s), float(bin_edges_s[-1])),
+        float(statistical_bandwidth_hz(bank)[0]),
+    )
+    unit = _ENERGY_PER_PRESSURE_SQUARED if m.file.level == "absolute" else 1.0
+    # noise power in the unit of `window_energies`: a lone sample of height 1 has the energy 1
+    rate_hz = m.response.sampling_rate_hz
+    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
+    centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
+    shares = energy_share(smearing_kernel(bank), 0, centres, edges).T
+    return Observation(
+        m.pair,
+        edges,
+        unit * window_energies(bank, m.response, edges)[0],
+        unit * per_second * np.diff(edges),
+        csr_array(np.where(shares > _LEAST_SHARE, shares, 0.0)),
+        gain,
+    )
+
+
+def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:
+    labels = [_gain_label(m) for m in fitted]
+    return tuple(dict.fromkeys(label for label in labels if label))
+
+
+def _gain_label(m: MeasuredPair) -> str:
+    if m.file.level == "per-source":
+        return m.file.source
+    if m.file.level == "per-file":
+        channel = "" if m.file.response.channel is None else f"[{m.file.response.channel}]"
+        return f"{m.file.source} to {m.file.receiver}, {m.file.response.path.name}{channel}"
+    return ""
+
+
+def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
+    label = _gain_label(m)
+    return labels.index(label) if label else -1
+
+
+def _absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
+    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
+    fitted = np.isnan(known)
+    lower = np.array([k.lower for k in knowledge])
+    upper = np.array([k.upper for k in knowledge])
+    inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
+    return Block(
+        "absorption",
+        tuple(k.name for k in knowledge),
+        "logit",
+        np.where(fitted, inside, known),
+        fitted,
+        np.array([k.prior_logit_mean[band] for k in knowledge]),
+        np.array([k.prior_logit_sd[band] for k in knowledge]),
+        lower,
+        upper,
+    )
+
+
+def _gain_block(
+    labels: tuple[str, ...],
+    observations: tuple[Observation, ...],
+    binned: BinnedPaths,
+    fitted: tuple[MeasuredPair, ...],
+    absorption: Block,
+    attenuation: float,
+) -> Block:
+    """Unknown levels, starting where measured and predicted energy agree as a whole."""
+    sums = np.zeros((2, len(labels)))
+    for m, seen in zip(fitted, observations, strict=True):
+        if seen.gain < 0:
+            continue
+        energy = weigh(
+            binned.rows[m.pair],
+            absorption.start[:, None],
+            np.array([attenuation]),
+            derivative=False,
+        ).energy[0]
+        sums[0, seen.gain] += float(np.maximum(seen.energy - seen.noise, 0.0).sum())
+        sums[1, seen.gain] += float((seen.shares @ energy).sum())
+    n = len(labels)
+    return Block(
+        "gain",
+        labels,
+        "log",
+        sums[0] / sums[1],
+        np.ones(n, dtype=np.bool_),
+        np.zeros(n),
+        np.full(n, np.inf),
+        np.full(n, 0.0),
+        np.full(n, 1.0),
+    )

@@ -1,0 +1,26 @@
+"""``roomfit identify``: the main job."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def identify(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
+    ] = False,
+) -> None:
+    """Find the absorption of a measured room, per material and band, with intervals."""
+    from roomfit.app.identify import identify_to_folder
+    from roomfit.cli.progress import progress_bar
+    from roomfit.report.answer_text import answer_text
+
+    with progress_bar("identifying") as progress:
+        answer = identify_to_folder(campaign, out, overwrite=overwrite, progress=progress)
+    typer.echo(answer_text(answer))
+    typer.echo(f"\nresult.json, absorption.csv and pictures are in {out}")
