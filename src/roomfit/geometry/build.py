@@ -63,10 +63,11 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     Raises
     ------
     InputError
-        No face has an area, an index points nowhere, or a coordinate is not finite.
+        No face has an area, one has fewer than three corners or a corner that does not exist, or a
+        coordinate is not finite.
     """
     vertices = float_array("vertices", vertices_m, (None, 3), low=-1e6, high=1e6, unit="m")
-    _check_indices(faces, len(vertices))
+    _check_faces(faces, len(vertices))
     representative = weld(vertices) if len(vertices) else np.zeros(0, dtype=np.int64)
     doubts = _Doubts([], [], [], [], [], [])
     flat: list[tuple[IntArray, Surface]] = []
@@ -95,8 +96,15 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     return mesh, findings
 
 
-def _check_indices(faces: Sequence[Face], n_vertices: int) -> None:
+def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
     for number, face in enumerate(faces, start=1):
+        if len(face.corners) < 3:
+            raise InputError(
+                "a face has fewer than three corners",
+                where=f"face {number}, surface {face.surface.name!r}",
+                found=f"{len(face.corners)}",
+                hint="the file may be damaged: export it again",
+            )
         for corner in face.corners:
             if not 0 <= corner < n_vertices:
                 raise InputError(

@@ -92,5 +92,6 @@ def _joined(path: Path, parts: list[tuple[FloatArray, np.ndarray[Any, Any], Surf
         faces.extend(Face(tuple((t + first).tolist()), surface) for t in triangles)
         first += len(points)
     if not faces:
-        raise InputError("the room file has no faces", where=str(path))
+        hint = "the file may be damaged or cut short: export it again"
+        raise InputError("the room file has no faces", where=str(path), hint=hint)
     return RoomModel(np.concatenate([p for p, _, _ in parts]), tuple(faces))
