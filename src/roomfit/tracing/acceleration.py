@@ -1,0 +1,58 @@
+"""Which structure finds the next wall: chosen once per room, compiled into the trace."""
+
+# ruff: noqa: ARG001, ARG005 -- numba matches overloads by the names of all their arguments
+
+from __future__ import annotations
+
+from typing import Any, TypeAlias
+
+from numba.extending import overload
+
+from roomfit.scene.room import Room
+from roomfit.tracing.bounce import Vector
+from roomfit.tracing.facets import Facets, facets_of, nearest_facet
+from roomfit.tracing.planes import Planes, convex_planes, material_in_plane, nearest_plane
+
+Walls: TypeAlias = Planes | Facets
+
+
+def walls_of(room: Room) -> Walls:
+    """Return the structure that suits a room: planes where it is convex with few of them."""
+    planes = convex_planes(room)
+    return facets_of(room)[0] if planes is None else planes
+
+
+def next_wall(walls: Walls, o: Vector, d: Vector) -> tuple[float, int]:
+    """Return distance and number of the wall that a ray from `o` meets first.
+
+    Only for use in kernels, where the type of `walls` picks the method. Infinity and -1 come back
+    where the ray meets nothing: it has left through a leak.
+    """
+    raise TypeError("only compiled code may call this")
+
+
+def wall_material(walls: Walls, wall: int, p: Vector) -> int:
+    """Return the material of a wall at one of its points; only for use in kernels."""
+    raise TypeError("only compiled code may call this")
+
+
+def _kind(walls: Any) -> Any:
+    return getattr(walls, "instance_class", None)
+
+
+@overload(next_wall, strict=False)
+def _next_wall(walls: Any, o: Any, d: Any) -> Any:
+    if _kind(walls) is Planes:
+        return lambda walls, o, d: nearest_plane(walls, o, d)
+    if _kind(walls) is Facets:
+        return lambda walls, o, d: nearest_facet(walls, o, d)
+    return None
+
+
+@overload(wall_material, strict=False)
+def _wall_material(walls: Any, wall: Any, p: Any) -> Any:
+    if _kind(walls) is Planes:
+        return lambda walls, wall, p: material_in_plane(walls, wall, p)
+    if _kind(walls) is Facets:
+        return lambda walls, wall, p: walls.material[wall]
+    return None
