@@ -50,6 +50,7 @@ class Bands:
                 "band centres must rise and there must be at least one",
                 found=str(centres.tolist()),
             )
+        exact_centres_hz(self.kind, centres)  # refuses what is no centre of that kind
         object.__setattr__(self, "centres_hz", centres)
 
     def __len__(self) -> int:

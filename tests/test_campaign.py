@@ -1,0 +1,149 @@
+"""Campaign files: what they may hold, and what is said when they hold something else."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomfit.errors import InputError, RoomfitError
+from roomfit.files.campaign.campaign import material_knowledge, read_campaign
+
+GOOD = """
+[room]
+shoebox = [5.0, 4.0, 3.0]
+[room.materials]
+floor = "carpet"
+[materials.carpet]
+scattering = 0.2
+[sources.LS1]
+position = [1.0, 1.0, 1.0]
+[receivers.MP1]
+position = [3.0, 2.0, 1.5]
+position_sd = 0.01
+[[measurements]]
+source = "LS1"
+receiver = "MP1"
+file = "a.wav"
+"""
+
+
+def campaign_from(tmp_path, text: str):
+    path = tmp_path / "campaign.toml"
+    path.write_text(text)
+    return read_campaign(path)
+
+
+def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
+    campaign = campaign_from(tmp_path, GOOD)
+    assert campaign.bands.centres_hz.tolist() == [125, 250, 500, 1000, 2000, 4000]
+    assert campaign.measurements[0].level == "per-source"
+    assert campaign.measurements[0].response.path == tmp_path / "a.wav"
+    assert campaign.receivers[0].position_sd_m == 0.01
+    (carpet,) = material_knowledge(campaign, ("carpet",))
+    assert carpet.scattering == pytest.approx(0.2)
+    assert carpet.known is None
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("[room]", "[room", "not valid TOML"),
+        ('floor = "carpet"', 'floor = "carpet"\nfloor = "x"', "not valid TOML"),
+        ("scattering = 0.2", "scatering = 0.2", r"unknown key(?s:.*)materials.carpet"),
+        ("scattering = 0.2", "scatering = 0.2", r"did you mean 'scattering'"),
+        ("[sources.LS1]", "[source.LS1]", r"unknown key(?s:.*)'sources'"),
+        ("position_sd = 0.01", "positionsd = 0.01", r"unknown key(?s:.*)'position_sd'"),
+        ("scattering = 0.2", "scattering = 1.2", r"materials.carpet.scattering"),
+        ("scattering = 0.2", "scattering = nan", r"materials.carpet.scattering"),
+        ("scattering = 0.2", "scattering = 'fit'", "cannot do that yet"),
+        ("position = [1.0, 1.0, 1.0]", "position = [1.0, 1.0]", "sources.LS1.position"),
+        ("position = [1.0, 1.0, 1.0]", "", r"lacks a key(?s:.*)position"),
+        ('source = "LS1"', 'source = "LS2"', r"not defined(?s:.*)did you mean 'LS1'"),
+        ('receiver = "MP1"', "", "without a receiver"),
+        ('file = "a.wav"', "", "exactly one kind of data"),
+        ('file = "a.wav"', 'parameters = "a.csv"', "cannot do that yet"),
+        ('file = "a.wav"', 'file = "a.wav"\nuse = "validate"', "none is left to fit"),
+        ('file = "a.wav"', 'file = "a.wav"\nlevel = "loud"', r"level"),
+        ("shoebox = [5.0, 4.0, 3.0]", "", r"exactly one description(?s:.*)none"),
+        ("shoebox = [5.0, 4.0, 3.0]", 'shoebox = [5.0, 4.0, 3.0]\nfile = "r.obj"', "exactly one"),
+        ("[room]", "[identify]\nfrom_hz = 900\nto_hz = 300\n[room]", "above the highest"),
+        ("[room]", "[identify]\nbands = [120, 240]\n[room]", "not a centre"),
+        ("[room]", "[identify]\nmethod = 'certified'\n[room]", "cannot do that yet"),
+        ("[room]", "[air]\ntemperature_c = 120\n[room]", r"temperature(?s:.*)120"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
+    assert old in GOOD
+    with pytest.raises(InputError, match=words):
+        campaign_from(tmp_path, GOOD.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("bounds = [0.9, 0.2]", r"lower bound is not below the upper(?s:.*)carpet"),
+        ("absorption = [0.1, 0.2]", r"one value per fitted band(?s:.*)6 values"),
+        ("prior = {mean = 0.3, sd = 0.0}", "no spread"),
+        ("prior = {mean = 0.3, sd = 0.1}\nbounds = [0.4, 0.9]", "outside of its bounds"),
+        ("scattering = {centres_hz = [125, 250], values = [0.1]}", "as many values"),
+    ],
+)
+def test_what_is_told_of_a_material_is_checked(tmp_path, line, words):
+    text = GOOD.replace("scattering = 0.2", line)
+    with pytest.raises(InputError, match=words):
+        material_knowledge(campaign_from(tmp_path, text), ("carpet", "other"))
+
+
+def test_a_material_that_the_room_does_not_have_is_refused_with_the_nearest(tmp_path):
+    with pytest.raises(InputError, match=r"does not have(?s:.*)did you mean 'carpets'"):
+        material_knowledge(campaign_from(tmp_path, GOOD), ("carpets", "brick"))
+
+
+def test_a_prior_of_absorption_becomes_one_of_its_logit(tmp_path):
+    text = GOOD.replace("scattering = 0.2", "prior = {mean = 0.5, sd = 0.05}")
+    (carpet,) = material_knowledge(campaign_from(tmp_path, text), ("carpet",))
+    np.testing.assert_allclose(carpet.prior_logit_mean, 0.0, atol=1e-12)
+    # the slope of the logit at one half is 4
+    np.testing.assert_allclose(carpet.prior_logit_sd, 0.2)
+
+
+def test_the_same_measurement_twice_is_refused(tmp_path):
+    twice = GOOD + GOOD[GOOD.index("[[measurements]]") :]
+    with pytest.raises(InputError, match=r"stands twice(?s:.*)measurements\[1\] and"):
+        campaign_from(tmp_path, twice)
+
+
+def test_an_empty_and_a_missing_campaign_are_told_apart(tmp_path):
+    with pytest.raises(InputError, match="does not exist"):
+        read_campaign(tmp_path / "none.toml")
+    with pytest.raises(InputError, match=r"lacks a key(?s:.*)room"):
+        campaign_from(tmp_path, "")
+    with pytest.raises(InputError, match="no measurement"):
+        campaign_from(tmp_path, GOOD[: GOOD.index("[[measurements]]")])
+
+
+@given(data=st.binary(max_size=300))
+def test_no_bytes_make_the_reader_fail_in_its_own_way(tmp_path_factory, data):
+    path = tmp_path_factory.mktemp("fuzz") / "campaign.toml"
+    path.write_bytes(data)
+    with pytest.raises(RoomfitError):
+        read_campaign(path)
+
+
+@given(
+    position=st.integers(0, len(GOOD) - 1),
+    length=st.integers(0, 12),
+    patch=st.text(alphabet='[]{}="\n.,0159eEnaif#_-LS \\u\x00', max_size=8),
+)
+def test_a_damaged_campaign_is_read_or_refused_in_our_words(
+    tmp_path_factory, position, length, patch
+):
+    path = tmp_path_factory.mktemp("fuzz") / "campaign.toml"
+    path.write_text(GOOD[:position] + patch + GOOD[position + length :])
+    try:
+        campaign = read_campaign(path)
+        material_knowledge(campaign, ("carpet",))
+    except RoomfitError:
+        pass
