@@ -123,9 +123,11 @@ def _distinct(
     Fewer than three corners mean a face that welding has closed up.
     """
     seen: dict[tuple[int, ...], tuple[int, ...]] = {}
+    stands_for = representative.tolist()
     for face in faces:
-        welded = representative[np.asarray(face.corners, dtype=np.int64)]
-        corners = welded[welded != np.roll(welded, 1)]
+        welded = [stands_for[corner] for corner in face.corners]
+        before = [welded[-1], *welded[:-1]]
+        corners = [c for c, b in zip(welded, before, strict=True) if c != b]
         if len(corners) < 3:
             points = vertices[list(face.corners)]
             if len(np.unique(points, axis=0)) < 3:
@@ -137,12 +139,12 @@ def _distinct(
         outline = min(turn, _from_smallest(corners[::-1]))
         earlier = seen.setdefault(outline, turn)
         if earlier is turn:
-            yield corners, face.surface
+            yield np.array(corners), face.surface
         elif earlier == turn or face.surface.double_sided:
             doubts.repeated.append(_spot(face.surface, vertices[corners]))
         else:
             doubts.back_to_back.append(_spot(face.surface, vertices[corners]))
-            yield corners, face.surface
+            yield np.array(corners), face.surface
 
 
 def _sort_flat(
@@ -163,9 +165,9 @@ def _sort_flat(
         kind.append(_spot(surface, vertices[corners]))
 
 
-def _from_smallest(corners: IntArray) -> tuple[int, ...]:
-    start = int(np.argmin(corners))
-    return tuple(np.roll(corners, -start).tolist())
+def _from_smallest(corners: list[int]) -> tuple[int, ...]:
+    start = corners.index(min(corners))
+    return (*corners[start:], *corners[:start])
 
 
 def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, str]:

@@ -12,7 +12,7 @@ from roomfit.geometry.edges import Edges, edges_of, unmatched
 from roomfit.geometry.faults import fault, place
 from roomfit.geometry.inside import interior_points, nearest_triangles
 from roomfit.geometry.leaks import Leak, find_leaks
-from roomfit.geometry.measures import surface_area_m2, volume_m3
+from roomfit.geometry.measures import mean_free_path_m, surface_area_m2, volume_m3
 from roomfit.geometry.mesh import Mesh, corners_m, triangle_areas_m2
 from roomfit.typing import IntArray
 
@@ -22,8 +22,9 @@ LEAK_LIMIT = 1e-3
 SLIVER_M = 1e-4
 
 # Rays against all triangles: at most so many tests, at most and at least so many rays.
-_LEAK_TESTS = 3e8
+_LEAK_TESTS = 2e8
 _LEAK_RAYS = (64, 2000)
+_LEAK_STARTS = (16, 100)
 _BOUNCES = 50
 
 
@@ -61,7 +62,7 @@ def examine(mesh: Mesh, seed: int = 1) -> Examination:
     seed : int
         Of the test rays.
     """
-    volume, surface = volume_m3(mesh), surface_area_m2(mesh)
+    volume = volume_m3(mesh)
     edges = edges_of(mesh)
     open_edges = unmatched(edges)
     leak, leak_findings = _leak(mesh, seed)
@@ -71,20 +72,24 @@ def examine(mesh: Mesh, seed: int = 1) -> Examination:
     if not volume > 0.0:
         findings.append(_no_volume(volume))
     return Examination(
-        volume, surface, 4.0 * volume / surface, not len(open_edges), leak, tuple(findings)
+        volume,
+        surface_area_m2(mesh),
+        mean_free_path_m(mesh),
+        not len(open_edges),
+        leak,
+        tuple(findings),
     )
 
 
 def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
     rng = np.random.default_rng(seed)
-    points = interior_points(mesh, 100, rng)
+    n_rays = int(np.clip(_LEAK_TESTS / (_BOUNCES * len(mesh.triangles)), *_LEAK_RAYS))
+    points = interior_points(mesh, int(np.clip(n_rays // 4, *_LEAK_STARTS)), rng)
     if not len(points):
         what = "no point inside the room was found"
         needed = "faces that enclose a volume"
         hint = "check that walls are not all marked as double sided, and that none is missing"
         return None, [fault("no-inside", what, needed=needed, hint=hint)]
-    wanted = _LEAK_TESTS / (_BOUNCES * len(mesh.triangles))
-    n_rays = int(np.clip(wanted, *_LEAK_RAYS))
     leak = find_leaks(mesh, points, n_rays, seed, _BOUNCES)
     if not leak.n_escapes:
         return 0.0, []
