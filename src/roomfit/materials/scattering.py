@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+
 from roomfit.checks import float_array, unique_names
+from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 
 
@@ -38,3 +41,21 @@ class Scattering:
 def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scattering:
     """Return the same scattering coefficient for every material."""
     return Scattering(materials, [coefficient] * len(materials))  # type: ignore[arg-type]
+
+
+def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) -> FloatArray:
+    """Return a copy of the coefficients in the order of a room's materials, shape (n_materials,).
+
+    Raises
+    ------
+    InputError
+        The two name different materials.
+    """
+    if set(scattering.materials) != set(materials):
+        raise InputError(
+            "scattering and room name different materials",
+            found=", ".join(scattering.materials),
+            needed=", ".join(materials),
+        )
+    order = [scattering.materials.index(m) for m in materials]
+    return np.array(scattering.coefficients[order])

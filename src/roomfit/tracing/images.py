@@ -1,0 +1,138 @@
+"""Image sources of a scene as paths: the lattice for boxes, mirrors and visibility for the rest."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.errors import InputError
+from roomfit.materials.scattering import Scattering, coefficients_in_order
+from roomfit.scene.scene import Scene, distances_m
+from roomfit.tracing.images_polyhedron import polyhedron_images
+from roomfit.tracing.images_set import ImageSet
+from roomfit.tracing.images_shoebox import count_of_shoebox_images, shoebox_images
+from roomfit.tracing.paths import Paths, Reflections
+from roomfit.typing import FloatArray, Progress
+
+
+def trace_images(
+    scene: Scene,
+    order: int,
+    duration_s: float,
+    scattering: Scattering,
+    *,
+    with_reflections: bool = False,
+    memory_limit_bytes: float = 4 * 2**30,
+    progress: Progress | None = None,
+) -> Paths:
+    """Return the exact specular paths of every pair, shortest first within a pair.
+
+    Parameters
+    ----------
+    scene : Scene
+        A room with `shoebox_m` gets the lattice, any other mirrors and a visibility test.
+    order : int
+        Most hits of a path; 0 for the direct sound alone.
+    duration_s : float
+        Paths that take longer are left out.
+    scattering : Scattering
+        Thins a path by ``1 - s`` a hit; materials in any order.
+    with_reflections : bool
+        Keep the ordered hits with their angles.
+    memory_limit_bytes : float
+        A trace that would need more is refused.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        Other materials, a source where a receiver is, or more images than the memory holds.
+    """
+    coefficients = coefficients_in_order(scattering, scene.room.materials)
+    distances = distances_m(scene)
+    if distances.size and distances.min() < 1e-6:
+        source, receiver = scene.pairs[int(np.argmin(distances))]
+        raise InputError(
+            "a source stands where a receiver is",
+            where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
+        )
+    max_length_m = duration_s * speed_of_sound_m_s(scene.air)
+    sets: list[ImageSet | None] = [None] * len(scene.pairs)
+    sources = np.unique(scene.pairs[:, 0])
+    for done, source in enumerate(sources):
+        own = np.flatnonzero(scene.pairs[:, 0] == source)
+        args = (order, max_length_m, with_reflections, memory_limit_bytes)
+        for pair, found in zip(own, _images_of_source(scene, int(source), *args), strict=True):
+            sets[pair] = found
+        if progress is not None:
+            progress((done + 1) / len(sources))
+    return _as_paths([s for s in sets if s is not None], scene, coefficients)
+
+
+def _images_of_source(
+    scene: Scene,
+    source: int,
+    order: int,
+    max_length_m: float,
+    with_reflections: bool,
+    memory_limit_bytes: float,
+) -> list[ImageSet]:
+    """Return the images of one source for each of its pairs, in the order of the pairs."""
+    room = scene.room
+    start = scene.sources[source].position_m
+    receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
+    if room.shoebox_m is None:
+        return polyhedron_images(
+            *(room, start, np.array(receivers), order, max_length_m),
+            with_reflections=with_reflections,
+            memory_limit_bytes=memory_limit_bytes,
+        )
+    count = len(scene.pairs) * count_of_shoebox_images(room.shoebox_m, order, max_length_m)
+    # columns of the paths, of the set that they are made from and of the lattice
+    needed = count * (150.0 + 6.0 * len(room.materials))
+    if needed > memory_limit_bytes:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"about {count:.3g} images, {needed / 2**30:.3g} GiB",
+            needed=f"at most {memory_limit_bytes / 2**30:.3g} GiB",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+    return [
+        shoebox_images(room, start, r, order, max_length_m, with_reflections=with_reflections)
+        for r in receivers
+    ]
+
+
+def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Paths:
+    counts = [len(s.length_m) for s in sets]
+    length = np.concatenate([np.zeros(0), *(s.length_m for s in sets)])
+    no_hits = np.zeros((0, len(scene.room.materials)), dtype=np.uint16)
+    hits = np.concatenate([no_hits, *(s.hits for s in sets)])
+    kept = np.prod((1.0 - scattering) ** hits, axis=1)
+    nowhere = np.zeros((0, 3))
+    return Paths(
+        len(scene.pairs),
+        scene.room.materials,
+        np.repeat(np.arange(len(sets)), counts).astype(np.int32),
+        length,
+        kept / (4.0 * np.pi * length**2),
+        hits,
+        np.zeros_like(hits),
+        np.concatenate([nowhere, *(s.departure for s in sets)]).astype(np.float32),
+        np.concatenate([nowhere, *(s.arrival for s in sets)]).astype(np.float32),
+        np.full(len(length), -1, dtype=np.int32),
+        0,
+        scattering,
+        _joined_reflections([s.reflections for s in sets if s.reflections is not None]),
+    )
+
+
+def _joined_reflections(parts: list[Reflections]) -> Reflections | None:
+    if not parts:
+        return None
+    counts = np.concatenate([np.diff(r.offsets) for r in parts])
+    return Reflections(
+        np.concatenate(([0], np.cumsum(counts))),
+        np.concatenate([r.material for r in parts]),
+        np.concatenate([r.cosine for r in parts]),
+    )
