@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import scipy.io
+import scipy.sparse
 import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -203,6 +204,45 @@ def test_a_single_response_may_stand_in_a_row_of_a_mat_file(tmp_path):
     path = write_mat(tmp_path / "a.mat", ir=decay()[None, :])
     response, _ = read_response(ResponseSpec(path, variable="ir", sampling_rate_hz=44_100.0))
     np.testing.assert_array_equal(response.pressure, decay())
+
+
+@pytest.mark.parametrize("compressed", [False, True])
+@pytest.mark.parametrize("kind", ["i1", "u1", "i2", "u2", "i4", "u4", "i8", "u8", "f4", "f8"])
+def test_every_kind_of_number_of_a_mat_file_is_read(tmp_path, kind, compressed):
+    """Written by scipy, among text, cells, structures and complex numbers that are passed over."""
+    columns = np.random.default_rng(3).integers(0, 100, (300, 2)).astype(kind)
+    table = {
+        "text": "hello",
+        "cells": np.array([1, "a"], dtype=object),
+        "record": {"x": 1.0},
+        "phasors": np.array([[1j]]),
+        "sparse": scipy.sparse.eye(3, format="csc"),
+        "h": columns,
+    }
+    path = tmp_path / "a.mat"
+    scipy.io.savemat(path, table, do_compression=compressed)
+    spec = ResponseSpec(path, variable="h", channel=1, sampling_rate_hz=8000.0)
+    response, _ = read_response(spec)
+    np.testing.assert_array_equal(response.pressure, columns[:, 1])
+
+
+def test_a_mat_file_of_the_other_byte_order_is_read(tmp_path):
+    """Written by hand: a matrix of doubles, big-endian."""
+    samples = decay(200)
+
+    def element(kind: int, data: bytes) -> bytes:
+        return struct.pack(">II", kind, len(data)) + data + bytes(-len(data) % 8)
+
+    matrix = (
+        element(6, struct.pack(">II", 6, 0))
+        + element(5, struct.pack(">ii", 200, 1))
+        + element(1, b"h")
+        + element(9, samples.astype(">f8").tobytes())
+    )
+    path = tmp_path / "big.mat"
+    path.write_bytes(b"MATLAB 5.0".ljust(124) + b"\x01\x00MI" + element(14, matrix))
+    response, _ = read_response(ResponseSpec(path, variable="h", sampling_rate_hz=8000.0))
+    np.testing.assert_array_equal(response.pressure, samples)
 
 
 def test_what_a_mat_file_leaves_open_is_asked_for_by_name(tmp_path):
