@@ -11,7 +11,9 @@ P = ParamSpec("P")
 R = TypeVar("R")
 
 
-def kernel(*, parallel: bool = False) -> Callable[[Callable[P, R]], Callable[P, R]]:
+def kernel(
+    *, parallel: bool = False, allocates: bool = True
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Compile a module-level function with numba and keep the machine code on disk.
 
     Strict IEEE arithmetic in float64 and no fast-math, so that the same input gives the same bits
@@ -22,11 +24,19 @@ def kernel(*, parallel: bool = False) -> Callable[[Callable[P, R]], Callable[P, 
     ----------
     parallel : bool
         Whether `numba.prange` loops are spread over threads.
+    allocates : bool
+        Whether the function, or one that it calls, makes arrays. Where none does, False spares the
+        counting of references, which costs more than a short function that takes tuples of arrays.
     """
 
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
         compiled = numba.njit(
-            cache=True, nogil=True, error_model="numpy", parallel=parallel, fastmath=False
+            cache=True,
+            nogil=True,
+            error_model="numpy",
+            parallel=parallel,
+            fastmath=False,
+            _nrt=allocates,
         )(function)
         return cast(Callable[P, R], compiled)
 

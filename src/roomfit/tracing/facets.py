@@ -132,7 +132,7 @@ def _facets(
     return Facets(table, normal, owner.astype(np.int32))
 
 
-@kernel()
+@kernel(allocates=False)
 def facet_distance(table: FloatArray, i: int, o: Vector, d: Vector, limit: float) -> float:
     """Return the distance to facet i along a unit direction; infinity for a miss or over `limit`.
 
@@ -160,7 +160,7 @@ def facet_distance(table: FloatArray, i: int, o: Vector, d: Vector, limit: float
     return float(max(t, 0.0))
 
 
-@kernel()
+@kernel(allocates=False)
 def nearest_facet(facets: Facets, o: Vector, d: Vector) -> tuple[float, int]:
     """Return distance and number of the facet that a ray meets first; infinity and -1 for none.
 

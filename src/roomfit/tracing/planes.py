@@ -114,7 +114,7 @@ def _planes(
     )
 
 
-@kernel()
+@kernel(allocates=False)
 def nearest_plane(planes: Planes, o: Vector, d: Vector) -> tuple[float, int]:
     """Return the distance to the plane through which a ray leaves a convex room, and the plane.
 
@@ -133,11 +133,15 @@ def nearest_plane(planes: Planes, o: Vector, d: Vector) -> tuple[float, int]:
     return max(gap / approach, 0.0), hit
 
 
-@kernel()
+@kernel(allocates=False)
 def material_in_plane(planes: Planes, k: int, p: Vector) -> int:
     """Return the material at a point of plane k: that of the piece in which it lies deepest."""
-    if planes.material[k] >= 0:
-        return int(planes.material[k])
+    material = int(planes.material[k])
+    return material if material >= 0 else _piece_material(planes, k, p)
+
+
+@kernel(allocates=False)
+def _piece_material(planes: Planes, k: int, p: Vector) -> int:
     n = planes.normal[k]
     best, found = -np.inf, 0
     for i in range(planes.first_piece[k], planes.first_piece[k + 1]):

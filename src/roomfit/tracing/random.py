@@ -22,7 +22,7 @@ _30, _27, _31, _11 = np.uint64(30), np.uint64(27), np.uint64(31), np.uint64(11)
 _UNIT = 2.0**-53
 
 
-@kernel()
+@kernel(allocates=False)
 def mixed(x: np.uint64) -> np.uint64:
     """Return a 64-bit number each of whose bits depends on every bit of `x`."""
     x = (x ^ (x >> _30)) * _FIRST
@@ -30,7 +30,7 @@ def mixed(x: np.uint64) -> np.uint64:
     return x ^ (x >> _31)
 
 
-@kernel()
+@kernel(allocates=False)
 def ray_key(seed: int, source: int, ray: int) -> np.uint64:
     """Return the number that stands for one ray in every later draw."""
     key = mixed(np.uint64(seed) + _GOLDEN)
@@ -38,7 +38,7 @@ def ray_key(seed: int, source: int, ray: int) -> np.uint64:
     return mixed(key ^ (np.uint64(ray) + _GOLDEN))
 
 
-@kernel()
+@kernel(allocates=False)
 def uniform(key: np.uint64, draw: int) -> float:
     """Return draw number `draw` of a key, uniform in [0, 1) in steps of 2**-53."""
     bits = mixed(key + (np.uint64(draw) + np.uint64(1)) * _GOLDEN)

@@ -11,7 +11,7 @@ from roomfit.compiled import kernel
 from roomfit.tracing.acceleration import Walls, next_wall, wall_material
 from roomfit.tracing.bounce import Vector, after_wall
 from roomfit.tracing.random import ray_key
-from roomfit.tracing.spheres import Spheres, chord
+from roomfit.tracing.spheres import Spheres, cell_at, chord, enters_grid, leaves_cell
 from roomfit.typing import FloatArray, IntArray
 
 CHUNK_RAYS = 256
@@ -106,10 +106,14 @@ def trace_chunks(
         Number of the first of them among all rays of the source.
     """
     for chunk in prange(len(caught.found)):
-        _trace_chunk(walls, spheres, job, directions, first_ray, chunk, caught, tally)
+        specular = np.zeros(len(job.scattering), np.uint16)
+        diffuse = np.zeros(len(job.scattering), np.uint16)
+        _trace_chunk(
+            walls, spheres, job, directions, first_ray, chunk, specular, diffuse, caught, tally
+        )
 
 
-@kernel()
+@kernel(allocates=False)
 def _trace_chunk(
     walls: Walls,
     spheres: Spheres,
@@ -117,22 +121,25 @@ def _trace_chunk(
     directions: FloatArray,
     first_ray: int,
     chunk: int,
+    specular: IntArray,
+    diffuse: IntArray,
     caught: Caught,
     tally: Tally,
 ) -> None:
-    specular = np.zeros(len(job.scattering), np.uint16)
-    diffuse = np.zeros(len(job.scattering), np.uint16)
-    caught.found[chunk] = 0
-    tally.hits[chunk] = tally.escapes[chunk] = tally.free_paths[chunk] = 0
-    tally.sum_m[chunk] = tally.sum_m2[chunk] = 0.0
     for i in range(chunk * CHUNK_RAYS, min((chunk + 1) * CHUNK_RAYS, len(directions))):
         specular[:] = 0
         diffuse[:] = 0
         d = (directions[i, 0], directions[i, 1], directions[i, 2])
-        _trace_ray(walls, spheres, job, d, first_ray + i, chunk, specular, diffuse, caught, tally)
+        hits, free_paths, sum_m, sum_m2 = _trace_ray(
+            walls, spheres, job, d, first_ray + i, chunk, specular, diffuse, caught, tally
+        )
+        tally.hits[chunk] += hits
+        tally.free_paths[chunk] += free_paths
+        tally.sum_m[chunk] += sum_m
+        tally.sum_m2[chunk] += sum_m2
 
 
-@kernel()
+@kernel(allocates=False)
 def _trace_ray(
     walls: Walls,
     spheres: Spheres,
@@ -144,26 +151,36 @@ def _trace_ray(
     diffuse: IntArray,
     caught: Caught,
     tally: Tally,
-) -> None:
+) -> tuple[int, int, float, float]:
+    """Follow one ray to its end; return its hits, free paths, their sum and sum of squares."""
     key = ray_key(job.seed, job.source, ray)
+    try_each = len(spheres.first) == 2
     o = (job.start_m[0], job.start_m[1], job.start_m[2])
-    travelled, hit = 0.0, 0
+    travelled, hit, sum_m, sum_m2 = 0.0, 0, 0.0, 0.0
     while True:
         flight, wall = next_wall(walls, o, d)
-        _catch(spheres, job, o, d, flight, travelled, ray, chunk, specular, diffuse, caught)
+        if try_each:
+            for k in range(len(spheres.radius_m)):
+                nearest, length = chord(spheres, k, o, d, flight)
+                if length > 0.0 and travelled + nearest <= job.max_length_m:
+                    arrived = travelled + nearest
+                    _record(caught, chunk, k, ray, arrived, length, specular, diffuse, d)
+        else:
+            _catch_in_grid(
+                spheres, job, o, d, flight, travelled, ray, chunk, specular, diffuse, caught
+            )
         if wall < 0:
             _note_escape(o, d, chunk, tally)
-            return
+            return hit, max(hit - 1, 0), sum_m, sum_m2
         if hit > 0:  # the way from the source to the first wall is no free path
-            tally.free_paths[chunk] += 1
-            tally.sum_m[chunk] += flight
-            tally.sum_m2[chunk] += flight * flight
+            sum_m += flight
+            sum_m2 += flight * flight
         travelled += flight
         if travelled > job.max_length_m:
-            return
-        tally.hits[chunk] += 1
-        if hit + 1 == job.max_hits:
-            return
+            return hit, hit, sum_m, sum_m2
+        hit += 1
+        if hit == job.max_hits:
+            return hit, hit - 1, sum_m, sum_m2
         o = (o[0] + flight * d[0], o[1] + flight * d[1], o[2] + flight * d[2])
         material = wall_material(walls, wall, o)
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
@@ -172,11 +189,10 @@ def _trace_ray(
             diffuse[material] += np.uint16(1)
         else:
             specular[material] += np.uint16(1)
-        hit += 1
 
 
-@kernel()
-def _catch(
+@kernel(allocates=False)
+def _catch_in_grid(
     spheres: Spheres,
     job: Job,
     o: Vector,
@@ -189,26 +205,75 @@ def _catch(
     diffuse: IntArray,
     caught: Caught,
 ) -> None:
-    for k in range(len(spheres.radius_m)):
-        nearest, length = chord(spheres, k, o, d, flight)
-        if length <= 0.0 or travelled + nearest > job.max_length_m:
-            continue
-        i = caught.found[chunk]
-        caught.found[chunk] += 1
-        if i >= caught.ray.shape[1]:
-            continue
-        caught.sphere[chunk, i] = k
-        caught.ray[chunk, i] = ray
-        caught.length_m[chunk, i] = travelled + nearest
-        caught.chord_m[chunk, i] = length
-        for m in range(len(specular)):
-            caught.hits_specular[chunk, i, m] = specular[m]
-            caught.hits_diffuse[chunk, i, m] = diffuse[m]
-        for axis in range(3):
-            caught.arrival[chunk, i, axis] = d[axis]
+    """Walk through the cells along a flight and record every sphere that it crosses.
+
+    A sphere in several cells is counted in the one in which the flight comes nearest to its
+    centre; the cells' stretches of the flight meet without gap or overlap.
+    """
+    start, end = enters_grid(spheres, o, d, flight)
+    if start > end:
+        return
+    x = cell_at(spheres, o[0] + start * d[0], 0)
+    y = cell_at(spheres, o[1] + start * d[1], 1)
+    z = cell_at(spheres, o[2] + start * d[2], 2)
+    entered = -np.inf
+    while True:
+        to_x = leaves_cell(spheres, x, 0, o[0], d[0])
+        to_y = leaves_cell(spheres, y, 1, o[1], d[1])
+        to_z = leaves_cell(spheres, z, 2, o[2], d[2])
+        left = min(to_x, to_y, to_z)
+        cell = (x * spheres.cells[1] + y) * spheres.cells[2] + z
+        for i in range(spheres.first[cell], spheres.first[cell + 1]):
+            k = spheres.members[i]
+            nearest, length = chord(spheres, k, o, d, flight)
+            if length > 0.0 and entered <= nearest < left:
+                arrived = travelled + nearest
+                if arrived <= job.max_length_m:
+                    _record(caught, chunk, k, ray, arrived, length, specular, diffuse, d)
+        if left > end:
+            return
+        entered = left
+        if left == to_x:
+            x += 1 if d[0] > 0.0 else -1
+        elif left == to_y:
+            y += 1 if d[1] > 0.0 else -1
+        else:
+            z += 1 if d[2] > 0.0 else -1
+        if not (
+            0 <= x < spheres.cells[0] and 0 <= y < spheres.cells[1] and 0 <= z < spheres.cells[2]
+        ):
+            return
 
 
-@kernel()
+@kernel(allocates=False)
+def _record(
+    caught: Caught,
+    chunk: int,
+    sphere: int,
+    ray: int,
+    length_m: float,
+    chord_m: float,
+    specular: IntArray,
+    diffuse: IntArray,
+    d: Vector,
+) -> None:
+    """Note a crossing, or only count it where there is no room left."""
+    i = caught.found[chunk]
+    caught.found[chunk] += 1
+    if i >= caught.ray.shape[1]:
+        return
+    caught.sphere[chunk, i] = sphere
+    caught.ray[chunk, i] = ray
+    caught.length_m[chunk, i] = length_m
+    caught.chord_m[chunk, i] = chord_m
+    for m in range(len(specular)):
+        caught.hits_specular[chunk, i, m] = specular[m]
+        caught.hits_diffuse[chunk, i, m] = diffuse[m]
+    for axis in range(3):
+        caught.arrival[chunk, i, axis] = d[axis]
+
+
+@kernel(allocates=False)
 def _note_escape(o: Vector, d: Vector, chunk: int, tally: Tally) -> None:
     n = tally.escapes[chunk]
     tally.escapes[chunk] += 1

@@ -22,7 +22,7 @@ from roomfit.tracing.ray_blocks import Piece, bytes_per_path, joined, packed, tr
 from roomfit.tracing.ray_kernels import CHUNK_RAYS, Job, Tally
 from roomfit.tracing.ray_statistics import RayStatistics, ray_statistics
 from roomfit.tracing.settings import TraceSettings
-from roomfit.tracing.spheres import Spheres
+from roomfit.tracing.spheres import Spheres, spheres
 from roomfit.typing import FloatArray, Progress
 
 MEMORY_LIMIT_BYTES = 4 * 2**30
@@ -109,13 +109,13 @@ def trace_rays(
             settings.seed,
             source,
         )
-        spheres = _spheres(scene, source, radii)
+        receivers = _spheres(scene, source, radii)
         directions = start_directions(settings, source)
-        per_ray = _crossings_per_ray(scene.room, spheres.radius_m, job)
+        per_ray = _crossings_per_ray(scene.room, receivers.radius_m, job)
         for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
             capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
-            caught, tally = trace_block(walls, spheres, job, directions, rays, capacity)
-            pieces.append(packed(caught, spheres, directions, settings.n_batches))
+            caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
+            pieces.append(packed(caught, receivers, directions, settings.n_batches))
             tallies.append(tally)
             if progress is not None:
                 progress((done + rays.stop / settings.n_rays) / len(sources))
@@ -185,7 +185,7 @@ def _spheres(scene: Scene, source: int, radii: FloatArray) -> Spheres:
     pair = np.flatnonzero(scene.pairs[:, 0] == source)
     receiver = scene.pairs[pair, 1]
     centres = np.array([scene.receivers[r].position_m for r in receiver])
-    return Spheres(centres, radii[receiver], pair.astype(np.int32))
+    return spheres(centres, radii[receiver], pair)
 
 
 def _volume_m3(room: Room) -> float:
