@@ -31,6 +31,8 @@ N_RAYS = 18_000
 RECEIVER_RADIUS_M = 0.5
 CASES = ("case1", "case2", "case3")
 TRUE_ABSORPTION = (0.65, 0.35)
+# What the paper says: 1 ms bins of the direct sound and of the first reflection.
+PRINTED_ARRIVALS_MS = {"case1": (11, 15), "case2": (13, 17), "case3": (19, 22)}
 
 # How many of the paper's unknown units of energy make 1/m2: the one common factor that brings the
 # errors of this room nearest to Table 2, as `roomfit paper` works out again and reports.
@@ -172,9 +174,13 @@ def paper_edges_s(first_reflection_ms: int) -> FloatArray:
     return _milliseconds(first_reflection_ms, 5)
 
 
-def ill_defined_edges_s() -> FloatArray:
-    """Return the windows of Figure 5: 50 ms from emission on, so that direct sound is included."""
-    return _milliseconds(0, 50)
+def ill_defined_edges_s(first_ms: int) -> FloatArray:
+    """Return windows of 50 ms from a 1 ms bin on, whole ones only.
+
+    For Figure 5 that bin is the one of the direct sound, as the 5 ms windows begin with the first
+    reflection. The paper does not say so; from emission on (0 ms) is the other way to read it.
+    """
+    return _milliseconds(first_ms, 50)
 
 
 def _milliseconds(first: int, step: int) -> FloatArray:
