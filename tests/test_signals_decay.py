@@ -13,11 +13,8 @@ from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_cu
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, filter_pressure
 from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.signals.noise import estimate_noise
-from roomfit.signals.room_parameters import (
-    PARAMETER_NAMES,
-    range_findings,
-    room_parameters,
-)
+from roomfit.signals.plausibility import check_decay_range
+from roomfit.signals.room_parameters import PARAMETER_NAMES, range_findings, room_parameters
 
 RATE_HZ = 48_000.0
 OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))
@@ -126,14 +123,28 @@ def test_sound_wrapped_to_the_end_of_the_file_is_not_taken_for_noise():
 
 
 def test_a_decay_that_drowns_too_early_gives_nan_and_a_finding_not_a_number():
-    """Noise 15 dB down: EDT perhaps, T20 and T30 never."""
-    found = room_parameters(decay_curve(OCTAVES, tones(3.0, noise_db=-15.0), 0.0))
+    """Noise 20 dB down: EDT, but neither T20 nor T30 in any band."""
+    curve = decay_curve(OCTAVES, tones(3.0, noise_db=-20.0), 0.0)
+    found = room_parameters(curve)
     assert not found.valid[PARAMETER_NAMES.index("T20_s")].any()
     assert np.isnan(found.of("T30_s")).all()
+    np.testing.assert_allclose(found.of("EDT_s"), TRUE_T_S, rtol=0.1)
     (finding,) = range_findings(found, "LS1 to MP1")
     assert finding.code == "decay-range-too-small"
     assert finding.evidence["bands_hz"] == [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
-    assert not range_findings(room_parameters(decay_curve(OCTAVES, tones(3.0), 0.0)), "x")
+    check_decay_range(curve)
+    clean = decay_curve(OCTAVES, tones(3.0), 0.0)
+    assert not range_findings(room_parameters(clean), "LS1 to MP1")
+
+
+def test_a_decay_of_a_few_decibels_is_refused_and_the_reason_told():
+    """Noise 10 dB down drowns every band; 80 ms of a decay of 1 s are 5 dB of it."""
+    with pytest.raises(InputError, match="drowns in noise"):
+        check_decay_range(decay_curve(OCTAVES, tones(3.0, noise_db=-8.0), 0.0), "LS1 to MP1")
+    slow = np.random.default_rng(6).standard_normal(3840) * 10 ** (-3 * np.arange(3840) / RATE_HZ)
+    curve = decay_curve(OCTAVES, ImpulseResponse(slow, RATE_HZ), 0.0)
+    with pytest.raises(InputError, match="cut short"):
+        check_decay_range(curve, "LS1 to MP1")
 
 
 def test_noise_alone_has_no_parameters():

@@ -13,7 +13,7 @@ from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, filter_pressure, ringing_s
 from roomfit.signals.impulse_response import ImpulseResponse, padded
 from roomfit.signals.noise import estimate_noise
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
 _LEAD = 1.0 / 16.0
@@ -38,6 +38,8 @@ class DecayCurve:
         How far below its beginning the curve may be trusted, positive dB.
     tail_time_constant_s : float array, shape (n_bands,)
         In which the energy after `usable_end_s` is taken to fall to 1/e.
+    noise_reached : bool array, shape (n_bands,)
+        Whether noise, not the end of the file or of the prediction, sets the usable end.
     """
 
     bands: Bands
@@ -47,6 +49,7 @@ class DecayCurve:
     usable_end_s: FloatArray
     usable_db: FloatArray
     tail_time_constant_s: FloatArray
+    noise_reached: BoolArray
 
 
 def decay_curve(
@@ -101,6 +104,7 @@ def decay_curve(
         noise.usable_end_s,
         np.where(noise.tail_energy > 0.0, _fall_db(energy_left[:, 0], noise.tail_energy), 0.0),
         noise.tail_time_constant_s,
+        noise.reached,
     )
 
 
@@ -135,7 +139,8 @@ def echogram_decay_curve(
     energy_left += tail[:, None]
     usable_db = _fall_db(energy_left[:, 0], unsure)
     ends_s = np.full(len(bands), edges[-1])
-    return DecayCurve(bands, edges, energy_left, onset_s, ends_s, usable_db, constant_s)
+    reached = np.zeros(len(bands), dtype=np.bool_)
+    return DecayCurve(bands, edges, energy_left, onset_s, ends_s, usable_db, constant_s, reached)
 
 
 def decay_curve_db(curve: DecayCurve) -> FloatArray:

@@ -1,0 +1,155 @@
+"""Onsets, time zero, and recordings that are no impulse responses."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.signal import chirp, fftconvolve
+
+from roomfit.errors import InputError
+from roomfit.signals.impulse_response import ImpulseResponse, padded, times_s
+from roomfit.signals.onset import (
+    check_travel,
+    compare_onset,
+    find_onset,
+    time_zero_from_direct,
+)
+from roomfit.signals.plausibility import check_is_response
+
+RATE_HZ = 48_000.0
+
+
+def room(at_s: float = 0.01, decay_s: float = 0.8, noise: float = 0.0, seed: int = 1):
+    """A click after `at_s`, exact between samples, then a noisy decay; and background noise."""
+    rng = np.random.default_rng(seed)
+    n = 48_000
+    t = np.arange(n) / RATE_HZ - at_s
+    f = np.fft.rfftfreq(n, 1 / RATE_HZ)
+    # a click with smooth edges of its spectrum, so that it rings little
+    click = np.fft.irfft(np.cos(0.5 * np.pi * f / f[-1]) ** 2 * np.exp(-2j * np.pi * f * at_s), n)
+    tail = 0.05 * rng.standard_normal(n) * np.exp(-6.91 * t / decay_s) * (t > 0.002)
+    pressure = click / click.max() + tail + noise * rng.standard_normal(n)
+    return ImpulseResponse(pressure, RATE_HZ)
+
+
+@given(at_s=st.floats(0.001, 0.1))
+def test_the_onset_of_a_click_is_found_between_samples(at_s):
+    """The click is sinc(x) / (1 - x^2), a tenth of its peak at x = -1.65 samples.
+
+    The straight line between samples puts that up to half a sample beside.
+    """
+    onset_s = find_onset(room(at_s))
+    assert -2.15 / RATE_HZ < onset_s - at_s < -1.15 / RATE_HZ
+
+
+def test_the_onset_moves_with_the_sound_and_not_with_the_noise():
+    """Noise 34 dB below the peak: the onset moves by less than half a sample."""
+    clean = find_onset(room(0.02))
+    for seed in range(20):
+        assert find_onset(room(0.02, noise=0.02, seed=seed)) == pytest.approx(
+            clean, abs=0.5 / RATE_HZ
+        )
+
+
+def test_loudness_offset_and_sign_do_not_move_the_onset():
+    response = room(0.02)
+    onset_s = find_onset(response)
+    for pressure in (1e-6 * response.pressure, -3.0 * response.pressure, response.pressure + 0.3):
+        assert find_onset(ImpulseResponse(pressure, RATE_HZ)) == pytest.approx(onset_s, abs=1e-6)
+
+
+def test_a_direct_sound_weaker_than_its_reflection_is_found():
+    """A focusing ceiling 12 dB louder, 20 ms later, is not the direct sound."""
+    pressure = 0.25 * room(0.01).pressure + room(0.03).pressure
+    assert find_onset(ImpulseResponse(pressure, RATE_HZ)) == pytest.approx(0.01, abs=5e-5)
+
+
+def test_the_onset_counts_from_emission():
+    response = room(0.03)
+    late = ImpulseResponse(response.pressure, RATE_HZ, time_zero_s=0.0228)
+    assert find_onset(late) == pytest.approx(find_onset(response) - 0.0228, abs=1e-12)
+
+
+def test_a_file_that_begins_at_the_direct_sound_has_its_onset_there():
+    response = room(0.01)
+    cut = ImpulseResponse(response.pressure[480:], RATE_HZ)
+    assert find_onset(cut) == 0.0
+
+
+def test_noise_holds_no_direct_sound():
+    noise = ImpulseResponse(np.random.default_rng(2).standard_normal(20_000), RATE_HZ)
+    with pytest.raises(InputError, match="no direct sound"):
+        find_onset(noise, "LS1 to MP1")
+
+
+@pytest.mark.parametrize(("apart_m", "told"), [(0.09, 0), (-0.09, 0), (0.11, 1), (-0.11, 1)])
+def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, told):
+    findings = compare_onset(0.01 + apart_m / 340.0, 0.01, 340.0, "LS1 to MP1")
+    assert len(findings) == told
+    for finding in findings:
+        assert finding.code == "time-zero-disagrees"
+        assert finding.evidence["difference_m"] == pytest.approx(apart_m)
+        assert ("later" in finding.sentence) == (apart_m > 0.0)
+
+
+def test_time_zero_is_set_so_that_the_direct_sound_arrives_on_time():
+    moved = time_zero_from_direct(room(0.05), travel_s=0.0123)
+    assert find_onset(moved) == pytest.approx(0.0123, abs=1e-12)
+    assert compare_onset(find_onset(moved), 0.0123, 343.0, "x") == ()
+
+
+def test_a_response_shorter_than_the_way_of_the_sound_is_refused():
+    """1 s of file reaches 343 m far; with 0.9 s of latency only 34 m."""
+    response = room()
+    check_travel(response, 300.0 / 343.0)
+    with pytest.raises(InputError, match="before the direct sound arrives"):
+        check_travel(response, 350.0 / 343.0)
+    late = ImpulseResponse(response.pressure, RATE_HZ, time_zero_s=0.9)
+    with pytest.raises(InputError, match=r"100\.0 ms after emission"):
+        check_travel(late, 40.0 / 343.0)
+
+
+def test_silence_is_added_without_moving_the_sound():
+    response = room(0.02)
+    longer = padded(response, 0.1)
+    assert find_onset(longer) == pytest.approx(find_onset(response), abs=1e-12)
+    inside = (times_s(longer) >= -1e-9) & (times_s(longer) < 1.0 - 1e-9)
+    np.testing.assert_array_equal(longer.pressure[inside], response.pressure)
+    assert np.sum(longer.pressure != 0.0) == np.sum(response.pressure != 0.0)
+
+
+def recorded(method: str, decay_s: float) -> ImpulseResponse:
+    """A sweep or noise of 3 s, as a microphone hears it in a room."""
+    n = 144_000
+    t = np.arange(n) / RATE_HZ
+    excitation = {
+        "logarithmic": chirp(t, 20.0, 3.0, 20_000.0, method="logarithmic"),
+        "linear": chirp(t, 20.0, 3.0, 20_000.0, method="linear"),
+        "noise": np.random.default_rng(8).standard_normal(n),
+    }[method]
+    heard = fftconvolve(excitation, room(0.01, decay_s).pressure)
+    return ImpulseResponse(np.pad(heard, (20_000, 10_000)), RATE_HZ)
+
+
+@pytest.mark.parametrize("decay_s", [0.3, 2.0])
+@pytest.mark.parametrize("method", ["logarithmic", "linear", "noise"])
+def test_the_raw_recording_of_an_excitation_is_refused(method, decay_s):
+    with pytest.raises(InputError, match="recording of the excitation") as caught:
+        check_is_response(recorded(method, decay_s), "LS1 to MP1")
+    assert "divide the recorded spectrum" in str(caught.value)
+
+
+@pytest.mark.parametrize("decay_s", [0.05, 0.3, 1.0, 6.0])
+def test_responses_of_dry_and_reverberant_rooms_are_taken(decay_s):
+    for seed in range(5):
+        check_is_response(room(0.01, decay_s, noise=1e-3, seed=seed))
+    # without any direct sound, and with a single echo
+    rng = np.random.default_rng(4)
+    n = 48_000
+    diffuse = rng.standard_normal(n) * np.exp(-6.91 * np.arange(n) / RATE_HZ / decay_s)
+    check_is_response(ImpulseResponse(diffuse, RATE_HZ))
+    echo = np.zeros(n)
+    echo[[100, 400]] = 1.0, 0.9
+    check_is_response(ImpulseResponse(echo, RATE_HZ))
