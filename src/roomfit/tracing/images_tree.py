@@ -208,11 +208,16 @@ def _height(planes: FloatArray, p: int, x: Vector) -> float:
 
 @kernel()
 def _all_outside(walls: Walls, w: int, planes: FloatArray, n_planes: int) -> bool:
-    """Return whether one plane has the whole wall outside: the cheap test before clipping."""
+    """Return whether one plane has the whole wall outside: the cheap test before clipping.
+
+    Plane 0 is the wall before. What does not rise above that one lies in it, such as the back of
+    the same sheet, which sound must not go through.
+    """
     for p in range(n_planes):
+        margin = walls.tolerance_m if p == 0 else -walls.tolerance_m
         outside = True
         for c in range(walls.first_corner[w], walls.first_corner[w + 1]):
-            if _height(planes, p, row(walls.outline_m, c)) >= -walls.tolerance_m:
+            if _height(planes, p, row(walls.outline_m, c)) > margin:
                 outside = False
                 break
         if outside:
