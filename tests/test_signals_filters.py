@@ -142,7 +142,7 @@ def test_window_energies_of_a_lone_sample_add_up_to_its_square():
 def test_measured_and_predicted_window_energies_agree_on_average():
     """Impulses of random sign through the first front end give the second one's sum.
 
-    With random signs the cross terms vanish on average. 400 draws from 200 impulses a decay; the
+    With random signs the cross terms vanish on average. 250 draws of a decay of 200 impulses; the
     mean of each window must lie within 5 of its own standard errors. With 6 bands x 7 windows and
     normal errors the chance of a false alarm is 42 * 5.7e-7 = 2.4e-5.
     """
@@ -154,7 +154,7 @@ def test_measured_and_predicted_window_energies_agree_on_average():
     amplitude = np.exp(-delays / 0.05) * rng.uniform(0.2, 1.0, 200)
 
     draws = []
-    for _ in range(400):
+    for _ in range(250):
         pressure = np.zeros(20_000)
         pressure[samples] = amplitude * rng.choice([-1.0, 1.0], 200)
         draws.append(window_energies(b, ImpulseResponse(pressure, RATE_HZ), edges))

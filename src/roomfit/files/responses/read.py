@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.errors import InputError, StoreError
 from roomfit.files.responses.mat import read_mat
-from roomfit.files.responses.recording import Recording, check_recording
+from roomfit.files.responses.recording import Recording, checked
 from roomfit.files.responses.sofa import read_sofa
 from roomfit.files.responses.spec import ResponseSpec
 from roomfit.files.responses.wav import read_wav
@@ -52,9 +52,9 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     _refuse_foreign_keys(spec, kind)
     recording = _READERS[kind](spec, _content(path))
     _check_clock(recording, spec)
-    findings = check_recording(recording, path)
+    pressure, findings = checked(recording, path)
     time_zero_s = spec.latency_s - recording.delay_s
-    return ImpulseResponse(recording.pressure, recording.sampling_rate_hz, time_zero_s), findings
+    return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
 
 
 def _content(path: Path) -> bytes:

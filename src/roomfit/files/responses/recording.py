@@ -66,8 +66,8 @@ def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
     return index
 
 
-def check_recording(recording: Recording, where: Path) -> tuple[Finding, ...]:
-    """Refuse what holds no response, and return a finding for every doubt.
+def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return the pressure without a constant offset, and a finding for every doubt.
 
     Raises
     ------
@@ -108,7 +108,8 @@ def check_recording(recording: Recording, where: Path) -> tuple[Finding, ...]:
             found=f"{len(pressure)} samples, all of them {pressure[0]:g}",
             hint="another channel may hold the response",
         )
-    return (*recording.findings, *_clipping(pressure, where), *_offset(pressure, where))
+    offset, told = _offset(pressure, where)
+    return pressure - offset, (*recording.findings, *_clipping(pressure, where), *told)
 
 
 def _clipping(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
@@ -132,18 +133,22 @@ def _clipping(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
     )
 
 
-def _offset(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
-    """An offset is one where the quiet end of the file is mostly offset."""
+def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ...]]:
+    """Return the offset to subtract: one where the quiet end of the file is mostly offset.
+
+    The mean of the whole would be wrong: every response has some. What stays of an offset makes a
+    step at both ends of the file, which low bands take for sound.
+    """
     end = pressure[-max(1, len(pressure) // 4) :]
     mean, peak = float(end.mean()), float(np.abs(pressure).max())
-    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= float(end.std()):
-        return ()
-    return (
+    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= 2.0 * float(end.std()):
+        return 0.0, ()
+    return mean, (
         Finding(
             "dc-offset",
             "info",
             f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
-            "peak). The band filters remove it; broadband levels would not.",
+            "peak); it was subtracted.",
             {"offset": mean, "relative_to_peak": mean / peak},
         ),
     )
