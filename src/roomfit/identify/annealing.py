@@ -10,10 +10,11 @@ temperature gets and where the schedule ends. The choices here:
 - Each temperature gets a fixed number of trials for every unknown.
 - The start temperature is the spread of the error over random points unless it is given: 1e6 is
   only right for errors of about that size.
-- The walk finds the valley and the simplex its bottom: a simplex starts at the best state of the
-  whole walk, and again with fresh edges from its own answer until that gains nothing more. (A
-  simplex that has lost its shape stops short in more than four or five dimensions; fresh edges
-  cure that.)
+- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
+  quarter of the schedule (a cold walk may have settled in the wrong one of two valleys that it
+  crossed while warm), and the lowest goes on with fresh edges from its own answer until that gains
+  nothing more. (A simplex that has lost its shape stops short in more than four or five
+  dimensions; fresh edges cure that.)
 
 References
 ----------
@@ -25,18 +26,20 @@ References
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
+from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.identify.fit import Counted, Ending, ErrorFunction, Fit, best_of
+from roomfit.identify.fit import Counted, ErrorFunction, Fit, best_of
 from roomfit.identify.simplex import SimplexSettings, downhill_simplex, simplex_around
 from roomfit.typing import FloatArray, Progress
 
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
-_FIRST_EDGE = 0.1
+_EDGE = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -118,19 +121,30 @@ def anneal(
         The trail holds the state at the end of each temperature, then the simplexes' own trails.
     """
     settings = AnnealingSettings() if settings is None else settings
-    walk = _walk(Counted(error), n, rng, settings, progress)
-    polished = _polish(error, walk.x, settings)
+    counted = Counted(error)
+    walk = _walk(counted, n, rng, settings, progress)
+    polished = _polish(error, _lowest_of_quarters(walk), settings)
     if progress is not None:
         progress(1.0)
     return Fit(
         polished.x,
         polished.cost,
-        walk.evaluations + polished.evaluations,
-        walk.iterations + polished.iterations,
+        counted.evaluations + polished.evaluations,
+        settings.levels * settings.trials_per_unknown * n + polished.iterations,
         polished.ending,
-        np.concatenate((walk.trail, polished.trail)),
-        np.concatenate((walk.trail_cost, polished.trail_cost)),
+        np.concatenate(([level.x for level in walk], polished.trail)),
+        np.concatenate(([level.error for level in walk], polished.trail_cost)),
     )
+
+
+class _Level(NamedTuple):
+    """State at the end of a temperature, the lowest met there, and the share of accepted trials."""
+
+    x: FloatArray
+    error: float
+    lowest_x: FloatArray
+    lowest_error: float
+    accepted: float
 
 
 def _walk(
@@ -139,55 +153,65 @@ def _walk(
     rng: np.random.Generator,
     settings: AnnealingSettings,
     progress: Progress | None,
-) -> Fit:
+) -> list[_Level]:
     samples = rng.random((10 * n, n))
-    costs = np.array([error(x) for x in samples])
-    temperature = settings.start_temperature or max(float(np.std(costs)), np.finfo(float).tiny)
-    start = int(np.argmin(costs))
-    state, cost, step = samples[start], float(costs[start]), _LARGEST_STEP
-    best, best_cost = state, cost
-    trail, trail_cost = [], []
-    trials = settings.trials_per_unknown * n
-    for level in range(settings.levels):
-        accepted = 0
-        for _ in range(trials):
-            proposed = _mirrored(state + rng.uniform(-step, step, n))
-            proposed_cost = error(proposed)
-            if accepts(proposed_cost - cost, temperature, rng):
-                state, cost = proposed, proposed_cost
-                accepted += 1
-                if cost < best_cost:
-                    best, best_cost = state, cost
-        trail.append(state)
-        trail_cost.append(cost)
-        step = _next_step(step, accepted / trials)
+    errors = np.array([error(x) for x in samples])
+    temperature = settings.start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
+    start = int(np.argmin(errors))
+    x, e, step = samples[start], float(errors[start]), _LARGEST_STEP
+    levels: list[_Level] = []
+    for number in range(settings.levels):
+        proposals = rng.uniform(-step, step, (settings.trials_per_unknown * n, n))
+        level = _walk_at(error, x, e, temperature, proposals, rng)
+        levels.append(level)
+        x, e = level.x, level.error
+        step = _next_step(step, level.accepted)
         temperature *= settings.cooling
         if progress is not None:
-            progress((level + 1) / (settings.levels + 1))
-    ending = Ending(
-        "schedule-finished", "The walk went through all its temperatures.", converged=False
-    )
-    return Fit(
-        best,
-        best_cost,
-        error.evaluations,
-        settings.levels * trials,
-        ending,
-        np.array(trail),
-        np.array(trail_cost),
-    )
+            progress((number + 1) / (settings.levels + 1))
+    return levels
 
 
-def _polish(error: ErrorFunction, start: FloatArray, settings: AnnealingSettings) -> Fit:
-    """Descend, and again with fresh edges until a restart gains no more than the tolerance."""
-    fits = [downhill_simplex(error, simplex_around(start, _FIRST_EDGE), settings.simplex)]
+def _walk_at(
+    error: Counted,
+    x: FloatArray,
+    e: float,
+    temperature: float,
+    proposals: FloatArray,
+    rng: np.random.Generator,
+) -> _Level:
+    """Walk at one temperature; `proposals` are the steps to try, shape (n_trials, n)."""
+    lowest_x, lowest = x, e
+    accepted = 0
+    for proposal in proposals:
+        next_x = _mirrored(x + proposal)
+        next_e = error(next_x)
+        if accepts(next_e - e, temperature, rng):
+            x, e = next_x, next_e
+            accepted += 1
+            if e < lowest:
+                lowest_x, lowest = x, e
+    return _Level(x, e, lowest_x, lowest, accepted / len(proposals))
+
+
+def _lowest_of_quarters(walk: list[_Level]) -> list[FloatArray]:
+    """Return the lowest state of each quarter of the schedule."""
+    bounds = np.linspace(0, len(walk), 5).round().astype(int)
+    quarters = [walk[a:b] for a, b in itertools.pairwise(bounds) if b > a]
+    return [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
+
+
+def _polish(error: ErrorFunction, starts: list[FloatArray], settings: AnnealingSettings) -> Fit:
+    """Descend from every start, and from the lowest end again until that gains nothing more."""
+    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings.simplex) for x in starts]
+    edge = _EDGE
     for _ in range(settings.max_restarts):
-        last = fits[-1]
-        edge = _FIRST_EDGE / 2.0 ** len(fits)
+        last = best_of(fits)
+        edge *= 0.5
         again = downhill_simplex(error, simplex_around(last.x, edge), settings.simplex)
         fits.append(again)
         if last.cost - again.cost <= settings.simplex.tolerance:
-            return best_of(fits)
+            break
     return best_of(fits)
 
 

@@ -19,6 +19,7 @@ from roomfit.typing import FloatArray
 Neighbours = Literal[4, 8]
 
 _SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_DAMPINGS = 10.0 ** np.arange(-9.0, 0.0, 0.5)
 _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 
@@ -151,7 +152,7 @@ def descend(
 ) -> tuple[FloatArray, float]:
     """Return the foot of the slope on which a point lies, and the error there.
 
-    Damped Gauss-Newton steps (Levenberg and Marquardt), each downhill and no longer than
+    Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than
     `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it is to
     tell how many minima there are.
 
@@ -164,30 +165,33 @@ def descend(
     """
     x = np.clip(start, 1e-3, 1.0 - 1e-3)
     r, jacobian = residuals(x)
-    damping = 1e-3
+    longest = longest_step
     for _ in range(max_steps):
-        step = _damped_step(x, r, jacobian, damping)
-        step *= min(1.0, longest_step / max(float(np.max(np.abs(step))), longest_step))
-        trial = np.clip(x + step, 0.0, 1.0)
+        trial = np.clip(x + _damped_step(x, r, jacobian, longest), 0.0, 1.0)
         if np.max(np.abs(trial - x)) < 1e-10:
             break
         trial_r, trial_jacobian = residuals(trial)
         if trial_r @ trial_r < r @ r:
             x, r, jacobian = trial, trial_r, trial_jacobian
-            damping = max(0.2 * damping, 1e-12)
+            longest = min(2.0 * longest, longest_step)
         else:
-            damping *= 5.0
+            longest = 0.25 * float(np.max(np.abs(trial - x)))
     return x, float(r @ r)
 
 
-def _damped_step(x: FloatArray, r: FloatArray, jacobian: FloatArray, damping: float) -> FloatArray:
-    """Return a step in the unknowns that a wall does not hold; 0 in the others."""
+def _damped_step(x: FloatArray, r: FloatArray, jacobian: FloatArray, longest: float) -> FloatArray:
+    """Return a step damped until it is short enough, in the unknowns that no wall holds."""
     slope = jacobian.T @ r
     free = ~(((x <= 0.0) & (slope > 0.0)) | ((x >= 1.0) & (slope < 0.0)))
     step = np.zeros_like(x)
-    if np.any(free):
-        normal = jacobian[:, free].T @ jacobian[:, free]
-        floor = np.finfo(float).tiny + 1e-15 * float(np.trace(normal))
-        damped = normal + np.diag(damping * np.diag(normal) + floor)
-        step[free] = -np.linalg.solve(damped, slope[free])
+    if not np.any(slope[free]):
+        return step
+    curvature, axes = np.linalg.eigh(jacobian[:, free].T @ jacobian[:, free])
+    along = axes.T @ slope[free]
+    # the last damping is enough for any slope
+    enough = np.linalg.norm(along) / longest
+    damping = np.append(max(curvature[-1], enough) * _DAMPINGS, enough)
+    steps = -(along / (np.maximum(curvature, 0.0) + damping[:, None])) @ axes.T
+    short_enough = np.abs(steps).max(axis=1) <= longest
+    step[free] = steps[int(np.argmax(short_enough))]
     return step
