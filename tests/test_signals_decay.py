@@ -147,6 +147,22 @@ def test_a_decay_of_a_few_decibels_is_refused_and_the_reason_told():
         check_decay_range(curve, "LS1 to MP1")
 
 
+def test_an_onset_outside_the_file_is_refused_or_waited_for():
+    """After the file's end nothing can be said; before its beginning the file just starts late."""
+    with pytest.raises(InputError, match="before the direct sound arrives"):
+        decay_curve(OCTAVES, tones(1.0), 1.5)
+    late = ImpulseResponse(tones(3.0).pressure, RATE_HZ, time_zero_s=-0.2)
+    curve = decay_curve(OCTAVES, late, 0.1)
+    assert curve.onset_s == 0.1
+    np.testing.assert_allclose(room_parameters(curve).of("T20_s"), TRUE_T_S, rtol=0.01)
+    noisy = tones(3.0, noise_db=-45.0)
+    filtered = filter_pressure(OCTAVES, noisy)
+    moved = ImpulseResponse(noisy.pressure, RATE_HZ, time_zero_s=-0.2)
+    knee_s = estimate_noise(OCTAVES, noisy, filtered, 0.0).usable_end_s
+    moved_s = estimate_noise(OCTAVES, moved, filtered, 0.1).usable_end_s
+    np.testing.assert_allclose(moved_s, knee_s + 0.2, rtol=1e-12)
+
+
 def test_noise_alone_has_no_parameters():
     rng = np.random.default_rng(4)
     noise = ImpulseResponse(rng.standard_normal(48_000), RATE_HZ)

@@ -6,7 +6,7 @@ import itertools
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from roomfit.bands import BandKind, Bands, bands_between
@@ -48,7 +48,7 @@ def test_squared_magnitudes_of_all_bands_add_up_to_one_between_the_outer_centres
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_magnitudes_meet_class_1_of_iec_61260(kind):
-    """Table 1 of IEC 61260-1:2014; for third octaves the abscissa by its formula (9)."""
+    """Table 1 of IEC 61260-1:2014; third octaves by its rule for fractional octaves."""
     b = bank(kind, 1000.0, 1000.0)
     steps = {"octave": 1.0, "third-octave": 3.0}[kind]
     octave_ratio = 10.0**0.3
@@ -177,8 +177,7 @@ def test_splitting_a_window_splits_its_energy(edges, delay):
     """Shares of parts add up to the share of the whole."""
     kernel = smearing_kernel(bank("octave", 500.0, 1000.0))
     edges = np.sort(edges)
-    if np.any(np.diff(edges) <= 0.0):
-        return
+    assume(np.all(np.diff(edges) > 0.0))
     parts = energy_share(kernel, 0, [delay], edges).sum()
     whole = energy_share(kernel, 0, [delay], edges[[0, -1]]).sum()
     assert parts == pytest.approx(whole, abs=1e-12)

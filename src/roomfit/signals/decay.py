@@ -13,6 +13,7 @@ from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, filter_pressure, ringing_s
 from roomfit.signals.impulse_response import ImpulseResponse, padded
 from roomfit.signals.noise import estimate_noise
+from roomfit.signals.onset import check_travel
 from roomfit.typing import BoolArray, FloatArray
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
@@ -67,6 +68,11 @@ def decay_curve(
         Whether to integrate the whole file with its noise instead, for comparison with values
         that were computed so. What `usable_db` says stays the same.
 
+    Raises
+    ------
+    InputError
+        The file ends before the onset, or a band reaches above half the sampling rate.
+
     Notes
     -----
     Noise is subtracted, the integral ends where the decay meets the noise, and the exponential
@@ -78,6 +84,7 @@ def decay_curve(
     .. [1] M. Guski, M. Vorländer, "Comparison of noise compensation methods for room acoustic
            impulse response evaluations", Acta Acustica united with Acustica 100, 320-327 (2014).
     """
+    check_travel(response, onset_s)
     rate_hz = response.sampling_rate_hz
     leads_s = _LEAD * ringing_s(bank)
     long = padded(response, float(leads_s.max()))

@@ -80,55 +80,80 @@ def estimate_noise(
     start = max(0, round((onset_s + response.time_zero_s) * rate_hz))
     sounding = np.flatnonzero(response.pressure)  # a file padded with zeros ends before them
     end = int(sounding[-1]) + 1 if sounding.size else 0
-    bandwidths = statistical_bandwidth_hz(bank)
-    rows = [
-        _band(pressure[start:end] ** 2, rate_hz, bandwidth)
-        for pressure, bandwidth in zip(filtered, bandwidths, strict=True)
+    found = [
+        _judged(pressure[start:end] ** 2, rate_hz, bandwidth)
+        for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bank), strict=True)
     ]
-    floor, reached, length_s, tail, constant, range_db = (
-        np.array(column) for column in zip(*rows, strict=True)
-    )
+    start_s = start / rate_hz - response.time_zero_s
     return NoiseEstimate(
-        floor, reached.astype(np.bool_), length_s + onset_s, tail, constant, range_db
+        floor=np.array([band.floor for band in found]),
+        reached=np.array([band.reached for band in found], dtype=np.bool_),
+        usable_end_s=np.array([start_s + band.length_s for band in found]),
+        tail_energy=np.array([band.tail_energy for band in found]),
+        tail_time_constant_s=np.array([band.constant_s for band in found]),
+        peak_to_noise_db=np.array([band.peak_to_noise_db for band in found]),
     )
 
 
-def _band(
-    energy: FloatArray, rate_hz: float, bandwidth_hz: float
-) -> tuple[float, bool, float, float, float, float]:
-    """Return the fields of `NoiseEstimate` of one band; times count from the onset."""
+@dataclass(frozen=True, slots=True)
+class _BandNoise:
+    """One band of `NoiseEstimate`; the usable length counts from the onset."""
+
+    floor: float
+    reached: bool
+    length_s: float = 0.0
+    tail_energy: float = 0.0
+    constant_s: float = 0.0
+    peak_to_noise_db: float = 0.0
+
+
+def _judged(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> _BandNoise:
     energy = _before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
     # a block holds at least four independent values, so that its level scatters by 2 dB
     block_s = max(0.01, 4.0 / bandwidth_hz)
     if length_s < 8.0 * block_s:
-        return 0.0, False, 0.0, 0.0, 0.0, 0.0
+        return _BandNoise(floor=0.0, reached=False)
     times, blocks = _blocks(energy, rate_hz, block_s)
-    peak = int(np.argmax(blocks))
-    floor = _mean_from(energy, (1.0 - _TAIL_SHARE) * length_s * rate_hz)
-    line = _line(times, blocks, floor, peak, span_db=np.inf)
+    floor, line = _settled(energy, rate_hz, times, blocks)
     if line is None:
-        return floor, True, 0.0, 0.0, 0.0, 0.0
+        return _BandNoise(floor, reached=True)
+    height, constant_s = line
+    peak_to_noise_db = float(10.0 * np.log10(blocks.max() / floor))
+    end_s = _crossing_s(height, constant_s, floor, length_s)
+    reached = end_s < (1.0 - _TAIL_SHARE) * length_s
+    if not reached:
+        # the filter smears the end of the file over two of its own lengths
+        floor, end_s = 0.0, length_s - 2.0 / bandwidth_hz
+    tail = float(height * constant_s * np.exp(-end_s / constant_s))
+    return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
+
+
+def _settled(
+    energy: FloatArray, rate_hz: float, times: FloatArray, blocks: FloatArray
+) -> tuple[float, tuple[float, float] | None]:
+    """Return the noise floor, and height and time constant of the decay above it if there is one.
+
+    Noise and line are drawn in turn, each from the other, until they rest.
+    """
+    length_s = len(energy) / rate_hz
+    latest_s = (1.0 - _TAIL_SHARE) * length_s
+    floor = _mean_from(energy, latest_s * rate_hz)
+    line = _line(times, blocks, floor, span_db=np.inf)
+    if line is None:
+        return floor, None
     for _ in range(_MOST_ROUNDS):
         crossing_s = _crossing_s(*line, floor, length_s)
         # noise begins where the decay lies 10 dB below it
         clear_s = crossing_s + np.log(10.0) * line[1]
-        floor = _mean_from(energy, min(clear_s, (1.0 - _TAIL_SHARE) * length_s) * rate_hz)
-        following = _line(times, blocks, floor, peak, span_db=25.0)
+        floor = _mean_from(energy, min(clear_s, latest_s) * rate_hz)
+        following = _line(times, blocks, floor, span_db=25.0)
         if following is None:
             break
         line = following
-        if abs(_crossing_s(*line, floor, length_s) - crossing_s) < block_s:
+        if abs(_crossing_s(*line, floor, length_s) - crossing_s) < times[1] - times[0]:
             break
-    crossing_s = _crossing_s(*line, floor, length_s)
-    peak_to_noise_db = float(10.0 * np.log10(blocks[peak] / floor))
-    reached = crossing_s < (1.0 - _TAIL_SHARE) * length_s
-    if not reached:
-        # the filter smears the end of the file over two of its own lengths
-        floor, crossing_s = 0.0, length_s - 2.0 / bandwidth_hz
-    height, constant_s = line
-    tail = height * constant_s * np.exp(-crossing_s / constant_s)
-    return floor, reached, crossing_s, tail, constant_s, peak_to_noise_db
+    return floor, line
 
 
 def _before_rise(energy: FloatArray, independent: float) -> FloatArray:
@@ -161,13 +186,14 @@ def _mean_from(energy: FloatArray, start: float) -> float:
 
 
 def _line(
-    times: FloatArray, blocks: FloatArray, floor: float, peak: int, span_db: float
+    times: FloatArray, blocks: FloatArray, floor: float, span_db: float
 ) -> tuple[float, float] | None:
     """Return height and time constant of the exponential above the noise, or None.
 
     Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
     noise, down to that level; from the peak on where the decay is not that long.
     """
+    peak = int(np.argmax(blocks))
     below = np.flatnonzero(blocks[peak:] < 4.0 * floor)
     stop = peak + int(below[0]) if below.size else len(blocks)
     above = np.flatnonzero(blocks[:stop] > 4.0 * floor * 10.0 ** (0.1 * span_db))

@@ -39,8 +39,8 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
 
     References
     ----------
-    .. [1] ISO 3382-1:2009, 5.3.3: the impulse response begins where it first rises clearly above
-           the background and stays more than 20 dB below its maximum before.
+    .. [1] ISO 3382-1:2009, annex A: the response begins where it rises clearly out of the
+           background, and is more than 20 dB below its maximum before.
     """
     pressure = response.pressure - np.median(response.pressure)
     size = np.abs(pressure)

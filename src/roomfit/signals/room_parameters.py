@@ -158,7 +158,7 @@ def _early_to_late(curve: DecayCurve, band: int) -> list[float]:
     total, tail = float(left[0]), float(left[0]) * 10.0 ** (-0.1 * usable_db)
     late = np.interp(curve.onset_s + np.array([0.05, 0.08]), curve.time_s, left, right=0.0)
     for row in (0, 1):
-        if late[row] > tail:
+        if tail < late[row] < total:
             values[row] = float(10.0 * np.log10(total / late[row] - 1.0))
     values[2] = float(100.0 * (1.0 - late[0] / total))
     # the first moment by parts: the integral of what is left, with the exponential tail's share
