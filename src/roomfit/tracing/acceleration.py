@@ -10,16 +10,22 @@ from numba.extending import overload
 
 from roomfit.scene.room import Room
 from roomfit.tracing.bounce import Vector
-from roomfit.tracing.facets import Facets, facets_of, nearest_facet
+from roomfit.tracing.facets import facets_of
 from roomfit.tracing.planes import Planes, convex_planes, material_in_plane, nearest_plane
+from roomfit.tracing.tree import Tree, nearest_in_tree, tree_of
 
-Walls: TypeAlias = Planes | Facets
+Walls: TypeAlias = Planes | Tree
 
 
 def walls_of(room: Room) -> Walls:
-    """Return the structure that suits a room: planes where it is convex with few of them."""
+    """Return the structure that suits a room: planes where it is convex with few of them.
+
+    A tree is quicker than trying every facet even where there are only eight.
+    """
     planes = convex_planes(room)
-    return facets_of(room)[0] if planes is None else planes
+    if planes is not None:
+        return planes
+    return tree_of(*facets_of(room))
 
 
 def next_wall(walls: Walls, o: Vector, d: Vector) -> tuple[float, int]:
@@ -44,8 +50,8 @@ def _kind(walls: Any) -> Any:
 def _next_wall(walls: Any, o: Any, d: Any) -> Any:
     if _kind(walls) is Planes:
         return lambda walls, o, d: nearest_plane(walls, o, d)
-    if _kind(walls) is Facets:
-        return lambda walls, o, d: nearest_facet(walls, o, d)
+    if _kind(walls) is Tree:
+        return lambda walls, o, d: nearest_in_tree(walls, o, d)
     return None
 
 
@@ -53,6 +59,6 @@ def _next_wall(walls: Any, o: Any, d: Any) -> Any:
 def _wall_material(walls: Any, wall: Any, p: Any) -> Any:
     if _kind(walls) is Planes:
         return lambda walls, wall, p: material_in_plane(walls, wall, p)
-    if _kind(walls) is Facets:
+    if _kind(walls) is Tree:
         return lambda walls, wall, p: walls.material[wall]
     return None

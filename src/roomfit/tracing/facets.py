@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.compiled import kernel
+from roomfit.errors import InputError
 from roomfit.geometry.mesh import corners_m, is_double_sided
 from roomfit.scene.room import Room, triangle_material
 from roomfit.tracing.bounce import Vector
@@ -56,6 +57,8 @@ def facets_of(room: Room) -> tuple[Facets, FloatArray]:
     corners = corners_m(room.mesh)
     vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     solid = np.flatnonzero(np.linalg.norm(vectors, axis=1) > 0.0)
+    if not solid.size:
+        raise InputError("the room has no surface", found="triangles without area only")
     corners = corners[solid]
     owner = triangle_material(room)[solid]
     sheet = is_double_sided(room.mesh)[solid]
@@ -158,17 +161,3 @@ def facet_distance(table: FloatArray, i: int, o: Vector, d: Vector, limit: float
     if u < low or v < low or u + table[i, 13] * v > high or v + table[i, 13] * u > high:
         return np.inf
     return float(max(t, 0.0))
-
-
-@kernel(allocates=False)
-def nearest_facet(facets: Facets, o: Vector, d: Vector) -> tuple[float, int]:
-    """Return distance and number of the facet that a ray meets first; infinity and -1 for none.
-
-    Of facets at the same distance the one with the lowest number counts.
-    """
-    best, hit = np.inf, -1
-    for i in range(len(facets.material)):
-        t = facet_distance(facets.table, i, o, d, best)
-        if t < best:
-            best, hit = t, i
-    return best, hit
