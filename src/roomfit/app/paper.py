@@ -34,11 +34,13 @@ from roomfit.app.progress import part
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.checks import int_array
 from roomfit.identify.fit import Fit
-from roomfit.identify.landscape import Landscape
+from roomfit.identify.landscape import Landscape, grid_errors, unit_grid
+from roomfit.objective.squares import error
 from roomfit.testproblems.paper_problems import PaperProblem
-from roomfit.typing import Progress
+from roomfit.typing import FloatArray, Progress
 
 _SEEDS_PER_TASK = 10
+_FINE = 201
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +75,9 @@ class PaperResult:
     table2 : Table2
     landscapes : mapping of problem name to Landscape
         Problems of two materials.
-    paths : mapping of method to Fit
+    ill_defined_fine : float array, shape (201, 201)
+        The error function of Figure 5 on a grid ten times finer, to show its valley.
+    case1_searches : mapping of method to Fit
         One search of case 1 by each method, from seed 0.
     records : tuple of Record
     walls_apart : WallsApart
@@ -85,7 +89,8 @@ class PaperResult:
     responses: tuple[CaseResponse, ...]
     table2: Table2
     landscapes: Mapping[str, Landscape]
-    paths: Mapping[str, Fit]
+    ill_defined_fine: FloatArray
+    case1_searches: Mapping[str, Fit]
     records: tuple[Record, ...]
     walls_apart: WallsApart
     independent_settings: IndependentSettings
@@ -112,6 +117,7 @@ def repeat_paper(
         case_responses(paths["paper"]),
         table2(problems["case1"]),
         landscapes,
+        grid_errors(partial(error, problems["ill_defined"].squares), unit_grid(_FINE)),
         {method: search(problems["case1"], method, 0) for method in METHODS},
         records,
         walls_apart(paths["paper"], np.random.default_rng(0)),

@@ -10,6 +10,7 @@ import roomfit
 from roomfit.cli.check import check
 from roomfit.cli.demo import demo
 from roomfit.cli.identify import identify
+from roomfit.cli.paper import paper
 
 app = typer.Typer(
     name="roomfit",
@@ -39,3 +40,4 @@ def options(
 app.command()(check)
 app.command()(demo)
 app.command()(identify)
+app.command()(paper)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 from typing import Literal
 
 import numpy as np
@@ -35,6 +36,18 @@ from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
 EXTREME_ABSORPTION = (0.01, 0.99)
+
+# The problem that stands for each number of materials.
+MATERIAL_PROBLEMS: Mapping[int, str] = MappingProxyType(
+    {
+        2: "case1",
+        3: "three_materials",
+        4: "four_materials",
+        5: "five_materials",
+        6: "six_materials",
+        7: "seven_materials",
+    }
+)
 
 Windows = Literal["reflections", "direct", "emission"]
 
@@ -100,13 +113,15 @@ def _specifications() -> dict[str, Specification]:
         "three_materials": Specification(0, DIVISIONS[3], DIVISIONS[3].truth),
     }
     # case 3 is the only one off the room's plane of symmetry, where every wall can be told apart
-    for number, word in ((4, "four"), (5, "five"), (6, "six"), (7, "seven")):
+    for number in (4, 5, 6, 7):
         division = DIVISIONS[number]
-        named[f"{word}_materials"] = Specification(2, division, division.truth, in_paper=False)
+        named[MATERIAL_PROBLEMS[number]] = Specification(
+            2, division, division.truth, in_paper=False
+        )
     return named
 
 
-SPECIFICATIONS: Mapping[str, Specification] = _specifications()
+SPECIFICATIONS: Mapping[str, Specification] = MappingProxyType(_specifications())
 
 
 def paper_problem(name: str, paths: Paths) -> PaperProblem:
