@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from roomfit.errors import CannotTell, InputError
 from roomfit.materials.absorption import surviving_energy
 from roomfit.response.energy import batch_energies, monte_carlo_sd, weigh
-from roomfit.response.rows import EnergyRows, merge_equal_rows, window_of_rows
+from roomfit.response.rows import EnergyRows, merge_equal_rows, rows_in_air, window_of_rows
 from roomfit.typing import FloatArray
 
 EXTREMES = st.sampled_from([0.0, 1.0, 1.0 - 1e-9, 1e-9])
@@ -174,6 +174,21 @@ def test_air_takes_exp_of_minus_m_d() -> None:
     )
     energy = weigh(rows, np.zeros((1, 1)), np.array([0.1])).energy
     np.testing.assert_allclose(energy, np.exp(-1.0), rtol=1e-15)
+
+
+def test_air_put_into_the_weights_is_the_same_air() -> None:
+    """Weighed without attenuation, merged or not; and a second attenuation does nothing."""
+    rows = random_rows(12, mean_hits=0.7)
+    a = table(12, 3, 1)
+    still = rows_in_air(rows, 0.02)
+    expected = weigh(rows, a, np.array([0.02])).energy
+    # an exponential and a product more or less: rounding as above
+    np.testing.assert_allclose(weigh(still, a, np.zeros(1)).energy, expected, rtol=1e-13)
+    np.testing.assert_allclose(weigh(still, a, np.array([0.5])).energy, expected, rtol=1e-13)
+    merged = merge_equal_rows(still)
+    assert len(merged) < len(rows)
+    np.testing.assert_allclose(weigh(merged, a, np.zeros(1)).energy, expected, rtol=1e-12)
+    assert (still.n_batches, still.max_hits) == (rows.n_batches, rows.max_hits)
 
 
 def test_splitting_a_material_changes_no_energy() -> None:

@@ -11,6 +11,7 @@ from roomfit.scene.scene import Scene, distances_m
 from roomfit.tracing.images_polyhedron import polyhedron_images
 from roomfit.tracing.images_set import ImageSet
 from roomfit.tracing.images_shoebox import count_of_shoebox_images, shoebox_images
+from roomfit.tracing.images_walls import Screens, Walls, mirrors_of
 from roomfit.tracing.paths import Paths, Reflections
 from roomfit.typing import FloatArray, Progress
 
@@ -57,13 +58,17 @@ def trace_images(
             where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
+    mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
     sources = np.unique(scene.pairs[:, 0])
     for done, source in enumerate(sources):
         own = np.flatnonzero(scene.pairs[:, 0] == source)
-        args = (order, max_length_m, with_reflections, memory_limit_bytes)
-        for pair, found in zip(own, _images_of_source(scene, int(source), *args), strict=True):
-            sets[pair] = found
+        found = _images_of_source(
+            *(scene, int(source), mirrors, order, max_length_m),
+            *(with_reflections, memory_limit_bytes),
+        )
+        for pair, images in zip(own, found, strict=True):
+            sets[pair] = images
         if progress is not None:
             progress((done + 1) / len(sources))
     return _as_paths([s for s in sets if s is not None], scene, coefficients)
@@ -72,6 +77,7 @@ def trace_images(
 def _images_of_source(
     scene: Scene,
     source: int,
+    mirrors: tuple[Walls, Screens] | None,
     order: int,
     max_length_m: float,
     with_reflections: bool,
@@ -85,6 +91,7 @@ def _images_of_source(
         return polyhedron_images(
             *(room, start, np.array(receivers), order, max_length_m),
             with_reflections=with_reflections,
+            mirrors=mirrors,
             memory_limit_bytes=memory_limit_bytes,
         )
     count = len(scene.pairs) * count_of_shoebox_images(room.shoebox_m, order, max_length_m)

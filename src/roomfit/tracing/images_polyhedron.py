@@ -9,7 +9,7 @@ from roomfit.scene.room import Room, triangle_material
 from roomfit.tracing.images_set import ImageSet, reflections_in_order
 from roomfit.tracing.images_tree import Tree, image_tree
 from roomfit.tracing.images_visible import Legs, follow_back
-from roomfit.tracing.images_walls import mirrors_of
+from roomfit.tracing.images_walls import Screens, Walls, mirrors_of
 from roomfit.tracing.paths import Reflections
 from roomfit.typing import FloatArray, IntArray
 
@@ -22,6 +22,7 @@ def polyhedron_images(
     max_length_m: float,
     *,
     with_reflections: bool = False,
+    mirrors: tuple[Walls, Screens] | None = None,
     memory_limit_bytes: float = 4 * 2**30,
 ) -> list[ImageSet]:
     """Return for each receiver the visible images of a source.
@@ -41,6 +42,8 @@ def polyhedron_images(
     max_length_m : float
     with_reflections : bool
         Return the ordered hits as well.
+    mirrors : tuple of Walls and Screens, optional
+        From `mirrors_of`, where several sources share a room of thousands of walls.
     memory_limit_bytes : float
 
     Raises
@@ -48,7 +51,7 @@ def polyhedron_images(
     InputError
         The images to try would pass the memory limit.
     """
-    walls, screens = mirrors_of(room)
+    walls, screens = mirrors_of(room) if mirrors is None else mirrors
     source = np.asarray(source_m, dtype=np.float64)
     tree = image_tree(walls, source, order, max_length_m, memory_limit_bytes=memory_limit_bytes)
     owner = triangle_material(room)

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.compiled import kernel
+from roomfit.geometry.kernels import Vector, corner, dot, row
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.scene.room import Room
 from roomfit.typing import FloatArray, IntArray
@@ -142,6 +143,16 @@ def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
 
 
 @kernel()
+def _lies_in(
+    piece_m: FloatArray, i: int, normal: Vector, offset_m: float, tolerance_m: float
+) -> bool:
+    farthest = 0.0
+    for k in range(3):
+        farthest = max(farthest, abs(dot(normal, corner(piece_m, i, k)) - offset_m))
+    return farthest <= tolerance_m
+
+
+@kernel()
 def _group(
     piece_m: FloatArray, piece_normal: FloatArray, order: IntArray, tolerance_m: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
@@ -152,14 +163,13 @@ def _group(
     offset = np.empty(n)
     n_walls = 0
     for i in order:
+        facing = row(piece_normal, i)
         for w in range(n_walls):
-            if np.dot(normal[w], piece_normal[i]) > 0.5:
-                flat = True
-                for k in range(3):
-                    flat &= abs(np.dot(normal[w], piece_m[i, k]) - offset[w]) <= tolerance_m
-                if flat:
-                    owner[i] = w
-                    break
+            if dot(row(normal, w), facing) > 0.5 and _lies_in(
+                piece_m, i, row(normal, w), offset[w], tolerance_m
+            ):
+                owner[i] = w
+                break
         if owner[i] < 0:
             owner[i] = n_walls
             normal[n_walls] = piece_normal[i]
