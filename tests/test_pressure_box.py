@@ -38,10 +38,15 @@ def test_the_direct_sound_of_black_walls_is_the_point_source():
     """With absorption 1 only 1 / (4 pi r) at r / c is left, here integrated over its pulse."""
     s, r = np.array([1.0, 1.5, 1.2]), np.array([4.0, 2.5, 1.7])
     distance = float(np.linalg.norm(s - r))
-    p = pressure_response(truth(1.0), s, r, 0.1, 8000.0, np.ones(5))
+    p = pressure_response(truth(1.0), s, r, 0.1, 8000.0, np.zeros(5))
     assert abs(int(np.argmax(np.abs(p))) / 8000.0 - distance / 343.0) < 1.5 / 8000.0
-    # five octaves pass 88 to 2828 Hz of the 0 to 4000 Hz that an impulse of one sample fills
-    share = (2000.0 * np.sqrt(2) - 125.0 / np.sqrt(2)) / 4000.0
+    # of the 0 to 4000 Hz that an impulse of one sample fills, five octaves pass all from 125 to
+    # 2000 Hz, and beyond, with f = f0 2**u, the integral of ((1 + cos(pi u)) / 2)**2
+    u = np.linspace(0.0, 1.0, 2001)
+    fade = (0.5 * (1.0 + np.cos(np.pi * u))) ** 2 * np.log(2.0)
+    above = np.trapezoid(2000.0 * 2.0**u * fade, u)
+    below = np.trapezoid(125.0 * 2.0**-u * fade, u)
+    share = (2000.0 - 125.0 + above + below) / 4000.0
     np.testing.assert_allclose(np.sum(p**2), share / (4.0 * np.pi * distance) ** 2, rtol=0.02)
 
 
@@ -51,3 +56,17 @@ def test_noise_has_the_level_that_was_asked_for():
     noise = add_noise(p, -40.0, np.random.default_rng(3)) - p
     # standard error of an rms over 200,000 samples is 0.16 %; 1 % is six of them
     np.testing.assert_allclose(np.std(noise), 0.02, rtol=0.01)
+
+
+def test_a_loudspeaker_with_levels_of_its_own_sounds_after_the_impulse_not_before():
+    """Least phase: what a level curve adds to a flat loudspeaker comes with and after the peak."""
+    s, r = np.array([1.0, 1.5, 1.2]), np.array([4.0, 2.5, 1.7])
+    levels = np.array([4.0, -3.0, 5.0, -4.0, 2.0])
+    flat, coloured = (
+        pressure_response(truth(1.0), s, r, 0.1, 8000.0, level) for level in (np.zeros(5), levels)
+    )
+    arrival = int(np.linalg.norm(s - r) / 343.0 * 8000.0)
+    added = coloured - flat
+    # the flat pulse itself begins before its peak, band-limited as it is; the colour must not
+    early, late = np.sum(added[: arrival - 8] ** 2), np.sum(added[arrival + 8 :] ** 2)
+    assert early < 0.05 * late

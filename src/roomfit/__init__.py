@@ -1,3 +1,96 @@
-"""roomfit: the absorption of a real room's walls from impulse responses measured in it."""
+"""roomfit: the absorption of a real room's walls from impulse responses measured in it.
+
+The front door: what stands in `__all__` is public, everything else may move. Names are loaded when
+they are first used, so that ``import roomfit`` costs nothing.
+
+>>> import roomfit
+>>> roomfit.bands_between("octave", 125, 500).centres_hz.tolist()
+[125.0, 250.0, 500.0]
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+    from roomfit.app.check import check_room
+    from roomfit.app.identify import campaign_scene, identify
+    from roomfit.bands import Bands, bands_between
+    from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
+    from roomfit.files.campaign.campaign import Campaign, read_campaign
+    from roomfit.files.responses.read import read_response
+    from roomfit.files.responses.spec import ResponseSpec
+    from roomfit.files.results import write_result
+    from roomfit.files.rooms.read import read_room
+    from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
+    from roomfit.findings import Finding
+    from roomfit.materials.absorption import Absorption
+    from roomfit.materials.scattering import Scattering, uniform_scattering
+    from roomfit.report.answer_text import answer_text
+    from roomfit.response.energy import weigh
+    from roomfit.response.rows import energy_rows
+    from roomfit.scene.room import Room
+    from roomfit.scene.scene import Point, Scene
+    from roomfit.signals.room_parameters import room_parameters
+    from roomfit.tracing.join import trace
+    from roomfit.tracing.paths import Paths
+    from roomfit.tracing.settings import TraceSettings
+    from roomfit.uncertainty.answer import Answer
 
 __version__ = "0.1.0"
+
+_HOME = {
+    "Air": "air",
+    "attenuation_per_m": "air",
+    "speed_of_sound_m_s": "air",
+    "check_room": "app.check",
+    "campaign_scene": "app.identify",
+    "identify": "app.identify",
+    "Bands": "bands",
+    "bands_between": "bands",
+    "CannotTell": "errors",
+    "InputError": "errors",
+    "NotConverged": "errors",
+    "RoomfitError": "errors",
+    "StoreError": "errors",
+    "Campaign": "files.campaign.campaign",
+    "read_campaign": "files.campaign.campaign",
+    "read_response": "files.responses.read",
+    "ResponseSpec": "files.responses.spec",
+    "write_result": "files.results",
+    "read_room": "files.rooms.read",
+    "PolygonSpec": "files.rooms.spec",
+    "RoomSpec": "files.rooms.spec",
+    "Finding": "findings",
+    "Absorption": "materials.absorption",
+    "Scattering": "materials.scattering",
+    "uniform_scattering": "materials.scattering",
+    "answer_text": "report.answer_text",
+    "weigh": "response.energy",
+    "energy_rows": "response.rows",
+    "Room": "scene.room",
+    "Point": "scene.scene",
+    "Scene": "scene.scene",
+    "room_parameters": "signals.room_parameters",
+    "trace": "tracing.join",
+    "Paths": "tracing.paths",
+    "TraceSettings": "tracing.settings",
+    "Answer": "uncertainty.answer",
+}
+
+__all__ = [  # noqa: PLE0604 -- the names of _HOME, which a test compares with the imports above
+    "__version__",
+    *_HOME,
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _HOME:
+        raise AttributeError(f"module 'roomfit' has no attribute {name!r}")
+    return getattr(import_module(f"roomfit.{_HOME[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)

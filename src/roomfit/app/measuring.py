@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
+from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign, MeasuredFile
 from roomfit.files.responses.read import read_response
 from roomfit.findings import Finding
@@ -16,7 +16,13 @@ from roomfit.signals.decay import DecayCurve, decay_curve
 from roomfit.signals.filters import FilterBank, check_sampling_rate, filter_pressure
 from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
-from roomfit.signals.onset import compare_onset, find_onset
+from roomfit.signals.onset import (
+    check_travel,
+    compare_onset,
+    find_onset,
+    time_zero_from_direct,
+)
+from roomfit.signals.plausibility import check_decay_range, check_is_response
 from roomfit.signals.room_parameters import RoomParameters, range_findings, room_parameters
 
 
@@ -59,33 +65,52 @@ def measure(
         sampling rate.
     """
     bank = FilterBank(campaign.bands)
-    direct = distances_m(scene) / speed_of_sound_m_s(scene.air)
+    c = speed_of_sound_m_s(scene.air)
     pair_of = {
         (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
     }
+    pairs = [pair_of[file.source, file.receiver] for file in campaign.measurements]
+    travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
+    raw, findings = _read_all(campaign, bank)
+    measured = []
+    for file, pair, direct_s, response in zip(
+        campaign.measurements, pairs, travel_s, _from_emission(campaign, raw, travel_s), strict=True
+    ):
+        where, name = str(file.response.path), _name(file)
+        check_travel(response, direct_s, where)
+        if file.response.time_zero == "emission":
+            findings += compare_onset(find_onset(response, where), direct_s, c, name)
+        found = _judged(bank, file, pair, response, direct_s)
+        check_decay_range(found.curve, where)
+        findings += range_findings(found.parameters, name)
+        measured.append(found)
+    return tuple(measured), tuple(findings)
+
+
+def _read_all(campaign: Campaign, bank: FilterBank) -> tuple[list[ImpulseResponse], list[Finding]]:
     findings: list[Finding] = []
     responses: list[ImpulseResponse] = []
     for file in campaign.measurements:
+        where = str(file.response.path)
         response, found = read_response(file.response)
-        check_sampling_rate(bank, response.sampling_rate_hz, str(file.response.path))
+        check_sampling_rate(bank, response.sampling_rate_hz, where)
+        if responses and response.sampling_rate_hz != responses[0].sampling_rate_hz:
+            raise InputError(
+                "the measurements have different sampling rates",
+                where=where,
+                found=f"{response.sampling_rate_hz:g} Hz, after {responses[0].sampling_rate_hz:g} "
+                "Hz in the files before",
+                needed="one sampling rate in a campaign, since one equipment measured it",
+                hint="check that no file was saved at a wrong rate; resample those that were not",
+            )
+        check_is_response(response, where)
         findings += found
         responses.append(response)
-    offsets = _time_offsets(campaign, responses, direct, pair_of)
-    measured = []
-    for file, raw, offset_s in zip(campaign.measurements, responses, offsets, strict=True):
-        pair = pair_of[file.source, file.receiver]
-        response = replace(raw, time_zero_s=raw.time_zero_s + offset_s)
-        if file.response.time_zero == "emission":
-            findings += compare_onset(
-                find_onset(response),
-                float(direct[pair]),
-                speed_of_sound_m_s(scene.air),
-                file.response.path.name,
-            )
-        found_pair = _judged(bank, file, pair, response, float(direct[pair]))
-        findings += range_findings(found_pair.parameters, file.response.path.name)
-        measured.append(found_pair)
-    return tuple(measured), tuple(findings)
+    return responses, findings
+
+
+def _name(file: MeasuredFile) -> str:
+    return f"{file.source} to {file.receiver} ({file.response.path.name})"
 
 
 def _judged(
@@ -96,33 +121,28 @@ def _judged(
     return MeasuredPair(file, pair, response, direct_s, noise, curve, room_parameters(curve))
 
 
-def _time_offsets(
-    campaign: Campaign,
-    responses: list[ImpulseResponse],
-    direct_s: np.ndarray[tuple[int], np.dtype[np.float64]],
-    pair_of: Mapping[tuple[str, str], int],
-) -> list[float]:
-    """Return what must be added to each file's time zero so that sample times count from emission.
+def _from_emission(
+    campaign: Campaign, raw: list[ImpulseResponse], travel_s: list[float]
+) -> list[ImpulseResponse]:
+    """Return the responses on a clock that counts from emission.
 
     ``direct``: the file's own onset is the direct sound. ``unknown``: one offset a source, the
     median over its files, so that a single masked onset moves nothing.
     """
-    late = []
-    for file, response in zip(campaign.measurements, responses, strict=True):
-        if file.response.time_zero == "emission":
-            late.append(0.0)
-        else:
-            expected = float(direct_s[pair_of[file.source, file.receiver]])
-            late.append(find_onset(response) - expected)
-    offsets = []
-    for file, own in zip(campaign.measurements, late, strict=True):
+    files = campaign.measurements
+    aligned = [
+        response
+        if file.response.time_zero == "emission"
+        else time_zero_from_direct(response, direct_s, str(file.response.path))
+        for file, response, direct_s in zip(files, raw, travel_s, strict=True)
+    ]
+    unknown: dict[str, list[float]] = {}
+    for file, own in zip(files, aligned, strict=True):
         if file.response.time_zero == "unknown":
-            same = [
-                other
-                for f, other in zip(campaign.measurements, late, strict=True)
-                if f.source == file.source and f.response.time_zero == "unknown"
-            ]
-            offsets.append(float(np.median(same)))
-        else:
-            offsets.append(own)
-    return offsets
+            unknown.setdefault(file.source, []).append(own.time_zero_s)
+    return [
+        replace(own, time_zero_s=float(np.median(unknown[file.source])))
+        if file.response.time_zero == "unknown"
+        else own
+        for file, own in zip(files, aligned, strict=True)
+    ]

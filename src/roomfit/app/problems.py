@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import fftconvolve
 from scipy.sparse import csr_array
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
@@ -12,7 +13,12 @@ from roomfit.app.measuring import MeasuredPair
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.objective.energy_problem import EnergyProblem, Observation, lone_rows
+from roomfit.objective.energy_problem import (
+    EnergyProblem,
+    Observation,
+    fine_edges_s,
+    lone_rows,
+)
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.energy import weigh
@@ -29,7 +35,10 @@ from roomfit.signals.filters import (
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
-BIN_S = 0.5e-3
+BIN_S = 0.1e-3
+# Positions are taken with a tape, unless the campaign says how well they are known.
+UNTOLD_POSITION_SD_M = 0.02
+_STEP_S = 1e-5
 # A window is used down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
 # Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
@@ -54,7 +63,7 @@ class BinnedPaths:
 
 
 def bin_paths(scene: Scene, bands: Bands, paths: Paths, duration_s: float) -> BinnedPaths:
-    """Sort the paths of every pair into bins of half a millisecond.
+    """Sort the paths of every pair into bins of a tenth of a millisecond.
 
     The bins begin four periods of the lowest band before emission.
     """
@@ -94,7 +103,10 @@ def band_problems(
     for band in range(len(bands)):
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
-            _observation(bank, band, m, binned.edges_s, _gain_index(gain_labels, m)) for m in fitted
+            _observation(
+                bank, band, m, binned.edges_s, _timing_sd_s(scene, m), _gain_index(gain_labels, m)
+            )
+            for m in fitted
         )
         if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
             raise CannotTell(
@@ -129,35 +141,57 @@ def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
     out = np.empty_like(energies)
     for band, row in enumerate(energies):
         share = energy_share(kernel, band, [0.0], lags_s)[0]
-        out[band] = np.convolve(row, share)[n : 2 * n]
+        # the transform's rounding, 1e-16 of the largest, must not make an energy negative
+        out[band] = np.maximum(fftconvolve(row, share)[n : 2 * n], 0.0)
     return out
 
 
 def _observation(
-    bank: FilterBank, band: int, m: MeasuredPair, bin_edges_s: FloatArray, gain: int
+    bank: FilterBank,
+    band: int,
+    m: MeasuredPair,
+    bin_edges_s: FloatArray,
+    timing_sd_s: float,
+    gain: int,
 ) -> Observation:
     clear_s = (
         m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
     )
-    edges = window_edges_s(
-        m.direct_s,
-        min(float(clear_s), float(bin_edges_s[-1])),
-        float(statistical_bandwidth_hz(bank)[0]),
-    )
+    bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
+    edges = window_edges_s(m.direct_s, min(float(clear_s), float(bin_edges_s[-1])), bandwidth_hz)
+    fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.file.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a lone sample of height 1 has the energy 1
     rate_hz = m.response.sampling_rate_hz
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
-    shares = energy_share(smearing_kernel(bank), 0, centres, edges).T
+    kernel = smearing_kernel(bank)
+    before, after = (energy_share(kernel, 0, centres + s * _STEP_S, edges).T for s in (-1, 1))
+    slopes = (after - before) / (2.0 * _STEP_S)
     return Observation(
         m.pair,
         edges,
         unit * window_energies(bank, m.response, edges)[0],
         unit * per_second * np.diff(edges),
-        csr_array(np.where(shares > _LEAST_SHARE, shares, 0.0)),
+        _sparse(energy_share(kernel, 0, centres, edges).T, _LEAST_SHARE),
+        fine,
+        _sparse(energy_share(kernel, 0, centres, fine).T, _LEAST_SHARE),
+        _sparse(slopes, _LEAST_SHARE / _STEP_S),
+        timing_sd_s,
         gain,
     )
+
+
+def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
+    """Return how uncertain arrival times are, from both ends' positions along the path."""
+    source, receiver = scene.pairs[m.pair]
+    told = (scene.sources[source].position_sd_m, scene.receivers[receiver].position_sd_m)
+    sd_m = [UNTOLD_POSITION_SD_M if sd is None else sd for sd in told]
+    return float(np.linalg.norm(sd_m) / speed_of_sound_m_s(scene.air))
+
+
+def _sparse(matrix: FloatArray, least: float) -> csr_array:
+    return csr_array(np.where(np.abs(matrix) > least, matrix, 0.0))
 
 
 def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:

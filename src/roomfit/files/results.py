@@ -6,12 +6,12 @@ import csv
 import hashlib
 import io
 from collections.abc import Iterable
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-import roomfit
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
@@ -62,7 +62,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "intervals": answer.interval_kind,
         },
         "provenance": {
-            "roomfit": roomfit.__version__,
+            "roomfit": version("roomfit"),
             "inputs_sha256": {path.name: _sha256(path) for path in inputs},
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",

@@ -19,6 +19,8 @@ from roomfit.response.energy import batch_energies, weigh
 from roomfit.response.rows import EnergyRows
 from roomfit.typing import FloatArray, IntArray
 
+_RINGING_S = 2e-3
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
@@ -36,6 +38,14 @@ class Observation:
         Expected noise energy of each window.
     shares : sparse array, shape (n_windows, n_bins)
         Share of the energy of each fine time bin that the band filter carries into each window.
+    fine_edges_s : float array, shape (n_fine + 1,)
+        The same windows cut into pieces that the band filter just resolves; see `fine_edges_s`.
+    fine_shares : sparse array, shape (n_fine, n_bins)
+        As `shares`, for the pieces.
+    slopes : sparse array, shape (n_windows, n_bins)
+        Derivative of `shares` by the arrival time of each bin, 1/s.
+    timing_sd_s : float
+        Standard deviation of arrival times, from that of the positions.
     gain : int
         Which unknown gain applies; -1 where the level is absolute.
     """
@@ -45,6 +55,10 @@ class Observation:
     energy: FloatArray
     noise: FloatArray
     shares: csr_array
+    fine_edges_s: FloatArray
+    fine_shares: csr_array
+    slopes: csr_array
+    timing_sd_s: float
     gain: int
 
     def __post_init__(self) -> None:
@@ -83,6 +97,9 @@ class EnergyProblem:
         Blocks "absorption" (one entry a material) and "gain" (one an unknown level).
     model_error : float
         Relative standard deviation that the model may be wrong by in any window.
+    ringing_error : float
+        Share of the energy of each window that may come up to a few milliseconds late, because a
+        real loudspeaker rings and real walls scatter between the reflections that are modelled.
     """
 
     centre_hz: float
@@ -92,7 +109,8 @@ class EnergyProblem:
     lone_rows: tuple[EnergyRows, ...]
     observations: tuple[Observation, ...]
     parameters: Parameters
-    model_error: float = 0.1
+    model_error: float = 0.2
+    ringing_error: float = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -157,10 +175,12 @@ def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
 def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
     """Return the variance of every measured window energy about its expectation.
 
-    Reflections interfere: where many overlap, the energy of a band of width B in a window of
-    width T scatters by ``1 / (1 + B T)`` of its square, however finely one traces; a lone
-    reflection carries no such noise. To this come background noise, its beat with the signal, the
-    trace's own Monte-Carlo noise (from independent batches) and the error of the model.
+    Reflections interfere, however finely one traces: the energy of a band of bandwidth B has the
+    variance ``1 / B`` times the integral of P^2 - Q, where P is the smeared sum of path energies
+    and Q that of the squares of each single one, so that a lone reflection carries no such noise.
+    It may still fall on either side of a window's edge where positions are a centimetre wrong. To
+    this come background noise, its beat with the signal, the trace's own Monte-Carlo noise (from
+    independent batches) and the error of the model.
 
     Returns
     -------
@@ -176,12 +196,14 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
         energy = weigh(rows, coefficients, attenuation, derivative=False).energy[0]
         signal = gain * (seen.shares @ energy)
         squares = weigh(lone, coefficients, attenuation, derivative=False).energy[0]
-        lone_squares = gain**2 * (seen.shares.multiply(seen.shares) @ squares)
+        timing = (gain * seen.timing_sd_s) ** 2 * (seen.slopes.power(2) @ squares)
         tracing = gain**2 * _tracing_variance(rows, seen, coefficients, attenuation)
-        freedom = 1.0 + problem.bandwidth_hz * np.diff(seen.edges_s)
-        interference = np.maximum(signal**2 - lone_squares, 0.0) / freedom
-        noise = seen.noise * (seen.noise + 2.0 * signal) / freedom
-        variances.append(interference + noise + tracing + (problem.model_error * signal) ** 2)
+        interference = gain**2 * _interference(problem.bandwidth_hz, seen, energy, squares)
+        noise = seen.noise * (seen.noise + 2.0 * signal)
+        noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
+        model = (problem.model_error * signal) ** 2
+        model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
+        variances.append(interference + timing + noise + tracing + model)
     return np.concatenate(variances)
 
 
@@ -203,6 +225,38 @@ def lone_rows(rows: EnergyRows) -> EnergyRows:
         rows.batch[image],
         rows.n_batches,
     )
+
+
+def fine_edges_s(edges_s: FloatArray, bandwidth_hz: float) -> FloatArray:
+    """Return the edges of windows cut into up to eight pieces of at least half of 1 / B each."""
+    counts = np.clip(np.ceil(2.0 * bandwidth_hz * np.diff(edges_s)), 1, 8).astype(np.int64)
+    pieces = [
+        np.linspace(low, high, n, endpoint=False)
+        for low, high, n in zip(edges_s[:-1], edges_s[1:], counts, strict=True)
+    ]
+    return np.concatenate((*pieces, edges_s[-1:]))
+
+
+def _interference(
+    bandwidth_hz: float, seen: Observation, energy: FloatArray, squares: FloatArray
+) -> FloatArray:
+    """Return the variance of each window by interference, for a gain of 1."""
+    overlapping = (seen.fine_shares @ energy) ** 2 - seen.fine_shares.power(2) @ squares
+    widths_s = np.diff(seen.fine_edges_s)
+    pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
+    first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+    return np.asarray(np.add.reduceat(pieces, first))
+
+
+def _ringing(edges_s: FloatArray, signal: FloatArray) -> FloatArray:
+    """Return what each window would get if all energy came late by an exponential of 2 ms.
+
+    Without it a window between two reflections would be expected to be empty, with certainty.
+    """
+    middle_s = 0.5 * (edges_s[1:] + edges_s[:-1])
+    late_s = np.maximum(edges_s[:, None] - middle_s[None, :], 0.0)
+    arrived = 1.0 - np.exp(-late_s / _RINGING_S)
+    return np.asarray(np.tril(np.diff(arrived, axis=0), -1) @ signal)
 
 
 def _tracing_variance(

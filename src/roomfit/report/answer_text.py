@@ -97,11 +97,15 @@ def pairs_table(answer: Answer) -> str:
 
 
 def findings_text(findings: tuple[Finding, ...]) -> str:
-    """Return the findings, most serious first."""
+    """Return the findings, most serious first; what many files share is told once."""
     order = {"serious": 0, "warning": 1, "info": 2}
-    lines = ["Findings"] if findings else []
+    alike: dict[str, list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: order[f.severity]):
-        text = f"{finding.severity}: {finding.sentence} [{finding.code}]"
+        alike.setdefault(finding.code, []).append(finding)
+    lines = ["Findings"] if findings else []
+    for code, same in alike.items():
+        more = f" (and {len(same) - 1} more of this kind in result.json)" if same[1:] else ""
+        text = f"{same[0].severity}: {same[0].sentence}{more} [{code}]"
         lines.append(textwrap.fill(text, 100, initial_indent="- ", subsequent_indent="  "))
     return "\n".join(lines)
 

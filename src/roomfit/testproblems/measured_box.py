@@ -64,7 +64,7 @@ def write_measured_box(
     rng: np.random.Generator,
     *,
     position_error_m: float = 0.01,
-    noise_db: float = -55.0,
+    noise_db: float = -60.0,
     progress: Progress | None = None,
 ) -> MeasuredBox:
     """Simulate eight measured responses of a box with six materials and write them as a campaign.
@@ -74,7 +74,7 @@ def write_measured_box(
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
-        Draws position errors, loudspeaker gains and noise.
+        Draws position errors, loudspeaker levels and noise.
     position_error_m : float
         Standard deviation of each true coordinate about the one told.
     noise_db : float
@@ -96,11 +96,11 @@ def write_measured_box(
         name: np.array(told) + position_error_m * rng.standard_normal(3)
         for name, told in (*_SOURCES_M.items(), *_RECEIVERS_M.items())
     }
-    gains = {s: 10.0 ** (rng.normal(0.0, 3.0, len(bands)) / 20.0) for s in _SOURCES_M}
+    levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in _SOURCES_M}
     pairs = [(s, r) for s in _SOURCES_M for r in _RECEIVERS_M]
     for number, (s, r) in enumerate(pairs):
         pressure = pressure_response(
-            truth, true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, gains[s]
+            truth, true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s]
         )
         soundfile.write(
             folder / f"{s}_{r}.wav",

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.typing import FloatArray
+from roomfit.typing import ComplexArray, FloatArray
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
@@ -29,7 +29,7 @@ class BoxTruth:
     lengths_m : tuple of three floats
         In x, y, z; one corner at the origin.
     centres_hz : float array, shape (n_bands,)
-        Octave centres, rising; absorption is constant within an octave.
+        Octave centres, rising; absorption holds at a centre and changes smoothly in between.
     absorption : float array, shape (6, n_bands)
         Energy absorption of west, east, south, north, floor, ceiling.
     attenuation_per_m : float array, shape (n_bands,)
@@ -50,21 +50,21 @@ def pressure_response(
     receiver_m: FloatArray,
     duration_s: float,
     sampling_rate_hz: float,
-    band_gain: FloatArray,
+    level_db: FloatArray,
 ) -> FloatArray:
     """Return the sound pressure at the receiver after an impulse at the source at time 0.
 
-    Every image within the duration contributes ``gain / (4 pi r)`` at time r / c, times the root
-    of what each wall reflects. Each octave has its own gains; octaves meet with a crossfade a
-    twelfth of an octave wide, and their gains add to one, so that phases stay right.
+    Every image within the duration contributes ``1 / (4 pi r)`` at time r / c, times the root of
+    what each wall reflects. What holds at the octaves' centres goes over smoothly in between. The
+    loudspeaker's levels come with the phase that a causal filter of least delay has.
 
     Parameters
     ----------
     truth : BoxTruth
     source_m, receiver_m : float arrays, shape (3,)
     duration_s, sampling_rate_hz : float
-    band_gain : float array, shape (n_bands,)
-        Amplitude gain of the loudspeaker in each octave.
+    level_db : float array, shape (n_bands,)
+        Level of the loudspeaker at each octave's centre.
 
     Returns
     -------
@@ -82,9 +82,10 @@ def pressure_response(
     for band, share in enumerate(_octave_shares(truth.centres_hz, frequencies)):
         reflected = np.prod(np.sqrt(1.0 - truth.absorption[:, band]) ** hits, axis=1)
         air = np.exp(-0.5 * truth.attenuation_per_m[band] * lengths)
-        amplitude = band_gain[band] * reflected * air / (4.0 * np.pi * lengths)
+        amplitude = reflected * air / (4.0 * np.pi * lengths)
         train = np.bincount(index, amplitude, n_fine)
         spectrum += share * np.fft.rfft(train)[: frequencies.size]
+    spectrum *= _loudspeaker(truth.centres_hz, level_db, frequencies)
     return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
 
 
@@ -120,9 +121,30 @@ def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -
     return np.asarray(pressure + sd * rng.standard_normal(pressure.size))
 
 
+def _loudspeaker(
+    centres_hz: FloatArray, level_db: FloatArray, frequencies_hz: FloatArray
+) -> ComplexArray:
+    """Return the minimum-phase spectrum whose level runs smoothly through those at the centres.
+
+    Its phase is the Hilbert transform of its log magnitude, by folding the cepstrum.
+    A. V. Oppenheim, R. W. Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 13.
+    """
+    octaves = np.log2(np.maximum(frequencies_hz, 1.0) / centres_hz[0])
+    level = np.interp(octaves, np.arange(centres_hz.size), level_db)
+    cepstrum = np.fft.irfft(level * np.log(10.0) / 20.0)
+    n = cepstrum.size
+    cepstrum[1 : n // 2] *= 2.0
+    cepstrum[n // 2 + 1 :] = 0.0
+    return np.exp(np.fft.rfft(cepstrum))
+
+
 def _octave_shares(centres_hz: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
-    """Return the share of each octave at each frequency; shares add to one inside the range."""
-    edges = centres_hz[0] * 2.0 ** (np.arange(centres_hz.size + 1) - 0.5)
-    octaves = np.log2(np.maximum(frequencies_hz, 1e-3)[None, :] / edges[:, None])
-    above = 0.5 * (1.0 + np.sin(0.5 * np.pi * np.clip(24.0 * octaves, -1.0, 1.0)))
+    """Return the share of each octave at each frequency; shares add to one inside the range.
+
+    A share falls from 1 at its own centre to 0 at its neighbours', so that walls and loudspeaker
+    change smoothly over frequency; steps would ring for tens of milliseconds, as no wall does.
+    """
+    ends = centres_hz[0] * 2.0 ** np.arange(-1, centres_hz.size)
+    octaves = np.log2(np.maximum(frequencies_hz, 1e-3)[None, :] / ends[:, None])
+    above = 0.5 * (1.0 - np.cos(np.pi * np.clip(octaves, 0.0, 1.0)))
     return np.asarray(above[:-1] - above[1:])
