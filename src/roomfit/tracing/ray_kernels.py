@@ -170,7 +170,7 @@ def _trace_ray(
                 spheres, job, o, d, flight, travelled, ray, chunk, specular, diffuse, caught
             )
         if wall < 0:
-            _note_escape(o, d, chunk, tally)
+            note_escape(o, d, chunk, tally)
             return hit, max(hit - 1, 0), sum_m, sum_m2
         if hit > 0:  # the way from the source to the first wall is no free path
             sum_m += flight
@@ -184,7 +184,7 @@ def _trace_ray(
         o = (o[0] + flight * d[0], o[1] + flight * d[1], o[2] + flight * d[2])
         material = wall_material(walls, wall, o)
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
-        d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit)
+        d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit - 1)
         if is_diffuse:
             diffuse[material] += np.uint16(1)
         else:
@@ -274,7 +274,8 @@ def _record(
 
 
 @kernel(allocates=False)
-def _note_escape(o: Vector, d: Vector, chunk: int, tally: Tally) -> None:
+def note_escape(o: Vector, d: Vector, chunk: int, tally: Tally) -> None:
+    """Count a ray that met no wall; keep where the first ones came from."""
     n = tally.escapes[chunk]
     tally.escapes[chunk] += 1
     if n < ESCAPES_KEPT:

@@ -94,7 +94,7 @@ def trace_rays(
     .. [1] M. Vorlaender, "Auralization", Springer 2008, section 11.3 (detection by volume).
     """
     radii = _radii(scene, settings, receiver_radii_m)
-    coefficients = _in_room_order(scattering, scene.room)
+    coefficients = in_room_order(scattering, scene.room)
     sources = np.unique(scene.pairs[:, 0]) if settings.n_rays else np.empty(0, np.int64)
     _check_memory(scene, settings, radii, memory_limit_bytes)
     walls = walls_of(scene.room)
@@ -162,7 +162,14 @@ def _check_memory(
         )
 
 
-def _in_room_order(scattering: Scattering, room: Room) -> FloatArray:
+def in_room_order(scattering: Scattering, room: Room) -> FloatArray:
+    """Return the scattering coefficients in the order of the room's materials.
+
+    Raises
+    ------
+    InputError
+        A material of one is missing in the other.
+    """
     if set(scattering.materials) != set(room.materials):
         raise InputError(
             "scattering and room name different materials",

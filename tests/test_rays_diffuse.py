@@ -1,0 +1,93 @@
+"""The laws of the diffuse field: free paths, Eyring's decay and Kuttruff's correction to it."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room
+from rays_reference import box_without
+from roomfit.geometry.measures import mean_free_path_m, surface_area_m2, volume_m3
+from roomfit.materials.scattering import uniform_scattering
+from roomfit.scene.room import Room
+from roomfit.testproblems.hall import hall_room
+from roomfit.tracing.follow import FollowedRays, follow_rays
+
+START = [1.5, 1.2, 1.3]
+
+
+def _followed(room: Room, s: float, duration_s: float, n_rays: int = 2**14) -> FollowedRays:
+    times = np.linspace(0.0, duration_s, 61)
+    still = uniform_scattering(room.materials, s)
+    return follow_rays(room, START, SPEED_M_S, times, n_rays, still, seed=3)
+
+
+@pytest.fixture(scope="module")
+def diffuse_box() -> tuple[Room, FollowedRays]:
+    """A box of ordinary shape whose walls scatter everything, for 1.2 s."""
+    room = box_room()
+    return room, _followed(room, 1.0, 1.2)
+
+
+def _reverberation_time_s(rays: FollowedRays, alpha: float, duration_s: float) -> float:
+    """Fit a line to the logarithm of the energy left, from a tenth of a second on."""
+    times = np.linspace(0.0, duration_s, 61)
+    left = np.mean((1.0 - alpha) ** rays.hits.sum(axis=2, dtype=np.float64), axis=1)
+    fitted = (times > 0.1) & (left > 1e-6)
+    return float(-6.0 * np.log(10.0) / np.polyfit(times[fitted], np.log(left[fitted]), 1)[0])
+
+
+def _eyring_s(room: Room, alpha: float) -> float:
+    area, volume = surface_area_m2(room.mesh), volume_m3(room.mesh)
+    return float(-24.0 * np.log(10.0) * volume / (SPEED_M_S * area * np.log(1.0 - alpha)))
+
+
+@pytest.mark.parametrize("alpha", [0.01, 0.02, 0.05])
+def test_a_diffuse_room_decays_by_eyring_while_absorption_is_small(diffuse_box, alpha):
+    """Within 2 % up to 0.05."""
+    room, rays = diffuse_box
+    assert _reverberation_time_s(rays, alpha, 1.2) == pytest.approx(
+        _eyring_s(room, alpha), rel=0.02
+    )
+
+
+@pytest.mark.parametrize("alpha", [0.05, 0.1, 0.2, 0.3, 0.4, 0.5])
+def test_kuttruffs_correction_with_the_traces_own_variance_holds_far_beyond(diffuse_box, alpha):
+    """T = T_Eyring / (1 + gamma^2 / 2 ln(1 - a)) within 3 % up to 0.5."""
+    room, rays = diffuse_box
+    correction = 1.0 + 0.5 * rays.statistics.relative_variance * np.log(1.0 - alpha)
+    expected = _eyring_s(room, alpha) / correction
+    assert _reverberation_time_s(rays, alpha, 1.2) == pytest.approx(expected, rel=0.03)
+
+
+@pytest.mark.parametrize("room", [box_room(), l_shaped_room(), box_with_sheet(), hall_room(1012)])
+def test_the_mean_free_path_of_a_diffuse_room_is_four_times_volume_over_surface(room: Room):
+    """Concave rooms and both sides of a sheet included.
+
+    A million free paths with a relative spread of about 0.7 leave 0.07 %; the first of the more
+    than 30 flights of each ray still depend on where it started. 0.5 % covers both.
+    """
+    mean = mean_free_path_m(room.mesh)
+    rays = _followed(room, 1.0, 70.0 * mean / SPEED_M_S)
+    assert rays.statistics.n_free_paths > 10**6
+    assert rays.statistics.mean_free_path_m == pytest.approx(mean, rel=5e-3)
+
+
+@pytest.mark.parametrize("s", [0.0, 0.2, 1.0])
+@pytest.mark.parametrize("room", [box_room(), box_with_sheet(), hall_room(212)])
+def test_no_ray_is_lost_in_a_closed_room(room: Room, s: float):
+    """At no absorption the energy is therefore constant, exactly, for every scattering."""
+    rays = _followed(room, s, 1.0, n_rays=4096)
+    assert rays.statistics.n_escaped == 0
+    assert rays.present.all()
+    assert np.all(np.diff(rays.hits.sum(axis=2, dtype=np.int64), axis=0) >= 0)
+
+
+def test_followed_rays_that_escape_are_marked_absent_from_then_on():
+    """Without half of its floor a box empties, and no ray comes back."""
+    rays = _followed(box_without(8), 1.0, 1.0, n_rays=1024)
+    left = rays.present.mean(axis=1)
+    assert 0.8 < left[0] < 1.0  # half a floor of 94 m2 is met by some at once
+    assert np.all(np.diff(left) <= 0.0)
+    assert rays.statistics.n_escaped == 1024 - rays.present[-1].sum()
+    assert left[-1] < 0.05

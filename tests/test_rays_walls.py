@@ -1,0 +1,230 @@
+"""The nearest wall: planes, facets and the tree of boxes against trying everything in numpy."""
+
+from __future__ import annotations
+
+import numba
+import numpy as np
+import pytest
+
+from images_reference import box_room, box_with_sheet, l_shaped_room
+from rays_reference import box_with_two_floors, box_without, flights_m, rotated
+from roomfit.errors import InputError
+from roomfit.geometry.measures import volume_m3
+from roomfit.geometry.mesh import Mesh, corners_m
+from roomfit.scene.room import Room, triangle_material
+from roomfit.testproblems.hall import hall_room, hall_volume_m3
+from roomfit.testproblems.paper_room import paper_scene
+from roomfit.tracing import vector
+from roomfit.tracing.acceleration import next_wall, wall_material, walls_of
+from roomfit.tracing.facets import facet_distance, facets_of
+from roomfit.tracing.planes import Planes, convex_planes
+from roomfit.tracing.tree import Tree, tree_of
+from roomfit.tracing.vector import NODE_FLOATS, WIDTH, boxes_hit, local_floats
+from roomfit.typing import FloatArray, IntArray
+
+
+@numba.njit(error_model="numpy")
+def _walls_ahead(walls, starts, directions):
+    distance, wall = np.empty(len(starts)), np.empty(len(starts), np.int64)
+    material = np.full(len(starts), -1)
+    for i in range(len(starts)):
+        o = (starts[i, 0], starts[i, 1], starts[i, 2])
+        d = (directions[i, 0], directions[i, 1], directions[i, 2])
+        t, wall[i] = next_wall(walls, o, d)
+        distance[i] = t
+        if wall[i] >= 0:
+            p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
+            material[i] = wall_material(walls, wall[i], p)
+    return distance, wall, material
+
+
+@numba.njit(error_model="numpy")
+def _try_every_facet(table, starts, directions):
+    distance, wall = np.full(len(starts), np.inf), np.full(len(starts), -1)
+    for i in range(len(starts)):
+        o = (starts[i, 0], starts[i, 1], starts[i, 2])
+        d = (directions[i, 0], directions[i, 1], directions[i, 2])
+        for k in range(len(table)):
+            t = facet_distance(table, k, o, d, np.inf)
+            if t < distance[i]:
+                distance[i], wall[i] = t, k
+    return distance, wall
+
+
+def _rays(low: FloatArray, high: FloatArray, n: int, seed: int) -> tuple[FloatArray, FloatArray]:
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(n, 3))
+    return (
+        rng.uniform(low, high, size=(n, 3)),
+        directions / np.linalg.norm(directions, axis=1)[:, None],
+    )
+
+
+@pytest.mark.parametrize("n_triangles", [12, 92, 2012])
+def test_the_tree_finds_the_same_facet_at_the_same_distance_as_trying_every_one(n_triangles):
+    """Equal bit for bit, also for rays along the axes and rays that start on a wall."""
+    tree = tree_of(*facets_of(hall_room(n_triangles)))
+    starts, directions = _rays([1, -6, 0], [31, 6, 11], 3000, seed=n_triangles)
+    directions[:60] = np.tile(np.concatenate((np.eye(3), -np.eye(3))), (10, 1))
+    starts[60:300, 2] = 0.0
+
+    distance, wall, _ = _walls_ahead(tree, starts, directions)
+    expected, facet = _try_every_facet(tree.table, starts, directions)
+
+    np.testing.assert_array_equal(distance, expected)
+    np.testing.assert_array_equal(wall, facet)
+
+
+@pytest.mark.parametrize(
+    ("room", "middle"),
+    [
+        (l_shaped_room(), np.array([1.5, 1.5, 1.2])),
+        (box_with_sheet(), np.array([1.5, 1.5, 1.2])),
+        (rotated(hall_room(500), 3), rotated(hall_room(500), 3).mesh.vertices_m[:8].mean(axis=0)),
+    ],
+)
+def test_distances_are_those_of_cramers_rule_on_every_triangle(room: Room, middle: FloatArray):
+    """Another formula, other code; rays with nothing nearly parallel agree to 1e-9 m."""
+    corners = corners_m(room.mesh)
+    owner = triangle_material(room)
+    starts, directions = _rays(middle - 0.4, middle + 0.4, 300, seed=4)
+
+    distance, _, material = _walls_ahead(walls_of(room), starts, directions)
+
+    for start, direction, got, struck in zip(starts, directions, distance, material, strict=True):
+        flights = flights_m(corners, start, direction)
+        assert got == pytest.approx(flights.min(), rel=1e-9)
+        assert struck == owner[np.argmin(flights)]
+
+
+@pytest.mark.parametrize("room", [box_room(), paper_scene().room, rotated(box_room(), 5)])
+def test_planes_and_tree_agree_in_a_convex_room(room: Room):
+    """Distances to 1e-12 of the room's size, and the same material everywhere."""
+    planes = walls_of(room)
+    tree = tree_of(*facets_of(room))
+    low, high = room.mesh.vertices_m.min(axis=0), room.mesh.vertices_m.max(axis=0)
+    middle, size = 0.5 * (low + high), float(np.linalg.norm(high - low))
+    starts, directions = _rays(middle - 0.05 * size, middle + 0.05 * size, 2000, seed=6)
+
+    distance, _, material = _walls_ahead(planes, starts, directions)
+    expected, _, owner = _walls_ahead(tree, starts, directions)
+
+    assert isinstance(planes, Planes)
+    np.testing.assert_allclose(distance, expected, rtol=0, atol=1e-12 * size)
+    np.testing.assert_array_equal(material, owner)
+
+
+def test_convex_rooms_are_known_by_their_planes():
+    """A box has 6, the gabled room 7, and a floor of two materials is still one plane."""
+    numbers = [len(convex_planes(r).offset_m) for r in (box_room(), paper_scene().room)]  # type: ignore[union-attr]
+    assert numbers == [6, 7]
+    assert len(convex_planes(box_with_two_floors()).offset_m) == 6  # type: ignore[union-attr]
+
+
+def test_what_is_concave_or_open_or_holds_a_sheet_is_not_taken_for_convex():
+    """Also not a box turned inside out: its planes would let every ray escape."""
+    box = box_room().mesh
+    inside_out = Mesh(box.vertices_m, box.triangles[:, ::-1], box.triangle_surface, box.surfaces)
+    rooms = [
+        l_shaped_room(),
+        box_with_sheet(),
+        hall_room(32),
+        box_without(3),
+        Room(inside_out, box_room().materials, np.arange(6)),
+    ]
+    assert [convex_planes(room) for room in rooms] == [None] * len(rooms)
+    assert all(isinstance(walls_of(room), Tree) for room in rooms)
+
+
+def test_the_piece_of_a_plane_that_a_ray_strikes_gives_its_material():
+    """Wood for x < 1, stone beyond, on one floor."""
+    walls = walls_of(box_with_two_floors())
+    starts, directions = _rays([0.1, 0.1, 0.5], [3.9, 2.9, 1.9], 4000, seed=7)
+
+    distance, _, material = _walls_ahead(walls, starts, directions)
+
+    ends = starts + distance[:, None] * directions
+    on_floor = np.abs(ends[:, 2]) < 1e-9
+    expected = np.where(on_floor, np.where(ends[:, 0] < 1.0, 0, 1), 2)
+    np.testing.assert_array_equal(material, expected)
+
+
+def test_two_triangles_that_make_a_parallelogram_become_one_facet():
+    """A box has 6 facets instead of 12, and one of them a triangle where its mate is missing."""
+    assert [len(facets_of(r)[0].material) for r in (box_room(), box_without(3))] == [6, 6]
+    whole, lone = facets_of(box_room())[0], facets_of(box_without(3))[0]
+    assert whole.table[:, 13].tolist() == [0.0] * 6
+    assert sorted(lone.table[:, 13].tolist()) == [0.0] * 5 + [1.0]
+
+
+def test_no_ray_slips_through_an_edge_or_a_corner():
+    """Rays aimed exactly at every corner and at points of every edge of a hall meet a wall."""
+    room = rotated(hall_room(412), 8)
+    corners = corners_m(room.mesh)
+    along = np.linspace(0.0, 1.0, 7)[:, None, None, None]
+    targets = (corners[None] * (1 - along) + np.roll(corners, -1, axis=1)[None] * along).reshape(
+        -1, 3
+    )
+    start = room.mesh.vertices_m[:8].mean(axis=0)
+    ways = targets - start
+    lengths = np.linalg.norm(ways, axis=1)
+
+    distance, wall, _ = _walls_ahead(
+        walls_of(room), np.tile(start, (len(ways), 1)), ways / lengths[:, None]
+    )
+
+    assert (wall >= 0).all()
+    # Facets are 1e-9 m wider than their corners, so none is passed by more than that at an angle.
+    assert np.all(distance <= lengths + 1e-6)
+
+
+@pytest.mark.parametrize("fused", [True, False])
+def test_boxes_are_entered_where_the_slabs_say(fused: bool, monkeypatch: pytest.MonkeyPatch):
+    """With and without a fused multiply-add, against float64 slabs one box at a time."""
+    if fused and not vector._fuses():
+        pytest.skip("no fused multiply-add on this processor")
+    monkeypatch.setattr(vector, "_fuses", lambda: fused)
+
+    @numba.njit
+    def entered(bounds: FloatArray, near: IntArray, one_over: FloatArray, shift: FloatArray):  # type: ignore[no-untyped-def]
+        at = local_floats()
+        limit = np.float32(np.inf)
+        bits = boxes_hit(
+            *(bounds, 1, near[0], near[1], near[2], one_over[0], one_over[1], one_over[2]),
+            *(shift[0], shift[1], shift[2], limit, at),
+        )
+        return bits, at[:WIDTH].copy()
+
+    rng = np.random.default_rng(9)
+    for _ in range(200):
+        boxes = np.sort(rng.uniform(-1.0, 1.0, (WIDTH, 2, 3)).astype(np.float32), axis=1)
+        start, d = rng.uniform(-1.0, 1.0, 3), rng.normal(size=3)
+        flat = np.zeros(2 * NODE_FLOATS, np.float32)
+        flat[NODE_FLOATS:] = boxes.transpose(1, 2, 0).reshape(-1)
+        near = np.where(d > 0.0, [0, 1, 2], [3, 4, 5])
+        one_over = (1.0 / d).astype(np.float32)
+        bits, at = entered(flat, near, one_over, start.astype(np.float32) * one_over)
+        ends = np.sort((boxes - start) / d, axis=1)
+        enter, leave = np.maximum(ends[:, 0].max(axis=1), 0.0), ends[:, 1].min(axis=1)
+        sure = np.abs(enter - leave) > 1e-4 * np.abs(one_over).max()
+        hit = (bits >> np.arange(WIDTH)) & 1 == 1
+        np.testing.assert_array_equal(hit[sure], (enter <= leave)[sure])
+        # each distance carries a few roundings of 6e-8 of coordinates below 2 times 1/d
+        np.testing.assert_allclose(at, enter, rtol=0, atol=1e-6 * np.abs(one_over).max())
+
+
+@pytest.mark.parametrize("n_triangles", [12, 32, 1012, 12_012])
+def test_the_hall_is_closed_and_has_the_volume_of_its_measures(n_triangles):
+    """Every directed edge has its opposite, and the divergence theorem gives the right volume."""
+    mesh = hall_room(n_triangles).mesh
+    edges = np.concatenate([mesh.triangles[:, [a, b]] for a, b in ((0, 1), (1, 2), (2, 0))])
+    assert len(mesh.triangles) == n_triangles
+    assert len(np.unique(edges, axis=0)) == len(edges)
+    assert {tuple(e) for e in edges.tolist()} == {tuple(e[::-1]) for e in edges.tolist()}
+    assert volume_m3(mesh) == pytest.approx(hall_volume_m3(n_triangles), rel=1e-9)
+
+
+def test_a_hall_needs_its_twelve_triangles():
+    """Fewer are refused with the number that is needed."""
+    with pytest.raises(InputError, match="too few triangles"):
+        hall_room(11)
