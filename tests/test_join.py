@@ -24,6 +24,7 @@ from roomfit.geometry.mesh import Mesh
 from roomfit.materials.scattering import uniform_scattering
 from roomfit.response.energy import monte_carlo_sd, weigh
 from roomfit.response.rows import energy_rows
+from roomfit.response.scattering import with_scattering
 from roomfit.scene.room import Room
 from roomfit.scene.scene import Scene
 from roomfit.testproblems.paper_room import paper_scene
@@ -218,6 +219,21 @@ def test_images_only_and_rays_only_are_what_they_say() -> None:
     assert np.all(traced(scene, 1000, -1).paths.batch >= 0)
     with pytest.raises(InputError, match="nothing to trace"):
         traced(scene, 0, -1)
+
+
+def test_paths_weighed_for_another_scattering_bring_the_energies_of_a_trace_with_it() -> None:
+    """Traced at 0.4 and weighed for 0.2 against traced at 0.2, images and rays together."""
+    scene = scene_of(box_room(), *PLACES)
+    a = np.array([0.1, 0.3, 0.2, 0.4, 0.5, 0.05])
+    wanted = uniform_scattering(BOX_MATERIALS, 0.2)
+    other = with_scattering(traced(scene, 60_000, 3, s=0.4, seed=3).paths, wanted)
+    one, one_error = energies(traced(scene, 60_000, 3, s=0.2).paths, a)
+    two, two_error = energies(other, a)
+    assert np.all(np.abs(one - two) < ERRORS_ALLOWED * np.hypot(one_error, two_error))
+    # the image paths are exact either way
+    direct, _ = energies(select(other, other.batch < 0), a)
+    expected, _ = energies(trace_images(scene, 3, 0.1, wanted), a)
+    np.testing.assert_allclose(direct, expected, rtol=1e-12)
 
 
 @pytest.mark.parametrize("s", [0.0, 0.4])

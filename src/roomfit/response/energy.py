@@ -113,7 +113,8 @@ def monte_carlo_sd(
 ) -> FloatArray:
     """Return the standard error of the window energies that comes from the number of rays.
 
-    From the spread of independent batches; zero where all energy comes from image paths.
+    From the spread of independent batches, which those of a Fibonacci spiral are not; zero where
+    all energy comes from image paths.
 
     Returns
     -------

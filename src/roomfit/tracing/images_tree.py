@@ -146,15 +146,16 @@ def _walls_in_beams(
     return alive
 
 
-@kernel(parallel=True)
+@kernel()
 def _mirror(walls: Walls, beams: _Beams, parent: IntArray, wall: IntArray) -> _Beams:
+    """Return the mirror images of `parent` in `wall`, each with its beam."""
     n = len(parent)
     position = np.empty((n, 3))
     corners = np.empty((n, _CORNERS, 3))
     n_corners = np.empty(n, dtype=np.int64)
-    for i in numba.prange(n):
-        planes = np.empty((_CORNERS + 1, 4))
-        scratch = np.empty((2, _CORNERS, 3))
+    planes = np.empty((_CORNERS + 1, 4))
+    scratch = np.empty((2, _CORNERS, 3))
+    for i in range(n):
         apex = row(beams.position_m, parent[i])
         normal = row(walls.normal, wall[i])
         ahead = walls.offset_m[wall[i]] - dot(normal, apex)

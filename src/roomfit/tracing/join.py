@@ -14,7 +14,7 @@ from roomfit.scene.scene import Scene, distances_m
 from roomfit.tracing.images import trace_images
 from roomfit.tracing.paths import Paths, concatenate, select
 from roomfit.tracing.ray_statistics import RayStatistics
-from roomfit.tracing.rays import trace_rays
+from roomfit.tracing.rays import RayTrace, trace_rays
 from roomfit.tracing.settings import TraceSettings
 from roomfit.typing import BoolArray, FloatArray, Progress
 
@@ -76,7 +76,7 @@ def trace(
     -----
     An image path is seen from the centre of the receiver and a ray from anywhere in its sphere;
     the two sides of the join agree in the mean over the sphere. The sphere of a receiver nearer to
-    a wall or a source than its radius is shrunk to fit.
+    a wall or a source than its radius is shrunk to fit. Peak memory is twice that of the paths.
     """
     if settings.image_order < 0 and settings.n_rays == 0:
         raise InputError(
@@ -87,30 +87,35 @@ def trace(
     parts: list[Paths] = []
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     if settings.image_order >= 0:
-        parts.append(
-            trace_images(
-                scene,
-                settings.image_order,
-                settings.duration_s,
-                scattering,
-                progress=_part_of(progress, 0.0, share),
-            )
-        )
-    findings: tuple[Finding, ...] = ()
-    radii = np.full(len(scene.receivers), settings.receiver_radius_m)
-    if settings.n_rays:
-        radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
-    rays = trace_rays(
-        scene, settings, scattering, _part_of(progress, share, 1.0), receiver_radii_m=radii
+        order, duration_s = settings.image_order, settings.duration_s
+        shown = _part_of(progress, 0.0, share)
+        parts.append(trace_images(scene, order, duration_s, scattering, progress=shown))
+    rays, findings = _rays_beyond_images(
+        scene, settings, scattering, _part_of(progress, share, 1.0)
     )
-    parts.append(select(rays.paths, ~covered_by_images(rays.paths, settings.image_order)))
-    return Trace(concatenate(parts), rays.statistics, (*findings, *_leaks(rays.statistics)))
+    parts.append(rays.paths)
+    paths = concatenate(parts) if len(parts) > 1 else rays.paths
+    return Trace(paths, rays.statistics, (*findings, *_leaks(rays.statistics)))
 
 
 def covered_by_images(paths: Paths, image_order: int) -> BoolArray:
     """Return which paths images up to an order stand for: specular only, and few enough hits."""
     specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
     return np.asarray(~paths.hits_diffuse.any(axis=1) & (specular <= image_order))
+
+
+def _rays_beyond_images(
+    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None
+) -> tuple[RayTrace, tuple[Finding, ...]]:
+    radii: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
+    if settings.n_rays:
+        radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
+    rays = trace_rays(scene, settings, scattering, progress, receiver_radii_m=radii)
+    if settings.image_order < 0:
+        return rays, findings
+    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order))
+    return RayTrace(late, rays.statistics), findings
 
 
 def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:
