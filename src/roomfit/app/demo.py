@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.app.identify import identify_to_folder
 from roomfit.app.progress import part
 from roomfit.files.store import new_output_folder, write_bytes_atomically
-from roomfit.testproblems.measured_box import write_measured_box
+from roomfit.testproblems.measured_box import demo_plan, write_measured_box
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
 
@@ -45,7 +45,8 @@ def run_demo(
 
     new_output_folder(out, overwrite=overwrite)
     folder = new_output_folder(out / "campaign", overwrite=overwrite)
-    box = write_measured_box(folder, np.random.default_rng(seed), progress=part(progress, 0.0, 0.4))
+    rng = np.random.default_rng(seed)
+    box = write_measured_box(demo_plan(), folder, rng, progress=part(progress, 0.0, 0.4))
     answer = identify_to_folder(
         box.campaign, out / "result", overwrite=overwrite, progress=part(progress, 0.4, 1.0)
     )

@@ -20,23 +20,75 @@ from roomfit.typing import FloatArray, Progress
 SAMPLING_RATE_HZ = 32_000.0
 _DURATION_S = 0.8
 
-# Octaves 63 to 8000 Hz: outside the fitted range, too, for a room does not end at 125 Hz.
-_LENGTHS_M = (6.1, 4.7, 2.8)
-_MATERIALS = {
-    "west": ("curtain", (0.05, 0.07, 0.25, 0.45, 0.60, 0.65, 0.70, 0.70)),
-    "east": ("brick", (0.02, 0.03, 0.03, 0.04, 0.05, 0.06, 0.07, 0.07)),
-    "south": ("windows", (0.30, 0.28, 0.20, 0.12, 0.08, 0.05, 0.04, 0.04)),
-    "north": ("panelling", (0.30, 0.25, 0.18, 0.12, 0.10, 0.10, 0.11, 0.12)),
-    "floor": ("carpet", (0.04, 0.08, 0.14, 0.25, 0.37, 0.50, 0.60, 0.62)),
-    "ceiling": ("tiles", (0.25, 0.35, 0.50, 0.65, 0.75, 0.80, 0.75, 0.70)),
-}
-_SOURCES_M = {"LS1": (1.20, 1.50, 1.10), "LS2": (4.85, 3.30, 1.62)}
-_RECEIVERS_M = {
-    "MP1": (4.10, 2.90, 1.20),
-    "MP2": (2.30, 3.75, 1.45),
-    "MP3": (5.20, 1.15, 1.83),
-    "MP4": (3.10, 0.85, 0.92),
-}
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BoxPlan:
+    """A box to be measured: what is true of it, and where people believe the equipment stands.
+
+    Attributes
+    ----------
+    lengths_m : tuple of three floats
+    materials : tuple of six str
+        Of west, east, south, north, floor and ceiling.
+    absorption : float array, shape (6, 8)
+        In octaves from 63 to 8000 Hz: outside the fitted range, too, for a room does not end at
+        125 Hz.
+    sources_m, receivers_m : mapping of name to position
+    """
+
+    lengths_m: tuple[float, float, float]
+    materials: tuple[str, ...]
+    absorption: FloatArray
+    sources_m: dict[str, tuple[float, float, float]]
+    receivers_m: dict[str, tuple[float, float, float]]
+
+
+def demo_plan() -> BoxPlan:
+    """Return the room of the demo: six walls of common make."""
+    walls = {
+        "curtain": (0.05, 0.07, 0.25, 0.45, 0.60, 0.65, 0.70, 0.70),
+        "brick": (0.02, 0.03, 0.03, 0.04, 0.05, 0.06, 0.07, 0.07),
+        "windows": (0.30, 0.28, 0.20, 0.12, 0.08, 0.05, 0.04, 0.04),
+        "panelling": (0.30, 0.25, 0.18, 0.12, 0.10, 0.10, 0.11, 0.12),
+        "carpet": (0.04, 0.08, 0.14, 0.25, 0.37, 0.50, 0.60, 0.62),
+        "tiles": (0.25, 0.35, 0.50, 0.65, 0.75, 0.80, 0.75, 0.70),
+    }
+    return BoxPlan(
+        (6.1, 4.7, 2.8),
+        tuple(walls),
+        np.array(list(walls.values())),
+        {"LS1": (1.20, 1.50, 1.10), "LS2": (4.85, 3.30, 1.62)},
+        {
+            "MP1": (4.10, 2.90, 1.20),
+            "MP2": (2.30, 3.75, 1.45),
+            "MP3": (5.20, 1.15, 1.83),
+            "MP4": (3.10, 0.85, 0.92),
+        },
+    )
+
+
+def random_plan(rng: np.random.Generator) -> BoxPlan:
+    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six materials drawn anew in every octave.
+
+    Absorption is even in logit between 0.01 and 0.97, and changes from octave to octave by about a
+    third of its spread over materials. Positions stay 0.6 m clear of the walls.
+    """
+    lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
+    low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
+    logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
+    absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
+
+    def place() -> tuple[float, float, float]:
+        x, y, z = rng.uniform(0.6, lengths - 0.6)
+        return float(x), float(y), float(z)
+
+    return BoxPlan(
+        (float(lengths[0]), float(lengths[1]), float(lengths[2])),
+        tuple(f"material_{wall}" for wall in WALLS),
+        absorption,
+        {name: place() for name in ("LS1", "LS2")},
+        {name: place() for name in ("MP1", "MP2", "MP3", "MP4")},
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +112,7 @@ class MeasuredBox:
 
 
 def write_measured_box(
+    plan: BoxPlan,
     folder: Path,
     rng: np.random.Generator,
     *,
@@ -67,10 +120,11 @@ def write_measured_box(
     noise_db: float = -60.0,
     progress: Progress | None = None,
 ) -> MeasuredBox:
-    """Simulate eight measured responses of a box with six materials and write them as a campaign.
+    """Simulate measured responses of every pair in a box and write them as a campaign.
 
     Parameters
     ----------
+    plan : BoxPlan
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
@@ -84,20 +138,19 @@ def write_measured_box(
 
     bands = bands_between("octave", 63, 8000)
     air = Air()
-    absorption = np.array([_MATERIALS[wall][1] for wall in WALLS])
     truth = BoxTruth(
-        _LENGTHS_M,
+        plan.lengths_m,
         bands.centres_hz,
-        absorption,
+        plan.absorption,
         attenuation_per_m(air, bands),
         speed_of_sound_m_s(air),
     )
     true_at = {
         name: np.array(told) + position_error_m * rng.standard_normal(3)
-        for name, told in (*_SOURCES_M.items(), *_RECEIVERS_M.items())
+        for name, told in (*plan.sources_m.items(), *plan.receivers_m.items())
     }
-    levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in _SOURCES_M}
-    pairs = [(s, r) for s in _SOURCES_M for r in _RECEIVERS_M]
+    levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in plan.sources_m}
+    pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
     for number, (s, r) in enumerate(pairs):
         pressure = pressure_response(
             truth, true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s]
@@ -110,20 +163,21 @@ def write_measured_box(
         )
         if progress is not None:
             progress((number + 1) / len(pairs))
-    campaign = write_text_atomically(folder / "campaign.toml", _campaign_text(pairs))
-    names = tuple(_MATERIALS[wall][0] for wall in WALLS)
-    return MeasuredBox(campaign, names, bands.centres_hz, absorption)
+    text = _campaign_text(plan, pairs, position_error_m)
+    campaign = write_text_atomically(folder / "campaign.toml", text)
+    return MeasuredBox(campaign, plan.materials, bands.centres_hz, plan.absorption)
 
 
-def _campaign_text(pairs: list[tuple[str, str]]) -> str:
-    lines = ["[room]", f"shoebox = {list(_LENGTHS_M)}", "[room.materials]"]
-    lines += [f'{wall} = "{material}"' for wall, (material, _) in _MATERIALS.items()]
+def _campaign_text(plan: BoxPlan, pairs: list[tuple[str, str]], position_error_m: float) -> str:
+    lines = ["[room]", f"shoebox = {list(plan.lengths_m)}", "[room.materials]"]
+    lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, plan.materials, strict=True)]
     lines += ["[air]", "temperature_c = 20.0", "humidity_percent = 50.0"]
-    for material, _ in _MATERIALS.values():
-        lines += [f"[materials.{material}]", "scattering = 0.0  # smooth, bare walls"]
-    for kind, points in (("sources", _SOURCES_M), ("receivers", _RECEIVERS_M)):
+    for name in plan.materials:
+        lines += [f"[materials.{name}]", "scattering = 0.0  # smooth, bare walls"]
+    for kind, points in (("sources", plan.sources_m), ("receivers", plan.receivers_m)):
         for name, position in points.items():
-            lines += [f"[{kind}.{name}]", f"position = {list(position)}", "position_sd = 0.01"]
+            lines += [f"[{kind}.{name}]", f"position = {list(position)}"]
+            lines += [f"position_sd = {position_error_m}"]
     for s, r in pairs:
         lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
         lines += [f'file = "{s}_{r}.wav"']
