@@ -29,7 +29,7 @@ from roomfit.app.paper_room import (
     table2,
     walls_apart,
 )
-from roomfit.app.paper_searches import METHODS, Record, record, search, search_seeds
+from roomfit.app.paper_searches import METHODS, Record, record, search_seeds, searches_of_table2
 from roomfit.app.progress import part
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.checks import int_array
@@ -78,7 +78,7 @@ class PaperResult:
     ill_defined_fine : float array, shape (201, 201)
         The error function of Figure 5 on a grid ten times finer, to show its valley.
     case1_searches : mapping of method to Fit
-        One search of case 1 by each method, from seed 0.
+        One search of case 1 by each method, from where Table 2 begins.
     records : tuple of Record
     walls_apart : WallsApart
     independent_settings : IndependentSettings
@@ -118,7 +118,7 @@ def repeat_paper(
         table2(problems["case1"]),
         landscapes,
         grid_errors(partial(error, problems["ill_defined"].squares), unit_grid(_FINE)),
-        {method: search(problems["case1"], method, 0) for method in METHODS},
+        searches_of_table2(problems["case1"]),
         records,
         walls_apart(paths["paper"], np.random.default_rng(0)),
         settings.independent,

@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from roomfit.app.paper import PaperResult
 from roomfit.app.paper_independent import PAIRS
 from roomfit.app.paper_room import CaseResponse
-from roomfit.app.paper_searches import METHODS
+from roomfit.app.paper_searches import LABELS, METHODS
 from roomfit.report.paper_pictures import (
     Curve,
     ResponsePanel,
@@ -24,7 +24,6 @@ from roomfit.testproblems.paper_room import CASES, DIVISIONS, RECONSTRUCTED, TRU
 from roomfit.typing import FloatArray
 
 _TITLES = {"case1": "Case 1", "case2": "Case 2", "case3": "Case 3"}
-_DRAWN_METHODS = ("annealing+simplex", "simplex", "least-squares-one-random-start")
 
 
 def paper_figures(result: PaperResult) -> dict[str, Figure]:
@@ -32,15 +31,15 @@ def paper_figures(result: PaperResult) -> dict[str, Figure]:
     landscapes = result.landscapes
     cases = {_TITLES[name]: landscapes[name] for name in CASES}
     note = RECONSTRUCTED
-    shown = {method: result.case1_searches[method] for method in _DRAWN_METHODS}
+    searches = {LABELS[method]: fit for method, fit in result.case1_searches.items()}
     return {
         "figure2.png": responses_figure([_fine_panel(r) for r in result.responses], note),
         "figure3.png": responses_figure([_window_panel(r) for r in result.responses], note),
-        "figure4.png": contours_figure(cases, TRUE_ABSORPTION, note),
-        "figure5.png": ill_defined_figure(
-            landscapes["ill_defined"], result.ill_defined_fine, TRUE_ABSORPTION, note
+        "figure4.png": contours_figure(cases, note),
+        "figure5.png": ill_defined_figure(landscapes["ill_defined"], result.ill_defined_fine, note),
+        "search_paths.png": search_paths_figure(
+            landscapes["case1"], searches, TRUE_ABSORPTION, note
         ),
-        "search_paths.png": search_paths_figure(landscapes["case1"], shown, TRUE_ABSORPTION, note),
         "methods.png": _methods(result),
         "independent_rays.png": _independent(result),
     }
@@ -68,8 +67,8 @@ def _methods(result: PaperResult) -> Figure:
         own = [records[problem, method] for problem in MATERIAL_PROBLEMS.values()]
         counts = np.array([r.median_evaluations for r in own])
         rates = np.array([100.0 * r.successes / r.seeds for r in own])
-        evaluations.append(Curve(method, numbers, counts))
-        successes.append(Curve(method, numbers, rates))
+        evaluations.append(Curve(LABELS[method], numbers, counts))
+        successes.append(Curve(LABELS[method], numbers, rates))
     return methods_figure(evaluations, successes, RECONSTRUCTED)
 
 

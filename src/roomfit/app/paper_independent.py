@@ -62,8 +62,8 @@ class IndependentSettings:
         Models with other rays, for each number.
     """
 
-    measurement_rays: int = 131_072
-    measurement_parts: int = 8
+    measurement_rays: int = 262_144
+    measurement_parts: int = 4
     model_rays: tuple[int, ...] = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
     repeats: int = 8
 

@@ -17,6 +17,7 @@ from roomfit.identify.simplex import SimplexSettings, downhill_simplex, random_s
 from roomfit.identify.start import starts
 from roomfit.objective.squares import error, residuals
 from roomfit.testproblems.paper_problems import PaperProblem
+from roomfit.testproblems.paper_table2 import TABLE2
 from roomfit.typing import FloatArray
 
 # Largest error of any absorption that still counts as found.
@@ -110,9 +111,31 @@ METHODS: Mapping[str, Callable[[PaperProblem, np.random.Generator], Fit]] = Mapp
 )
 
 
-def search(problem: PaperProblem, method: str, seed: int) -> Fit:
-    """Return what one method finds from one seed."""
-    return METHODS[method](problem, np.random.default_rng(seed))
+LABELS: Mapping[str, str] = MappingProxyType(
+    {
+        "annealing+simplex": "annealing + simplex",
+        "simplex": "simplex",
+        "simplex-as-printed": "simplex, order as printed",
+        "least-squares": "least squares",
+        "least-squares-one-random-start": "least squares, one random start",
+    }
+)
+
+
+def searches_of_table2(problem: PaperProblem, seed: int = 0) -> dict[str, Fit]:
+    """Return the way of each method through case 1, from where Table 2 of the paper begins.
+
+    The simplexes start with the first three points of the table as vertices, least squares with
+    the first one; annealing starts where its seed says.
+    """
+    first = TABLE2[:3, :2]
+    in_order = partial(downhill_simplex, partial(error, problem.squares), first)
+    return {
+        "annealing+simplex": _annealing_and_simplex(problem, np.random.default_rng(seed)),
+        "simplex": in_order(),
+        "simplex-as-printed": in_order(SimplexSettings(order="as-printed")),
+        "least-squares": fit_least_squares(partial(residuals, problem.squares), first[:1]),
+    }
 
 
 def search_seeds(problem: PaperProblem, method: str, seeds: range) -> tuple[Run, ...]:
@@ -122,7 +145,7 @@ def search_seeds(problem: PaperProblem, method: str, seeds: range) -> tuple[Run,
 
 def _timed(problem: PaperProblem, method: str, seed: int) -> Run:
     begun = time.perf_counter()
-    fit = search(problem, method, seed)
+    fit = METHODS[method](problem, np.random.default_rng(seed))
     return Run(fit.x, fit.evaluations, time.perf_counter() - begun)
 
 
