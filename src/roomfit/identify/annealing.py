@@ -6,7 +6,9 @@ temperature gets and where the schedule ends. The choices here:
 
 - A next state is the current one plus an even random step in every coordinate, mirrored at the
   walls of the box. The largest step grows where more than six trials in ten are accepted and
-  shrinks where fewer than four are (Corana et al. 1987), so that it follows the temperature.
+  shrinks where fewer than four are (Corana et al. 1987), so that it follows the temperature;
+  every fifth step may still be as long as half the box, for a walk of short steps alone never
+  leaves a valley before it has cooled.
 - Each temperature gets a fixed number of trials for every unknown.
 - The start temperature is the spread of the error over random points unless it is given: 1e6 is
   only right for errors of about that size.
@@ -39,6 +41,7 @@ from roomfit.identify.simplex import SimplexSettings, downhill_simplex, simplex_
 from roomfit.typing import FloatArray, Progress
 
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
+_LONG_EVERY = 5
 _EDGE = 0.1
 
 
@@ -162,6 +165,7 @@ def _walk(
     levels: list[_Level] = []
     for number in range(settings.levels):
         proposals = rng.uniform(-step, step, (settings.trials_per_unknown * n, n))
+        proposals[::_LONG_EVERY] *= _LARGEST_STEP / step
         level = _walk_at(error, x, e, temperature, proposals, rng)
         levels.append(level)
         x, e = level.x, level.error
