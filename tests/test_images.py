@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numba
 import numpy as np
 import pytest
@@ -23,6 +25,8 @@ from images_reference import (
     scene_of,
 )
 from roomfit.errors import InputError
+from roomfit.files.rooms.read import read_room
+from roomfit.files.rooms.spec import RoomSpec
 from roomfit.materials.scattering import Scattering, uniform_scattering
 from roomfit.scene.room import Room, triangle_material
 from roomfit.testproblems.paper_room import paper_scene
@@ -84,6 +88,15 @@ def test_a_ball_sent_along_every_path_of_any_room_arrives(name: str) -> None:
     found = images(ROOMS[name], source, receiver, 4)
     assert len(found.length_m) > 20
     assert_followed(ROOMS[name], source, receiver, found)
+
+
+def test_a_ball_sent_along_every_path_of_a_real_room_arrives(real_data: Path) -> None:
+    """A seminar room of 504 triangles with furniture and niches, order 2."""
+    room, _ = read_room(RoomSpec(file=real_data / "bras_cr2" / "scene9.ac", unit="m"))
+    source, receiver = [2.84, 0.93, -0.7], [2.09, 1.22, 0.38]
+    found = images(room, source, receiver, 2)
+    assert len(found.length_m) > 20
+    assert_followed(room, source, receiver, found)
 
 
 @pytest.mark.parametrize("name", ROOMS)

@@ -75,7 +75,8 @@ def trace(
     Notes
     -----
     An image path is seen from the centre of the receiver and a ray from anywhere in its sphere;
-    the two sides of the join agree in the mean over the sphere. The sphere of a receiver nearer to
+    the two sides of the join agree in the mean over the sphere. One pair in a furnished room, where
+    edges cut through spheres, may differ by some per cent. The sphere of a receiver nearer to
     a wall or a source than its radius is shrunk to fit. Peak memory is twice that of the paths.
     """
     if settings.image_order < 0 and settings.n_rays == 0:
