@@ -144,7 +144,7 @@ def test_several_bands_in_one_pass_equal_band_by_band() -> None:
 
 def test_one_thread_and_two_give_the_same_bits() -> None:
     """And so does leaving the derivative out."""
-    rows = random_rows(6, n_rows=60_000)
+    rows = random_rows(6, n_rows=150_000)
     a, air = table(6, 3, 2), np.array([0.0, 0.01])
     before = numba.get_num_threads()
     results = []

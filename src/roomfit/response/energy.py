@@ -18,8 +18,9 @@ from roomfit.response.weighing import (
 )
 from roomfit.typing import FloatArray
 
-# Waking the threads costs about as much as weighing so many rows in one band.
-_ROWS_WORTH_THREADS = 20_000
+# Two milliseconds of work. Threads are woken in microseconds, but on a busy machine the last of them
+# is waited for some milliseconds long.
+_ROWS_WORTH_THREADS = 200_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
