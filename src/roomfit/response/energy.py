@@ -18,8 +18,8 @@ from roomfit.response.weighing import (
 )
 from roomfit.typing import FloatArray
 
-# Two milliseconds of work. Threads are woken in microseconds, but on a busy machine the last of them
-# is waited for some milliseconds long.
+# Two milliseconds of work: threads wake in microseconds, but a busy machine keeps the last of them
+# waiting for milliseconds.
 _ROWS_WORTH_THREADS = 200_000
 
 
