@@ -7,6 +7,9 @@ the method's (`NotConverged`) or the disk's (`StoreError`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+
 
 class RoomfitError(Exception):
     """Something that a user can act on; the command line shows its text and no traceback.
@@ -52,3 +55,21 @@ class NotConverged(RoomfitError):  # noqa: N818 -- reads as the sentence it says
 
 class StoreError(RoomfitError):
     """The disk's turn: a file cannot be read, written or renamed."""
+
+
+@contextmanager
+def located(place: str) -> Iterator[None]:
+    """Put a place before what an error within the block says of where it is.
+
+    For checks that know a key but not the file it stands in.
+    """
+    try:
+        yield
+    except RoomfitError as error:
+        raise type(error)(
+            error.what,
+            where=f"{place}, {error.where}" if error.where else place,
+            found=error.found,
+            needed=error.needed,
+            hint=error.hint,
+        ) from error

@@ -9,8 +9,8 @@ import numpy as np
 
 from roomfit.app.identify import identify_to_folder
 from roomfit.app.progress import part
-from roomfit.files.store import new_output_folder, write_bytes_atomically
-from roomfit.testproblems.measured_box import demo_plan, write_measured_box
+from roomfit.files.store import whole_output_folder, write_bytes_atomically
+from roomfit.testproblems.measured_box import MeasuredBox, demo_plan, write_measured_box
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
 
@@ -39,20 +39,31 @@ def run_demo(
     ------
     InputError
         The folder is not empty and `overwrite` is false.
+    StoreError
+        The disk refuses.
     """
     from roomfit.report.answer_pictures import absorption_figure
     from roomfit.report.pictures import png
 
-    new_output_folder(out, overwrite=overwrite)
-    folder = new_output_folder(out / "campaign", overwrite=overwrite)
-    rng = np.random.default_rng(seed)
-    box = write_measured_box(demo_plan(), folder, rng, progress=part(progress, 0.0, 0.4))
-    answer = identify_to_folder(
-        box.campaign, out / "result", overwrite=overwrite, progress=part(progress, 0.4, 1.0)
-    )
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        (folder / "campaign").mkdir()
+        box = write_measured_box(
+            demo_plan(),
+            folder / "campaign",
+            np.random.default_rng(seed),
+            progress=part(progress, 0.0, 0.4),
+        )
+        answer = identify_to_folder(
+            box.campaign, folder / "result", progress=part(progress, 0.4, 1.0)
+        )
+        truth = _truth(box, answer)
+        picture = png(absorption_figure(answer, truth))
+        write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
+    return DemoResult(answer, truth)
+
+
+def _truth(box: MeasuredBox, answer: Answer) -> FloatArray:
+    """Return the true absorption in the answer's order of materials and bands."""
     rows = [box.materials.index(name) for name in answer.materials]
     columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]
-    truth = box.absorption[np.ix_(rows, columns)]
-    picture = png(absorption_figure(answer, truth))
-    write_bytes_atomically(out / "result" / "absorption_and_truth.png", picture)
-    return DemoResult(answer, truth)
+    return box.absorption[np.ix_(rows, columns)]

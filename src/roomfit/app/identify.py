@@ -12,7 +12,7 @@ from roomfit.app.comparing import compare_pairs
 from roomfit.app.fitting import band_answer, fit_bands, fit_findings
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.planning import plan_trace
-from roomfit.app.problems import band_problems, bin_paths
+from roomfit.app.problems import band_problems, bin_paths, left_out_findings
 from roomfit.app.progress import part
 from roomfit.files.campaign.campaign import (
     Campaign,
@@ -22,7 +22,11 @@ from roomfit.files.campaign.campaign import (
 )
 from roomfit.files.results import write_result
 from roomfit.files.rooms.read import read_room
-from roomfit.files.store import new_output_folder, write_bytes_atomically
+from roomfit.files.store import (
+    check_output_folder,
+    whole_output_folder,
+    write_bytes_atomically,
+)
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.identify.start import eyring_absorption
@@ -41,7 +45,7 @@ def identify_to_folder(
 ) -> Answer:
     """Identify a campaign and write result.json, absorption.csv and pictures into a folder.
 
-    Nothing is written before everything is known.
+    Nothing is written before everything is known, and then all of it or nothing.
 
     Raises
     ------
@@ -55,19 +59,18 @@ def identify_to_folder(
     from roomfit.report.answer_pictures import absorption_figure, decay_figure
     from roomfit.report.pictures import png
 
-    campaign = read_campaign(campaign_file)
     # refused now rather than after minutes of work; made only when there is something to put in
-    new_output_folder(out, overwrite=overwrite)
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file)
     answer = identify(campaign, progress=part(progress, 0.0, 0.95))
-    write_result(out, answer, input_files(campaign))
-    write_bytes_atomically(out / "absorption.png", png(absorption_figure(answer)))
-    for number, pair in enumerate(answer.pairs, start=1):
-        picture = png(decay_figure(answer, pair))
-        write_bytes_atomically(
-            out / f"decay_{number:02d}_{pair.source}_{pair.receiver}.png", picture
-        )
-        if progress is not None:
-            progress(0.95 + 0.05 * number / len(answer.pairs))
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        write_result(folder, answer, input_files(campaign))
+        write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
+        for number, pair in enumerate(answer.pairs, start=1):
+            name = f"decay_{number:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
+            write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
+            if progress is not None:
+                progress(0.95 + 0.05 * number / len(answer.pairs))
     return answer
 
 
@@ -114,6 +117,7 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
         findings=(
             *room_findings,
             *measured_findings,
+            *left_out_findings(campaign.bands, measured),
             *plan.findings,
             *traced.findings,
             *fit_findings(campaign.bands, knowledge, problems, fits),
@@ -144,10 +148,19 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
     return Scene(room, campaign.sources, campaign.receivers, np.array(list(pairs)), campaign.air)
 
 
+def _in_file_name(name: str) -> str:
+    """Return a name without what a path gives a meaning to."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
+
+
 def _time_scales(measured: tuple[MeasuredPair, ...]) -> tuple[float, float]:
-    """Return the longest decay time of any band, and where the last usable window ends, in s."""
+    """Return the longest decay time of any band, and where the last usable window ends, in s.
+
+    What is kept for validation has no say, so that it cannot change the answer.
+    """
+    fitted = [m for m in measured if m.file.use == "fit"]
     longest = 0.0
-    for m in measured:
+    for m in fitted:
         for name in ("T20_s", "EDT_s"):
             values = m.parameters.of(name)
             known = values[np.isfinite(values)]
@@ -155,7 +168,7 @@ def _time_scales(measured: tuple[MeasuredPair, ...]) -> tuple[float, float]:
                 longest = max(longest, float(known.max()))
                 break
     # a decay that nothing could evaluate still ends where it drowns
-    latest = max(float(m.noise.usable_end_s.max()) for m in measured)
+    latest = max(float(m.noise.usable_end_s.max()) for m in fitted)
     return longest, min(latest, longest) if longest > 0.0 else latest
 
 

@@ -127,7 +127,8 @@ def _from_emission(
     """Return the responses on a clock that counts from emission.
 
     ``direct``: the file's own onset is the direct sound. ``unknown``: one offset a source, the
-    median over its files, so that a single masked onset moves nothing.
+    median over its files, so that a single masked onset moves nothing. Files for validation have
+    a say only where a source has no other.
     """
     files = campaign.measurements
     aligned = [
@@ -136,13 +137,18 @@ def _from_emission(
         else time_zero_from_direct(response, direct_s, str(file.response.path))
         for file, response, direct_s in zip(files, raw, travel_s, strict=True)
     ]
-    unknown: dict[str, list[float]] = {}
+    offsets: dict[tuple[str, str], list[float]] = {}
     for file, own in zip(files, aligned, strict=True):
         if file.response.time_zero == "unknown":
-            unknown.setdefault(file.source, []).append(own.time_zero_s)
+            offsets.setdefault((file.source, file.use), []).append(own.time_zero_s)
     return [
-        replace(own, time_zero_s=float(np.median(unknown[file.source])))
+        replace(own, time_zero_s=_offset_s(offsets, file.source))
         if file.response.time_zero == "unknown"
         else own
         for file, own in zip(files, aligned, strict=True)
     ]
+
+
+def _offset_s(offsets: dict[tuple[str, str], list[float]], source: str) -> float:
+    fitted = offsets.get((source, "fit"))
+    return float(np.median(fitted if fitted else offsets[source, "validate"]))

@@ -12,6 +12,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.measuring import MeasuredPair
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
+from roomfit.findings import Finding
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.energy_problem import (
     EnergyProblem,
@@ -94,13 +95,19 @@ def band_problems(
     ------
     CannotTell
         A band has no measurement with a usable decay.
+
+    Notes
+    -----
+    A measurement is left out of the bands in which no decay rises above its noise: one window of
+    noise would say nothing of the walls, and its gain nothing at all.
     """
-    fitted = tuple(m for m in measured if m.file.use == "fit")
     attenuation = attenuation_per_m(scene.air, bands)
-    lone = {pair: lone_rows(binned.rows[pair]) for pair in {m.pair for m in fitted}}
-    gain_labels = _gain_labels(fitted)
+    pairs = {m.pair for m in measured if m.file.use == "fit"}
+    lone = {pair: lone_rows(binned.rows[pair]) for pair in pairs}
     problems = []
     for band in range(len(bands)):
+        fitted = tuple(m for m in measured if tells_of_band(m, band))
+        gain_labels = _gain_labels(fitted)
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
             _observation(
@@ -131,6 +138,32 @@ def band_problems(
             )
         )
     return tuple(problems)
+
+
+def tells_of_band(m: MeasuredPair, band: int) -> bool:
+    """Whether a measurement is to be fitted and a decay rises above its noise in a band."""
+    return m.file.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
+
+
+def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple[Finding, ...]:
+    """Return which measurements `band_problems` leaves out of which bands."""
+    findings = []
+    for m in measured:
+        told = [tells_of_band(m, band) for band in range(len(bands))]
+        if m.file.use != "fit" or all(told):
+            continue
+        missing = [float(f) for f, t in zip(bands.centres_hz, told, strict=True) if not t]
+        name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
+        findings.append(
+            Finding(
+                "band-left-out",
+                "warning",
+                f"{name}: no decay rises above the noise at "
+                f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
+                {"bands_hz": missing},
+            )
+        )
+    return tuple(findings)
 
 
 def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
@@ -203,8 +236,10 @@ def _gain_label(m: MeasuredPair) -> str:
     if m.file.level == "per-source":
         return m.file.source
     if m.file.level == "per-file":
-        channel = "" if m.file.response.channel is None else f"[{m.file.response.channel}]"
-        return f"{m.file.source} to {m.file.receiver}, {m.file.response.path.name}{channel}"
+        r = m.file.response
+        chosen = (r.channel, r.variable, r.measurement, r.receiver_index)
+        part = ", ".join(str(c) for c in chosen if c is not None)
+        return f"{m.file.source} to {m.file.receiver}, {r.path}[{part}]"
     return ""
 
 
@@ -253,6 +288,14 @@ def _gain_block(
         ).energy[0]
         sums[0, seen.gain] += float(np.maximum(seen.energy - seen.noise, 0.0).sum())
         sums[1, seen.gain] += float((seen.shares @ energy).sum())
+    for label, (found, expected) in zip(labels, sums.T, strict=True):
+        if not (found > 0.0 and expected > 0.0):
+            raise CannotTell(
+                "a measurement and its prediction cannot be brought to one level",
+                where=label,
+                found="no energy above the noise" if expected > 0.0 else "no path in any window",
+                hint="look at the response; leave the band out with from_hz and to_hz",
+            )
     n = len(labels)
     return Block(
         "gain",

@@ -5,13 +5,14 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from roomfit.errors import StoreError
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
@@ -26,12 +27,16 @@ def write_result(folder: Path, answer: Answer, inputs: Iterable[Path]) -> None:
     StoreError
         The disk refuses.
     """
+    content = result_content(answer, inputs)
     write_text_atomically(folder / "absorption.csv", absorption_csv(answer))
-    write_json_atomically(folder / "result.json", result_content(answer, inputs))
+    write_json_atomically(folder / "result.json", content)
 
 
 def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
-    """Return what result.json holds: lists as long as bands_hz, null only inside pairs."""
+    """Return what result.json holds: lists as long as bands_hz, null only inside pairs.
+
+    The first of the inputs is the campaign; the others are named as seen from its folder.
+    """
     return {
         "format": "roomfit-result",
         "format_version": 1,
@@ -63,7 +68,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "provenance": {
             "roomfit": version("roomfit"),
-            "inputs_sha256": {path.name: _sha256(path) for path in inputs},
+            "inputs_sha256": _digests(tuple(inputs)),
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
@@ -123,8 +128,21 @@ def _finding(finding: Finding) -> dict[str, Any]:
         "code": finding.code,
         "severity": finding.severity,
         "sentence": finding.sentence,
-        "evidence": dict(finding.evidence),
+        "evidence": _plain(finding.evidence),
     }
+
+
+def _plain(value: Any) -> Any:
+    """Return what JSON can hold; numbers that are not finite become text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | int | str) or (isinstance(value, float) and np.isfinite(value)):
+        return value
+    return str(value)
 
 
 def _numbers(values: FloatArray) -> list[float]:
@@ -135,5 +153,19 @@ def _numbers_or_null(values: FloatArray) -> list[float | None]:
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
+def _digests(inputs: tuple[Path, ...]) -> dict[str, str]:
+    folder = inputs[0].parent if inputs else Path()
+    return {_seen_from(folder, path): _sha256(path) for path in inputs}
+
+
+def _seen_from(folder: Path, path: Path) -> str:
+    return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+
+
 def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    try:
+        return hashlib.sha256(path.read_bytes()).hexdigest()
+    except OSError as error:
+        raise StoreError(
+            "an input file cannot be read again", where=str(path), found=str(error)
+        ) from error

@@ -4,12 +4,53 @@ from __future__ import annotations
 
 import json
 import os
+import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from roomfit.errors import InputError, StoreError
+
+
+def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that results cannot go into, before the work and without making it.
+
+    Raises
+    ------
+    InputError
+        The folder exists and holds something, and `overwrite` is false; or a file is in its place.
+    StoreError
+        Nothing can be written there.
+    """
+    path = Path(path)
+    try:
+        nearest = _nearest_existing(path)
+        filled = path.is_dir() and any(path.iterdir())
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if not nearest.is_dir():
+        raise InputError(
+            "the output folder is a file" if nearest == path else "the output folder is in a file",
+            where=str(path),
+            found=None if nearest == path else f"{nearest} is a file",
+            hint="choose another name",
+        )
+    if filled and not overwrite:
+        raise InputError(
+            "the output folder exists and is not empty",
+            where=str(path),
+            needed="a new or an empty folder, so that no earlier result is lost",
+            hint="choose another folder, or add --overwrite",
+        )
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise StoreError(
+            "the output folder cannot be written to",
+            where=str(path),
+            found=f"no permission to write in {nearest}",
+            hint="choose another folder",
+        )
 
 
 def new_output_folder(path: Path, *, overwrite: bool = False) -> Path:
@@ -17,28 +58,42 @@ def new_output_folder(path: Path, *, overwrite: bool = False) -> Path:
 
     Raises
     ------
-    InputError
-        The folder exists and holds something, and `overwrite` is false; or a file is in its place.
-    StoreError
-        The folder cannot be made.
+    InputError, StoreError
+        See `check_output_folder`.
     """
     path = Path(path)
-    if path.exists() and not path.is_dir():
-        raise InputError("the output folder is a file", where=str(path), hint="choose another name")
-    if path.is_dir() and any(path.iterdir()) and not overwrite:
-        raise InputError(
-            "the output folder exists and is not empty",
-            where=str(path),
-            needed="a new or an empty folder, so that no earlier result is lost",
-            hint="choose another folder, or add --overwrite",
-        )
+    check_output_folder(path, overwrite=overwrite)
     try:
         path.mkdir(parents=True, exist_ok=True)
     except OSError as error:
-        raise StoreError(
-            "the output folder cannot be made", where=str(path), found=str(error)
-        ) from error
+        raise _cannot_be_made(path, error) from error
     return path
+
+
+@contextmanager
+def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+    """Give a folder to fill, which takes its place and name when the block ends well.
+
+    It is made aside, hidden, on the same disk. An error or an interruption within the block leaves
+    nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files of the
+    same name are replaced and all others stay.
+
+    Raises
+    ------
+    InputError, StoreError
+        See `check_output_folder`.
+    """
+    path = Path(path)
+    check_output_folder(path, overwrite=overwrite)
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=_nearest_existing(path.parent)))
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    try:
+        yield aside
+        _move_files(aside, path)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> Path:
@@ -84,3 +139,27 @@ def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
         The content holds NaN or infinity: a fault of the caller's code, not of a user.
     """
     return write_text_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def _nearest_existing(path: Path) -> Path:
+    """Return the path itself, or the nearest folder above it that exists."""
+    return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
+
+
+def _cannot_be_made(path: Path, error: OSError) -> StoreError:
+    return StoreError("the output folder cannot be made", where=str(path), found=str(error))
+
+
+def _move_files(source: Path, target: Path) -> None:
+    """Move every file into the same place below another folder of the same disk."""
+    try:
+        for file in sorted(p for p in source.rglob("*") if p.is_file()):
+            place = target / file.relative_to(source)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+    except OSError as error:
+        raise StoreError(
+            "the results cannot be put into the output folder",
+            where=str(target),
+            found=str(error),
+        ) from error

@@ -33,7 +33,7 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
         and ceiling, in that order. Each carries its own name as material; the four upright ones
         form the group "walls", so that one key can name them all.
     """
-    lengths = float_array("lengths of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
+    lengths = float_array("length of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
     corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) * lengths
     triangles = [t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d))]
     surfaces = tuple(

@@ -7,7 +7,7 @@ import textwrap
 import numpy as np
 
 from roomfit.findings import Finding
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.answer import Answer
 
 _SHOWN = ("T20_s", "EDT_s", "C80_dB")
@@ -54,17 +54,22 @@ def separable_text(answer: Answer) -> str:
     """Return in words which materials the data tell apart, band by band."""
     lines = ["What the data tell"]
     for j, centre in enumerate(answer.bands.centres_hz):
-        sure = [
-            n for n, told in zip(answer.materials, answer.identifiable[:, j], strict=True) if told
-        ]
+        held = answer.lower95[:, j] == answer.upper95[:, j]
+        sure = _names(answer.materials, answer.identifiable[:, j] & ~held)
         mean, lower, upper = answer.mean_absorption[:, j]
-        known = ", ".join(sure) if sure else "no single material"
+        known = sure if sure else "no single material"
+        if held.any():
+            known += f"; given: {_names(answer.materials, held)}"
         fit = "" if answer.phi[j] <= 2.0 else f"; the model does not fit (phi {answer.phi[j]:.1f})"
         lines.append(
             f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
             f"({lower:.2f} to {upper:.2f}){fit}"
         )
     return "\n".join(lines)
+
+
+def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
+    return ", ".join(n for n, c in zip(materials, chosen, strict=True) if c)
 
 
 def pairs_table(answer: Answer) -> str:

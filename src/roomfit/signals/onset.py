@@ -13,6 +13,8 @@ _BELOW_PEAK = 10.0 ** (-20.0 / 20.0)
 # A normal noise exceeds 5 standard deviations once in 1.7 million samples.
 _ABOVE_NOISE = 5.0
 _TOLERANCE_M = 0.1
+# Farther off than any wrong position: early and late windows hold the wrong reflections.
+_SERIOUS_M = 3.0
 
 
 def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
@@ -82,7 +84,8 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
         raise InputError(
             "the response ends before the direct sound arrives",
             where=where,
-            found=f"the file ends {1000.0 * end_s:.1f} ms after emission",
+            found=f"the file ends {1000.0 * abs(end_s):.1f} ms "
+            f"{'after' if end_s >= 0.0 else 'before'} emission",
             needed=f"more than {1000.0 * travel_s:.1f} ms, the travel time of the direct sound",
             hint="check the positions, the unit of the room, the latency and the file",
         )
@@ -92,6 +95,8 @@ def compare_onset(
     onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str
 ) -> tuple[Finding, ...]:
     """Return a finding where the onset and the geometry disagree by more than 10 cm.
+
+    It is serious from 3 m on.
 
     Parameters
     ----------
@@ -110,7 +115,7 @@ def compare_onset(
     return (
         Finding(
             "time-zero-disagrees",
-            "warning",
+            "serious" if abs(apart_m) > _SERIOUS_M else "warning",
             f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
             f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
             "latency_s and time_zero; sound that is blocked or that a loudspeaker sends elsewhere "

@@ -12,6 +12,8 @@ from roomfit.typing import BoolArray, FloatArray
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
 WIDEST_IDENTIFIABLE = 0.2
 LARGEST_PHI = 2.0
+# Data whose information is below this share of the prior's narrow its interval by less than 5 %.
+_TOLD_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +44,8 @@ def absorption_intervals(
 
     The covariance is the inverse information times max(phi, 1): a misfit widens every interval.
     These are local, Gaussian intervals: they know nothing of a second minimum, and near absorption
-    0 or 1 their true coverage is not 95 %.
+    0 or 1 their true coverage is not 95 %. A material of which the data tell nothing, even if all
+    others were known, has the interval 0 to 1.
     """
     covariance = np.linalg.inv(information) * max(phi, 1.0)
     block = next(b for b in parameters.blocks if b.name == "absorption")
@@ -57,6 +60,8 @@ def absorption_intervals(
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
         for z in (-_Z95, _Z95)
     )
+    untold = _told_nothing(block, np.diag(information)[first : first + n])
+    lower, upper = np.where(untold, 0.0, lower), np.where(untold, 1.0, upper)
     sure = (
         (phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * block.prior_sd)
     )
@@ -88,6 +93,14 @@ def weighted_mean_interval(
     part = covariance[first : first + n, first : first + n]
     sd = float(np.sqrt(gradient @ part @ gradient))
     return mean, max(mean - _Z95 * sd, 0.0), min(mean + _Z95 * sd, 1.0)
+
+
+def _told_nothing(block: Block, information: FloatArray) -> BoolArray:
+    """Whether nearly all information about an absorption, given the others, is the prior's."""
+    told = np.full(len(block.labels), np.inf)
+    prior = 1.0 / block.prior_sd[block.fitted] ** 2
+    told[block.fitted] = information - prior - _TOLD_SHARE * prior
+    return np.asarray(told <= 0.0)
 
 
 def _position(parameters: Parameters, name: str) -> int:

@@ -9,11 +9,12 @@ from typing import Literal
 import numpy as np
 
 from roomfit.air import Air
-from roomfit.bands import Bands, bands_between
+from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.checks import nearest
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.files.campaign.read import read_campaign_table
 from roomfit.files.campaign.schema import (
+    AirTable,
     CampaignTable,
     IdentifyTable,
     MaterialTable,
@@ -93,13 +94,7 @@ def read_campaign(path: Path) -> Campaign:
     return Campaign(
         path,
         _room_spec(path, table),
-        Air(
-            table.air.temperature_c,
-            table.air.humidity_percent,
-            table.air.pressure_kpa,
-            table.air.speed_of_sound_m_s,
-            table.air.attenuation,
-        ),
+        _air(path, table.air),
         tuple(
             Point(n, np.array(s.position), s.position_sd)
             for n, s in table.sources.items()
@@ -139,7 +134,8 @@ def material_knowledge(
                 needed=f"one of {', '.join(materials)}",
                 hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
             )
-    return tuple(_knowledge(campaign, name) for name in materials)
+    with located(str(campaign.path)):
+        return tuple(_knowledge(campaign, name) for name in materials)
 
 
 def input_files(campaign: Campaign) -> tuple[Path, ...]:
@@ -160,7 +156,7 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
     table = campaign.materials.get(name)
     if table is None:
         return plain
-    where = f"{campaign.path}, materials.{name}"
+    where = f"materials.{name}"
     mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
     lower, upper = table.bounds if table.bounds is not None else (0.0, 1.0)
     if isinstance(table.prior, Prior):
@@ -275,6 +271,17 @@ def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
     )
 
 
+def _air(path: Path, table: AirTable) -> Air:
+    with located(str(path)):
+        return Air(
+            table.temperature_c,
+            table.humidity_percent,
+            table.pressure_kpa,
+            table.speed_of_sound_m_s,
+            table.attenuation,
+        )
+
+
 def _bands(path: Path, table: IdentifyTable) -> Bands:
     if table.from_hz > table.to_hz:
         raise InputError(
@@ -283,11 +290,11 @@ def _bands(path: Path, table: IdentifyTable) -> Bands:
             found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
             needed="from_hz <= to_hz",
         )
-    if isinstance(table.bands, str):
-        return bands_between(table.bands, table.from_hz, table.to_hz)
-    centres = np.array(table.bands)
-    thirds = np.any(np.diff(centres) < 0.5 * centres[:-1])
-    return Bands("third-octave" if thirds else "octave", centres)
+    with located(f"{path}, identify.bands"):
+        if isinstance(table.bands, str):
+            return bands_between(table.bands, table.from_hz, table.to_hz)
+        octaves = set(table.bands) <= set(OCTAVES_HZ)
+        return Bands("octave" if octaves else "third-octave", np.array(table.bands))
 
 
 def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:

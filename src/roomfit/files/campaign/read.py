@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
 
 from roomfit.checks import nearest
 from roomfit.errors import InputError
@@ -60,12 +61,24 @@ def _read_toml(path: Path) -> dict[str, Any]:
 
 
 def _explained(path: Path, error: ValidationError) -> InputError:
-    """Turn pydantic's first complaint into one message in our words."""
+    """Turn pydantic's most telling complaint into one message in our words."""
     complaints = error.errors(include_url=False)
-    # a union tries every member; the complaint that is about an unknown key says most
-    first = next((c for c in complaints if c["type"] == "extra_forbidden"), complaints[0])
-    location = tuple(part for part in first["loc"] if _stands_in_the_file(part))
-    where = f"{path}, {_key_path(location)}"
+    # a union tries every member: an unknown key says most, then what lies deepest in the file
+    first = next((c for c in complaints if c["type"] == "extra_forbidden"), None)
+    if first is None:
+        start = _place(complaints[0])[:2]
+        alike = [c for c in complaints if _place(c)[:2] == start]
+        first = max(alike, key=lambda c: len(_place(c)))
+    place = _place(first)
+    # a position of two numbers lacks its third: the fault is the list's
+    if first["type"] == "missing" and isinstance(place[-1], int):
+        return InputError(
+            "a list in the campaign file is too short",
+            where=f"{path}, {_key_path(place[:-1])}",
+            found=repr(first.get("input")),
+            needed=f"{place[-1] + 1} values or more",
+        )
+    where = f"{path}, {_key_path(place)}"
     if first["type"] == "extra_forbidden":
         key = str(first["loc"][-1])
         known = _known_keys(first["loc"][:-1])
@@ -79,14 +92,21 @@ def _explained(path: Path, error: ValidationError) -> InputError:
         )
     if first["type"] == "missing":
         return InputError(
-            "the campaign file lacks a key", where=where, needed=repr(str(first["loc"][-1]))
+            "the campaign file lacks a key",
+            where=f"{path}, {_key_path(place[:-1])}",
+            needed=repr(str(place[-1])),
         )
     return InputError(
         "a value in the campaign file is not what it must be",
         where=where,
         found=repr(first.get("input")),
-        needed=first["msg"],
+        needed=first["msg"].removeprefix("Input should be ").removeprefix("a valid "),
     )
+
+
+def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
+    """Return where in the file a complaint points, without the names of union members."""
+    return tuple(part for part in complaint["loc"] if _stands_in_the_file(part))
 
 
 def _stands_in_the_file(part: int | str) -> bool:
@@ -172,21 +192,23 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
 
 
 def _check_pairs(path: Path, campaign: CampaignTable) -> None:
-    """Refuse the same file channel twice: it would count one measurement as two."""
+    """Refuse the same data twice, for one pair or for two: they are one measurement."""
     seen: dict[tuple[object, ...], int] = {}
-    key: tuple[object, ...]
     for number, row in enumerate(campaign.measurements, start=1):
-        data = (row.file, row.parameters, row.spectrum)
-        key = (*data, row.channel, row.variable, row.measurement, row.receiver_index)
-        key = (*key, row.source, row.receiver)
-        if key in seen:
+        data = row.file or row.parameters or row.spectrum
+        # a table of parameters holds many pairs, a file's channel one
+        pair = () if row.file else (row.source, row.receiver)
+        key = (data, row.channel, row.variable, row.measurement, row.receiver_index, *pair)
+        earlier = seen.setdefault(key, number)
+        if earlier != number:
+            other = campaign.measurements[earlier - 1]
+            same = (row.source, row.receiver) == (other.source, other.receiver)
             raise InputError(
-                "the same measurement stands twice",
-                where=f"{path}, measurements[{seen[key]}] and measurements[{number}]",
-                found=row.file or row.parameters or row.spectrum,
-                hint="remove one of them",
+                "the same measurement stands twice" if same else "two pairs have the same response",
+                where=f"{path}, measurements[{earlier}] and measurements[{number}]",
+                found=data,
+                hint="remove one of them" if same else "name each pair's own file or channel",
             )
-        seen[key] = number
     if all(row.use == "validate" for row in campaign.measurements):
         raise InputError(
             "every measurement is for validation and none is left to fit",

@@ -127,7 +127,7 @@ class IdentifyTable(Table):
         "auto"
     )
     model: Literal["auto", "energy", "coherent"] = "auto"
-    seed: int = Field(default=1, ge=0)
+    seed: int = Field(default=1, ge=0, lt=2**63)
 
 
 class CampaignTable(Table):

@@ -79,7 +79,9 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
     unit = spec.unit or "m"
     if unit not in METRES_PER_UNIT:
         known = ", ".join(METRES_PER_UNIT)
-        raise InputError("unknown unit", found=repr(unit), needed=f"one of {known}")
+        raise InputError(
+            "unknown unit", where="[room] unit", found=repr(unit), needed=f"one of {known}"
+        )
     if spec.up not in (None, "z"):
         raise InputError("a shoebox stands with z up", found=f"up = {spec.up!r}", needed='"z"')
     x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
