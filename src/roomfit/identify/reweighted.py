@@ -12,6 +12,7 @@ from roomfit.identify.solvers import Solver
 from roomfit.objective.energy_problem import (
     EnergyProblem,
     Prediction,
+    in_air,
     measured_energies,
     predict_windows,
     window_variance,
@@ -79,6 +80,7 @@ def fit_energies(
     ----------
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
+    problem = in_air(problem)
     measured = measured_energies(problem)
     counter = _Counter(problem)
     vector = solver(_log_squares(counter, measured), start_vector(problem.parameters))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import cast
 
 import numpy as np
@@ -16,7 +16,7 @@ from roomfit.objective.parameters import (
     physical_values,
 )
 from roomfit.response.energy import batch_energies, weigh
-from roomfit.response.rows import EnergyRows
+from roomfit.response.rows import EnergyRows, rows_in_air
 from roomfit.typing import FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -130,6 +130,20 @@ class Prediction:
     expected: FloatArray
     signal: FloatArray
     jacobian: FloatArray
+
+
+def in_air(problem: EnergyProblem) -> EnergyProblem:
+    """Return the same problem with the air's loss put into the rows' weights for good.
+
+    Saves an exponential a row and evaluation; costs the memory of the weights in this band.
+    """
+    m = problem.attenuation_per_m
+    return replace(
+        problem,
+        rows=tuple(rows_in_air(rows, m) for rows in problem.rows),
+        lone_rows=tuple(rows_in_air(rows, m) for rows in problem.lone_rows),
+        attenuation_per_m=0.0,
+    )
 
 
 def measured_energies(problem: EnergyProblem) -> FloatArray:
