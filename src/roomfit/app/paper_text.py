@@ -68,7 +68,10 @@ def _searches(result: PaperResult) -> str:
         cells = "".join(f"{_cell(records[problem, method]):>14}" for method in METHODS)
         mark = "" if wanted.in_paper else " *"
         lines.append(f"  {problem + mark:<29}{cells}")
-    lines.append("  * not in the paper")
+    lines += [
+        "  * not in the paper. least squares: from the absorption that the decay gives to all walls,",
+        "  then random points; one start: from one random point alone",
+    ]
     return "\n".join(lines)
 
 
