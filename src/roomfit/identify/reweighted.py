@@ -131,6 +131,9 @@ def _log_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
     problem = counter.problem
     start = start_vector(problem.parameters)
     expected = counter.predict(start).expected
+    # a window that neither a path nor noise reaches has no logarithm
+    least = 1e-9 * float(expected.max())
+    expected = expected + least
     shape = np.clip(expected**2 / window_variance(problem, start), 0.5, 100.0)
     sd = np.sqrt(polygamma(1, shape))
     # an empty window says "low", not minus infinity
@@ -139,8 +142,9 @@ def _log_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
     def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         prediction = counter.predict(vector)
         prior, prior_rows = prior_residuals(problem.parameters, vector)
-        residuals = (target - np.log(prediction.expected)) / sd
-        rows = -prediction.jacobian / (prediction.expected * sd)[:, None]
+        predicted = prediction.expected + least
+        residuals = (target - np.log(predicted)) / sd
+        rows = -prediction.jacobian / (predicted * sd)[:, None]
         return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
     return squares

@@ -38,6 +38,8 @@ def simplex_solver(parameters: Parameters) -> Solver:
     """Return the paper's downhill simplex, over absorption itself and log gains."""
 
     def solve(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
+        if not start.size:
+            return start
         error, first = _in_unit_box(parameters, residuals, start)
         found = downhill_simplex(error, simplex_around(first, _FIRST_EDGE))
         return _from_unit(parameters, found.x)
@@ -49,6 +51,8 @@ def annealing_solver(parameters: Parameters, rng: np.random.Generator) -> Solver
     """Return the paper's simulated annealing with its simplex, over absorption and log gains."""
 
     def solve(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
+        if not start.size:
+            return start
         error, first = _in_unit_box(parameters, residuals, start)
         return _from_unit(parameters, anneal(error, first.size, rng).x)
 

@@ -191,10 +191,12 @@ def _line(
     """Return height and time constant of the exponential above the noise, or None.
 
     Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
-    noise, down to that level; from the peak on where the decay is not that long.
+    noise, down to that level; from the peak on where the decay is not that long. Quiet blocks with
+    louder ones to come, as between direct sound and first reflection of a hall, are passed over.
     """
     peak = int(np.argmax(blocks))
-    below = np.flatnonzero(blocks[peak:] < 4.0 * floor)
+    rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
+    below = np.flatnonzero(np.maximum(blocks, rest)[peak:] < 4.0 * floor)
     stop = peak + int(below[0]) if below.size else len(blocks)
     above = np.flatnonzero(blocks[:stop] > 4.0 * floor * 10.0 ** (0.1 * span_db))
     start = max(peak, int(above[-1])) if above.size else peak
@@ -202,7 +204,10 @@ def _line(
         start = max(peak, stop - 4)
     if stop - start < 3:
         return None
-    chosen, net = times[start:stop], blocks[start:stop] - floor
+    loud = blocks[start:stop] > 2.0 * floor
+    if np.count_nonzero(loud) < 3:
+        return None
+    chosen, net = times[start:stop][loud], blocks[start:stop][loud] - floor
     slope = float(np.polyfit(chosen, np.log(net), 1)[0])
     if not slope < 0.0:
         return None
