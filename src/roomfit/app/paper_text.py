@@ -69,7 +69,7 @@ def _searches(result: PaperResult) -> str:
         mark = "" if wanted.in_paper else " *"
         lines.append(f"  {problem + mark:<29}{cells}")
     lines += [
-        "  * not in the paper. least squares: from the absorption that the decay gives to all walls,",
+        "  * not in the paper. least squares: from the one absorption that the decay gives,",
         "  then random points; one start: from one random point alone",
     ]
     return "\n".join(lines)
