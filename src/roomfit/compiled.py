@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import ParamSpec, TypeVar, cast
+from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
 
@@ -12,7 +12,7 @@ R = TypeVar("R")
 
 
 def kernel(
-    *, parallel: bool = False, allocates: bool = True
+    *, parallel: bool = False, allocates: bool = True, inlined: bool = False
 ) -> Callable[[Callable[P, R]], Callable[P, R]]:
     """Compile a module-level function with numba and keep the machine code on disk.
 
@@ -27,17 +27,22 @@ def kernel(
     allocates : bool
         Whether the function, or one that it calls, makes arrays. Where none does, False spares the
         counting of references, which costs more than a short function that takes tuples of arrays.
+    inlined : bool
+        Whether the function is copied into each function that calls it. Every array of a tuple is
+        handed over as seven numbers or more, so that a call can cost as much as its work.
     """
 
+    options: dict[str, Any] = {
+        "cache": True,
+        "nogil": True,
+        "error_model": "numpy",
+        "parallel": parallel,
+        "fastmath": False,
+        "_nrt": allocates,
+        "forceinline": inlined,
+    }
+
     def decorate(function: Callable[P, R]) -> Callable[P, R]:
-        compiled = numba.njit(
-            cache=True,
-            nogil=True,
-            error_model="numpy",
-            parallel=parallel,
-            fastmath=False,
-            _nrt=allocates,
-        )(function)
-        return cast(Callable[P, R], compiled)
+        return cast(Callable[P, R], numba.njit(**options)(function))
 
     return decorate

@@ -56,7 +56,7 @@ def scattered(d: Vector, normal: Vector, u: float, v: float) -> Vector:
     )
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def after_wall(
     d: Vector, normal: Vector, scattering: float, key: np.uint64, hit: int
 ) -> tuple[Vector, bool]:

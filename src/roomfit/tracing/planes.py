@@ -114,7 +114,7 @@ def _planes(
     )
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def nearest_plane(planes: Planes, o: Vector, d: Vector) -> tuple[float, int]:
     """Return the distance to the plane through which a ray leaves a convex room, and the plane.
 

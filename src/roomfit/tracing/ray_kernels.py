@@ -191,7 +191,7 @@ def _trace_ray(
             specular[material] += np.uint16(1)
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def _catch_in_grid(
     spheres: Spheres,
     job: Job,
@@ -216,11 +216,11 @@ def _catch_in_grid(
     x = cell_at(spheres, o[0] + start * d[0], 0)
     y = cell_at(spheres, o[1] + start * d[1], 1)
     z = cell_at(spheres, o[2] + start * d[2], 2)
+    to_x = leaves_cell(spheres, x, 0, o[0], d[0])
+    to_y = leaves_cell(spheres, y, 1, o[1], d[1])
+    to_z = leaves_cell(spheres, z, 2, o[2], d[2])
     entered = -np.inf
     while True:
-        to_x = leaves_cell(spheres, x, 0, o[0], d[0])
-        to_y = leaves_cell(spheres, y, 1, o[1], d[1])
-        to_z = leaves_cell(spheres, z, 2, o[2], d[2])
         left = min(to_x, to_y, to_z)
         cell = (x * spheres.cells[1] + y) * spheres.cells[2] + z
         for i in range(spheres.first[cell], spheres.first[cell + 1]):
@@ -235,14 +235,19 @@ def _catch_in_grid(
         entered = left
         if left == to_x:
             x += 1 if d[0] > 0.0 else -1
+            if x < 0 or x == spheres.cells[0]:
+                return
+            to_x = leaves_cell(spheres, x, 0, o[0], d[0])
         elif left == to_y:
             y += 1 if d[1] > 0.0 else -1
+            if y < 0 or y == spheres.cells[1]:
+                return
+            to_y = leaves_cell(spheres, y, 1, o[1], d[1])
         else:
             z += 1 if d[2] > 0.0 else -1
-        if not (
-            0 <= x < spheres.cells[0] and 0 <= y < spheres.cells[1] and 0 <= z < spheres.cells[2]
-        ):
-            return
+            if z < 0 or z == spheres.cells[2]:
+                return
+            to_z = leaves_cell(spheres, z, 2, o[2], d[2])
 
 
 @kernel(allocates=False)

@@ -12,8 +12,8 @@ from roomfit.tracing.bounce import Vector
 from roomfit.typing import FloatArray, IntArray
 
 # Up to so many spheres it is quicker to try each one than to walk through a grid (measured).
-_TRY_EACH = 12
-_CELLS_PER_SPHERE = 4.0
+_TRY_EACH = 24
+_CELLS_PER_SPHERE = 0.5
 # Spheres are entered into the grid this much larger, so that rounding hides none from a cell.
 _MARGIN_M = 1e-6
 
@@ -47,7 +47,7 @@ class Spheres(NamedTuple):
 
 
 def spheres(centre_m: FloatArray, radius_m: FloatArray, pair: IntArray) -> Spheres:
-    """Return the spheres with a grid of about four cells for each, if they are many."""
+    """Return the spheres with a grid of about one cell for every two, if they are many."""
     n = len(radius_m)
     reach = radius_m[:, None] + _MARGIN_M
     low, high = (centre_m - reach).min(axis=0), (centre_m + reach).max(axis=0)

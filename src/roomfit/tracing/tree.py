@@ -79,7 +79,7 @@ def _inverse(x: float) -> np.float32:
     return np.float32(1.0 / (math.copysign(_TINY, x) if abs(x) < _TINY else x))
 
 
-@kernel(allocates=False)
+@kernel(allocates=False, inlined=True)
 def nearest_in_tree(tree: Tree, o: Vector, d: Vector) -> tuple[float, int]:
     """Return distance and number of the facet that a ray meets first; infinity and -1 for none.
 

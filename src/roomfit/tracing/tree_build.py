@@ -17,7 +17,7 @@ import numpy as np
 
 from roomfit.compiled import kernel
 from roomfit.tracing.vector import WIDTH
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Looking at a node costs this much of looking at a facet, and a leaf holds at most so many facets:
 # quickest in halls of 1,000 to 100,000 triangles.
@@ -54,88 +54,96 @@ def binary_tree(box_m: FloatArray) -> BinaryTree:
     n = len(box_m)
     size = max(2 * n - 1, 1)
     left, level = np.full(size, -1, np.int64), np.zeros(size, np.int64)
-    first, count = np.zeros(size, np.int64), np.zeros(size, np.int64)
+    first, n_facets = np.zeros(size, np.int64), np.zeros(size, np.int64)
     boxes = np.zeros((size, 2, 3))
-    order = np.arange(n)
-    count[0], used = n, 1
+    # sorted once along each axis; every cut keeps the three orders of both parts
+    orders = np.empty((3, n), np.int64)
+    for axis in range(3):
+        middle = box_m[:, 0, axis] + box_m[:, 1, axis]
+        orders[axis] = np.argsort(middle, kind="mergesort")
+    areas, spare, goes_left = np.empty(n), np.empty(n, np.int64), np.zeros(n, np.bool_)
+    n_facets[0], used = n, 1
     node = 0
     while node < used:  # children are added behind, so all nodes come in turn
-        a, b = first[node], first[node] + count[node]
-        boxes[node] = _around(box_m, order[a:b])
-        cut = _best_cut(box_m, order[a:b], boxes[node], level[node])
+        a, b = first[node], first[node] + n_facets[node]
+        _surround(box_m, orders[0, a:b], boxes[node])
+        axis, cut = _best_cut(box_m, orders[:, a:b], boxes[node], areas[a:b])
+        if cut > 0 and level[node] >= _MAX_LEVEL:
+            cut = (b - a) // 2
         if cut > 0:
+            _divide(orders[:, a:b], axis, cut, goes_left, spare)
             left[node] = used
-            for child in range(2):
-                level[used + child] = level[node] + 1
-            first[used], count[used] = a, cut
-            first[used + 1], count[used + 1] = a + cut, b - a - cut
+            level[used : used + 2] = level[node] + 1
+            first[used], n_facets[used] = a, cut
+            first[used + 1], n_facets[used + 1] = a + cut, b - a - cut
             used += 2
         node += 1
-    return BinaryTree(left[:used], first[:used], count[:used], boxes[:used], order)
+    return BinaryTree(left[:used], first[:used], n_facets[:used], boxes[:used], orders[0])
 
 
 @kernel()
-def _around(box_m: FloatArray, members: IntArray) -> FloatArray:
-    box = np.empty((2, 3))
+def _surround(box_m: FloatArray, members: IntArray, box: FloatArray) -> None:
     box[0], box[1] = np.inf, -np.inf
     for i in members:
-        for axis in range(3):
-            box[0, axis] = min(box[0, axis], box_m[i, 0, axis])
-            box[1, axis] = max(box[1, axis], box_m[i, 1, axis])
-    return box
+        _widen(box, box_m, i)
 
 
-@kernel()
+@kernel(allocates=False)
+def _widen(box: FloatArray, box_m: FloatArray, i: int) -> None:
+    for axis in range(3):
+        box[0, axis] = min(box[0, axis], box_m[i, 0, axis])
+        box[1, axis] = max(box[1, axis], box_m[i, 1, axis])
+
+
+@kernel(allocates=False)
 def _half_area(box: FloatArray) -> float:
     x, y, z = box[1, 0] - box[0, 0], box[1, 1] - box[0, 1], box[1, 2] - box[0, 2]
     return float(x * y + y * z + z * x)
 
 
 @kernel()
-def _best_cut(box_m: FloatArray, members: IntArray, box: FloatArray, level: int) -> int:
-    """Sort the members and return how many go to the first child; 0 for a leaf."""
-    n = len(members)
-    if n == 1:
-        return 0
-    middle = np.empty(n)
-    areas = np.empty(n)
-    best, cut = np.inf, n // 2
-    best_members = members.copy()
+def _best_cut(
+    box_m: FloatArray, orders: IntArray, box: FloatArray, areas: FloatArray
+) -> tuple[int, int]:
+    """Return the axis to cut across and how many facets come first; 0 of them for a leaf."""
+    n = orders.shape[1]
+    best, best_axis, cut = np.inf, 0, 0
+    growing = np.empty((2, 3))
     for axis in range(3):
-        for i in range(n):
-            middle[i] = box_m[members[i], 0, axis] + box_m[members[i], 1, axis]
-        along = members[np.argsort(middle, kind="mergesort")]
-        _growing_areas(box_m, along, areas)
-        backward = _growing_areas_backward(box_m, along)
+        growing[0], growing[1] = np.inf, -np.inf
+        for k in range(n - 1, 0, -1):
+            _widen(growing, box_m, orders[axis, k])
+            areas[k] = _half_area(growing)
+        growing[0], growing[1] = np.inf, -np.inf
         for k in range(1, n):
-            cost = areas[k - 1] * k + backward[k] * (n - k)
+            _widen(growing, box_m, orders[axis, k - 1])
+            cost = _half_area(growing) * k + areas[k] * (n - k)
             if cost < best:
-                best, cut = cost, k
-                best_members[:] = along
+                best, best_axis, cut = cost, axis, k
     area = _half_area(box)
     if n <= MAX_LEAF and NODE_COST * area + best >= area * n:
-        return 0
-    members[:] = best_members
-    return n // 2 if level >= _MAX_LEVEL else cut
+        return best_axis, 0
+    return best_axis, cut
 
 
-@kernel()
-def _growing_areas(box_m: FloatArray, members: IntArray, areas: FloatArray) -> None:
-    """Write half the surface of the box around the first 1, 2, ... members."""
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for i, member in enumerate(members):
-        for axis in range(3):
-            low[axis] = min(low[axis], box_m[member, 0, axis])
-            high[axis] = max(high[axis], box_m[member, 1, axis])
-        x, y, z = high[0] - low[0], high[1] - low[1], high[2] - low[2]
-        areas[i] = x * y + y * z + z * x
-
-
-@kernel()
-def _growing_areas_backward(box_m: FloatArray, members: IntArray) -> FloatArray:
-    areas = np.empty(len(members))
-    _growing_areas(box_m, members[::-1], areas)
-    return areas[::-1]
+@kernel(allocates=False)
+def _divide(orders: IntArray, axis: int, cut: int, goes_left: BoolArray, spare: IntArray) -> None:
+    """Bring the first `cut` facets along one axis to the front of all three orders."""
+    n = orders.shape[1]
+    for k in range(n):
+        goes_left[orders[axis, k]] = k < cut
+    for other in range(3):
+        front, back = 0, cut
+        for k in range(n):
+            i = orders[other, k]
+            if goes_left[i]:
+                spare[front] = i
+                front += 1
+            else:
+                spare[back] = i
+                back += 1
+        for k in range(n):
+            orders[other, k] = spare[k]
 
 
 @kernel()
