@@ -282,6 +282,15 @@ def test_memory_is_told_before_and_refused_where_it_is_too_much():
         )
 
 
+def test_more_paths_than_expected_are_refused_once_they_are_found():
+    """Receivers on the source catch all rays at once: the diffuse estimate knows nothing of it."""
+    scene = scene_of(box_room(), [SOURCE], [SOURCE] * 40)
+    settings = TraceSettings(1e-3, n_rays=4096, image_order=-1, receiver_radius_m=0.1)
+    still = uniform_scattering(scene.room.materials, 0.0)
+    with pytest.raises(InputError, match="fit into memory"):
+        trace_rays(scene, settings, still, memory_limit_bytes=2_000_000)
+
+
 def test_a_block_with_more_crossings_than_expected_loses_none():
     """Spheres around the source catch every ray at once, far above the diffuse estimate."""
     scene = scene_of(box_room(), [SOURCE], [SOURCE] * 40)

@@ -15,7 +15,7 @@ from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.materials.scattering import Scattering
 from roomfit.scene.room import Room
 from roomfit.scene.scene import Scene
-from roomfit.tracing.acceleration import walls_of
+from roomfit.tracing.acceleration import Walls, walls_of
 from roomfit.tracing.directions import start_directions
 from roomfit.tracing.paths import Paths
 from roomfit.tracing.ray_blocks import Piece, bytes_per_path, joined, packed, trace_block
@@ -76,7 +76,8 @@ def trace_rays(
     receiver_radii_m : array_like, shape (n_receivers,), optional
         Radius of each receiver of the scene instead of `settings.receiver_radius_m`.
     memory_limit_bytes : int
-        More than this, at `path_bytes` for each expected path, is refused before the trace starts.
+        More than this, at `path_bytes` for each path and 24 bytes for each ray, is refused: before
+        the trace where that many paths are expected, and on the way where that many are found.
 
     Raises
     ------
@@ -86,8 +87,8 @@ def trace_rays(
     Notes
     -----
     The same seed gives the same bits for any number of threads. Rays that leave through a leak are
-    counted and dropped. Peak memory is that of the paths, once again their largest array, 24 bytes
-    a ray for the directions, and about 100 MB.
+    counted and dropped. Peak memory is that of the paths, once again their largest array, the
+    directions, and about 100 MB.
 
     References
     ----------
@@ -95,30 +96,23 @@ def trace_rays(
     """
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = in_room_order(scattering, scene.room)
-    sources = np.unique(scene.pairs[:, 0]) if settings.n_rays else np.empty(0, np.int64)
-    _check_memory(scene, settings, radii, memory_limit_bytes)
+    sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
+    expected = expected_paths(scene, settings, receiver_radii_m=radii)
+    _check_memory(scene, settings, expected, memory_limit_bytes)
     walls = walls_of(scene.room)
     pieces: list[Piece] = []
     tallies: list[Tally] = []
-    for done, source in enumerate(sources.tolist()):
-        job = Job(
-            scene.sources[source].position_m,
-            coefficients,
-            settings.duration_s * speed_of_sound_m_s(scene.air),
-            settings.max_hits,
-            settings.seed,
-            source,
-        )
-        receivers = _spheres(scene, source, radii)
-        directions = start_directions(settings, source)
-        per_ray = _crossings_per_ray(scene.room, receivers.radius_m, job)
-        for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
-            capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
-            caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
-            pieces.append(packed(caught, receivers, directions, settings.n_batches))
+    found = 0
+    for done, source in enumerate(sources):
+        for last, piece, tally in _trace_source(
+            scene, settings, walls, source, radii, coefficients
+        ):
+            pieces.append(piece)
             tallies.append(tally)
+            found += len(piece.length_m)
+            _check_memory(scene, settings, found, memory_limit_bytes)
             if progress is not None:
-                progress((done + rays.stop / settings.n_rays) / len(sources))
+                progress((done + last / settings.n_rays) / len(sources))
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,
@@ -127,6 +121,32 @@ def trace_rays(
         sampling_scattering=coefficients,
     )
     return RayTrace(paths, ray_statistics(len(sources) * settings.n_rays, tallies))
+
+
+def _trace_source(
+    scene: Scene,
+    settings: TraceSettings,
+    walls: Walls,
+    source: int,
+    radii: FloatArray,
+    coefficients: FloatArray,
+) -> Iterator[tuple[int, Piece, Tally]]:
+    """Trace block by block; give the rays done so far and what the block brought."""
+    job = Job(
+        scene.sources[source].position_m,
+        coefficients,
+        settings.duration_s * speed_of_sound_m_s(scene.air),
+        settings.max_hits,
+        settings.seed,
+        source,
+    )
+    receivers = _spheres(scene, source, radii)
+    directions = start_directions(settings, source)
+    per_ray = _crossings_per_ray(scene.room, receivers.radius_m, job)
+    for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
+        capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
+        caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
+        yield rays.stop, packed(caught, receivers, directions, settings.n_batches), tally
 
 
 def expected_paths(
@@ -148,15 +168,12 @@ def path_bytes(scene: Scene) -> int:
     return bytes_per_path(len(scene.room.materials))
 
 
-def _check_memory(
-    scene: Scene, settings: TraceSettings, radii: FloatArray, limit_bytes: int
-) -> None:
-    n = expected_paths(scene, settings, receiver_radii_m=radii)
-    needed = n * path_bytes(scene) + 24.0 * settings.n_rays
+def _check_memory(scene: Scene, settings: TraceSettings, n_paths: float, limit_bytes: int) -> None:
+    needed = n_paths * path_bytes(scene) + 24.0 * settings.n_rays
     if needed > limit_bytes:
         raise InputError(
             "the trace would not fit into memory",
-            found=f"about {n:.3g} paths, {needed / 2**30:.3g} GiB",
+            found=f"about {n_paths:.3g} paths, {needed / 2**30:.3g} GiB",
             needed=f"at most {limit_bytes / 2**30:.3g} GiB",
             hint="fewer rays, a smaller receiver radius, a shorter duration or fewer pairs",
         )
