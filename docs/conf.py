@@ -6,6 +6,7 @@ project = "roomfit"
 author = "the roomfit founders"
 release = package_version("roomfit")
 extensions = [
+    "matplotlib.sphinxext.mathmpl",  # equations as pictures: no page fetches anything to show them
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.autosummary",
@@ -13,18 +14,35 @@ extensions = [
     "sphinx_gallery.gen_gallery",
 ]
 source_suffix = {".md": "markdown", ".rst": "restructuredtext"}
-exclude_patterns = ["_build", "examples", "gallery/*.py", "gallery/*.ipynb"]
+exclude_patterns = ["_build", "_templates", "examples", "gallery/*.py", "gallery/*.ipynb"]
+templates_path = ["_templates"]
+default_role = "code"  # docstrings quote names in single backticks
+
 html_theme = "alabaster"
 html_theme_options = {
     "description": "The absorption of a real room's walls, and how sure one can be",
     "fixed_sidebar": True,
-    "page_width": "62em",
+    "page_width": "72em",
+    "sidebar_width": "15em",
+    "body_max_width": "none",
+    "show_powered_by": False,
 }
-myst_enable_extensions = ["dollarmath"]
+html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
+html_static_path = ["_static"]
+html_css_files = ["roomfit.css"]
+html_show_copyright = False
+html_show_sourcelink = False
+html_copy_source = False
+
+myst_heading_anchors = 3
 autodoc_typehints = "none"
-autodoc_member_order = "bysource"
 autosummary_generate = True
 napoleon_google_docstring = False
+napoleon_use_rtype = False
+napoleon_use_ivar = True
+toc_object_entries = False
+mathmpl_fontsize = 12.0
+mathmpl_srcset = ["2x"]
 suppress_warnings = ["config.cache"]
 sphinx_gallery_conf = {
     "examples_dirs": "examples",
@@ -33,5 +51,7 @@ sphinx_gallery_conf = {
     "abort_on_example_error": True,
     "download_all_examples": False,
     "show_memory": False,
+    "show_signature": False,
+    "write_computation_times": False,
     "within_subsection_order": "FileNameSortKey",
 }

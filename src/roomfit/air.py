@@ -64,7 +64,7 @@ class Air:
 def speed_of_sound_m_s(air: Air) -> float:
     """Return the speed of sound: the given one, or Cramer's (1993) as in pyfar.
 
-    343.99 m/s at 20 degrees C, 50 % and 101.325 kPa.
+    343.99 m/s at 20 degrees C, 50 % and 101.325 kPa by Cramer's formula [1]_.
 
     References
     ----------

@@ -1,0 +1,310 @@
+"""The documentation against the code: what it shows runs, what it names exists."""
+
+from __future__ import annotations
+
+import ast
+import doctest
+import importlib
+import os
+import re
+import runpy
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import typer.main
+from pydantic import BaseModel
+
+import roomfit
+from roomfit.app.planning import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
+from roomfit.app.problems import UNTOLD_POSITION_SD_M
+from roomfit.cli.commands import app
+from roomfit.files.campaign import schema
+from roomfit.files.campaign.campaign import material_knowledge
+from roomfit.geometry.doctor import LEAK_LIMIT
+from roomfit.materials.knowledge import DEFAULT_LOGIT_SD, DEFAULT_MEAN
+from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.testproblems.measured_box import demo_plan, write_measured_box
+from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE
+
+ROOT = Path(__file__).resolve().parents[1]
+DOCS = ROOT / "docs"
+SOURCE = Path(roomfit.__file__).parent
+GENERATED = {"_build", "gallery", "reference"}
+PAGES = sorted(
+    page for page in DOCS.rglob("*.md") if not GENERATED & set(page.relative_to(DOCS).parts)
+)
+EXAMPLES = sorted((DOCS / "examples").glob("plot_*.py"))
+SOURCES = sorted(SOURCE.rglob("*.py"))
+
+
+def page(name: str) -> str:
+    return (DOCS / name).read_text(encoding="utf-8")
+
+
+def named(path: Path) -> str:
+    return path.relative_to(ROOT).as_posix()
+
+
+def code_blocks(path: Path, language: str) -> list[str]:
+    return re.findall(rf"^```{language}\n(.*?)^```", path.read_text("utf-8"), re.M | re.S)
+
+
+def run_python(*arguments: str, folder: Path) -> str:
+    """Run a fresh interpreter, as a reader would, and return what it printed."""
+    environment = {**os.environ, "MPLBACKEND": "Agg"}
+    done = subprocess.run(
+        [sys.executable, *arguments],
+        cwd=folder, env=environment, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+# What the pages show runs.
+
+
+@pytest.mark.parametrize("source", [f for f in SOURCES if ">>> " in f.read_text()], ids=named)
+def test_examples_in_docstrings_print_what_they_say(source):
+    parts = source.relative_to(SOURCE.parent).with_suffix("").parts
+    module = importlib.import_module(".".join(p for p in parts if p != "__init__"))
+    found = doctest.testmod(module, extraglobs={"np": np})
+    assert found.attempted > 0
+    assert found.failed == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("example", EXAMPLES, ids=named)
+def test_an_example_of_the_gallery_runs_in_a_fresh_interpreter(example, tmp_path):
+    printed = run_python(str(example), folder=tmp_path)
+    # what the text around the code says of the result
+    expected = {
+        "plot_check_room": [
+            "volume V        46.80 m3",
+            "The room can be traced.",
+            "the mesh leaks",
+        ],
+        "plot_error_landscape": ["ill_defined  from [0.95 0.95] to [0.65 0.35]"],
+        "plot_identify_box": ["room mean", "model | mean of the others"],
+        "plot_trace_once": ["paths over the materials"],
+    }
+    assert all(text in printed for text in expected[example.stem])
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.fixture(scope="module")
+def campaign_folder(tmp_path_factory):
+    """A folder with campaign.toml and its recordings: one source, one octave, to be quick."""
+    folder = tmp_path_factory.mktemp("campaign")
+    plan = demo_plan()
+    plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
+    box = write_measured_box(plan, folder, np.random.default_rng(1))
+    text = box.campaign.read_text().replace("from_hz = 125", "from_hz = 4000")
+    box.campaign.write_text(text)
+    return folder
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "path", [p for p in [ROOT / "README.md", *PAGES] if code_blocks(p, "python")], ids=named
+)
+def test_python_on_a_page_runs_from_top_to_bottom(path, campaign_folder):
+    run_python("-c", "\n".join(code_blocks(path, "python")), folder=campaign_folder)
+
+
+@pytest.mark.parametrize(
+    ("path", "number"),
+    [(p, n) for p in [ROOT / "README.md", *PAGES] for n, _ in enumerate(code_blocks(p, "toml"))],
+    ids=lambda value: named(value) if isinstance(value, Path) else str(value),
+)
+def test_a_campaign_on_a_page_is_a_good_one(path, number, tmp_path):
+    file = tmp_path / "campaign.toml"
+    file.write_text(code_blocks(path, "toml")[number], encoding="utf-8")
+    campaign = roomfit.read_campaign(file)
+    known = material_knowledge(campaign, tuple(campaign.room.materials.values()))
+    assert len(known) == len(campaign.room.materials)
+
+
+def test_the_picture_of_the_pipeline_is_what_its_script_draws():
+    script = DOCS / "pictures" / "pipeline.py"
+    drawn = runpy.run_path(str(script))["draw"]()
+    assert script.with_suffix(".svg").read_text(encoding="utf-8") == drawn
+
+
+# What the pages name exists.
+
+
+def headings(text: str) -> set[str]:
+    """Return the anchors of a page: its headings as MyST writes them, and explicit targets."""
+    titles = re.findall(r"^#+ (.*)$", text, re.M)
+    slugs = {re.sub(r"[^\w\- ]", "", t.lower()).replace(" ", "-") for t in titles}
+    return slugs | set(re.findall(r"^\(([\w-]+)\)=$", text, re.M))
+
+
+@pytest.mark.parametrize("path", [*PAGES, *sorted(ROOT.glob("*.md"))], ids=named)
+def test_links_lead_somewhere(path):
+    for target, anchor in re.findall(
+        r"\]\(([^)#\s]*)(?:#([\w-]+))?\)", path.read_text(encoding="utf-8")
+    ):
+        if target.startswith(("http://", "https://")):
+            continue
+        aim = (path.parent / target).resolve() if target else path
+        if aim.parent == DOCS / "gallery":
+            made_from = DOCS / "examples" / f"{aim.stem}.py"
+            assert aim.stem == "index" or made_from.exists(), target
+            continue
+        assert aim.exists(), target
+        assert not anchor or anchor in headings(aim.read_text(encoding="utf-8")), anchor
+
+
+def test_every_page_is_reached_from_the_first():
+    reached, waiting = set(), [DOCS / "index.md"]
+    while waiting:
+        here = waiting.pop()
+        reached.add(here)
+        for tree in code_blocks(here, r"\{toctree\}"):
+            entries = [line for line in tree.split("\n") if line and line[0] != ":"]
+            found = [f for entry in entries for f in here.parent.glob(f"{entry}.md")]
+            waiting += [f for f in found if f not in reached]
+    assert reached == set(PAGES)
+
+
+def test_every_public_name_stands_in_the_reference_and_no_other():
+    listed = [
+        line.strip()
+        for block in code_blocks(DOCS / "api.md", r"\{eval-rst\}")
+        for line in block.split("\n")
+        if re.fullmatch(r" {3}\w+", line)
+    ]
+    assert sorted(listed) == sorted(set(roomfit.__all__) - {"__version__"})
+
+
+def test_files_and_tests_that_a_page_names_are_there():
+    for path in PAGES:
+        for name in re.findall(r"`((?:tests|scripts|benchmarks)/[\w./]+)`", path.read_text()):
+            assert (ROOT / name).exists(), f"{named(path)} names {name}"
+    for name in re.findall(r"scripts/bench (\w+)", page("benchmarks.md")):
+        assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
+
+
+def test_every_command_and_option_is_told():
+    told = "".join(path.read_text(encoding="utf-8") for path in PAGES)
+    for name, command in typer.main.get_command(app).commands.items():
+        assert f"roomfit {name}" in told
+        for option in (o for p in command.params for o in p.opts if o.startswith("--")):
+            assert option in told, f"roomfit {name} {option}"
+
+
+# What the pages say is what the code does.
+
+
+def tables() -> list[type[BaseModel]]:
+    # a directivity is refused whatever it holds
+    found = [t for t in vars(schema).values() if isinstance(t, type) and issubclass(t, BaseModel)]
+    return [t for t in found if t not in (BaseModel, schema.Table, schema.Directivity)]
+
+
+@pytest.mark.parametrize("table", tables())
+def test_every_key_of_a_campaign_is_told_with_its_default(table):
+    text = page("campaign-file.md")
+    rows = [line.strip("| ").split(" | ") for line in text.split("\n") if line.startswith("| `")]
+    for key, field in table.model_fields.items():
+        assert re.search(rf"\b{key}\b", text), key
+        default = field.default
+        if isinstance(default, int | float | str):
+            told = default if isinstance(default, str) else f"{default:g}"
+            # the second cell holds the default where there is a column for it
+            cells = [row[1] for row in rows if f"`{key}`" in row[0]]
+            assert any(re.search(rf"(?<![\w.]){told}\b", cell) for cell in cells), key
+
+
+GOOD = """
+[room]
+shoebox = [6, 5, 3]
+[sources.a]
+position = [1, 1, 1]
+[receivers.b]
+position = [4, 3, 1]
+[[measurements]]
+source = "a"
+receiver = "b"
+file = "a.wav"
+"""
+REFUSED = {
+    "certified": '[identify]\nmethod = "certified"',
+    "posterior": '[identify]\nmethod = "posterior"',
+    "coherent": '[identify]\nmodel = "coherent"',
+    "temperature_sd_c": "[air]\ntemperature_sd_c = 1.0",
+    'scattering = "fit"': '[materials.floor]\nscattering = "fit"',
+    "catalogue": '[materials.floor]\nprior = "carpet"',
+    "directivity": '[sources.c]\nposition = [2, 2, 1]\ndirectivity = "cardioid.sofa"',
+    "parameters": '[[measurements]]\nsource = "a"\nreceiver = "b"\nparameters = "t.csv"',
+    "spectrum": '[[measurements]]\nsource = "a"\nreceiver = "b"\nspectrum = "p.npz"',
+}
+
+
+@pytest.mark.parametrize("told", REFUSED)
+def test_what_the_page_calls_refused_is_refused(told, tmp_path):
+    text = page("campaign-file.md")
+    assert told in text[text.index("## What this version refuses") :]
+    file = tmp_path / "campaign.toml"
+    file.write_text(GOOD + REFUSED[told])
+    with pytest.raises(roomfit.InputError, match="cannot do that yet"):
+        roomfit.read_campaign(file)
+
+
+def codes_in_source() -> set[str]:
+    """Return the first argument of every call that makes a finding or a fault."""
+    codes = set()
+    for file in SOURCES:
+        for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+            if (
+                isinstance(node, ast.Call)
+                and isinstance(node.func, ast.Name)
+                and node.func.id in ("Finding", "fault", "_warning")
+                and node.args
+                and isinstance(node.args[0], ast.Constant)
+            ):
+                codes.add(node.args[0].value)
+    return codes
+
+
+def test_every_finding_is_told_and_no_other():
+    text = page("results.md")
+    text = text[text.index("## Findings") :]
+    cells = re.findall(r"^\| (`[^|]*`) \|", text, re.M)
+    assert {
+        code for cell in cells for code in re.findall(r"`([a-z-]+)`", cell)
+    } == codes_in_source()
+
+
+def test_numbers_that_the_pages_tell_are_those_of_the_code():
+    fields = EnergyProblem.__dataclass_fields__
+    middle = np.log(DEFAULT_MEAN / (1.0 - DEFAULT_MEAN))
+    reach = 1.96 * DEFAULT_LOGIT_SD
+    low, high = (1.0 / (1.0 + np.exp(-x)) for x in (middle - reach, middle + reach))
+    told = {
+        "results.md": [
+            f"(φ at most {LARGEST_PHI:g}), the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
+            f"the campaign told no scattering; {DEFAULT_SCATTERING:g} was taken",
+            f"more than {100 * LEAK_LIMIT:g} % of hits escape",
+        ],
+        "campaign-file.md": [
+            f"Left out: {DEFAULT_SCATTERING:g}, with a finding",
+            f"Left out: {UNTOLD_POSITION_SD_M:g}",
+            f"lies between {low:.2f} and {high:.2f}",
+        ],
+        "how-it-works.md": [
+            f"({RECEIVER_RADIUS_M:g} m in radius",
+            f"{100 * fields['model_error'].default:g} % of the window's energy",
+            f"{100 * fields['ringing_error'].default:g} % of what a loudspeaker",
+            f"(mean {DEFAULT_MEAN:g}, standard deviation {DEFAULT_LOGIT_SD:g} in logit)",
+        ],
+    }
+    for name, sentences in told.items():
+        text = " ".join(page(name).split())
+        for sentence in sentences:
+            assert sentence in text, f"{name} no longer says: {sentence}"
