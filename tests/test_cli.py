@@ -1,0 +1,154 @@
+"""The command line: what it prints, where it writes, and how it ends."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import subprocess
+import sys
+
+import pytest
+
+import roomfit
+from small_campaign import MATERIALS, box_obj, run_command, write_campaign
+
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "pyfar", "soundfile", "trimesh")
+
+
+def test_help_and_version_load_nothing_heavy():
+    """What makes them answer at once: none of the large packages is imported for them."""
+    program = (
+        "import sys; from roomfit.cli import main; sys.argv = ['roomfit', sys.argv[1]]\n"
+        "try: main()\n"
+        "except SystemExit: pass\n"
+        f"print('LOADED', [m for m in {HEAVY} if m in sys.modules])"
+    )
+    for option, words in (("--help", "identify"), ("--version", roomfit.__version__)):
+        done = subprocess.run(
+            [sys.executable, "-c", program, option], capture_output=True, text=True, check=True
+        )
+        assert words in done.stdout
+        assert "LOADED []" in done.stdout
+        assert done.stderr == ""
+
+
+@pytest.mark.parametrize("command", ["identify", "demo", "paper", "check"])
+def test_every_command_explains_itself(monkeypatch, capsys, command):
+    assert run_command(monkeypatch, command, "--help") == 0
+    assert f"roomfit {command}" in re.sub(r"\s+", " ", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize(
+    "arguments", [("identify",), ("identify", "a.toml"), ("fly",), ("demo", "--seed", "x")]
+)
+def test_a_wrong_call_ends_with_2_and_how_to_call(monkeypatch, capsys, arguments):
+    assert run_command(monkeypatch, *arguments) == 2
+    assert "Usage" in capsys.readouterr().err
+
+
+def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path / "campaign", ('"LS1"', '"a/b"'), (".LS1]", '."a/b"]'))
+    out = tmp_path / "new" / "out"
+    assert run_command(monkeypatch, "identify", campaign, "--out", out) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    assert str(out) in shown.out
+    # a name that is no file name does not lead out of the folder
+    assert sorted(p.name for p in out.iterdir()) == [
+        "absorption.csv",
+        "absorption.png",
+        "decay_01_a_b_MP1.png",
+        "decay_02_a_b_MP2.png",
+        "result.json",
+    ]
+    assert [p.name for p in out.parent.iterdir()] == ["out"]
+    result = json.loads((out / "result.json").read_text())
+    with (out / "absorption.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    for row in rows:
+        told = result["materials"][row["material"]]
+        band = result["bands_hz"].index(float(row["band_hz"]))
+        assert float(row["absorption"]) == pytest.approx(told["absorption"][band], abs=5e-6)
+    table = next(line for line in shown.out.splitlines() if line.startswith("carpet"))
+    assert f"{result['materials']['carpet']['absorption'][0]:.2f}"[1:] in table
+
+
+def test_overwriting_replaces_what_has_the_same_name_and_keeps_the_rest(tmp_path, monkeypatch):
+    campaign = write_campaign(tmp_path / "campaign")
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "result.json").write_text("old")
+    (out / "notes.txt").write_text("mine")
+    assert run_command(monkeypatch, "identify", campaign, "--out", out, "--overwrite") == 0
+    assert json.loads((out / "result.json").read_text())["format"] == "roomfit-result"
+    assert (out / "notes.txt").read_text() == "mine"
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "out"]
+
+
+def test_check_tells_a_room_in_numbers_and_its_faults_in_words(tmp_path, monkeypatch, capsys):
+    room = tmp_path / "room.obj"
+    room.write_text(box_obj())
+    assert run_command(monkeypatch, "check", room, "--unit", "m") == 0
+    told = capsys.readouterr().out
+    # 3.9 * 3.1 * 2.5 and 2 (3.9 * 3.1 + (3.9 + 3.1) 2.5)
+    assert "30.22 m3" in told
+    assert "59.18 m2" in told
+    assert "The room can be traced" in told
+
+    room.write_text(box_obj(without="ceiling"))
+    assert run_command(monkeypatch, "check", room, "--unit", "m") == 2
+    assert "faults that forbid tracing" in capsys.readouterr().out
+
+
+def test_check_of_a_campaign_names_every_wrong_position_at_once(tmp_path, monkeypatch, capsys):
+    good = write_campaign(tmp_path / "good")
+    assert run_command(monkeypatch, "check", good) == 0
+    assert "carpet" in capsys.readouterr().out
+    bad = write_campaign(
+        tmp_path / "bad",
+        ("position = [1.0, 1.2, 1.1]", "position = [1.0, 0.001, 1.1]"),
+        ("position = [2.9, 2.2, 1.3]", "position = [2.9, 22.0, 1.3]"),
+    )
+    assert run_command(monkeypatch, "check", bad) == 2
+    told = capsys.readouterr().out
+    assert "source 'LS1' stands in a wall" in told
+    assert "receiver 'MP1' stands outside the room" in told
+
+
+def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monkeypatch, capsys):
+    """The same box told in millimetres; --unit beside a campaign would be a second truth."""
+    campaign = write_campaign(
+        tmp_path, ("shoebox = [3.9, 3.1, 2.5]", 'file = "r.obj"\nunit = "m"'), (MATERIALS, "")
+    )
+    (tmp_path / "r.obj").write_text(box_obj())
+    assert run_command(monkeypatch, "check", campaign) == 0
+    assert "30.22 m3" in capsys.readouterr().out
+    assert run_command(monkeypatch, "check", campaign, "--unit", "mm") == 2
+    assert "says itself" in capsys.readouterr().err
+
+
+def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path, ("[materials.carpet]", "[materials.carpets]"))
+    assert run_command(monkeypatch, "check", campaign) == 2
+    assert "did you mean 'carpet'" in capsys.readouterr().err
+
+
+def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):
+    """Its campaign is written before it is identified: both appear, or neither."""
+    import roomfit.app.demo
+
+    def interrupted(*_args: object, **_settings: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(roomfit.app.demo, "write_measured_box", interrupted)
+    assert run_command(monkeypatch, "demo", "--out", tmp_path / "demo") == 130
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize("command", ["demo", "paper"])
+def test_the_other_commands_keep_earlier_results_as_well(tmp_path, monkeypatch, capsys, command):
+    (tmp_path / "paper.json").write_text("earlier")
+    assert run_command(monkeypatch, command, "--out", tmp_path) == 2
+    assert "exists and is not empty" in capsys.readouterr().err
+    assert [p.name for p in tmp_path.iterdir()] == ["paper.json"]

@@ -1,0 +1,76 @@
+"""``import roomfit``: every public name loads, is typed where it is told, and costs nothing."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import roomfit
+
+NAMES = [name for name in roomfit.__all__ if name != "__version__"]
+
+
+def typed_imports() -> dict[str, str]:
+    """Return name to module as the imports under TYPE_CHECKING say."""
+    tree = ast.parse(Path(roomfit.__file__).read_text(encoding="utf-8"))
+    block = next(
+        node
+        for node in tree.body
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"
+    )
+    return {
+        alias.name: str(statement.module)
+        for statement in block.body
+        if isinstance(statement, ast.ImportFrom)
+        for alias in statement.names
+    }
+
+
+def test_what_is_typed_is_what_is_public():
+    assert typed_imports().keys() == set(NAMES)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_name_is_the_thing_that_type_checkers_see(name):
+    """Loaded lazily it is the same object, of the module that the typed import names."""
+    found = getattr(roomfit, name)
+    assert found.__name__ == name
+    assert found.__module__ == typed_imports()[name]
+    assert inspect.getdoc(found), f"{name} has no docstring"
+
+
+def test_a_function_is_not_hidden_by_a_subpackage_of_its_name():
+    """There is a package roomfit.identify, and a function of that name at the front door."""
+    program = (
+        "import roomfit.identify.start, roomfit; from roomfit import identify\n"
+        "print(callable(roomfit.identify), identify is roomfit.identify)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "True True"
+
+
+def test_names_are_offered_for_completion_and_unknown_ones_refused():
+    assert set(NAMES) <= set(dir(roomfit))
+    with pytest.raises(AttributeError, match="no attribute 'identfy'"):
+        _ = roomfit.identfy
+
+
+def test_importing_the_front_door_imports_no_other_package():
+    program = "import sys, roomfit; print([m for m in ('numpy', 'pydantic') if m in sys.modules])"
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_version_is_that_of_the_installed_package():
+    from importlib.metadata import version
+
+    assert roomfit.__version__ == version("roomfit")
