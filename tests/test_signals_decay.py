@@ -246,3 +246,23 @@ def test_an_echogram_of_the_wrong_shape_is_refused():
     assert not found.valid.any()
     with pytest.raises(InputError, match="unknown room parameter"):
         found.of("RT60")
+
+
+def test_noise_is_found_behind_a_flutter_that_outlasts_the_decay():
+    """A straight line through a flutter meets the noise too late; a flat end is noise all the same."""
+    rate_hz = 16_000.0
+    rng = np.random.default_rng(11)
+    t = np.arange(int(0.8 * rate_hz)) / rate_hz
+    pressure = 1e-4 * rng.standard_normal(t.size)
+    pressure += rng.standard_normal(t.size) * np.exp(-6.9 * t / 0.1)
+    for k in range(1, 10):  # every 35 ms, falling by 60 dB in 1.2 s
+        pressure[int(0.035 * k * rate_hz)] += 1.5 * np.exp(-6.9 * 0.035 * k / 1.2)
+    response = ImpulseResponse(pressure, rate_hz)
+    bank = FilterBank(bands_between("octave", 1000, 1000))
+    found = estimate_noise(bank, response, filter_pressure(bank, response), 0.0)
+    assert found.reached[0]
+    # white noise of 1e-4 rms: the octave holds its share of half the sampling rate; a fifth of the
+    # file at 700 Hz are 100 values, so 30 % is three standard errors (one false alarm in 400)
+    expected = 1e-8 * float(energy_bandwidth_hz(bank)[0]) / (0.5 * rate_hz)
+    np.testing.assert_allclose(found.floor[0], expected, rtol=0.3)
+    assert found.usable_end_s[0] < 0.5

@@ -215,7 +215,10 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
         interference = gain**2 * _interference(problem.bandwidth_hz, seen, energy, squares)
         noise = seen.noise * (seen.noise + 2.0 * signal)
         noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
-        model = (problem.model_error * signal) ** 2
+        # where the measurement is far above, its own size bounds the certainty: a window that a
+        # trial absorption leaves empty must not outweigh all others
+        scale = np.maximum(signal, 0.5 * (seen.energy - seen.noise))
+        model = (problem.model_error * scale) ** 2
         model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
         variances.append(interference + timing + noise + tracing + model)
     return np.concatenate(variances)

@@ -122,11 +122,27 @@ def _judged(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> _BandNoi
     peak_to_noise_db = float(10.0 * np.log10(blocks.max() / floor))
     end_s = _crossing_s(height, constant_s, floor, length_s)
     reached = end_s < (1.0 - _TAIL_SHARE) * length_s
+    if not reached and _stopped_falling(energy, constant_s, length_s):
+        # a flutter that outlasts the diffuse decay bends the line: the noise itself says more
+        reached, end_s = True, _drowned_s(times, blocks, floor)
     if not reached:
         # the filter smears the end of the file over two of its own lengths
         floor, end_s = 0.0, length_s - 2.0 / bandwidth_hz
     tail = float(height * constant_s * np.exp(-end_s / constant_s))
     return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
+
+
+def _stopped_falling(energy: FloatArray, constant_s: float, length_s: float) -> bool:
+    """Whether the last quarter is as loud as the third, where the line falls by half or more."""
+    third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
+    expected = np.exp(-0.25 * length_s / constant_s)
+    return bool(expected < 0.5 and last > np.sqrt(expected) * third)
+
+
+def _drowned_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
+    """Return when the mean of all that is still to come has fallen to twice the noise."""
+    rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
+    return float(times[np.argmax(rest < 2.0 * floor)])
 
 
 def _settled(
