@@ -8,6 +8,7 @@ they are first used, so that ``import roomfit`` costs nothing.
 [125.0, 250.0, 500.0]
 """
 
+# ruff: noqa: F401 -- imports for type checkers; `_HOME` loads the same names when they are used
 from __future__ import annotations
 
 import sys
