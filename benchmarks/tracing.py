@@ -202,7 +202,7 @@ def _nearest(walls, starts, directions):  # type: ignore[no-untyped-def]
     for i in range(len(starts)):
         o = (starts[i, 0], starts[i, 1], starts[i, 2])
         d = (directions[i, 0], directions[i, 1], directions[i, 2])
-        distance[i], wall[i] = next_wall(walls, o, d)
+        distance[i], wall[i] = next_wall(walls, o, d, -1)
     return distance, wall
 
 

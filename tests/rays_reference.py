@@ -97,6 +97,26 @@ def box_without(triangle: int) -> Room:
     return Room(mesh, ("wall",), np.zeros(6, dtype=int))
 
 
+def box_with_panel(kind: str) -> Room:
+    """Return a box with a tilted panel in the air, made in one of three ways.
+
+    "sheet": a double-sided face; "wall": one single-sided face; "pair": two single-sided faces in
+    one place, back to back, so that either side has a face of its own.
+    """
+    box = shoebox_mesh((5.0, 4.0, 3.0))
+    panel = [[2.1, 0.4, 0.3], [2.3, 3.1, 0.4], [2.9, 3.2, 2.3], [2.7, 0.5, 2.2]]
+    faces = [(8, 9, 10), (8, 10, 11)]
+    if kind == "pair":
+        faces += [(10, 9, 8), (11, 10, 8)]
+    mesh = Mesh(
+        np.concatenate((box.vertices_m, panel)),
+        np.concatenate((box.triangles, faces)),
+        np.concatenate((box.triangle_surface, np.full(len(faces), 6))),
+        (*box.surfaces, Surface("panel", double_sided=kind == "sheet")),
+    )
+    return Room(mesh, ("wall", "panel"), np.array([0, 0, 0, 0, 0, 0, 1]))
+
+
 def box_with_two_floors() -> Room:
     """Return a box of 4 m by 3 m by 2 m whose floor is wood for x < 1 and stone beyond."""
     corners = [

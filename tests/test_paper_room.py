@@ -17,7 +17,7 @@ from roomfit.app.paper_room import (
 )
 from roomfit.errors import InputError
 from roomfit.geometry.measures import volume_m3
-from roomfit.identify.least_squares import fit_least_squares
+from roomfit.identification.least_squares import fit_least_squares
 from roomfit.objective.squares import (
     SquaresProblem,
     error,

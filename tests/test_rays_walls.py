@@ -30,7 +30,7 @@ def _walls_ahead(walls, starts, directions):
     for i in range(len(starts)):
         o = (starts[i, 0], starts[i, 1], starts[i, 2])
         d = (directions[i, 0], directions[i, 1], directions[i, 2])
-        t, wall[i] = next_wall(walls, o, d)
+        t, wall[i] = next_wall(walls, o, d, -1)
         distance[i] = t
         if wall[i] >= 0:
             p = (o[0] + t * d[0], o[1] + t * d[1], o[2] + t * d[2])
@@ -45,7 +45,7 @@ def _try_every_facet(table, starts, directions):
         o = (starts[i, 0], starts[i, 1], starts[i, 2])
         d = (directions[i, 0], directions[i, 1], directions[i, 2])
         for k in range(len(table)):
-            t = facet_distance(table, k, o, d, np.inf)
+            t = facet_distance(table, k, o, d, (0.0, 0.0, 0.0), np.inf)
             if t < distance[i]:
                 distance[i], wall[i] = t, k
     return distance, wall

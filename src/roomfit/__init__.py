@@ -102,7 +102,7 @@ def __dir__() -> list[str]:
 class _FrontDoor(ModuleType):
     """This package, whose functions are not hidden by subpackages of the same name.
 
-    Importing ``roomfit.identify.start`` would otherwise bind ``roomfit.identify`` to the
+    Importing ``roomfit.identification.start`` would otherwise bind ``roomfit.identify`` to the
     subpackage, and whether ``roomfit.identify(campaign)`` works would hang on what was imported.
     """
 

@@ -9,8 +9,8 @@ import numpy as np
 from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
-from roomfit.identify.reweighted import EnergyFit, fit_energies
-from roomfit.identify.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
+from roomfit.identification.reweighted import EnergyFit, fit_energies
+from roomfit.identification.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import Parameters

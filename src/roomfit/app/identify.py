@@ -29,7 +29,7 @@ from roomfit.files.store import (
 )
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.identify.start import eyring_absorption
+from roomfit.identification.start import eyring_absorption
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room, material_areas_m2
 from roomfit.scene.scene import Scene

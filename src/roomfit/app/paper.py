@@ -33,8 +33,8 @@ from roomfit.app.paper_searches import METHODS, Record, record, search_seeds, se
 from roomfit.app.progress import part
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.checks import int_array
-from roomfit.identify.fit import Fit
-from roomfit.identify.landscape import Landscape, grid_errors, unit_grid
+from roomfit.identification.fit import Fit
+from roomfit.identification.landscape import Landscape, grid_errors, unit_grid
 from roomfit.objective.squares import error
 from roomfit.testproblems.paper_problems import PaperProblem
 from roomfit.typing import FloatArray, Progress

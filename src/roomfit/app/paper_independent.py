@@ -13,8 +13,8 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit.identify.least_squares import fit_least_squares
-from roomfit.identify.start import starts
+from roomfit.identification.least_squares import fit_least_squares
+from roomfit.identification.start import starts
 from roomfit.objective.squares import (
     SquaresProblem,
     joined_rows,

@@ -8,7 +8,7 @@ from typing import Any
 import roomfit
 from roomfit.app.paper import PaperResult
 from roomfit.app.paper_searches import FOUND_WITHIN, Record
-from roomfit.identify.landscape import Landscape
+from roomfit.identification.landscape import Landscape
 from roomfit.testproblems.paper_problems import SPECIFICATIONS
 from roomfit.testproblems.paper_room import (
     DIVISIONS,

@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from roomfit.identify.landscape import Landscape, Minima, landscape, minima_of_descents
+from roomfit.identification.landscape import Landscape, Minima, landscape, minima_of_descents
 from roomfit.objective.squares import error, residuals, window_energies
 from roomfit.testproblems.paper_problems import (
     SPECIFICATIONS,

@@ -10,11 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit.identify.annealing import anneal
-from roomfit.identify.fit import Fit
-from roomfit.identify.least_squares import fit_least_squares
-from roomfit.identify.simplex import SimplexSettings, downhill_simplex, random_simplex
-from roomfit.identify.start import starts
+from roomfit.identification.annealing import anneal
+from roomfit.identification.fit import Fit
+from roomfit.identification.least_squares import fit_least_squares
+from roomfit.identification.simplex import SimplexSettings, downhill_simplex, random_simplex
+from roomfit.identification.start import starts
 from roomfit.objective.squares import error, residuals
 from roomfit.testproblems.paper_problems import PaperProblem
 from roomfit.testproblems.paper_table2 import TABLE2

@@ -5,7 +5,7 @@ from __future__ import annotations
 from roomfit.app.paper import PaperResult
 from roomfit.app.paper_independent import IndependentRow
 from roomfit.app.paper_searches import METHODS, Record
-from roomfit.identify.landscape import Landscape
+from roomfit.identification.landscape import Landscape
 from roomfit.testproblems.paper_problems import SPECIFICATIONS
 from roomfit.testproblems.paper_room import DIVISIONS, PRINTED_ARRIVALS_MS, RECONSTRUCTED
 from roomfit.testproblems.paper_table2 import COMPARED_ABOVE

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogFormatterSciNotation, MultipleLocator
 
-from roomfit.identify.fit import Fit
-from roomfit.identify.landscape import Landscape
+from roomfit.identification.fit import Fit
+from roomfit.identification.landscape import Landscape
 from roomfit.report.pictures import OKABE_ITO, new_figure
 from roomfit.typing import FloatArray
 

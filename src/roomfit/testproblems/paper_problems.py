@@ -10,7 +10,7 @@ from typing import Literal
 import numpy as np
 
 from roomfit.geometry.measures import volume_m3
-from roomfit.identify.start import decay_rate_per_s, eyring_absorption
+from roomfit.identification.start import decay_rate_per_s, eyring_absorption
 from roomfit.objective.squares import (
     SquaresProblem,
     grouped_rows,

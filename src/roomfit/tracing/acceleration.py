@@ -28,11 +28,16 @@ def walls_of(room: Room) -> Walls:
     return tree_of(*facets_of(room))
 
 
-def next_wall(walls: Walls, o: Vector, d: Vector) -> tuple[float, int]:
+def next_wall(walls: Walls, o: Vector, d: Vector, last: int) -> tuple[float, int]:
     """Return distance and number of the wall that a ray from `o` meets first.
 
     Only for use in kernels, where the type of `walls` picks the method. Infinity and -1 come back
     where the ray meets nothing: it has left through a leak.
+
+    Parameters
+    ----------
+    last : int
+        The wall on which the ray starts, -1 for none.
     """
     raise TypeError("only compiled code may call this")
 
@@ -47,11 +52,11 @@ def _kind(walls: Any) -> Any:
 
 
 @overload(next_wall, strict=False)
-def _next_wall(walls: Any, o: Any, d: Any) -> Any:
+def _next_wall(walls: Any, o: Any, d: Any, last: Any) -> Any:
     if _kind(walls) is Planes:
-        return lambda walls, o, d: nearest_plane(walls, o, d)
+        return lambda walls, o, d, last: nearest_plane(walls, o, d)
     if _kind(walls) is Tree:
-        return lambda walls, o, d: nearest_in_tree(walls, o, d)
+        return lambda walls, o, d, last: nearest_in_tree(walls, o, d, last)
     return None
 
 

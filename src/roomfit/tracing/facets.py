@@ -17,6 +17,8 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 EDGE_M = 1e-9
 # A ray that starts this near to the plane of a facet, on either side, starts on it.
 TOUCH_M = 1e-9
+# Squared cosine from which on walls count as parallel: 1e-4 radians, above the rounding of files.
+_PARALLEL = 1.0 - 1e-8
 
 
 class Facets(NamedTuple):
@@ -63,7 +65,7 @@ def facets_of(room: Room) -> tuple[Facets, FloatArray]:
     owner = triangle_material(room)[solid]
     sheet = is_double_sided(room.mesh)[solid]
     kind = 2 * owner.astype(np.int64) + sheet
-    apex, mate = _parallelograms(corners, kind)
+    apex, mate = _parallelograms(corners, room.mesh.triangles[solid].astype(np.int64), kind)
     kept = np.flatnonzero(mate >= 0)
     first = corners[kept, apex[kept]]
     second = corners[kept, (apex[kept] + 1) % 3]
@@ -75,8 +77,10 @@ def facets_of(room: Room) -> tuple[Facets, FloatArray]:
     return facets, np.stack((points.min(axis=0), points.max(axis=0)), axis=1)
 
 
-def _parallelograms(corners: FloatArray, kind: IntArray) -> tuple[IntArray, IntArray]:
-    """Pair triangles that make a parallelogram and agree in kind and orientation.
+def _parallelograms(
+    corners: FloatArray, vertices: IntArray, kind: IntArray
+) -> tuple[IntArray, IntArray]:
+    """Pair triangles that make a parallelogram and agree in vertices, kind and orientation.
 
     Returns
     -------
@@ -86,10 +90,8 @@ def _parallelograms(corners: FloatArray, kind: IntArray) -> tuple[IntArray, IntA
         The other triangle; itself for one that stays alone; -1 for the second of a pair.
     """
     n = len(corners)
-    _, vertex = np.unique(corners.reshape(-1, 3), axis=0, return_inverse=True)
-    ids = vertex.reshape(n, 3)
-    tails, heads = ids, np.roll(ids, -1, axis=1)
-    base = int(ids.max(initial=0)) + 1
+    tails, heads = vertices, np.roll(vertices, -1, axis=1)
+    base = int(vertices.max(initial=0)) + 1
     forward = (tails * base + heads).reshape(-1)
     backward = (heads * base + tails).reshape(-1)
     order = np.argsort(forward, kind="stable")
@@ -136,13 +138,26 @@ def _facets(
 
 
 @kernel(allocates=False)
-def facet_distance(table: FloatArray, i: int, o: Vector, d: Vector, limit: float) -> float:
+def _is_parallel(table: FloatArray, i: int, left: Vector) -> bool:
+    cosine = table[i, 0] * left[0] + table[i, 1] * left[1] + table[i, 2] * left[2]
+    return bool(cosine * cosine > _PARALLEL)
+
+
+@kernel(allocates=False)
+def facet_distance(
+    table: FloatArray, i: int, o: Vector, d: Vector, left: Vector, limit: float
+) -> float:
     """Return the distance to facet i along a unit direction; infinity for a miss or over `limit`.
 
     A wall is met where the ray goes out of the air through it, also when rounding has put the
     start a little behind it (distance 0 then): that keeps rays in at corners. From behind, or on a
-    sheet, it is met only where the start is clear of its plane. So the wall on which a ray starts
-    and its neighbours in one plane are never met, and need no bookkeeping.
+    sheet, it is met only where the start is clear of its plane.
+
+    Parameters
+    ----------
+    left : vector
+        Normal of the wall on which the ray starts, zeros for none. What lies in one plane with
+        that wall is not met: else a ray would never leave a panel of two faces back to back.
     """
     speed = table[i, 0] * d[0] + table[i, 1] * d[1] + table[i, 2] * d[2]
     gap = table[i, 3] - (table[i, 0] * o[0] + table[i, 1] * o[1] + table[i, 2] * o[2])
@@ -150,7 +165,7 @@ def facet_distance(table: FloatArray, i: int, o: Vector, d: Vector, limit: float
     if not t <= limit:
         return np.inf
     if speed > 0.0 and table[i, 14] == 0.0:
-        if gap < -TOUCH_M:
+        if gap < -TOUCH_M or (gap <= TOUCH_M and _is_parallel(table, i, left)):
             return np.inf
     elif t <= 0.0 or abs(gap) <= TOUCH_M:
         return np.inf

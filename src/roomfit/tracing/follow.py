@@ -109,9 +109,9 @@ def _follow_ray(
     key = ray_key(job.seed, job.source, ray)
     d = (directions[ray, 0], directions[ray, 1], directions[ray, 2])
     o = (job.start_m[0], job.start_m[1], job.start_m[2])
-    travelled, hit, due = 0.0, 0, 0
+    travelled, hit, due, last = 0.0, 0, 0, -1
     while True:
-        flight, wall = next_wall(walls, o, d)
+        flight, wall = next_wall(walls, o, d, last)
         while due < len(lengths_m) and travelled + flight > lengths_m[due]:
             present[due, ray] = wall >= 0
             if due + 1 < len(lengths_m):
@@ -134,4 +134,4 @@ def _follow_ray(
         hits[due, ray, material] += np.uint16(1)
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
         d, _ = after_wall(d, normal, job.scattering[material], key, hit)
-        hit += 1
+        hit, last = hit + 1, wall

@@ -157,8 +157,9 @@ def _trace_ray(
     try_each = len(spheres.first) == 2
     o = (job.start_m[0], job.start_m[1], job.start_m[2])
     travelled, hit, sum_m, sum_m2 = 0.0, 0, 0.0, 0.0
+    last = -1
     while True:
-        flight, wall = next_wall(walls, o, d)
+        flight, wall = next_wall(walls, o, d, last)
         if try_each:
             for k in range(len(spheres.radius_m)):
                 nearest, length = chord(spheres, k, o, d, flight)
@@ -183,6 +184,7 @@ def _trace_ray(
             return hit, hit - 1, sum_m, sum_m2
         o = (o[0] + flight * d[0], o[1] + flight * d[1], o[2] + flight * d[2])
         material = wall_material(walls, wall, o)
+        last = wall
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
         d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit - 1)
         if is_diffuse:

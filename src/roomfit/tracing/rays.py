@@ -1,4 +1,9 @@
-"""Rays from every source, caught by spheres around the receivers."""
+"""Rays from every source, caught by spheres around the receivers.
+
+The same seed gives the same bits for any number of threads. A wall or the source may cut a sphere:
+what counts is the part of the chord inside the room. Rays that leave through a leak are counted and
+dropped.
+"""
 
 from __future__ import annotations
 
@@ -56,39 +61,30 @@ def trace_rays(
     receiver_radii_m: ArrayLike | None = None,
     memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
 ) -> RayTrace:
-    """Send rays from every source that a pair needs and record each crossing of a receiver.
+    """Send rays from every source that a pair needs and record each crossing of its receivers.
 
-    A ray that crosses the sphere of a paired receiver gives one path. Its length runs to the point
-    of the ray's track nearest to the centre (of the part inside the room, where a wall or the
-    source cuts the sphere), and that length decides whether the crossing lies within
-    `settings.duration_s`. Its weight is the chord over number of rays and sphere volume, so that
-    direct sound averages ``1 / (4 pi r**2)`` over the sphere [1]_. `settings.image_order` is not
-    looked at: all rays come back.
+    A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
+    decides whether it lies within `settings.duration_s`; its weight is the chord over number of
+    rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere [1]_.
+    All rays come back, whatever `settings.image_order`.
 
     Parameters
     ----------
-    scene : Scene
     settings : TraceSettings
         A ray ends at its wall hit number `max_hits`, or when its time is up.
     scattering : Scattering
         One coefficient for each material of the room, in any order.
-    progress : callable, optional
     receiver_radii_m : array_like, shape (n_receivers,), optional
         Radius of each receiver of the scene instead of `settings.receiver_radius_m`.
     memory_limit_bytes : int
-        More than this, at `path_bytes` for each path and 24 bytes for each ray, is refused: before
-        the trace where that many paths are expected, and on the way where that many are found.
+        More, at `path_bytes` a path and 24 bytes a ray, is refused: before the trace where so many
+        paths are expected, on the way where so many are found. The peak is that, once again the
+        largest array of the paths, and about 100 MB.
 
     Raises
     ------
     InputError
         Scattering of other materials, or too many paths for the memory.
-
-    Notes
-    -----
-    The same seed gives the same bits for any number of threads. Rays that leave through a leak are
-    counted and dropped. Peak memory is that of the paths, once again their largest array, the
-    directions, and about 100 MB.
 
     References
     ----------

@@ -80,11 +80,14 @@ def _inverse(x: float) -> np.float32:
 
 
 @kernel(allocates=False, inlined=True)
-def nearest_in_tree(tree: Tree, o: Vector, d: Vector) -> tuple[float, int]:
+def nearest_in_tree(tree: Tree, o: Vector, d: Vector, last: int) -> tuple[float, int]:
     """Return distance and number of the facet that a ray meets first; infinity and -1 for none.
 
     Of facets at the same distance the one with the lowest number counts.
     """
+    left = (0.0, 0.0, 0.0)
+    if last >= 0:
+        left = (tree.normal[last, 0], tree.normal[last, 1], tree.normal[last, 2])
     waiting, entry, at = local_ints(), local_floats(), local_floats()
     inverse_x, inverse_y, inverse_z = _inverse(d[0]), _inverse(d[1]), _inverse(d[2])
     shift_x = np.float32(o[0] - tree.centre_m[0]) * inverse_x
@@ -119,7 +122,7 @@ def nearest_in_tree(tree: Tree, o: Vector, d: Vector) -> tuple[float, int]:
             if node < 0:
                 leaf = -1 - node
                 for i in range(leaf >> 3, (leaf >> 3) + (leaf & 7)):
-                    t = facet_distance(tree.table, i, o, d, best)
+                    t = facet_distance(tree.table, i, o, d, left, best)
                     if t < best or (t == best and i < hit):
                         best, hit, limit = t, i, np.float32(t * _LATER)
         if node < 0:

@@ -8,9 +8,9 @@ from typing import TypeAlias
 import numpy as np
 from scipy.optimize import least_squares
 
-from roomfit.identify.annealing import anneal
-from roomfit.identify.least_squares import ResidualFunction
-from roomfit.identify.simplex import downhill_simplex, simplex_around
+from roomfit.identification.annealing import anneal
+from roomfit.identification.least_squares import ResidualFunction
+from roomfit.identification.simplex import downhill_simplex, simplex_around
 from roomfit.objective.parameters import Parameters, to_free
 from roomfit.typing import FloatArray
 

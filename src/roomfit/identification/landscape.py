@@ -12,8 +12,8 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.identify.fit import ErrorFunction
-from roomfit.identify.least_squares import ResidualFunction
+from roomfit.identification.fit import ErrorFunction
+from roomfit.identification.least_squares import ResidualFunction
 from roomfit.typing import FloatArray
 
 Neighbours = Literal[4, 8]

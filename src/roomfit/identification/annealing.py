@@ -36,8 +36,8 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.identify.fit import Counted, ErrorFunction, Fit, best_of
-from roomfit.identify.simplex import SimplexSettings, downhill_simplex, simplex_around
+from roomfit.identification.fit import Counted, ErrorFunction, Fit, best_of
+from roomfit.identification.simplex import SimplexSettings, downhill_simplex, simplex_around
 from roomfit.typing import FloatArray, Progress
 
 _SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5

@@ -32,7 +32,7 @@ import numpy as np
 
 from roomfit.checks import float_array
 from roomfit.errors import InputError
-from roomfit.identify.fit import Counted, Ending, ErrorFunction, Fit
+from roomfit.identification.fit import Counted, Ending, ErrorFunction, Fit
 from roomfit.typing import FloatArray
 
 Order = Literal["nelder-mead", "as-printed"]

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import digamma, polygamma
 
-from roomfit.identify.least_squares import ResidualFunction
-from roomfit.identify.solvers import Solver
+from roomfit.identification.least_squares import ResidualFunction
+from roomfit.identification.solvers import Solver
 from roomfit.objective.energy_problem import (
     EnergyProblem,
     Prediction,

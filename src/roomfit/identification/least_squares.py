@@ -9,7 +9,7 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from roomfit.checks import float_array
-from roomfit.identify.fit import Ending, Fit, best_of
+from roomfit.identification.fit import Ending, Fit, best_of
 from roomfit.typing import FloatArray
 
 ResidualFunction: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
