@@ -58,13 +58,8 @@ def main() -> None:
     parser.add_argument("--first", type=int, default=200)
     parser.add_argument("--rooms", type=int, default=6)
     asked = parser.parse_args()
-    print(
-        f"{'seed':>6} {'median':>7} {'90 %':>6} {'null':>7} {'held %':>6} {'width':>7} {'sure':>6}"
-        f" {'of those':>8}    held % by octave"
-    )
-    print(
-        f"{'':>6} {'error':>7} {'error':>6} {'median':>7} {'':>6} {'median':>7} {'':>6} {'wrong':>8}"
-    )
+    print("  seed  median   90 %    null held %   width   sure of those    held % by octave")
+    print("         error  error  median         median            wrong")
     answers = []
     for seed in range(asked.first, asked.first + asked.rooms):
         try:

@@ -45,7 +45,7 @@ def test_every_name_is_the_thing_that_type_checkers_see(name):
 
 
 def test_a_function_is_not_hidden_by_a_subpackage_of_its_name():
-    """There is a package roomfit.identify, and a function of that name at the front door."""
+    """roomfit.identify stays the verb, whichever layers have been imported before."""
     program = (
         "import roomfit.identification.start, roomfit; from roomfit import identify\n"
         "print(callable(roomfit.identify), identify is roomfit.identify)"

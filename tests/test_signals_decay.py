@@ -249,7 +249,7 @@ def test_an_echogram_of_the_wrong_shape_is_refused():
 
 
 def test_noise_is_found_behind_a_flutter_that_outlasts_the_decay():
-    """A straight line through a flutter meets the noise too late; a flat end is noise all the same."""
+    """A line through a flutter meets the noise too late; a flat end is noise all the same."""
     rate_hz = 16_000.0
     rng = np.random.default_rng(11)
     t = np.arange(int(0.8 * rate_hz)) / rate_hz

@@ -11,9 +11,7 @@ they are first used, so that ``import roomfit`` costs nothing.
 # ruff: noqa: F401 -- imports for type checkers; `_HOME` loads the same names when they are used
 from __future__ import annotations
 
-import sys
 from importlib import import_module
-from types import ModuleType
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -97,18 +95,3 @@ def __getattr__(name: str) -> Any:
 
 def __dir__() -> list[str]:
     return sorted(__all__)
-
-
-class _FrontDoor(ModuleType):
-    """This package, whose functions are not hidden by subpackages of the same name.
-
-    Importing ``roomfit.identification.start`` would otherwise bind ``roomfit.identify`` to the
-    subpackage, and whether ``roomfit.identify(campaign)`` works would hang on what was imported.
-    """
-
-    def __setattr__(self, name: str, value: Any) -> None:
-        if not (name in _HOME and isinstance(value, ModuleType)):
-            super().__setattr__(name, value)
-
-
-sys.modules[__name__].__class__ = _FrontDoor
