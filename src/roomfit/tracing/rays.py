@@ -2,7 +2,7 @@
 
 The same seed gives the same bits for any number of threads. A wall or the source may cut a sphere:
 what counts is the part of the chord inside the room. Rays that leave through a leak are counted and
-dropped.
+dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def trace_rays(
 
     A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
     decides whether it lies within `settings.duration_s`; its weight is the chord over number of
-    rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere [1]_.
+    rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere.
     All rays come back, whatever `settings.image_order`.
 
     Parameters
@@ -85,10 +85,6 @@ def trace_rays(
     ------
     InputError
         Scattering of other materials, or too many paths for the memory.
-
-    References
-    ----------
-    .. [1] M. Vorlaender, "Auralization", Springer 2008, section 11.3 (detection by volume).
     """
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = in_room_order(scattering, scene.room)
