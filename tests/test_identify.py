@@ -1,0 +1,388 @@
+"""The main job from end to end, on small campaigns whose truth is known and on measured rooms."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+import soundfile
+
+import roomfit.app.planning
+from roomfit.app.identify import identify, identify_to_folder
+from roomfit.files.campaign.campaign import input_files, read_campaign
+from roomfit.files.results import absorption_csv, result_content
+from roomfit.uncertainty.answer import Answer
+from small_campaign import (
+    ABSORPTION,
+    RATE_HZ,
+    small_responses,
+    write_campaign,
+    write_wav,
+)
+
+SECOND_FILE = 'file = "LS1_MP2.wav"'
+CARPET = "[materials.carpet]"
+PARAMETERS = {"EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"}
+
+
+def answer_to(folder: Path, *changes: tuple[str, str]) -> Answer:
+    return identify(read_campaign(write_campaign(folder, *changes)))
+
+
+def codes(answer: Answer) -> set[str]:
+    return {finding.code for finding in answer.findings}
+
+
+def assert_same_absorption(answer: Answer, other: Answer, tolerance: float) -> None:
+    assert answer.materials == other.materials
+    np.testing.assert_allclose(answer.absorption, other.absorption, rtol=0, atol=tolerance)
+
+
+@pytest.fixture
+def few_rays(monkeypatch):
+    """Fewer rays than an answer deserves, where only what becomes of them is looked at."""
+    monkeypatch.setattr(roomfit.app.planning, "N_RAYS", 4000)
+
+
+@pytest.fixture(scope="module")
+def plain(tmp_path_factory) -> Answer:
+    """The answer to the campaign as it stands."""
+    return answer_to(tmp_path_factory.mktemp("plain"))
+
+
+def test_the_mean_absorption_of_the_room_is_found(plain):
+    """Two files of a box whose mean absorption is 0.23; two pairs cannot tell it any better."""
+    areas = dict(zip(plain.materials, plain.areas_m2, strict=True))
+    truth = sum(ABSORPTION[n] * a for n, a in areas.items()) / sum(areas.values())
+    mean, lower, upper = plain.mean_absorption
+    np.testing.assert_allclose(mean, truth, atol=0.08)
+    assert np.all((lower < mean) & (mean < upper))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("method", ["simplex", "annealing"])
+def test_the_papers_methods_agree_with_least_squares_within_its_interval(tmp_path, plain, method):
+    """Same squares, three ways down: what differs must be far smaller than the uncertainty."""
+    one_band = ("to_hz = 1000", f'to_hz = 500\nmethod = "{method}"')
+    answer = answer_to(tmp_path, one_band)
+    assert answer.method == method
+    assert answer.evaluations > 0
+    width = (plain.upper95 - plain.lower95)[:, 0]
+    apart = np.abs(answer.absorption[:, 0] - plain.absorption[:, 0])
+    assert np.all(apart <= 0.25 * width + 0.002)
+
+
+def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path):
+    """Another file for the pair that is not fitted: the same numbers, and another comparison."""
+    changes = ((SECOND_FILE, f'{SECOND_FILE}\nuse = "validate"'),)
+    campaign = read_campaign(write_campaign(tmp_path, *changes))
+    first = identify(campaign)
+    # twice as quick a decay
+    pressure = small_responses()["MP2"]
+    write_wav(tmp_path / "LS1_MP2.wav", pressure * np.exp(-np.arange(pressure.size) / 400.0))
+    second = identify(campaign)
+    for name in ("absorption", "lower95", "upper95", "phi"):
+        np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
+    measured = [a.pairs[1].parameters["EDT_s"] for a in (first, second)]
+    np.testing.assert_array_equal(measured[0].predicted, measured[1].predicted)
+    assert np.all(measured[0].measured > 1.2 * measured[1].measured)
+    assert first.pairs[1].use == "validate"
+    # the only other measurement is the fitted one
+    fitted = first.pairs[0].parameters["EDT_s"].measured
+    np.testing.assert_array_equal(measured[0].null, fitted)
+
+
+@pytest.mark.parametrize("level", ["per-source", "per-file"])
+def test_a_louder_recording_gives_the_same_absorption(tmp_path, level):
+    """All files 20 dB up: an unknown gain takes it; one file alone: only a gain per file does."""
+    change = ('file = "LS1', f'level = "{level}"\nfile = "LS1')
+    path = write_campaign(tmp_path, change)
+    campaign = read_campaign(path)
+    before = identify(campaign)
+    louder = ["MP1", "MP2"] if level == "per-source" else ["MP2"]
+    for name in louder:
+        write_wav(tmp_path / f"LS1_{name}.wav", 10.0 * small_responses()[name])
+    # float32 in the file rounds anew: 6e-8
+    assert_same_absorption(before, identify(campaign), 1e-4)
+
+
+def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
+    """The files hold pressure with a direct sound of 1/(4 pi r): knowing it costs nothing.
+
+    6 dB less would mean more absorption; the direct sound's window then no longer fits.
+    """
+    change = ('file = "LS1', 'level = "absolute"\nfile = "LS1')
+    campaign = read_campaign(write_campaign(tmp_path, change))
+    told = identify(campaign)
+    np.testing.assert_allclose(told.mean_absorption[0], plain.mean_absorption[0], atol=0.06)
+    assert np.all(told.phi < 2.0)
+    for name, pressure in small_responses().items():
+        write_wav(tmp_path / f"LS1_{name}.wav", 0.5 * pressure)
+    assert np.all(identify(campaign).mean_absorption[0] > told.mean_absorption[0] + 0.05)
+
+
+def test_latency_is_subtracted_exactly(tmp_path, plain):
+    delayed = 40
+    path = write_campaign(
+        tmp_path, ('file = "LS1', f'latency_s = {delayed / RATE_HZ}\nfile = "LS1')
+    )
+    for name, pressure in small_responses().items():
+        write_wav(tmp_path / f"LS1_{name}.wav", np.pad(pressure, (delayed, 0)))
+    assert_same_absorption(plain, identify(read_campaign(path)), 2e-3)
+
+
+@pytest.mark.parametrize("time_zero", ["direct", "unknown"])
+def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, time_zero):
+    """The direct sound's onset is found within 3 samples, 13 cm at this low sampling rate."""
+    path = write_campaign(tmp_path, ('file = "LS1', f'time_zero = "{time_zero}"\nfile = "LS1'))
+    for name, pressure in small_responses().items():
+        write_wav(tmp_path / f"LS1_{name}.wav", np.pad(pressure, (321, 0)))
+    answer = identify(read_campaign(path))
+    np.testing.assert_allclose(answer.mean_absorption[0], plain.mean_absorption[0], atol=0.05)
+    assert "time-zero-disagrees" not in codes(answer)
+
+
+def test_an_absorption_that_is_given_stays_exactly(tmp_path):
+    """Also where it is told for each band, at 0 and at 1."""
+    answer = answer_to(
+        tmp_path,
+        (CARPET, f"{CARPET}\nabsorption = [0.4, 0.41]"),
+        ("[materials.tiles]", "[materials.tiles]\nabsorption = 0.3"),
+    )
+    given = {"carpet": [0.4, 0.41], "tiles": [0.3, 0.3]}
+    for name, values in given.items():
+        i = answer.materials.index(name)
+        for array in (answer.absorption, answer.lower95, answer.upper95):
+            np.testing.assert_array_equal(array[i], values)
+    walls = answer.materials.index("walls")
+    np.testing.assert_allclose(answer.absorption[walls], ABSORPTION["walls"], atol=0.06)
+
+
+@pytest.mark.parametrize("method", ["least-squares", "simplex", "annealing"])
+def test_nothing_left_to_fit_is_a_prediction(tmp_path, method):
+    given = [
+        (f"[materials.{name}]", f"[materials.{name}]\nabsorption = {value}")
+        for name, value in ABSORPTION.items()
+    ]
+    answer = answer_to(
+        tmp_path,
+        *given,
+        ('file = "LS1', 'level = "absolute"\nfile = "LS1'),
+        ("to_hz = 1000", f'to_hz = 1000\nmethod = "{method}"'),
+    )
+    for name, value in ABSORPTION.items():
+        np.testing.assert_array_equal(answer.absorption[answer.materials.index(name)], value)
+    t20 = answer.pairs[0].parameters["T20_s"]
+    np.testing.assert_allclose(t20.predicted, t20.measured, rtol=0.15)
+
+
+def test_more_surfaces_of_one_material_change_nothing(tmp_path, plain):
+    """The four walls named one by one instead of as a group."""
+    one_by_one = "\n".join(f'{w} = "walls"' for w in ("west", "east", "south", "north"))
+    answer = answer_to(tmp_path, ('walls = "walls"', one_by_one))
+    assert_same_absorption(plain, answer, 1e-12)
+
+
+def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
+    """A niche behind a closed sheet would be such; here its data are none: 0 to 1, and said so."""
+    from roomfit.objective.parameters import Block, Parameters
+    from roomfit.uncertainty.gaussian import absorption_intervals
+
+    names, one = ("met", "never met"), np.ones(2)
+    block = Block(
+        "absorption", names, "logit", 0.15 * one, one > 0, -1.7 * one, 1.5 * one, 0 * one, one
+    )
+    prior = 1.0 / 1.5**2
+    information = np.diag([prior + 400.0, prior])
+    found = absorption_intervals(Parameters((block,)), np.array([-1.0, -1.7]), information, 1.0)
+    assert (found.lower95[1], found.upper95[1]) == (0.0, 1.0)
+    assert found.upper95[0] - found.lower95[0] < 0.05
+    assert found.identifiable.tolist() == [True, False]
+
+
+def test_result_and_table_keep_the_contract(tmp_path, few_rays):
+    campaign = write_campaign(
+        tmp_path / "c",
+        (SECOND_FILE, f'{SECOND_FILE}\nuse = "validate"'),
+        ("scattering = 0.0", ""),
+    )
+    answer = identify_to_folder(campaign, tmp_path / "out")
+    text = (tmp_path / "out" / "result.json").read_text()
+    result = json.loads(text, parse_constant=_refuse)
+    assert result["format"] == "roomfit-result"
+    assert result["format_version"] == 1
+    assert result["bands_hz"] == [500, 1000]
+    assert set(result) == {
+        *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
+        *("findings", "fit", "provenance"),
+    }
+    for material in result["materials"].values():
+        for lower, value, upper in zip(
+            material["lower95"], material["absorption"], material["upper95"], strict=True
+        ):
+            assert 0.0 <= lower <= value <= upper <= 1.0
+        assert len(material["absorption"]) == len(material["identifiable"]) == 2
+        assert all(isinstance(told, bool) for told in material["identifiable"])
+    # 3.9 * 3.1 of carpet
+    assert result["materials"]["carpet"]["area_m2"] == pytest.approx(12.09)
+    for combination in result["combinations"]:
+        assert sum(combination["weights"].values()) == pytest.approx(1.0, abs=1e-5)
+        assert combination["lower95"] <= combination["absorption"] <= combination["upper95"]
+    assert [p["use"] for p in result["pairs"]] == ["fit", "validate"]
+    for pair in result["pairs"]:
+        assert set(pair["parameters"]) == PARAMETERS
+        for row in pair["parameters"].values():
+            assert all(len(values) == 2 for values in row.values())
+            assert {"measured", "predicted", "jnd"} <= set(row)
+    t20 = result["pairs"][0]["parameters"]["T20_s"]
+    signed = (t20["predicted"][0] / t20["measured"][0] - 1.0) / 0.05
+    assert t20["jnd"][0] == pytest.approx(signed)
+    assert "scattering-assumed" in {f["code"] for f in result["findings"]}
+    fit = result["fit"]
+    assert fit["method"] == "least-squares"
+    assert fit["seed"] == 1
+    assert len(fit["phi"]) == 2
+    assert set(result["provenance"]["inputs_sha256"]) == {
+        *("campaign.toml", "LS1_MP1.wav", "LS1_MP2.wav")
+    }
+    assert _nulls_outside(result, "pairs") == ["fit.certified"]
+
+    with (tmp_path / "out" / "absorption.csv").open() as stream:
+        rows = list(csv.DictReader(stream))
+    columns = ["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"]
+    assert list(rows[0]) == columns
+    assert len(rows) == len(answer.materials) * 2
+    assert {row["identifiable"] for row in rows} <= {"true", "false"}
+
+
+def _refuse(constant: str) -> None:
+    raise AssertionError(f"{constant} is no JSON")
+
+
+def _nulls_outside(value: object, key: str, place: str = "") -> list[str]:
+    if isinstance(value, dict):
+        parts = [(f"{place}.{k}".lstrip("."), v) for k, v in value.items() if k != key]
+    elif isinstance(value, list):
+        parts = [(f"{place}[{i}]", v) for i, v in enumerate(value)]
+    else:
+        return [place] if value is None else []
+    return [found for name, part in parts for found in _nulls_outside(part, key, name)]
+
+
+def test_equal_names_in_two_folders_are_two_inputs(tmp_path, plain):
+    """Measurements are often called alike, a folder each."""
+    campaign = write_campaign(
+        tmp_path, ("LS1_MP1.wav", "first/ir.wav"), ("LS1_MP2.wav", "second/ir.wav")
+    )
+    for folder, name in (("first", "MP1"), ("second", "MP2")):
+        (tmp_path / folder).mkdir()
+        (tmp_path / f"LS1_{name}.wav").rename(tmp_path / folder / "ir.wav")
+    read = read_campaign(campaign)
+    content = result_content(plain, input_files(read))
+    digests = content["provenance"]["inputs_sha256"]
+    assert set(digests) == {"campaign.toml", "first/ir.wav", "second/ir.wav"}
+    assert len(set(digests.values())) == 3
+
+
+def test_the_same_seed_gives_the_same_bytes(tmp_path, few_rays):
+    """With scattering, so that rays are drawn; only the seconds may differ."""
+    path = write_campaign(tmp_path, ("scattering = 0.0", "scattering = 0.2"))
+    campaign = read_campaign(path)
+    answers = [identify(campaign), identify(campaign)]
+    assert absorption_csv(answers[0]) == absorption_csv(answers[1])
+    contents = [result_content(a, input_files(campaign)) for a in answers]
+    for content in contents:
+        del content["fit"]["seconds"]
+    assert json.dumps(contents[0]) == json.dumps(contents[1])
+
+
+def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path):
+    """A loud hum-like noise around 500 Hz in one of two files with a gain of its own."""
+    campaign = write_campaign(tmp_path, ('file = "LS1', 'level = "per-file"\nfile = "LS1'))
+    pressure = small_responses()["MP1"]
+    rng = np.random.default_rng(3)
+    spectrum = np.fft.rfft(rng.standard_normal(pressure.size))
+    frequency = np.fft.rfftfreq(pressure.size, 1 / RATE_HZ)
+    hum = np.fft.irfft(spectrum * ((frequency > 420) & (frequency < 600)), pressure.size)
+    write_wav(tmp_path / "LS1_MP1.wav", pressure + 0.3 * np.abs(pressure).max() * hum)
+    answer = identify(read_campaign(campaign))
+    left_out = [f for f in answer.findings if f.code == "band-left-out"]
+    assert [f.evidence["bands_hz"] for f in left_out] == [[500.0]]
+    assert "LS1_MP1.wav" in left_out[0].sentence
+    assert np.all(np.isfinite(answer.absorption))
+
+
+@pytest.mark.slow
+def test_the_demo_keeps_its_promise(tmp_path):
+    """Median error at most .09, intervals that hold the truth in at least 85 % of cases."""
+    from roomfit.app.demo import run_demo
+
+    result = run_demo(tmp_path / "demo", 1)
+    error = np.abs(result.answer.absorption - result.true_absorption)
+    held = (result.answer.lower95 <= result.true_absorption) & (
+        result.true_absorption <= result.answer.upper95
+    )
+    assert np.median(error) <= 0.09
+    assert held.mean() >= 0.85
+    # better than one absorption for all walls
+    uniform = np.abs(result.answer.mean_absorption[0] - result.true_absorption)
+    assert np.median(error) < 0.5 * np.median(uniform)
+    assert (tmp_path / "demo" / "result" / "absorption_and_truth.png").stat().st_size > 10_000
+    assert (tmp_path / "demo" / "campaign" / "campaign.toml").exists()
+    assert [p.name for p in tmp_path.iterdir()] == ["demo"]
+
+
+def dechorate_text(folder: Path) -> str:
+    with (folder / "positions.csv").open() as stream:
+        points = list(csv.DictReader(stream))
+    lines = ["[room]", "shoebox = [5.705, 5.965, 2.355]", "[room.materials]", 'walls = "walls"']
+    lines += ["[air]", "temperature_c = 24.0", "speed_of_sound_m_s = 346.98"]
+    for p in points:
+        lines += [f"[{p['kind']}s.{p['name']}]", f"position = [{p['x_m']}, {p['y_m']}, {p['z_m']}]"]
+    for name in (p["name"] for p in points if p["kind"] == "receiver"):
+        file = (folder / f"S1_{name}.wav").as_posix()
+        lines += ["[[measurements]]", 'source = "S1"', f'receiver = "{name}"']
+        lines += [f'file = "{file}"', 'level = "per-file"']
+    return "\n".join(lines)
+
+
+@pytest.mark.slow
+def test_six_measured_responses_of_a_laboratory_are_explained(real_data, tmp_path):
+    """dEchorate (Di Carlo et al. 2021): T20 within 10 % on average from 500 Hz up."""
+    path = tmp_path / "campaign.toml"
+    path.write_text(dechorate_text(real_data / "dechorate"))
+    answer = identify(read_campaign(path))
+    assert set(answer.materials) == {"walls", "floor", "ceiling"}
+    t20 = [p.parameters["T20_s"] for p in answer.pairs]
+    error = np.array([np.abs(t.predicted / t.measured - 1.0) for t in t20])
+    assert error[:, answer.bands.centres_hz >= 500.0].mean() <= 0.10
+
+
+@pytest.mark.slow
+def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_tell(
+    real_data, tmp_path, monkeypatch, capsys
+):
+    """BRAS CR2 with its mesh of five materials: one response cannot tell them all apart."""
+    from small_campaign import run_command
+
+    folder = real_data / "bras_cr2"
+    wav = folder / "scene9_RIR_LS1_MP1_Dodecahedron.wav"
+    path = tmp_path / "campaign.toml"
+    path.write_text(
+        f'[room]\nfile = "{folder / "scene9.ac"}"\nunit = "m"\nup = "y"\n'
+        "[air]\ntemperature_c = 19.5\nhumidity_percent = 41.7\n"
+        "[sources.LS1]\nposition = [0.931, -2.547, 0.723]\n"
+        "[receivers.MP1]\nposition = [-0.993, 1.426, 1.23]\n"
+        f'[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "{wav}"\n'
+    )
+    assert run_command(monkeypatch, "identify", path, "--out", tmp_path / "out") == 0
+    told = capsys.readouterr().out
+    assert "What the data tell" in told
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert len(result["materials"]) == 5
+    sure = [m["identifiable"] for m in result["materials"].values()]
+    assert not np.all(sure)
+    assert soundfile.info(wav).samplerate == 44_100
