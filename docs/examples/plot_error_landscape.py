@@ -13,7 +13,7 @@ from functools import partial
 import matplotlib.pyplot as plt
 import numpy as np
 
-from roomfit.identify.least_squares import fit_least_squares
+from roomfit.identification.least_squares import fit_least_squares
 from roomfit.objective.squares import error, residuals
 from roomfit.testproblems.paper_problems import paper_problem
 from roomfit.testproblems.paper_room import paper_scene, trace_paper_room
