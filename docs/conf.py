@@ -39,7 +39,8 @@ autodoc_typehints = "none"
 autosummary_generate = True
 napoleon_google_docstring = False
 napoleon_use_rtype = False
-napoleon_use_ivar = True
+# several names of one meaning stay in one entry, as they are written
+napoleon_custom_sections = [("Attributes", "params_style")]
 toc_object_entries = False
 mathmpl_fontsize = 12.0
 mathmpl_srcset = ["2x"]
