@@ -63,6 +63,8 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
         "result.json",
     ]
     assert [p.name for p in out.parent.iterdir()] == ["out"]
+    # made aside, yet with the permissions of any other new folder
+    assert out.stat().st_mode == out.parent.stat().st_mode
     result = json.loads((out / "result.json").read_text())
     with (out / "absorption.csv").open() as stream:
         rows = list(csv.DictReader(stream))

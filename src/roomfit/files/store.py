@@ -91,7 +91,7 @@ def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path
         raise _cannot_be_made(path, error) from error
     try:
         yield aside
-        _move_files(aside, path)
+        _put_in_place(aside, path)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -112,10 +112,7 @@ def write_bytes_atomically(path: Path, content: bytes) -> Path:
             stream.write(content)
             stream.flush()
             os.fsync(stream.fileno())
-        # mkstemp makes files that only the owner may read; give the usual permissions
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(aside).chmod(0o666 & ~umask)
+        _give_usual_permissions(Path(aside), 0o666)
         Path(aside).replace(path)
     except OSError as error:
         raise StoreError("a file cannot be written", where=str(path), found=str(error)) from error
@@ -150,16 +147,26 @@ def _cannot_be_made(path: Path, error: OSError) -> StoreError:
     return StoreError("the output folder cannot be made", where=str(path), found=str(error))
 
 
-def _move_files(source: Path, target: Path) -> None:
-    """Move every file into the same place below another folder of the same disk."""
+def _give_usual_permissions(path: Path, most: int) -> None:
+    """What is made aside, only its owner may read; give what any new file or folder gets."""
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(most & ~umask)
+
+
+def _put_in_place(aside: Path, path: Path) -> None:
+    """Rename a folder; where there is one of that name, move every file into its place there."""
     try:
-        for file in sorted(p for p in source.rglob("*") if p.is_file()):
-            place = target / file.relative_to(source)
+        if not path.exists():
+            path.parent.mkdir(parents=True, exist_ok=True)
+            _give_usual_permissions(aside, 0o777)
+            aside.rename(path)
+            return
+        for file in sorted(p for p in aside.rglob("*") if p.is_file()):
+            place = path / file.relative_to(aside)
             place.parent.mkdir(parents=True, exist_ok=True)
             file.replace(place)
     except OSError as error:
         raise StoreError(
-            "the results cannot be put into the output folder",
-            where=str(target),
-            found=str(error),
+            "the results cannot be put into the output folder", where=str(path), found=str(error)
         ) from error
