@@ -9,7 +9,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.comparing import compare_pairs
-from roomfit.app.fitting import band_answer, fit_bands, fit_findings
+from roomfit.app.fitting import band_answer, fit_bands, fit_findings, schroeder_findings
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.planning import plan_trace
 from roomfit.app.problems import band_problems, bin_paths, left_out_findings
@@ -33,6 +33,7 @@ from roomfit.identification.start import eyring_absorption
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room, material_areas_m2
 from roomfit.scene.scene import Scene
+from roomfit.signals.room_parameters import ParameterName
 from roomfit.tracing.join import trace
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
@@ -93,7 +94,8 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
     plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed)
     traced = trace(scene, plan.settings, plan.scattering, part(progress, 0.02, 0.5))
     binned = bin_paths(scene, campaign.bands, traced.paths, plan.settings.duration_s)
-    start = _eyring_start(scene, campaign, measured)
+    decay_s = _median_decay_s(measured)
+    start = _eyring_start(scene, campaign, decay_s)
     problems = band_problems(scene, campaign.bands, knowledge, measured, binned, start)
     fits = fit_bands(problems, campaign.method, campaign.seed, part(progress, 0.5, 0.98))
     areas = material_areas_m2(room)
@@ -121,6 +123,7 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
             *plan.findings,
             *traced.findings,
             *fit_findings(campaign.bands, knowledge, problems, fits),
+            *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
         ),
         method="least-squares" if campaign.method == "auto" else campaign.method,
         model="energy",
@@ -172,24 +175,33 @@ def _time_scales(measured: tuple[MeasuredPair, ...]) -> tuple[float, float]:
     return longest, min(latest, longest) if longest > 0.0 else latest
 
 
-def _eyring_start(
-    scene: Scene, campaign: Campaign, measured: tuple[MeasuredPair, ...]
-) -> FloatArray:
+def _median_decay_s(measured: tuple[MeasuredPair, ...]) -> FloatArray:
+    """Return the median reverberation time over the fitted pairs, NaN where none is known.
+
+    Of T20, or of EDT in a band where no pair has the range for T20; shape (n_bands,).
+    """
+    fitted = [m.parameters for m in measured if m.file.use == "fit"]
+    found: FloatArray = np.full(len(fitted[0].bands), np.nan)
+    names: tuple[ParameterName, ...] = ("EDT_s", "T20_s")
+    for name in names:
+        for band, values in enumerate(np.array([p.of(name) for p in fitted]).T):
+            if np.any(np.isfinite(values)):
+                found[band] = np.median(values[np.isfinite(values)])
+    return found
+
+
+def _eyring_start(scene: Scene, campaign: Campaign, decay_s: FloatArray) -> FloatArray:
     """Return one absorption for all walls in every band, from the measured decays."""
     mesh = scene.room.mesh
-    times = [m.parameters.of("T20_s") for m in measured if m.file.use == "fit"]
-    times += [m.parameters.of("EDT_s") for m in measured if m.file.use == "fit"]
-    starts = []
-    for band, m in enumerate(attenuation_per_m(scene.air, campaign.bands)):
-        known = [t[band] for t in times if np.isfinite(t[band])]
-        rate = 6.0 * np.log(10.0) / float(np.median(known)) if known else 0.0
-        starts.append(
-            eyring_absorption(
-                rate,
-                volume_m3(mesh),
-                surface_area_m2(mesh),
-                speed_of_sound_m_s(scene.air),
-                float(m),
-            )
+    attenuation = attenuation_per_m(scene.air, campaign.bands)
+    starts = [
+        eyring_absorption(
+            6.0 * np.log(10.0) / t if np.isfinite(t) else 0.0,
+            volume_m3(mesh),
+            surface_area_m2(mesh),
+            speed_of_sound_m_s(scene.air),
+            float(m),
         )
+        for t, m in zip(decay_s, attenuation, strict=True)
+    ]
     return np.array(starts)
