@@ -103,7 +103,7 @@ def one_message(text: str) -> str:
         ("[identify]", AIR, r"campaign.toml, air(?s:.*)150"),
         # the room
         (SHOEBOX, f'{SHOEBOX}\nunit = "yard"', r"unknown unit(?s:.*)'yard'(?s:.*)mm"),
-        (SHOEBOX, "shoebox = [3.9, -3.1, 2.5]", r"length of the box(?s:.*)-3.1"),
+        (SHOEBOX, "shoebox = [3.9, -3.1, 2.5]", r"length of the box(?s:.*)\[room\] shoebox(?s:.*)-3.1"),
         (SHOEBOX, 'file = "room.obj"', r"the room file does not exist(?s:.*)room.obj"),
         # positions
         (SOURCE, "position = [1.0, 1.2, 11.0]", r"'LS1' stands outside the room(?s:.*)ceiling"),
@@ -114,6 +114,7 @@ def one_message(text: str) -> str:
         (FIRST_FILE, f"{FIRST_FILE}\nchannel = 3", r"no such channel(?s:.*)3(?s:.*)channel = 0"),
         (FIRST_FILE, 'file = "a.flac"', r"unknown kind(?s:.*)'.flac'(?s:.*)\.wav"),
         (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 5.0", r"ends before the direct sound"),
+        (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 23.0", r"measurements\[1\].latency_s(?s:.*)10"),
     ],
 )  # fmt: skip
 def test_a_fault_in_the_campaign_is_told_in_one_message(refusal, tmp_path, old, new, words):

@@ -42,9 +42,7 @@ class Bands:
             raise InputError(
                 "unknown kind of band", found=repr(self.kind), needed="octave or third-octave"
             )
-        centres = float_array(
-            "band centres", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz"
-        )
+        centres = float_array("band centre", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz")
         if centres.size == 0 or np.any(np.diff(centres) <= 0.0):
             raise InputError(
                 "band centres must rise and there must be at least one",

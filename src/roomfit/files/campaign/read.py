@@ -100,7 +100,7 @@ def _explained(path: Path, error: ValidationError) -> InputError:
         "a value in the campaign file is not what it must be",
         where=where,
         found=repr(first.get("input")),
-        needed=first["msg"].removeprefix("Input should be ").removeprefix("a valid "),
+        needed=first["msg"].removeprefix("Input should be ").split(", unable to parse")[0],
     )
 
 

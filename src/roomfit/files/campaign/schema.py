@@ -112,7 +112,7 @@ class MeasurementTable(Table):
     measurement: int | None = Field(default=None, ge=0)
     receiver_index: int | None = Field(default=None, ge=0)
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
-    latency_s: float = 0.0
+    latency_s: float = Field(default=0.0, ge=-10.0, le=10.0)
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     use: Literal["fit", "validate"] = "fit"
 

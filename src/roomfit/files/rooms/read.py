@@ -6,7 +6,7 @@ from collections.abc import Callable
 from pathlib import Path
 
 from roomfit.checks import nearest
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.files.rooms.ac3d import read_ac3d
 from roomfit.files.rooms.foreign import read_glb, read_stl
 from roomfit.files.rooms.model import METRES_PER_UNIT, RoomModel, in_metres
@@ -65,7 +65,8 @@ def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
     """
     lengths = shoebox_lengths_m(spec)
     if lengths is not None:
-        return shoebox_mesh(lengths), ()
+        with located("[room] shoebox"):
+            return shoebox_mesh(lengths), ()
     model, where = _read_model(spec)
     mesh, built = build_mesh(in_metres(model, spec.unit, spec.up, where), model.faces)
     mesh, turned = oriented(mesh)
