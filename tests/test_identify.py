@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +16,7 @@ from roomfit.app.identify import identify, identify_to_folder
 from roomfit.bands import bands_between
 from roomfit.files.campaign.campaign import input_files, read_campaign
 from roomfit.files.results import absorption_csv, result_content
+from roomfit.findings import Finding
 from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
 from roomfit.uncertainty.answer import Answer
 from small_campaign import (
@@ -272,6 +274,15 @@ def _nulls_outside(value: object, key: str, place: str = "") -> list[str]:
     else:
         return [place] if value is None else []
     return [found for name, part in parts for found in _nulls_outside(part, key, name)]
+
+
+def test_any_evidence_of_a_finding_can_be_written(tmp_path, plain):
+    """Numbers as numpy makes them, also such as JSON does not know."""
+    evidence = {"count": np.int64(3), "ratio": np.nan, "places": (np.array([1.0, 2.5]), "floor")}
+    doubted = replace(plain, findings=(Finding("doubt", "info", "A doubt.", evidence),))
+    text = json.dumps(result_content(doubted, ()), allow_nan=False)
+    (finding,) = json.loads(text)["findings"]
+    assert finding["evidence"] == {"count": 3, "ratio": "nan", "places": [[1.0, 2.5], "floor"]}
 
 
 def test_equal_names_in_two_folders_are_two_inputs(tmp_path, plain):
