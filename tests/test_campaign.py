@@ -87,6 +87,7 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
         ("absorption = [0.1, 0.2]", r"one value per fitted band(?s:.*)6 values"),
         ("prior = {mean = 0.3, sd = 0.0}", "no spread"),
         ("prior = {mean = 0.3, sd = 0.1}\nbounds = [0.4, 0.9]", "outside of its bounds"),
+        ("absorption = 0.3\nbounds = [0.4, 0.9]", "outside of its own bounds"),
         ("scattering = {centres_hz = [125, 250], values = [0.1]}", "as many values"),
     ],
 )
@@ -107,6 +108,18 @@ def test_a_prior_of_absorption_becomes_one_of_its_logit(tmp_path):
     np.testing.assert_allclose(carpet.prior_logit_mean, 0.0, atol=1e-12)
     # the slope of the logit at one half is 4
     np.testing.assert_allclose(carpet.prior_logit_sd, 0.2)
+
+
+@pytest.mark.parametrize(
+    ("bounds", "alpha"), [("[0.0, 1.0]", 0.15), ("[0.01, 0.99]", 0.15), ("[0.3, 0.9]", 0.6)]
+)
+def test_bounds_without_a_prior_keep_the_broad_one_where_it_fits_between_them(
+    tmp_path, bounds, alpha
+):
+    text = GOOD.replace("scattering = 0.2", f"bounds = {bounds}")
+    (carpet,) = material_knowledge(campaign_from(tmp_path, text), ("carpet",))
+    share = 1.0 / (1.0 + np.exp(-carpet.prior_logit_mean))
+    np.testing.assert_allclose(carpet.lower + (carpet.upper - carpet.lower) * share, alpha)
 
 
 def test_the_same_measurement_twice_is_refused(tmp_path):

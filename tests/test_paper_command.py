@@ -16,15 +16,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roomfit.app.paper_independent import (
+from roomfit.app.suh2001.independent import (
     IndependentFit,
     fit_with_other_rays,
     mean_measurement,
     measurement_part,
     summarise,
 )
-from roomfit.app.paper_room import problems_of
-from roomfit.app.paper_searches import METHODS, Run, record, search_seeds
+from roomfit.app.suh2001.room import problems_of
+from roomfit.app.suh2001.searches import METHODS, Run, record, search_seeds
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.errors import InputError
 from roomfit.testproblems.paper_problems import SPECIFICATIONS, PaperProblem

@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.app.paper_room import (
+from roomfit.app.suh2001.room import (
     problem_landscape,
     problems_of,
     table2,

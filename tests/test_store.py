@@ -8,7 +8,7 @@ import pytest
 
 from roomfit.errors import InputError, StoreError
 from roomfit.files.store import (
-    new_output_folder,
+    check_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
@@ -40,12 +40,12 @@ def test_a_folder_that_does_not_exist_is_the_disks_turn(tmp_path):
 def test_an_output_folder_with_something_in_it_is_refused_unless_told(tmp_path):
     (tmp_path / "earlier.txt").write_text("result of a long night")
     with pytest.raises(InputError, match=r"exists and is not empty(?s:.*)--overwrite"):
-        new_output_folder(tmp_path)
-    assert new_output_folder(tmp_path, overwrite=True) == tmp_path
+        check_output_folder(tmp_path)
+    check_output_folder(tmp_path, overwrite=True)
     assert (tmp_path / "earlier.txt").exists()
 
 
 def test_an_output_folder_in_the_place_of_a_file_is_refused(tmp_path):
     (tmp_path / "f").write_text("x")
     with pytest.raises(InputError, match="is a file"):
-        new_output_folder(tmp_path / "f", overwrite=True)
+        check_output_folder(tmp_path / "f", overwrite=True)

@@ -12,7 +12,13 @@ from roomfit.app.comparing import compare_pairs
 from roomfit.app.fitting import band_answer, fit_bands, fit_findings, schroeder_findings
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.planning import plan_trace
-from roomfit.app.problems import band_problems, bin_paths, left_out_findings
+from roomfit.app.problems import (
+    BinnedPaths,
+    band_problems,
+    bin_paths,
+    left_out_findings,
+    untold_position_findings,
+)
 from roomfit.app.progress import part
 from roomfit.files.campaign.campaign import (
     Campaign,
@@ -27,9 +33,12 @@ from roomfit.files.store import (
     whole_output_folder,
     write_bytes_atomically,
 )
+from roomfit.findings import Finding
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
+from roomfit.identification.reweighted import EnergyFit
 from roomfit.identification.start import eyring_absorption
+from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room, material_areas_m2
 from roomfit.scene.scene import Scene
@@ -98,13 +107,37 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
     start = _eyring_start(scene, campaign, decay_s)
     problems = band_problems(scene, campaign.bands, knowledge, measured, binned, start)
     fits = fit_bands(problems, campaign.method, campaign.seed, part(progress, 0.5, 0.98))
-    areas = material_areas_m2(room)
+    findings = (
+        *room_findings,
+        *measured_findings,
+        *left_out_findings(campaign.bands, measured),
+        *plan.findings,
+        *untold_position_findings(scene),
+        *traced.findings,
+        *fit_findings(campaign.bands, knowledge, problems, fits),
+        *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
+    )
+    return _answer(campaign, scene, measured, binned, problems, fits, findings, began)
+
+
+def _answer(
+    campaign: Campaign,
+    scene: Scene,
+    measured: tuple[MeasuredPair, ...],
+    binned: BinnedPaths,
+    problems: tuple[EnergyProblem, ...],
+    fits: tuple[EnergyFit, ...],
+    findings: tuple[Finding, ...],
+    began: float,
+) -> Answer:
+    """Put the bands side by side and predict every pair with what they say."""
+    areas = material_areas_m2(scene.room)
     found = [band_answer(p, f, areas) for p, f in zip(problems, fits, strict=True)]
     absorption = np.stack([b.intervals.absorption for b in found], axis=1)
     attenuation = attenuation_per_m(scene.air, campaign.bands)
     return Answer(
         bands=campaign.bands,
-        materials=room.materials,
+        materials=scene.room.materials,
         areas_m2=areas,
         absorption=absorption,
         lower95=np.stack([b.intervals.lower95 for b in found], axis=1),
@@ -116,15 +149,7 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
         evaluations=sum(f.evaluations for f in fits),
         converged=np.array([f.converged for f in fits]),
         pairs=compare_pairs(campaign.bands, binned, measured, absorption, attenuation),
-        findings=(
-            *room_findings,
-            *measured_findings,
-            *left_out_findings(campaign.bands, measured),
-            *plan.findings,
-            *traced.findings,
-            *fit_findings(campaign.bands, knowledge, problems, fits),
-            *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
-        ),
+        findings=findings,
         method="least-squares" if campaign.method == "auto" else campaign.method,
         model="energy",
         interval_kind=INTERVAL_KIND,

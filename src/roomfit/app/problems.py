@@ -215,6 +215,22 @@ def _observation(
     )
 
 
+def untold_position_findings(scene: Scene) -> tuple[Finding, ...]:
+    """Return a finding that names the positions whose spread was assumed."""
+    untold = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
+    if not untold:
+        return ()
+    return (
+        Finding(
+            "position-spread-assumed",
+            "info",
+            f"No position_sd is told for {', '.join(untold)}; {100 * UNTOLD_POSITION_SD_M:g} cm a "
+            "coordinate was assumed.",
+            {"points": untold, "position_sd_m": UNTOLD_POSITION_SD_M},
+        ),
+    )
+
+
 def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
     """Return how uncertain arrival times are, from both ends' positions along the path."""
     source, receiver = scene.pairs[m.pair]

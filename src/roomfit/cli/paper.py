@@ -19,9 +19,9 @@ def paper(
     ] = False,
 ) -> None:
     """Repeat the paper on its reconstructed room, then ask what other rays would have said."""
-    from roomfit.app.paper import PaperSettings
-    from roomfit.app.paper_files import run_paper
-    from roomfit.app.paper_text import paper_text
+    from roomfit.app.suh2001.files import run_paper
+    from roomfit.app.suh2001.repeat import PaperSettings
+    from roomfit.app.suh2001.text import paper_text
     from roomfit.cli.progress import progress_bar
 
     with progress_bar("repeating the paper") as progress:

@@ -53,23 +53,6 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
         )
 
 
-def new_output_folder(path: Path, *, overwrite: bool = False) -> Path:
-    """Make a folder for results and return it.
-
-    Raises
-    ------
-    InputError, StoreError
-        See `check_output_folder`.
-    """
-    path = Path(path)
-    check_output_folder(path, overwrite=overwrite)
-    try:
-        path.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise _cannot_be_made(path, error) from error
-    return path
-
-
 @contextmanager
 def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a folder to fill, which takes its place and name when the block ends well.

@@ -24,7 +24,12 @@ from roomfit.files.campaign.schema import (
 )
 from roomfit.files.responses.spec import ResponseSpec
 from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
-from roomfit.materials.knowledge import MaterialKnowledge, logit_prior, unknown_material
+from roomfit.materials.knowledge import (
+    DEFAULT_MEAN,
+    MaterialKnowledge,
+    logit_prior,
+    unknown_material,
+)
 from roomfit.scene.scene import Point
 from roomfit.typing import FloatArray
 
@@ -159,6 +164,11 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
     where = f"materials.{name}"
     mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
     lower, upper = table.bounds if table.bounds is not None else (0.0, 1.0)
+    if table.bounds is not None:
+        # the broad prior's middle where it lies well between the bounds, else theirs
+        share = (DEFAULT_MEAN - lower) / (upper - lower)
+        share = share if 0.1 <= share <= 0.9 else 0.5
+        mean, _ = logit_prior(np.full(n, share), np.ones(n))
     if isinstance(table.prior, Prior):
         alpha = _per_band(table.prior.mean, n, f"{where}.prior.mean")
         alpha_sd = _per_band(table.prior.sd, n, f"{where}.prior.sd")
@@ -173,18 +183,33 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
                 needed=f"{lower:g} < mean < {upper:g} and sd > 0",
                 hint="to hold an absorption fixed, write absorption = [...] instead",
             )
-        share = (alpha - lower) / (upper - lower)
-        mean, sd = logit_prior(share, alpha_sd / (upper - lower))
-    known = table.absorption
+        between = (alpha - lower) / (upper - lower)
+        mean, sd = logit_prior(between, alpha_sd / (upper - lower))
+    known = None
+    if table.absorption is not None:
+        known = _per_band(table.absorption, n, f"{where}.absorption")
+        _check_within(known, lower, upper, f"{where}.absorption")
     return MaterialKnowledge(
         name,
         _mean_scattering(table, campaign.bands, where),
-        None if known is None else _per_band(known, n, f"{where}.absorption"),
+        known,
         mean,
         sd,
         lower,
         upper,
     )
+
+
+def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
+    bad = np.flatnonzero((values < lower) | (values > upper))
+    if bad.size:
+        raise InputError(
+            "a given absorption lies outside of its own bounds",
+            where=where,
+            found=f"{values[bad[0]]:g}",
+            needed=f"{lower:g} to {upper:g}",
+            hint="remove bounds: an absorption that is given is held fixed",
+        )
 
 
 def _mean_scattering(table: MaterialTable, bands: Bands, where: str) -> float | None:

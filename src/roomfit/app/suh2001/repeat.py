@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from roomfit.app.paper_independent import (
+from roomfit.app.progress import part
+from roomfit.app.suh2001.independent import (
     IndependentFit,
     IndependentRow,
     IndependentSettings,
@@ -18,7 +19,7 @@ from roomfit.app.paper_independent import (
     measurement_part,
     summarise,
 )
-from roomfit.app.paper_room import (
+from roomfit.app.suh2001.room import (
     CaseResponse,
     Table2,
     WallsApart,
@@ -29,8 +30,7 @@ from roomfit.app.paper_room import (
     table2,
     walls_apart,
 )
-from roomfit.app.paper_searches import METHODS, Record, record, search_seeds, searches_of_table2
-from roomfit.app.progress import part
+from roomfit.app.suh2001.searches import METHODS, Record, record, search_seeds, searches_of_table2
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.checks import int_array
 from roomfit.identification.fit import Fit

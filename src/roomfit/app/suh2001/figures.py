@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from roomfit.app.paper import PaperResult
-from roomfit.app.paper_independent import PAIRS
-from roomfit.app.paper_room import CaseResponse
-from roomfit.app.paper_searches import LABELS, METHODS
+from roomfit.app.suh2001.independent import PAIRS
+from roomfit.app.suh2001.repeat import PaperResult
+from roomfit.app.suh2001.room import CaseResponse
+from roomfit.app.suh2001.searches import LABELS, METHODS
 from roomfit.report.paper_pictures import (
     Curve,
     ResponsePanel,

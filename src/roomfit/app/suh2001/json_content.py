@@ -6,8 +6,8 @@ from dataclasses import asdict
 from typing import Any
 
 import roomfit
-from roomfit.app.paper import PaperResult
-from roomfit.app.paper_searches import FOUND_WITHIN, Record
+from roomfit.app.suh2001.repeat import PaperResult
+from roomfit.app.suh2001.searches import FOUND_WITHIN, Record
 from roomfit.identification.landscape import Landscape
 from roomfit.testproblems.paper_problems import SPECIFICATIONS
 from roomfit.testproblems.paper_room import (

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from roomfit.app.paper import PaperResult
-from roomfit.app.paper_independent import IndependentRow
-from roomfit.app.paper_searches import METHODS, Record
+from roomfit.app.suh2001.independent import IndependentRow
+from roomfit.app.suh2001.repeat import PaperResult
+from roomfit.app.suh2001.searches import METHODS, Record
 from roomfit.identification.landscape import Landscape
 from roomfit.testproblems.paper_problems import SPECIFICATIONS
 from roomfit.testproblems.paper_room import DIVISIONS, PRINTED_ARRIVALS_MS, RECONSTRUCTED

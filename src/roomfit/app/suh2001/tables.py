@@ -10,7 +10,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.app.paper import PaperResult
+from roomfit.app.suh2001.repeat import PaperResult
 from roomfit.testproblems.paper_room import CASES
 
 Row: TypeAlias = Sequence[object]

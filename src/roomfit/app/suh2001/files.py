@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from roomfit.app.paper import PaperResult, PaperSettings, repeat_paper
-from roomfit.app.paper_figures import paper_figures
-from roomfit.app.paper_json import paper_json
-from roomfit.app.paper_tables import paper_tables
+from roomfit.app.suh2001.figures import paper_figures
+from roomfit.app.suh2001.json_content import paper_json
+from roomfit.app.suh2001.repeat import PaperResult, PaperSettings, repeat_paper
+from roomfit.app.suh2001.tables import paper_tables
 from roomfit.files.store import (
-    new_output_folder,
+    check_output_folder,
+    whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
@@ -34,11 +35,12 @@ def run_paper(
     InputError
         The folder exists and is not empty, and `overwrite` is false.
     """
-    folder = new_output_folder(folder, overwrite=overwrite)
+    check_output_folder(folder, overwrite=overwrite)
     result = repeat_paper(settings, progress=progress)
-    for name, text in paper_tables(result).items():
-        write_text_atomically(folder / name, text)
-    for name, figure in paper_figures(result).items():
-        write_bytes_atomically(folder / name, png(figure))
-    write_json_atomically(folder / "paper.json", paper_json(result))
+    with whole_output_folder(folder, overwrite=overwrite) as aside:
+        for name, text in paper_tables(result).items():
+            write_text_atomically(aside / name, text)
+        for name, figure in paper_figures(result).items():
+            write_bytes_atomically(aside / name, png(figure))
+        write_json_atomically(aside / "paper.json", paper_json(result))
     return result
