@@ -212,6 +212,26 @@ def test_tables_are_read_through_their_headings_and_notes(tmp_path):
     assert not findings
 
 
+@pytest.mark.parametrize(
+    "sheet",
+    [
+        "number,material,corner 1,corner 2,corner 3,corner 4\n90,cloth,1,4,10,7,Double sided\n",
+        "number,material,corner 1,corner 2,corner 3,corner 4,sides\n90,cloth,1,4,10,7,2\n",
+        "number,material,sides,corner 1,corner 2,corner 3,corner 4\n90,cloth,2,1,4,10,7\n",
+    ],
+)
+def test_a_sheet_is_double_sided_by_words_or_by_a_column(tmp_path, sheet):
+    """Its area counts twice, and the volume is that of the room without it."""
+    tables = l_tables(tmp_path)
+    planes = (*tables.planes, write(tmp_path, "sheet.csv", sheet))
+    mesh, _ = read_mesh(RoomSpec(polygons=PolygonSpec(tables.corners, planes)))
+    alone = 0.5 * material_areas(mesh, {})["cloth"]
+    once = PolygonSpec(tables.corners, planes, sides={"90": 1})
+    one_sided, _ = read_mesh(RoomSpec(polygons=once))
+    assert alone == pytest.approx(material_areas(one_sided, {})["cloth"])
+    assert volume_m3(mesh) == pytest.approx(21.0)
+
+
 def test_tables_can_be_patched_by_later_ones(tmp_path):
     """The floor is replaced by two halves, a corner moves, a wrong area and a curtain are told."""
     tables = l_tables(tmp_path)

@@ -26,7 +26,7 @@ class Plane:
         Numbers of its corners, in order.
     material, description : str or None
     double_sided : bool
-        The row says "double sided".
+        The row says "double sided", or has 2 in a column "sides".
     stated_area_m2 : float or None
         Area that the table gives, for a comparison.
     where : str
@@ -78,6 +78,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
     The columns are found by the heading that holds the words number and corner; "material", "area"
     and "name" or "description" are used where they stand. The corners of a plane end at the first
     cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
+    A column "sides" may hold 1 or 2.
 
     Raises
     ------
@@ -107,7 +108,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
             corners,
             _cell(row, heading, ("material",)),
             _cell(row, heading, ("name", "description")),
-            any("double" in cell.lower() for cell in row),
+            _is_double_sided(row, heading, where),
             float(area) if area and _is_finite(area) else None,
             where,
         )
@@ -153,10 +154,17 @@ def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
     for column in range(first, len(row)):
         word = heading[column] if column < len(heading) else ""
         number = _as_number(row[column])
-        if number is None or word.startswith(("material", "area", "name")):
+        if number is None or word.startswith(("material", "area", "name", "sides")):
             break
         corners.append(number)
     return tuple(corners)
+
+
+def _is_double_sided(row: list[str], heading: list[str], where: str) -> bool:
+    sides = _cell(row, heading, ("sides",))
+    if sides is not None and _as_number(sides) not in ("1", "2"):
+        raise InputError("a plane has one side or two", where=where, found=sides, needed="1 or 2")
+    return _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
 
 
 def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | None:
