@@ -36,8 +36,11 @@ NAMES = {"T30_s": "T30", "T20_s": "T20", "EDT_s": "EDT", "C80_dB": "C80"}
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("data", type=Path)
-    data: Path = parser.parse_args().data
+    parser.add_argument("data", type=Path, nargs="?")
+    data: Path | None = parser.parse_args().data
+    if data is None:
+        print("no folder of measurements given: nothing to do")
+        return
     warnings.simplefilter("ignore")
     for title, path, bands, published in responses(data):
         compare(title, path, bands, published)

@@ -132,7 +132,7 @@ def bras(data: Path) -> None:
 def main() -> None:
     """Run both rooms."""
     if len(sys.argv) != 2:
-        print("no folder of measurements given: nothing to do", file=sys.stderr)
+        print("no folder of measurements given: nothing to do")
         return
     folder = Path(sys.argv[1])
     dechorate(folder / "dechorate")
