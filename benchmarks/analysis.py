@@ -124,13 +124,21 @@ def by_pyrato(response: ImpulseResponse, bands: Bands) -> dict[str, FloatArray]:
         order=6,
     )
     curve = pyrato.edc.energy_decay_curve_lundeby(filtered, channel_independent=True)
-    values = {
-        name: pyrato.parameters.reverberation_time_linear_regression(curve, short)
-        for name, short in NAMES.items()
-        if name != "C80_dB"
-    }
-    values["C80_dB"] = pyrato.parameters.clarity(curve, 80)
-    return {name: np.asarray(v, dtype=np.float64).reshape(-1) for name, v in values.items()}
+    values = {"C80_dB": np.asarray(pyrato.parameters.clarity(curve, 80)).reshape(-1)}
+    for name, short in NAMES.items():
+        if name != "C80_dB":
+            values[name] = np.array(
+                [decay_time_by_pyrato(curve[b], short) for b in range(len(bands))]
+            )
+    return values
+
+
+def decay_time_by_pyrato(curve: pyfar.TimeData, short: str) -> float:
+    """Return its decay time of one band, NaN where it finds no usable curve and raises."""
+    try:
+        return float(pyrato.parameters.reverberation_time_linear_regression(curve, short).item())
+    except ValueError:
+        return float("nan")
 
 
 def row(label: str, values: FloatArray, digits: str) -> None:
