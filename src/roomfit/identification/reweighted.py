@@ -20,7 +20,7 @@ from roomfit.objective.energy_problem import (
 from roomfit.objective.parameters import prior_residuals, start_vector
 from roomfit.typing import FloatArray, Progress
 
-ROUNDS = 4
+MOST_ROUNDS = 12
 
 # Windows are not independent: the band filter overlaps neighbours, and every pair and every window
 # sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
@@ -91,7 +91,9 @@ def fit_energies(
     vector = solver(_log_squares(counter, measured), start_vector(problem.parameters))
     variance = window_variance(problem, vector)
     converged = False
-    for number in range(ROUNDS):
+    for number in range(MOST_ROUNDS):
+        if converged:
+            break
         previous = vector
         spread = WINDOWS_PER_INDEPENDENT_ONE * variance
         vector = refiner(_weighted_squares(counter, measured, spread), vector)
@@ -99,7 +101,9 @@ def fit_energies(
         converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
         variance = window_variance(problem, vector)
         if progress is not None:
-            progress((number + 1) / ROUNDS)
+            progress((number + 1) / MOST_ROUNDS)
+    if progress is not None:
+        progress(1.0)
     prediction = counter.predict(vector)
     spread = WINDOWS_PER_INDEPENDENT_ONE * variance
     chi_square = float(np.sum((measured - prediction.expected) ** 2 / variance))

@@ -110,9 +110,10 @@ class _BandNoise:
 def _judged(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> _BandNoise:
     energy = _before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
-    # a block holds at least four independent values, so that its level scatters by 2 dB
-    block_s = max(0.01, 4.0 / bandwidth_hz)
-    if length_s < 8.0 * block_s:
+    # a block holds four independent values, so that its level scatters by 2 dB; in a short file
+    # down to one and a half, for a line through less than eight blocks says nothing
+    block_s = max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
+    if block_s < 1.5 / bandwidth_hz or length_s < 8.0 * block_s:
         return _BandNoise(floor=0.0, reached=False)
     times, blocks = _blocks(energy, rate_hz, block_s)
     floor, line = _settled(energy, rate_hz, times, blocks)
