@@ -9,7 +9,9 @@ import typer
 
 
 def demo(
-    out: Annotated[Path, typer.Option("--out", help="Folder for the campaign and its results.")],
+    out: Annotated[
+        Path, typer.Option("--out", help="Folder for the campaign and its results.")
+    ] = Path("roomfit-demo"),
     seed: Annotated[int, typer.Option("--seed", help="Draws positions, levels and noise.")] = 1,
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")

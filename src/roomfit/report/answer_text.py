@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.findings import Finding
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.answer import Answer
+from roomfit.uncertainty.answer import Answer, ComparedPair
 
 _SHOWN = ("T20_s", "EDT_s", "C80_dB")
 _RELATIVE = ("T20_s", "T30_s", "EDT_s", "TS_ms")
@@ -80,7 +80,8 @@ def pairs_table(answer: Answer) -> str:
     if not answer.pairs:
         return ""
     lines = [
-        "Predicted against measured, mean absolute error per band (model | mean of the others)"
+        "Predicted against measured: mean T20 (measured > predicted), then mean absolute errors "
+        "(model | mean of the others)"
     ]
     head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
     lines.append(f"{'Hz':<16}  {head}")
@@ -88,6 +89,7 @@ def pairs_table(answer: Answer) -> str:
         pairs = [p for p in answer.pairs if p.use == use]
         if not pairs:
             continue
+        lines.append(_decay_line(pairs, use))
         for name in _SHOWN:
             compared = [p.parameters[name] for p in pairs]
             ours = _mean_error(
@@ -96,9 +98,27 @@ def pairs_table(answer: Answer) -> str:
             null = _mean_error(name, [c.null for c in compared], [c.measured for c in compared])
             unit = "%" if name in _RELATIVE else name.split("_")[1]
             cells = [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
-            label = f"{name.split('_')[0]} {unit} {'fitted' if use == 'fit' else 'not fitted'}"
+            label = f"{name.split('_')[0]} {unit} {_said(use)}"
             lines.append(f"{label:<16}  " + "  ".join(cells))
     return "\n".join(lines)
+
+
+def _decay_line(pairs: list[ComparedPair], use: str) -> str:
+    """Return the mean T20 in seconds, measured > predicted, over pairs that have both."""
+    measured = np.array([p.parameters["T20_s"].measured for p in pairs])
+    predicted = np.array([p.parameters["T20_s"].predicted for p in pairs])
+    both = np.isfinite(measured) & np.isfinite(predicted)
+    counts = np.maximum(both.sum(axis=0), 1)
+    means = [np.where(both, t, 0.0).sum(axis=0) / counts for t in (measured, predicted)]
+    cells = [
+        f"{m:5.2f} > {p:5.2f}" if known else f"{'-':>5} > {'-':>5}"
+        for m, p, known in zip(*means, both.any(axis=0), strict=True)
+    ]
+    return f"{'T20 s ' + _said(use):<16}  " + "  ".join(cells)
+
+
+def _said(use: str) -> str:
+    return "fitted" if use == "fit" else "not fitted"
 
 
 def findings_text(findings: tuple[Finding, ...]) -> str:
