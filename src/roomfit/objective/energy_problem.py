@@ -17,7 +17,7 @@ from roomfit.objective.parameters import (
 )
 from roomfit.response.energy import batch_energies, weigh
 from roomfit.response.rows import EnergyRows, rows_in_air
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import FloatArray
 
 _RINGING_S = 2e-3
 
@@ -149,12 +149,6 @@ def in_air(problem: EnergyProblem) -> EnergyProblem:
 def measured_energies(problem: EnergyProblem) -> FloatArray:
     """Return the measured window energies, all observations end to end, shape (n_windows,)."""
     return np.concatenate([o.energy for o in problem.observations])
-
-
-def window_observation(problem: EnergyProblem) -> IntArray:
-    """Return which observation each window belongs to, shape (n_windows,)."""
-    counts = [o.energy.size for o in problem.observations]
-    return np.repeat(np.arange(len(counts)), counts)
 
 
 def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:

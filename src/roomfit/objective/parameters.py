@@ -155,13 +155,3 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     finite = np.isfinite(sd)
     jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
     return ((vector - mean) / sd)[finite], jacobian
-
-
-def free_labels(parameters: Parameters) -> tuple[tuple[str, str], ...]:
-    """Return (block name, label) of each entry of the free vector."""
-    return tuple(
-        (b.name, label)
-        for b in parameters.blocks
-        for label, fitted in zip(b.labels, b.fitted, strict=True)
-        if fitted
-    )

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from roomfit.tracing.settings import TraceSettings
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import FloatArray
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -20,11 +20,6 @@ def start_directions(settings: TraceSettings, source: int) -> FloatArray:
     if settings.directions == "fibonacci":
         return fibonacci_directions(settings.n_rays)
     return sobol_directions(settings.n_rays, settings.n_batches, (settings.seed, source))
-
-
-def ray_batches(n_rays: int, n_batches: int) -> IntArray:
-    """Return the batch of each ray, int32, shape (n_rays,)."""
-    return (np.arange(n_rays) % n_batches).astype(np.int32)
 
 
 def fibonacci_directions(n_rays: int) -> FloatArray:

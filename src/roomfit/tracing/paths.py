@@ -121,11 +121,6 @@ def hits(paths: Paths) -> IntArray:
     return np.asarray(paths.hits_specular + paths.hits_diffuse)
 
 
-def is_image(paths: Paths) -> BoolArray:
-    """Return which paths come from image sources, shape (n_paths,)."""
-    return np.asarray(paths.batch < 0)
-
-
 def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
     """Return the chosen paths, by mask or index; ordered reflections are carried along."""
     reflections = None
