@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
-from roomfit.identification.reweighted import EnergyFit, fit_energies
+from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.energy_problem import EnergyProblem
@@ -33,7 +33,7 @@ class BandAnswer:
 
 def fit_bands(
     problems: tuple[EnergyProblem, ...], method: str, seed: int, progress: Progress | None
-) -> tuple[EnergyFit, ...]:
+) -> tuple[BandFit, ...]:
     """Fit one band after the other.
 
     Parameters
@@ -46,11 +46,11 @@ def fit_bands(
     for number, problem in enumerate(problems):
         done = part(progress, number / len(problems), (number + 1) / len(problems))
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
-        fits.append(fit_energies(problem, solver, refiner, progress=done))
+        fits.append(fit_band(problem, solver, refiner, progress=done))
     return tuple(fits)
 
 
-def band_answer(problem: EnergyProblem, fit: EnergyFit, areas_m2: FloatArray) -> BandAnswer:
+def band_answer(problem: EnergyProblem, fit: BandFit, areas_m2: FloatArray) -> BandAnswer:
     """Return what one band's fit says of each material and of the room as a whole."""
     found = absorption_intervals(problem.parameters, fit.vector, fit.information, fit.phi)
     mean = weighted_mean_interval(
@@ -63,7 +63,7 @@ def fit_findings(
     bands: Bands,
     knowledge: tuple[MaterialKnowledge, ...],
     problems: tuple[EnergyProblem, ...],
-    fits: tuple[EnergyFit, ...],
+    fits: tuple[BandFit, ...],
 ) -> tuple[Finding, ...]:
     """Return every doubt that the fits leave."""
     findings = []

@@ -36,7 +36,7 @@ from roomfit.files.store import (
 from roomfit.findings import Finding
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.identification.reweighted import EnergyFit
+from roomfit.identification.reweighted import BandFit
 from roomfit.identification.start import eyring_absorption
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.scene.positions import position_findings
@@ -126,7 +126,7 @@ def _answer(
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
     problems: tuple[EnergyProblem, ...],
-    fits: tuple[EnergyFit, ...],
+    fits: tuple[BandFit, ...],
     findings: tuple[Finding, ...],
     began: float,
 ) -> Answer:

@@ -18,6 +18,7 @@ from roomfit.objective.energy_problem import (
     EnergyProblem,
     Observation,
     fine_edges_s,
+    in_air,
     lone_rows,
 )
 from roomfit.objective.parameters import Block, Parameters
@@ -126,17 +127,16 @@ def band_problems(
         gain = _gain_block(
             gain_labels, observations, binned, fitted, absorption, float(attenuation[band])
         )
-        problems.append(
-            EnergyProblem(
-                float(bands.centres_hz[band]),
-                float(statistical_bandwidth_hz(bank)[0]),
-                float(attenuation[band]),
-                tuple(binned.rows[m.pair] for m in fitted),
-                tuple(lone[m.pair] for m in fitted),
-                observations,
-                Parameters((absorption, gain)),
-            )
+        problem = EnergyProblem(
+            float(bands.centres_hz[band]),
+            float(statistical_bandwidth_hz(bank)[0]),
+            float(attenuation[band]),
+            tuple(binned.rows[m.pair] for m in fitted),
+            tuple(lone[m.pair] for m in fitted),
+            observations,
+            Parameters((absorption, gain)),
         )
+        problems.append(in_air(problem))
     return tuple(problems)
 
 

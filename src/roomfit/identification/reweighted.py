@@ -1,4 +1,4 @@
-"""Fit window energies whose scatter depends on the answer: weights frozen, solved, renewed."""
+"""Fit data whose scatter depends on the answer: weights frozen, solved, renewed."""
 
 from __future__ import annotations
 
@@ -9,27 +9,15 @@ from scipy.special import digamma, polygamma
 
 from roomfit.identification.least_squares import ResidualFunction
 from roomfit.identification.solvers import Solver
-from roomfit.objective.energy_problem import (
-    EnergyProblem,
-    Prediction,
-    in_air,
-    measured_energies,
-    predict_windows,
-    window_variance,
-)
 from roomfit.objective.parameters import prior_residuals, start_vector
+from roomfit.objective.problem import BandProblem, Prediction
 from roomfit.typing import FloatArray, Progress
 
 MOST_ROUNDS = 12
 
-# Windows are not independent: the band filter overlaps neighbours, and every pair and every window
-# sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
-# checked on six others: docs/decisions/0002-three-windows-count-as-one.md.
-WINDOWS_PER_INDEPENDENT_ONE = 3.0
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EnergyFit:
+class BandFit:
     """Best free vector of one band, and what is needed to say how sure it is.
 
     Attributes
@@ -42,7 +30,10 @@ class EnergyFit:
         where the model does not explain the data.
     information : float array, shape (n_free, n_free)
         Gauss-Newton Hessian of the cost at the answer, prior included.
-    expected, variance, measured : float arrays, shape (n_windows,)
+    expected, variance, measured : float arrays, shape (n_data,)
+    log_likelihood : float
+        Of all data under their own laws, with every constant, neighbours that share information
+        counted once: compares models of the same data.
     evaluations : int
         How often the response was weighed with its derivative.
     converged : bool
@@ -56,20 +47,22 @@ class EnergyFit:
     expected: FloatArray
     variance: FloatArray
     measured: FloatArray
+    log_likelihood: float
     evaluations: int
     converged: bool
 
 
-def fit_energies(
-    problem: EnergyProblem,
+def fit_band(
+    problem: BandProblem,
     solver: Solver,
     refiner: Solver,
     *,
     progress: Progress | None = None,
-) -> EnergyFit:
-    """Return the most likely absorption and gains of one band.
+) -> BandFit:
+    """Return the most likely values of one band's unknowns.
 
-    The first round compares logarithms, which finds its way from any start. Each further round
+    The first round compares logarithms of energies, which finds its way from any start. Each further
+    round
     takes the variances at the last answer, holds them fixed, and solves the weighted squares:
     letting the variance move inside a step rewards predictions that are large and uncertain.
     The result solves the quasi-likelihood equations of a Gamma-like law (variance proportional
@@ -77,7 +70,7 @@ def fit_energies(
 
     Parameters
     ----------
-    problem : EnergyProblem
+    problem : BandProblem
     solver, refiner : Solver
         Minimise the first round's squares, and those of the rounds that follow.
 
@@ -85,38 +78,39 @@ def fit_energies(
     ----------
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
-    problem = in_air(problem)
-    measured = measured_energies(problem)
+    measured = problem.measured()
+    neighbours = problem.counted_as_one()
     counter = _Counter(problem)
-    vector = solver(_log_squares(counter, measured), start_vector(problem.parameters))
-    variance = window_variance(problem, vector)
+    vector = solver(_first_squares(counter, measured), start_vector(problem.parameters))
+    variance = problem.variance(vector)
     converged = False
     for number in range(MOST_ROUNDS):
         if converged:
             break
         previous = vector
-        spread = WINDOWS_PER_INDEPENDENT_ONE * variance
+        spread = neighbours * variance
         vector = refiner(_weighted_squares(counter, measured, spread), vector)
         sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, spread, vector))))
         converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
-        variance = window_variance(problem, vector)
+        variance = problem.variance(vector)
         if progress is not None:
             progress((number + 1) / MOST_ROUNDS)
     if progress is not None:
         progress(1.0)
     prediction = counter.predict(vector)
-    spread = WINDOWS_PER_INDEPENDENT_ONE * variance
+    spread = neighbours * variance
     chi_square = float(np.sum((measured - prediction.expected) ** 2 / variance))
     prior, _ = prior_residuals(problem.parameters, vector)
     information = _information(counter, spread, vector)
-    return EnergyFit(
+    return BandFit(
         vector,
-        float(0.5 * (chi_square / WINDOWS_PER_INDEPENDENT_ONE + prior @ prior)),
+        float(0.5 * (np.sum((measured - prediction.expected) ** 2 / spread) + prior @ prior)),
         chi_square / _freedom(prediction, spread, information),
         information,
         prediction.expected,
         variance,
         measured,
+        float(np.sum(problem.log_likelihood(prediction.expected, variance) / neighbours)),
         counter.evaluations,
         converged,
     )
@@ -125,37 +119,44 @@ def fit_energies(
 class _Counter:
     """Remembers the last prediction, so that residuals and Jacobian cost one weighing."""
 
-    def __init__(self, problem: EnergyProblem) -> None:
+    def __init__(self, problem: BandProblem) -> None:
         self.problem = problem
         self.evaluations = 0
         self._last: tuple[FloatArray, Prediction] | None = None
 
     def predict(self, vector: FloatArray) -> Prediction:
         if self._last is None or not np.array_equal(vector, self._last[0]):
-            self._last = (np.array(vector), predict_windows(self.problem, vector))
+            self._last = (np.array(vector), self.problem.predict(vector))
             self.evaluations += 1
         return self._last[1]
 
 
-def _log_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
-    """Compare log energies; the mean of a log lies below the log of the mean, by digamma."""
+def _first_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
+    """Compare energies by their logarithms, everything else as it is.
+
+    The mean of the log of a Gamma variate lies below the log of its mean, by digamma.
+    """
     problem = counter.problem
     start = start_vector(problem.parameters)
+    logs = problem.are_energies()
     expected = counter.predict(start).expected
+    variance = problem.variance(start)
     # a window that neither a path nor noise reaches has no logarithm
-    least = 1e-9 * float(expected.max())
-    expected = expected + least
-    shape = np.clip(expected**2 / window_variance(problem, start), 0.5, 100.0)
-    sd = np.sqrt(polygamma(1, shape))
+    least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
+    expected = np.where(logs, expected + least, 1.0)
+    shape = np.clip(expected**2 / variance, 0.5, 100.0)
+    sd = np.where(logs, np.sqrt(polygamma(1, shape)), np.sqrt(variance))
     # an empty window says "low", not minus infinity
-    target = np.log(np.maximum(measured, 1e-3 * expected)) - digamma(shape) + np.log(shape)
+    seen = np.where(logs, np.maximum(measured, 1e-3 * expected), 1.0)
+    target = np.where(logs, np.log(seen) - digamma(shape) + np.log(shape), measured)
 
     def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         prediction = counter.predict(vector)
         prior, prior_rows = prior_residuals(problem.parameters, vector)
-        predicted = prediction.expected + least
-        residuals = (target - np.log(predicted)) / sd
-        rows = -prediction.jacobian / (predicted * sd)[:, None]
+        positive = np.where(logs, prediction.expected + least, 1.0)
+        predicted = np.where(logs, np.log(positive), prediction.expected)
+        rows = -prediction.jacobian / (positive * sd)[:, None]
+        residuals = (target - predicted) / sd
         return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
     return squares

@@ -1,0 +1,155 @@
+"""What every fit of one band needs to know of its data, whatever kind of data they are.
+
+Window energies, partly coherent windows and ISO 3382 values each know how to predict themselves
+from one vector of free parameters. A joint problem lays several of them end to end.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from scipy.special import gammaln
+
+from roomfit.errors import InputError
+from roomfit.objective.parameters import Parameters
+from roomfit.typing import BoolArray, FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Prediction:
+    """Expected data, all observations end to end, with derivatives.
+
+    Attributes
+    ----------
+    expected : float array, shape (n_data,)
+        What the model expects to be measured, noise included.
+    signal : float array, shape (n_data,)
+        The same without noise.
+    jacobian : float array, shape (n_data, n_free)
+        Derivative of `expected` by the free vector.
+    """
+
+    expected: FloatArray
+    signal: FloatArray
+    jacobian: FloatArray
+
+
+class BandProblem(Protocol):
+    """Data of one band that a vector of free parameters explains.
+
+    Attributes
+    ----------
+    parameters : Parameters
+        Blocks of unknowns, one of them "absorption" with one entry a material.
+    """
+
+    @property
+    def parameters(self) -> Parameters: ...
+
+    def measured(self) -> FloatArray:
+        """Return the data, shape (n_data,)."""
+        ...
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return what a free vector makes the model expect."""
+        ...
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return the variance of each datum about its expectation, shape (n_data,)."""
+        ...
+
+    def counted_as_one(self) -> FloatArray:
+        """Return how many neighbours share the information of each datum, shape (n_data,)."""
+        ...
+
+    def are_energies(self) -> BoolArray:
+        """Return which data are energies, never negative and spread over decades, (n_data,)."""
+        ...
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log density of each datum with every constant, shape (n_data,).
+
+        For choosing between models, whose variances differ: squares alone cannot tell them apart.
+        """
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class JointProblem:
+    """Several kinds of data of one band with the same unknowns, one after the other.
+
+    Attributes
+    ----------
+    parts : tuple of BandProblem
+        At least one; all hold one and the same `parameters`.
+    """
+
+    parts: tuple[BandProblem, ...]
+
+    def __post_init__(self) -> None:
+        if any(p.parameters is not self.parts[0].parameters for p in self.parts):
+            raise InputError("the parts of a joint problem have different unknowns")
+
+    @property
+    def parameters(self) -> Parameters:
+        """The unknowns of every part."""
+        return self.parts[0].parameters
+
+    def measured(self) -> FloatArray:
+        """Return the data of all parts, shape (n_data,)."""
+        return np.concatenate([p.measured() for p in self.parts])
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return the predictions of all parts."""
+        found = [p.predict(vector) for p in self.parts]
+        return Prediction(
+            np.concatenate([f.expected for f in found]),
+            np.concatenate([f.signal for f in found]),
+            np.concatenate([f.jacobian for f in found]),
+        )
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return the variances of all parts, shape (n_data,)."""
+        return np.concatenate([p.variance(vector) for p in self.parts])
+
+    def counted_as_one(self) -> FloatArray:
+        """Return every part's count of neighbours, shape (n_data,)."""
+        return np.concatenate([p.counted_as_one() for p in self.parts])
+
+    def are_energies(self) -> BoolArray:
+        """Return which data of any part are energies, shape (n_data,)."""
+        return np.concatenate([p.are_energies() for p in self.parts])
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log density of each datum of all parts, shape (n_data,)."""
+        ends = np.cumsum([p.measured().size for p in self.parts])[:-1]
+        split = zip(self.parts, np.split(expected, ends), np.split(variance, ends), strict=True)
+        return np.concatenate([p.log_likelihood(e, v) for p, e, v in split])
+
+
+def gamma_log_likelihood(
+    measured: FloatArray, expected: FloatArray, variance: FloatArray
+) -> FloatArray:
+    """Return the log density of energies that follow Gamma laws of given mean and variance.
+
+    A window's energy is a sum of squares of nearly Gaussian pressures: never negative, skew, with
+    a standard deviation that grows with its mean.
+
+    Parameters
+    ----------
+    measured, expected, variance : float arrays, shape (n,)
+        All above 0; a measured 0 counts as a millionth of what was expected.
+
+    Returns
+    -------
+    float array, shape (n,)
+        Log of a density per unit of energy.
+    """
+    shape = expected**2 / variance
+    scale = variance / expected
+    seen = np.maximum(measured, 1e-6 * expected)
+    return np.asarray(
+        (shape - 1.0) * np.log(seen / scale) - seen / scale - gammaln(shape) - np.log(scale)
+    )
