@@ -61,12 +61,11 @@ def fit_band(
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
 
-    The first round compares logarithms of energies, which finds its way from any start. Each further
-    round
-    takes the variances at the last answer, holds them fixed, and solves the weighted squares:
-    letting the variance move inside a step rewards predictions that are large and uncertain.
-    The result solves the quasi-likelihood equations of a Gamma-like law (variance proportional
-    to the mean squared) [1]_.
+    The first round compares logarithms of energies, which finds its way from any start. Each
+    further round takes the variances at the last answer, holds them fixed, and solves the weighted
+    squares: letting the variance move inside a step rewards predictions that are large and
+    uncertain. The result solves the quasi-likelihood equations of a Gamma-like law (variance
+    proportional to the mean squared) [1]_.
 
     Parameters
     ----------
