@@ -84,9 +84,10 @@ def test_noise_holds_no_direct_sound():
         find_onset(noise, "LS1 to MP1")
 
 
-@pytest.mark.parametrize(("apart_m", "told"), [(0.09, 0), (-0.09, 0), (0.11, 1), (-0.11, 1)])
+@pytest.mark.parametrize(("apart_m", "told"), [(0.12, 0), (-0.12, 0), (0.13, 1), (-0.13, 1)])
 def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, told):
-    findings = compare_onset(0.01 + apart_m / 340.0, 0.01, 340.0, "LS1 to MP1")
+    """At 48 kHz three samples add 2.1 cm to the ten."""
+    findings = compare_onset(0.01 + apart_m / 340.0, 0.01, 340.0, "LS1 to MP1", RATE_HZ)
     assert len(findings) == told
     for finding in findings:
         assert finding.code == "time-zero-disagrees"
@@ -94,10 +95,17 @@ def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, told):
         assert ("later" in finding.sentence) == (apart_m > 0.0)
 
 
+def test_what_three_samples_span_is_no_disagreement():
+    """At 8 kHz the onset of a sharp click may be found 3 samples, 13 cm, early."""
+    early_s = 0.02 - 2.9 / 8_000.0
+    assert compare_onset(early_s, 0.02, 343.0, "x", 8_000.0) == ()
+    assert len(compare_onset(early_s, 0.02, 343.0, "x", 48_000.0)) == 1
+
+
 def test_time_zero_is_set_so_that_the_direct_sound_arrives_on_time():
     moved = time_zero_from_direct(room(0.05), travel_s=0.0123)
     assert find_onset(moved) == pytest.approx(0.0123, abs=1e-12)
-    assert compare_onset(find_onset(moved), 0.0123, 343.0, "x") == ()
+    assert compare_onset(find_onset(moved), 0.0123, 343.0, "x", RATE_HZ) == ()
 
 
 def test_a_response_shorter_than_the_way_of_the_sound_is_refused():

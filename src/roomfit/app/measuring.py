@@ -79,7 +79,8 @@ def measure(
         where, name = str(file.response.path), _name(file)
         check_travel(response, direct_s, where)
         if file.response.time_zero == "emission":
-            findings += compare_onset(find_onset(response, where), direct_s, c, name)
+            onset_s = find_onset(response, where)
+            findings += compare_onset(onset_s, direct_s, c, name, response.sampling_rate_hz)
         found = _judged(bank, file, pair, response, direct_s)
         check_decay_range(found.curve, where)
         findings += range_findings(found.parameters, name)

@@ -13,6 +13,8 @@ _BELOW_PEAK = 10.0 ** (-20.0 / 20.0)
 # A normal noise exceeds 5 standard deviations once in 1.7 million samples.
 _ABOVE_NOISE = 5.0
 _TOLERANCE_M = 0.1
+# how far off `find_onset` itself may be, in samples
+_ONSET_SAMPLES = 3.0
 # Farther off than any wrong position: early and late windows hold the wrong reflections.
 _SERIOUS_M = 3.0
 
@@ -92,11 +94,15 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
 
 
 def compare_onset(
-    onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str
+    onset_s: float,
+    travel_s: float,
+    speed_of_sound_m_s: float,
+    where: str,
+    sampling_rate_hz: float,
 ) -> tuple[Finding, ...]:
     """Return a finding where the onset and the geometry disagree by more than 10 cm.
 
-    It is serious from 3 m on.
+    What three samples of the file span is added to that, and it is serious from 3 m on.
 
     Parameters
     ----------
@@ -107,9 +113,11 @@ def compare_onset(
     speed_of_sound_m_s : float
     where : str
         Names the response in the sentence.
+    sampling_rate_hz : float
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
-    if abs(apart_m) <= _TOLERANCE_M:
+    tolerance_m = _TOLERANCE_M + _ONSET_SAMPLES / sampling_rate_hz * speed_of_sound_m_s
+    if abs(apart_m) <= tolerance_m:
         return ()
     order = "later" if apart_m > 0.0 else "earlier"
     return (
