@@ -107,6 +107,16 @@ def to_physical(block: Block, free: FloatArray) -> tuple[FloatArray, FloatArray]
     return np.array(free, dtype=np.float64), np.ones_like(free)
 
 
+def position_of(parameters: Parameters, name: str) -> int:
+    """Return where the fitted entries of a block begin in the free vector."""
+    position = 0
+    for block in parameters.blocks:
+        if block.name == name:
+            break
+        position += int(np.count_nonzero(block.fitted))
+    return position
+
+
 def start_vector(parameters: Parameters) -> FloatArray:
     """Return the free vector at which a fit starts, shape (n_free,)."""
     return np.concatenate([to_free(b, b.start)[b.fitted] for b in parameters.blocks])

@@ -6,7 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.objective.parameters import Block, Parameters, physical_values, to_physical
+from roomfit.objective.parameters import (
+    Block,
+    Parameters,
+    physical_values,
+    position_of,
+    to_physical,
+)
 from roomfit.typing import BoolArray, FloatArray
 
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
@@ -50,7 +56,7 @@ def absorption_intervals(
     covariance = np.linalg.inv(information) * max(phi, 1.0)
     block = next(b for b in parameters.blocks if b.name == "absorption")
     n = int(np.count_nonzero(block.fitted))
-    first = _position(parameters, "absorption")
+    first = position_of(parameters, "absorption")
     sd: FloatArray = np.zeros(len(block.labels))
     sd[block.fitted] = np.sqrt(np.diag(covariance)[first : first + n])
     free = _free_values(block, vector[first : first + n])
@@ -88,7 +94,7 @@ def weighted_mean_interval(
     mean = float(weights @ values["absorption"])
     block = next(b for b in parameters.blocks if b.name == "absorption")
     n = int(np.count_nonzero(block.fitted))
-    first = _position(parameters, "absorption")
+    first = position_of(parameters, "absorption")
     gradient = (weights * slopes["absorption"])[block.fitted]
     part = covariance[first : first + n, first : first + n]
     sd = float(np.sqrt(gradient @ part @ gradient))
@@ -101,16 +107,6 @@ def _told_nothing(block: Block, information: FloatArray) -> BoolArray:
     prior = 1.0 / block.prior_sd[block.fitted] ** 2
     told[block.fitted] = information - prior - _TOLD_SHARE * prior
     return np.asarray(told <= 0.0)
-
-
-def _position(parameters: Parameters, name: str) -> int:
-    """Return where a block begins in the free vector."""
-    position = 0
-    for block in parameters.blocks:
-        if block.name == name:
-            break
-        position += int(np.count_nonzero(block.fitted))
-    return position
 
 
 def _free_values(block: Block, fitted: FloatArray) -> FloatArray:
