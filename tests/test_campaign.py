@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.files.campaign.campaign import material_knowledge, read_campaign
+from roomfit.materials.knowledge import sampling_scattering
 
 GOOD = """
 [room]
@@ -42,7 +43,7 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
     assert campaign.measurements[0].response.path == tmp_path / "a.wav"
     assert campaign.receivers[0].position_sd_m == 0.01
     (carpet,) = material_knowledge(campaign, ("carpet",))
-    assert carpet.scattering == pytest.approx(0.2)
+    assert sampling_scattering(carpet) == pytest.approx(0.2)
     assert carpet.known is None
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.air import speed_of_sound_m_s
 from roomfit.findings import Finding
 from roomfit.geometry.measures import volume_m3
-from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.materials.knowledge import MaterialKnowledge, sampling_scattering
 from roomfit.materials.scattering import Scattering
 from roomfit.scene.scene import Scene
 from roomfit.tracing.settings import TraceSettings
@@ -65,7 +65,8 @@ def plan_trace(
                 {"materials": untold, "scattering": DEFAULT_SCATTERING},
             )
         )
-    s = [DEFAULT_SCATTERING if k.scattering is None else k.scattering for k in knowledge]
+    told = [sampling_scattering(k) for k in knowledge]
+    s = [DEFAULT_SCATTERING if t is None else t for t in told]
     scattering = Scattering(scene.room.materials, np.array(s))
     duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
     reach_m = speed_of_sound_m_s(scene.air) * duration_s

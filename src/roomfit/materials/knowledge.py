@@ -22,23 +22,33 @@ class MaterialKnowledge:
     Attributes
     ----------
     name : str
-    scattering : float or None
-        Mean scattering coefficient; None where nothing was told.
-    known : float array, shape (n_bands,), or None
-        Absorption that is held fixed.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_bands,)
         Gaussian prior of logit absorption.
+    scattering : float array, shape (n_bands,), or None
+        Scattering coefficient of every band, 0 to 1; None where nothing was told.
+    known : float array, shape (n_bands,), or None
+        Absorption that is held fixed.
     lower, upper : float
         Absorption lies strictly between them.
+    fit_scattering : bool
+        Scattering is an unknown of the fit; `scattering`, where told, is where it starts.
+    tied_to : str or None
+        Another material whose absorption this one shares in every band.
+    wall_delay_sd_s : float or None
+        Spread beforehand of the delay that the material adds at each reflection, in seconds,
+        about zero; None where the fit shall decide whether and how widely it looks.
     """
 
     name: str
-    scattering: float | None
-    known: FloatArray | None
     prior_logit_mean: FloatArray
     prior_logit_sd: FloatArray
+    scattering: FloatArray | None = None
+    known: FloatArray | None = None
     lower: float = 0.0
     upper: float = 1.0
+    fit_scattering: bool = False
+    tied_to: str | None = None
+    wall_delay_sd_s: float | None = None
 
     def __post_init__(self) -> None:
         where = f"materials.{self.name}"
@@ -53,9 +63,28 @@ class MaterialKnowledge:
         for name in ("prior_logit_mean", "prior_logit_sd"):
             values = float_array(f"{where} {name}", getattr(self, name), (n,))
             object.__setattr__(self, name, values)
-        if self.known is not None:
-            known = float_array(f"{where}.absorption", self.known, (n,), low=0.0, high=1.0)
-            object.__setattr__(self, "known", known)
+        for name, key in (("known", "absorption"), ("scattering", "scattering")):
+            told = getattr(self, name)
+            if told is not None:
+                values = float_array(f"{where}.{key}", told, (n,), low=0.0, high=1.0)
+                object.__setattr__(self, name, values)
+        _check_tie(self)
+        if self.wall_delay_sd_s is not None and not 0.0 <= self.wall_delay_sd_s < 0.1:
+            raise InputError(
+                "spread of a wall's delay out of range",
+                where=where,
+                found=f"{self.wall_delay_sd_s:g} s",
+                needed="0 to 0.1 s",
+                hint="absorbers delay by tenths of a millisecond: 0.0003",
+            )
+
+
+def sampling_scattering(knowledge: MaterialKnowledge) -> float | None:
+    """Return the one coefficient to trace with, the mean over the bands; None where none is told.
+
+    Paths traced with it are weighed for the coefficients of each band afterwards.
+    """
+    return None if knowledge.scattering is None else float(np.mean(knowledge.scattering))
 
 
 def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -76,4 +105,17 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
 def unknown_material(name: str, n_bands: int) -> MaterialKnowledge:
     """Return what is known of a material nobody told anything about: the broad prior."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
-    return MaterialKnowledge(name, None, None, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+    return MaterialKnowledge(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+
+
+def _check_tie(knowledge: MaterialKnowledge) -> None:
+    if knowledge.tied_to is None:
+        return
+    if knowledge.tied_to == knowledge.name or knowledge.known is not None:
+        own = knowledge.tied_to == knowledge.name
+        raise InputError(
+            "a material is tied to itself" if own else "a tied material has a value of its own",
+            where=f"materials.{knowledge.name}",
+            found=f"tied to {knowledge.tied_to!r}" + ("" if own else " and absorption given"),
+            needed="another material's name" if own else "either a tie or a given absorption",
+        )

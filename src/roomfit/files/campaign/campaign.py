@@ -191,12 +191,13 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
         _check_within(known, lower, upper, f"{where}.absorption")
     return MaterialKnowledge(
         name,
-        _mean_scattering(table, campaign.bands, where),
-        known,
         mean,
         sd,
-        lower,
-        upper,
+        scattering=_scattering(table, campaign.bands, where),
+        known=known,
+        lower=lower,
+        upper=upper,
+        fit_scattering=table.scattering == "fit",
     )
 
 
@@ -212,8 +213,8 @@ def _check_within(values: FloatArray, lower: float, upper: float, where: str) ->
         )
 
 
-def _mean_scattering(table: MaterialTable, bands: Bands, where: str) -> float | None:
-    """One sampling coefficient for the trace: the mean over the fitted bands."""
+def _scattering(table: MaterialTable, bands: Bands, where: str) -> FloatArray | None:
+    """The told coefficient of every fitted band, shape (n_bands,)."""
     told = table.scattering
     if told is None or isinstance(told, str):
         return None
@@ -226,9 +227,9 @@ def _mean_scattering(table: MaterialTable, bands: Bands, where: str) -> float | 
             )
         order = np.argsort(told.centres_hz)
         at = np.log(np.array(told.centres_hz)[order])
-        values = np.interp(np.log(bands.centres_hz), at, np.array(told.values)[order])
-        return float(np.mean(values))
-    return float(np.mean(_per_band(told, len(bands), f"{where}.scattering")))
+        at_bands = np.interp(np.log(bands.centres_hz), at, np.array(told.values)[order])
+        return np.asarray(at_bands, dtype=np.float64)
+    return _per_band(told, len(bands), f"{where}.scattering")
 
 
 def _per_band(values: float | list[float], n: int, where: str) -> FloatArray:
