@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,12 +13,11 @@ from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.objective.energy_problem import EnergyProblem
-from roomfit.objective.parameters import Parameters
-from roomfit.typing import FloatArray, Progress
+from roomfit.objective.parameters import Parameters, position_of, to_free
+from roomfit.objective.problem import BandProblem
+from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.gaussian import (
     LARGEST_PHI,
-    AbsorptionIntervals,
     absorption_intervals,
     weighted_mean_interval,
 )
@@ -25,16 +25,44 @@ from roomfit.uncertainty.gaussian import (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandAnswer:
-    """Absorption of one band with intervals, and its area-weighted mean (value, lower, upper)."""
+    """What one band's fit says of the walls.
 
-    intervals: AbsorptionIntervals
+    Attributes
+    ----------
+    absorption, lower95, upper95 : float arrays, shape (n_materials,)
+    identifiable : bool array, shape (n_materials,)
+    logit_mean : float array, shape (n_materials,)
+        Logit of the absorption.
+    logit_covariance : float array, shape (n_materials, n_materials)
+        Its posterior covariance, misfit included; zeros where an absorption is held.
+    mean : tuple of three floats
+        Area-weighted mean absorption, its lower and its upper 95 % bound.
+    phi, cost : float
+        Zeros where nothing was fitted.
+    evaluations : int
+    converged : bool
+    model : str
+        "energy", "coherent", "values", or "prior" where nothing was fitted.
+    """
+
+    absorption: FloatArray
+    lower95: FloatArray
+    upper95: FloatArray
+    identifiable: BoolArray
+    logit_mean: FloatArray
+    logit_covariance: FloatArray
     mean: tuple[float, float, float]
+    phi: float
+    cost: float
+    evaluations: int
+    converged: bool
+    model: str
 
 
 def fit_bands(
-    problems: tuple[EnergyProblem, ...], method: str, seed: int, progress: Progress | None
-) -> tuple[BandFit, ...]:
-    """Fit one band after the other.
+    problems: Sequence[BandProblem | None], method: str, seed: int, progress: Progress | None
+) -> tuple[BandFit | None, ...]:
+    """Fit one band after the other; None where there is no problem.
 
     Parameters
     ----------
@@ -42,34 +70,83 @@ def fit_bands(
         "auto" is least squares in this version. The paper's two methods search with the same
         squares; after annealing's first round the simplex refines.
     """
-    fits = []
+    fits: list[BandFit | None] = []
     for number, problem in enumerate(problems):
+        if problem is None:
+            fits.append(None)
+            continue
         done = part(progress, number / len(problems), (number + 1) / len(problems))
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
         fits.append(fit_band(problem, solver, refiner, progress=done))
     return tuple(fits)
 
 
-def band_answer(problem: EnergyProblem, fit: BandFit, areas_m2: FloatArray) -> BandAnswer:
+def band_answer(
+    parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
+) -> BandAnswer:
     """Return what one band's fit says of each material and of the room as a whole."""
-    found = absorption_intervals(problem.parameters, fit.vector, fit.information, fit.phi)
+    found = absorption_intervals(parameters, fit.vector, fit.information, fit.phi)
     mean = weighted_mean_interval(
-        problem.parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
+        parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
     )
-    return BandAnswer(found, mean)
+    block = next(b for b in parameters.blocks if b.name == "absorption")
+    covariance: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
+    own = np.flatnonzero(block.fitted)
+    first = position_of(parameters, "absorption")
+    chosen = slice(first, first + own.size)
+    covariance[np.ix_(own, own)] = found.covariance[chosen, chosen]
+    return BandAnswer(
+        found.absorption,
+        found.lower95,
+        found.upper95,
+        found.identifiable,
+        to_free(block, found.absorption),
+        covariance,
+        mean,
+        fit.phi,
+        fit.cost,
+        fit.evaluations,
+        fit.converged,
+        model,
+    )
 
 
-def fit_findings(
-    bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
-    problems: tuple[EnergyProblem, ...],
-    fits: tuple[BandFit, ...],
-) -> tuple[Finding, ...]:
+def untold_band(
+    knowledge: tuple[MaterialKnowledge, ...], band: int, areas_m2: FloatArray
+) -> BandAnswer:
+    """Return what is left of a band without data: what was known beforehand, and no more."""
+    held = np.array([k.known is not None for k in knowledge])
+    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
+    logit = np.array([k.prior_logit_mean[band] for k in knowledge])
+    lower = np.array([k.lower for k in knowledge])
+    upper = np.array([k.upper for k in knowledge])
+    expected = lower + (upper - lower) / (1.0 + np.exp(-logit))
+    absorption = np.where(held, known, expected)
+    least, most = np.where(held, known, 0.0), np.where(held, known, 1.0)
+    share = areas_m2 / areas_m2.sum()
+    sd = np.where(held, 0.0, [k.prior_logit_sd[band] for k in knowledge])
+    return BandAnswer(
+        absorption,
+        least,
+        most,
+        held,
+        logit,
+        np.diag(sd**2),
+        (float(share @ absorption), float(share @ least), float(share @ most)),
+        0.0,
+        0.0,
+        0,
+        True,
+        "prior",
+    )
+
+
+def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
     """Return every doubt that the fits leave."""
     findings = []
-    bad = [j for j, f in enumerate(fits) if f.phi > LARGEST_PHI]
+    bad = [j for j, a in enumerate(answers) if a.phi > LARGEST_PHI]
     if bad:
-        told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({fits[j].phi:.1f})" for j in bad)
+        told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({answers[j].phi:.1f})" for j in bad)
         findings.append(
             Finding(
                 "model-does-not-fit",
@@ -79,7 +156,7 @@ def fit_findings(
                 {"bands_hz": [float(bands.centres_hz[j]) for j in bad]},
             )
         )
-    slow = [j for j, f in enumerate(fits) if not f.converged]
+    slow = [j for j, a in enumerate(answers) if not a.converged]
     if slow:
         told = ", ".join(f"{bands.centres_hz[j]:g} Hz" for j in slow)
         findings.append(
@@ -88,15 +165,6 @@ def fit_findings(
                 "warning",
                 f"The fit was still moving by more than a tenth of its interval at {told}.",
                 {"bands_hz": [float(bands.centres_hz[j]) for j in slow]},
-            )
-        )
-    for material in _never_met(knowledge, problems[0]):
-        findings.append(
-            Finding(
-                "material-never-met",
-                "warning",
-                f"No traced path meets {material}: its absorption is the prior's, not the data's.",
-                {"material": material},
             )
         )
     return tuple(findings)
@@ -134,13 +202,6 @@ def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> t
             {"bands_hz": [float(bands.centres_hz[j]) for j in low]},
         ),
     )
-
-
-def _never_met(knowledge: tuple[MaterialKnowledge, ...], problem: EnergyProblem) -> list[str]:
-    met = np.zeros(len(knowledge), dtype=np.int64)
-    for rows in problem.rows:
-        met += rows.hits.sum(axis=0, dtype=np.int64)
-    return [k.name for k, n in zip(knowledge, met, strict=True) if n == 0]
 
 
 def _solvers(

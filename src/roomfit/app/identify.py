@@ -9,7 +9,14 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.comparing import compare_pairs
-from roomfit.app.fitting import band_answer, fit_bands, fit_findings, schroeder_findings
+from roomfit.app.fitting import (
+    BandAnswer,
+    band_answer,
+    fit_bands,
+    fit_findings,
+    schroeder_findings,
+    untold_band,
+)
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.planning import plan_trace
 from roomfit.app.problems import (
@@ -17,6 +24,7 @@ from roomfit.app.problems import (
     band_problems,
     bin_paths,
     left_out_findings,
+    untold_band_findings,
     untold_position_findings,
 )
 from roomfit.app.progress import part
@@ -36,9 +44,7 @@ from roomfit.files.store import (
 from roomfit.findings import Finding
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.identification.reweighted import BandFit
 from roomfit.identification.start import eyring_absorption
-from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room, material_areas_m2
 from roomfit.scene.scene import Scene
@@ -106,7 +112,15 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
     decay_s = _median_decay_s(measured)
     start = _eyring_start(scene, campaign, decay_s)
     problems = band_problems(scene, campaign.bands, knowledge, measured, binned, start)
+    untold = untold_band_findings(campaign.bands, problems)
     fits = fit_bands(problems, campaign.method, campaign.seed, part(progress, 0.5, 0.98))
+    areas = material_areas_m2(room)
+    answers = tuple(
+        untold_band(knowledge, band, areas)
+        if problem is None or fit is None
+        else band_answer(problem.parameters, fit, areas, "energy")
+        for band, (problem, fit) in enumerate(zip(problems, fits, strict=True))
+    )
     findings = (
         *room_findings,
         *measured_findings,
@@ -114,10 +128,11 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
         *plan.findings,
         *untold_position_findings(scene),
         *traced.findings,
-        *fit_findings(campaign.bands, knowledge, problems, fits),
+        *untold,
+        *fit_findings(campaign.bands, answers),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
-    return _answer(campaign, scene, measured, binned, problems, fits, findings, began)
+    return _answer(campaign, scene, measured, binned, answers, findings, began)
 
 
 def _answer(
@@ -125,29 +140,26 @@ def _answer(
     scene: Scene,
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
-    problems: tuple[EnergyProblem, ...],
-    fits: tuple[BandFit, ...],
+    found: tuple[BandAnswer, ...],
     findings: tuple[Finding, ...],
     began: float,
 ) -> Answer:
     """Put the bands side by side and predict every pair with what they say."""
-    areas = material_areas_m2(scene.room)
-    found = [band_answer(p, f, areas) for p, f in zip(problems, fits, strict=True)]
-    absorption = np.stack([b.intervals.absorption for b in found], axis=1)
+    absorption = np.stack([b.absorption for b in found], axis=1)
     attenuation = attenuation_per_m(scene.air, campaign.bands)
     return Answer(
         bands=campaign.bands,
         materials=scene.room.materials,
-        areas_m2=areas,
+        areas_m2=material_areas_m2(scene.room),
         absorption=absorption,
-        lower95=np.stack([b.intervals.lower95 for b in found], axis=1),
-        upper95=np.stack([b.intervals.upper95 for b in found], axis=1),
-        identifiable=np.stack([b.intervals.identifiable for b in found], axis=1),
+        lower95=np.stack([b.lower95 for b in found], axis=1),
+        upper95=np.stack([b.upper95 for b in found], axis=1),
+        identifiable=np.stack([b.identifiable for b in found], axis=1),
         mean_absorption=np.array([b.mean for b in found]).T,
-        phi=np.array([f.phi for f in fits]),
-        cost=float(sum(f.cost for f in fits)),
-        evaluations=sum(f.evaluations for f in fits),
-        converged=np.array([f.converged for f in fits]),
+        phi=np.array([b.phi for b in found]),
+        cost=float(sum(b.cost for b in found)),
+        evaluations=sum(b.evaluations for b in found),
+        converged=np.array([b.converged for b in found]),
         pairs=compare_pairs(campaign.bands, binned, measured, absorption, attenuation),
         findings=findings,
         method="least-squares" if campaign.method == "auto" else campaign.method,

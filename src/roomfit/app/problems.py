@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +23,7 @@ from roomfit.objective.energy_problem import (
     lone_rows,
 )
 from roomfit.objective.parameters import Block, Parameters
+from roomfit.objective.problem import BandProblem
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.energy import weigh
 from roomfit.response.rows import EnergyRows, energy_rows
@@ -84,8 +86,10 @@ def band_problems(
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
     start: FloatArray,
-) -> tuple[EnergyProblem, ...]:
+) -> tuple[EnergyProblem | None, ...]:
     """Return the problem of every band, over the measurements that are to be fitted.
+
+    None stands for a band in which fewer windows rise above the noise than there are unknowns.
 
     Parameters
     ----------
@@ -95,7 +99,7 @@ def band_problems(
     Raises
     ------
     CannotTell
-        A band has no measurement with a usable decay.
+        No band has enough usable windows.
 
     Notes
     -----
@@ -105,7 +109,7 @@ def band_problems(
     attenuation = attenuation_per_m(scene.air, bands)
     pairs = {m.pair for m in measured if m.file.use == "fit"}
     lone = {pair: lone_rows(binned.rows[pair]) for pair in pairs}
-    problems = []
+    problems: list[EnergyProblem | None] = []
     for band in range(len(bands)):
         fitted = tuple(m for m in measured if tells_of_band(m, band))
         gain_labels = _gain_labels(fitted)
@@ -117,12 +121,8 @@ def band_problems(
             for m in fitted
         )
         if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
-            raise CannotTell(
-                "a band has too few usable windows above the noise",
-                where=f"{bands.centres_hz[band]:g} Hz",
-                needed="more windows than unknown absorptions and gains",
-                hint="leave this band out with from_hz and to_hz, or measure with less noise",
-            )
+            problems.append(None)
+            continue
         absorption = _absorption_block(knowledge, band, float(start[band]))
         gain = _gain_block(
             gain_labels, observations, binned, fitted, absorption, float(attenuation[band])
@@ -138,6 +138,36 @@ def band_problems(
         )
         problems.append(in_air(problem))
     return tuple(problems)
+
+
+def untold_band_findings(
+    bands: Bands, problems: Sequence[BandProblem | None]
+) -> tuple[Finding, ...]:
+    """Return a finding for the bands in which nothing could be fitted.
+
+    Raises
+    ------
+    CannotTell
+        There is no other band.
+    """
+    untold = [float(f) for f, p in zip(bands.centres_hz, problems, strict=True) if p is None]
+    if not untold:
+        return ()
+    if len(untold) == len(bands):
+        raise CannotTell(
+            "no band has enough windows above the noise",
+            needed="in some band, more windows than unknown absorptions and gains",
+            hint="choose other bands with from_hz and to_hz, or measure with less noise",
+        )
+    return (
+        Finding(
+            "band-not-fitted",
+            "warning",
+            f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in untold)} Hz: "
+            "absorption there is what was known beforehand, with the interval 0 to 1.",
+            {"bands_hz": untold},
+        ),
+    )
 
 
 def tells_of_band(m: MeasuredPair, band: int) -> bool:
