@@ -8,7 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
-from roomfit.files.campaign.campaign import material_knowledge, read_campaign
+from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.campaign.materials import material_knowledge
 from roomfit.materials.knowledge import sampling_scattering
 
 GOOD = """

@@ -23,7 +23,7 @@ from roomfit.app.planning import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
 from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.cli.commands import app
 from roomfit.files.campaign import schema
-from roomfit.files.campaign.campaign import material_knowledge
+from roomfit.files.campaign.materials import material_knowledge
 from roomfit.geometry.doctor import LEAK_LIMIT
 from roomfit.materials.knowledge import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.objective.energy_problem import EnergyProblem

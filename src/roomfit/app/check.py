@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from roomfit.files.campaign.campaign import Campaign, material_knowledge
+from roomfit.files.campaign.campaign import Campaign
+from roomfit.files.campaign.materials import material_knowledge
 from roomfit.files.rooms.read import read_mesh
 from roomfit.files.rooms.spec import RoomSpec
 from roomfit.scene.positions import position_findings

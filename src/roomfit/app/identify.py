@@ -31,9 +31,9 @@ from roomfit.app.progress import part
 from roomfit.files.campaign.campaign import (
     Campaign,
     input_files,
-    material_knowledge,
     read_campaign,
 )
+from roomfit.files.campaign.materials import material_knowledge
 from roomfit.files.results import write_result
 from roomfit.files.rooms.read import read_room
 from roomfit.files.store import (
@@ -179,13 +179,15 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
     InputError
         A source or a receiver stands outside the room, in a wall, or upon another.
     """
-    refuse(position_findings(room, campaign.sources, campaign.receivers))
-    sources = [s.name for s in campaign.sources]
-    receivers = [r.name for r in campaign.receivers]
-    pairs = dict.fromkeys(
-        (sources.index(m.source), receivers.index(m.receiver)) for m in campaign.measurements
-    )
-    return Scene(room, campaign.sources, campaign.receivers, np.array(list(pairs)), campaign.air)
+    pairs = list(dict.fromkeys((m.source, m.receiver) for m in campaign.measurements))
+    used_sources, used_receivers = ({pair[i] for pair in pairs} for i in (0, 1))
+    sources = tuple(s for s in campaign.sources if s.name in used_sources)
+    receivers = tuple(r for r in campaign.receivers if r.name in used_receivers)
+    refuse(position_findings(room, sources, receivers))
+    source_at = {s.name: i for i, s in enumerate(sources)}
+    receiver_at = {r.name: i for i, r in enumerate(receivers)}
+    indices = np.array([(source_at[s], receiver_at[r]) for s, r in pairs])
+    return Scene(room, sources, receivers, indices, campaign.air)
 
 
 def _in_file_name(name: str) -> str:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -10,7 +11,6 @@ import numpy as np
 
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
-from roomfit.checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.files.campaign.read import read_campaign_table
 from roomfit.files.campaign.schema import (
@@ -19,31 +19,45 @@ from roomfit.files.campaign.schema import (
     IdentifyTable,
     MaterialTable,
     MeasurementTable,
-    Prior,
-    Spectrum,
+    ReceiverTable,
+    SourceTable,
 )
 from roomfit.files.responses.spec import ResponseSpec
 from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
-from roomfit.materials.knowledge import (
-    DEFAULT_MEAN,
-    MaterialKnowledge,
-    logit_prior,
-    unknown_material,
-)
 from roomfit.scene.scene import Point
-from roomfit.typing import FloatArray
 
 Level = Literal["per-source", "per-file", "absolute"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredFile:
-    """One measured response: where it lies, whose pair it is, and how it is to be used."""
+    """One measured response: where it lies, whose pair it is, and how it is to be used.
+
+    Attributes
+    ----------
+    source, receiver : str
+    response : ResponseSpec
+    level : {"per-source", "per-file", "absolute"}
+    use : {"fit", "validate"}
+    latency_sd_s : float or None
+        How uncertain the moment of emission is; None where nothing was told.
+    """
 
     source: str
     receiver: str
     response: ResponseSpec
     level: Level
+    use: Literal["fit", "validate"]
+    latency_sd_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredTable:
+    """One table of ISO 3382 values, and which of its rows are meant; None means all."""
+
+    path: Path
+    source: str | None
+    receiver: str | None
     use: Literal["fit", "validate"]
 
 
@@ -58,15 +72,22 @@ class Campaign:
     room : RoomSpec
     air : Air
     sources, receivers : tuple of Point
-        Only those that a measurement names.
+        All that the file defines, measured or not.
     measurements : tuple of MeasuredFile
+    tables : tuple of MeasuredTable
     bands : Bands
         Bands to fit.
     materials : mapping of name to MaterialTable
         What the file says of materials, for `material_knowledge`.
-    method : str
-    model : str
+    method, model : str
     seed : int
+    positions : {"auto", "fit", "fixed"}
+        Whether told positions may move within their spread.
+    wall_delays : bool
+        Whether walls may delay what they reflect.
+    smoothness_per_octave : float or None
+        Standard deviation by which logit absorption changes from octave to octave.
+    temperature_sd_c : float or None
     """
 
     path: Path
@@ -75,11 +96,16 @@ class Campaign:
     sources: tuple[Point, ...]
     receivers: tuple[Point, ...]
     measurements: tuple[MeasuredFile, ...]
+    tables: tuple[MeasuredTable, ...]
     bands: Bands
     materials: dict[str, MaterialTable]
     method: str
     model: str
     seed: int
+    positions: Literal["auto", "fit", "fixed"] = "auto"
+    wall_delays: bool = True
+    smoothness_per_octave: float | None = None
+    temperature_sd_c: float | None = None
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -94,53 +120,25 @@ def read_campaign(path: Path) -> Campaign:
     path = Path(path)
     table = read_campaign_table(path)
     _refuse_what_is_not_built(path, table)
-    used_sources = {m.source for m in table.measurements}
-    used_receivers = {m.receiver for m in table.measurements}
+    settings = table.identify
     return Campaign(
         path,
         _room_spec(path, table),
         _air(path, table.air),
-        tuple(
-            Point(n, np.array(s.position), s.position_sd)
-            for n, s in table.sources.items()
-            if n in used_sources
-        ),
-        tuple(
-            Point(n, np.array(r.position), r.position_sd)
-            for n, r in table.receivers.items()
-            if n in used_receivers
-        ),
-        tuple(_measured_file(path, m) for m in table.measurements),
-        _bands(path, table.identify),
+        _points(table.sources),
+        _points(table.receivers),
+        tuple(_measured_file(path, m) for m in table.measurements if m.file is not None),
+        tuple(_measured_table(path, m) for m in table.measurements if m.parameters is not None),
+        _bands(path, settings),
         dict(table.materials),
-        table.identify.method,
-        table.identify.model,
-        table.identify.seed,
+        settings.method,
+        settings.model,
+        settings.seed,
+        settings.positions,
+        settings.wall_delays,
+        settings.smoothness_per_octave,
+        table.air.temperature_sd_c,
     )
-
-
-def material_knowledge(
-    campaign: Campaign, materials: tuple[str, ...]
-) -> tuple[MaterialKnowledge, ...]:
-    """Return what the campaign says of each of the room's materials, in their order.
-
-    Raises
-    ------
-    InputError
-        The campaign describes a material that the room does not have; or lists that do not have
-        one value per fitted band; or a prior outside its bounds.
-    """
-    for name in campaign.materials:
-        if name not in materials:
-            guess = nearest(name, materials)
-            raise InputError(
-                "the campaign describes a material that the room does not have",
-                where=f"{campaign.path}, materials.{name}",
-                needed=f"one of {', '.join(materials)}",
-                hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
-            )
-    with located(str(campaign.path)):
-        return tuple(_knowledge(campaign, name) for name in materials)
 
 
 def input_files(campaign: Campaign) -> tuple[Path, ...]:
@@ -152,98 +150,8 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     if room.polygons is not None:
         files += [*room.polygons.corners, *room.polygons.planes, *room.polygons.replace.values()]
     files += [m.response.path for m in campaign.measurements]
+    files += [t.path for t in campaign.tables]
     return tuple(dict.fromkeys(files))
-
-
-def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
-    n = len(campaign.bands)
-    plain = unknown_material(name, n)
-    table = campaign.materials.get(name)
-    if table is None:
-        return plain
-    where = f"materials.{name}"
-    mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
-    lower, upper = table.bounds if table.bounds is not None else (0.0, 1.0)
-    if table.bounds is not None:
-        # the broad prior's middle where it lies well between the bounds, else theirs
-        share = (DEFAULT_MEAN - lower) / (upper - lower)
-        share = share if 0.1 <= share <= 0.9 else 0.5
-        mean, _ = logit_prior(np.full(n, share), np.ones(n))
-    if isinstance(table.prior, Prior):
-        alpha = _per_band(table.prior.mean, n, f"{where}.prior.mean")
-        alpha_sd = _per_band(table.prior.sd, n, f"{where}.prior.sd")
-        inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
-        if not np.all(inside):
-            band = int(np.argmin(inside))
-            raise InputError(
-                "a prior lies outside of its bounds or has no spread",
-                where=f"{where}.prior",
-                found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} "
-                f"at {campaign.bands.centres_hz[band]:g} Hz",
-                needed=f"{lower:g} < mean < {upper:g} and sd > 0",
-                hint="to hold an absorption fixed, write absorption = [...] instead",
-            )
-        between = (alpha - lower) / (upper - lower)
-        mean, sd = logit_prior(between, alpha_sd / (upper - lower))
-    known = None
-    if table.absorption is not None:
-        known = _per_band(table.absorption, n, f"{where}.absorption")
-        _check_within(known, lower, upper, f"{where}.absorption")
-    return MaterialKnowledge(
-        name,
-        mean,
-        sd,
-        scattering=_scattering(table, campaign.bands, where),
-        known=known,
-        lower=lower,
-        upper=upper,
-        fit_scattering=table.scattering == "fit",
-    )
-
-
-def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
-    bad = np.flatnonzero((values < lower) | (values > upper))
-    if bad.size:
-        raise InputError(
-            "a given absorption lies outside of its own bounds",
-            where=where,
-            found=f"{values[bad[0]]:g}",
-            needed=f"{lower:g} to {upper:g}",
-            hint="remove bounds: an absorption that is given is held fixed",
-        )
-
-
-def _scattering(table: MaterialTable, bands: Bands, where: str) -> FloatArray | None:
-    """The told coefficient of every fitted band, shape (n_bands,)."""
-    told = table.scattering
-    if told is None or isinstance(told, str):
-        return None
-    if isinstance(told, Spectrum):
-        if len(told.centres_hz) != len(told.values):
-            raise InputError(
-                "scattering has not as many values as centres",
-                where=f"{where}.scattering",
-                found=f"{len(told.values)} values and {len(told.centres_hz)} centres",
-            )
-        order = np.argsort(told.centres_hz)
-        at = np.log(np.array(told.centres_hz)[order])
-        at_bands = np.interp(np.log(bands.centres_hz), at, np.array(told.values)[order])
-        return np.asarray(at_bands, dtype=np.float64)
-    return _per_band(told, len(bands), f"{where}.scattering")
-
-
-def _per_band(values: float | list[float], n: int, where: str) -> FloatArray:
-    array = np.atleast_1d(np.array(values, dtype=np.float64))
-    if array.size == 1:
-        return np.full(n, array[0])
-    if array.size != n:
-        raise InputError(
-            "a list has not one value per fitted band",
-            where=where,
-            found=f"{array.size} values",
-            needed=f"{n} values, or a single number for all bands",
-        )
-    return array
 
 
 def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
@@ -276,6 +184,14 @@ def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
     )
 
 
+def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, ...]:
+    return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
+
+
+def _measured_table(path: Path, row: MeasurementTable) -> MeasuredTable:
+    return MeasuredTable(path.parent / str(row.parameters), row.source, row.receiver, row.use)
+
+
 def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
     # `read_campaign_table` has made sure that all three are given
     return MeasuredFile(
@@ -294,6 +210,7 @@ def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
         ),
         row.level,
         row.use,
+        row.latency_sd_s,
     )
 
 

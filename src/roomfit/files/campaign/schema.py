@@ -70,6 +70,8 @@ class MaterialTable(Table):
     absorption: PerBand | None = None
     prior: Prior | str | None = None
     bounds: tuple[Fraction, Fraction] | None = None
+    same_absorption_as: str | None = None
+    delay_sd_ms: float | None = Field(default=None, ge=0.0, le=5.0)
     impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
     impedance_start: dict[str, float | list[float]] | None = None
 
@@ -79,22 +81,30 @@ class Directivity(Table):
 
     aim: Position
     order: Literal[1] = 1
-    b: float
+    b: float = Field(ge=0.0, le=10.0)
+
+
+class MeasuredDirectivity(Table):
+    """Directivity of a source from a SOFA file, and how the source stood in the room."""
+
+    file: str
+    aim: Position = (1.0, 0.0, 0.0)
+    up: Position = (0.0, 0.0, 1.0)
 
 
 class SourceTable(Table):
     """``[sources.NAME]``."""
 
     position: Position
-    position_sd: float | None = Field(default=None, gt=0.0)
-    directivity: str | Directivity = "omni"
+    position_sd: float | None = Field(default=None, ge=0.0)
+    directivity: str | Directivity | MeasuredDirectivity = "omni"
 
 
 class ReceiverTable(Table):
     """``[receivers.NAME]``."""
 
     position: Position
-    position_sd: float | None = Field(default=None, gt=0.0)
+    position_sd: float | None = Field(default=None, ge=0.0)
 
 
 class MeasurementTable(Table):
@@ -103,6 +113,8 @@ class MeasurementTable(Table):
     source: str | None = None
     receiver: str | None = None
     file: str | None = None
+    excitation: str | None = None
+    excitation_channel: int | None = Field(default=None, ge=0)
     parameters: str | None = None
     spectrum: str | None = None
     channel: int | None = Field(default=None, ge=0)
@@ -113,6 +125,7 @@ class MeasurementTable(Table):
     receiver_index: int | None = Field(default=None, ge=0)
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
     latency_s: float = Field(default=0.0, ge=-10.0, le=10.0)
+    latency_sd_s: float | None = Field(default=None, ge=0.0, le=0.1)
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     use: Literal["fit", "validate"] = "fit"
 
@@ -127,6 +140,9 @@ class IdentifyTable(Table):
         "auto"
     )
     model: Literal["auto", "energy", "coherent"] = "auto"
+    positions: Literal["auto", "fit", "fixed"] = "auto"
+    wall_delays: bool = True
+    smoothness_per_octave: float | None = Field(default=None, gt=0.0)
     seed: int = Field(default=1, ge=0, lt=2**63)
 
 
