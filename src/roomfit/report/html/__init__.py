@@ -1,0 +1,1 @@
+"""An answer as one HTML file that needs nothing beside it."""

@@ -1,0 +1,171 @@
+"""The room in space: materials half transparent, sources and receivers with their names."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from roomfit.report.html.plots import (
+    GRID,
+    INK,
+    SECOND,
+    Figure,
+    Plot,
+    base_layout,
+    label,
+    material_colour,
+    rounded,
+)
+from roomfit.report.html.room_outline import outline_m
+from roomfit.report.html.tables import Cell, Row, Table
+from roomfit.report.html.wording import area, count, number, shortened
+from roomfit.scene.room import Room, material_areas_m2, triangle_material
+from roomfit.scene.scene import Point, Scene
+from roomfit.typing import FloatArray
+
+_HEIGHT_PX = 520
+_MOST_EDGES = 6000
+_SURFACES_SHOWN = 6
+
+
+def room_plot(scene: Scene) -> Plot:
+    """Return the room seen from above one corner, all axes to the same scale."""
+    layout = base_layout(_HEIGHT_PX)
+    layout["margin"] = {"l": 0, "r": 0, "t": 0, "b": 0}
+    layout["legend"] |= {"y": 0.0, "yanchor": "top"}
+    layout["scene"] = _space(scene.room)
+    edges = _edges(scene.room)
+    data = [
+        *_walls(scene.room),
+        *([edges] if edges else []),
+        _points("source", scene.sources, SECOND, "diamond"),
+        _points("receiver", scene.receivers, INK, "circle"),
+    ]
+    return Plot(
+        "room",
+        {"data": data, "layout": layout},
+        _HEIGHT_PX,
+        f"The room in three dimensions with {count(len(scene.room.materials), 'material')}, "
+        f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}; "
+        "the plan and the tables below tell the same in numbers.",
+        "Drag to turn; a click on a material in the legend hides it.",
+    )
+
+
+def _space(room: Room) -> Figure:
+    axis = {"gridcolor": GRID, "showbackground": False, "zeroline": False, "showspikes": False}
+    size = np.ptp(room.mesh.vertices_m, axis=0)
+    # a wide, low room is looked at from higher up, and everything from far enough to be seen whole
+    height = 0.9 + 0.5 * float(max(size[0], size[1]) / max(size.sum(), 1e-9))
+    return {
+        "aspectmode": "data",
+        "xaxis": axis | {"title": {"text": "x (m)"}},
+        "yaxis": axis | {"title": {"text": "y (m)"}},
+        "zaxis": axis | {"title": {"text": "z (m)"}, "nticks": 5},
+        "camera": {
+            "eye": {"x": -0.95, "y": -1.55, "z": height},
+            "center": {"x": 0.0, "y": 0.0, "z": -0.08},
+        },
+    }
+
+
+def _walls(room: Room) -> list[Figure]:
+    """Return one half-transparent mesh for each material that has faces."""
+    owner = triangle_material(room)
+    meshes = []
+    for i, name in enumerate(room.materials):
+        mine = room.mesh.triangles[owner == i]
+        if not len(mine):
+            continue
+        used, corners = np.unique(mine, return_inverse=True)
+        corners = corners.reshape(mine.shape)
+        vertices = room.mesh.vertices_m[used]
+        meshes.append(
+            {
+                "type": "mesh3d",
+                "name": label(name),
+                "showlegend": True,
+                **{axis: rounded(vertices[:, k], 3) for k, axis in enumerate("xyz")},
+                **{axis: corners[:, k].tolist() for k, axis in enumerate("ijk")},
+                "color": material_colour(i),
+                "opacity": 0.38,
+                "flatshading": True,
+                "lighting": {"ambient": 0.9, "diffuse": 0.25, "specular": 0.0},
+                "hoverinfo": "name",
+            }
+        )
+    return meshes
+
+
+def _edges(room: Room) -> Figure | None:
+    ends = outline_m(room)
+    if not 0 < len(ends) <= _MOST_EDGES:
+        return None
+    gap: FloatArray = np.full((len(ends), 1, 3), np.nan)
+    path = np.concatenate([ends, gap], axis=1).reshape(-1, 3)
+    return {
+        "type": "scatter3d",
+        "mode": "lines",
+        "name": "edges",
+        **{axis: rounded(path[:, k], 3) for k, axis in enumerate("xyz")},
+        "line": {"color": "#555555", "width": 2},
+        "hoverinfo": "skip",
+        "showlegend": False,
+    }
+
+
+def _points(kind: str, points: Sequence[Point], colour: str, symbol: str) -> Figure:
+    at = np.array([p.position_m for p in points]).reshape(-1, 3)
+    return {
+        "type": "scatter3d",
+        "mode": "markers+text",
+        "name": f"{kind}s",
+        **{axis: rounded(at[:, k], 3) for k, axis in enumerate("xyz")},
+        "text": [label(p.name) for p in points],
+        "textposition": "top center",
+        "textfont": {"color": colour, "size": 13},
+        "marker": {"symbol": symbol, "size": 5, "color": colour},
+        "hoverinfo": "text",
+    }
+
+
+def material_table(room: Room) -> Table:
+    """Return colour, area, share and surfaces of each material: the legend of the picture."""
+    areas = material_areas_m2(room)
+    whole = float(areas.sum())
+    rows = [
+        Row(
+            name,
+            (
+                Cell(area(float(areas[i]))),
+                Cell(f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else '–'} %"),
+                Cell(_surfaces(room, i), style="words"),
+            ),
+            colour=material_colour(i),
+        )
+        for i, name in enumerate(room.materials)
+    ]
+    total = Row("all", (Cell(area(whole)), Cell("100 %"), Cell("")), style="total")
+    return Table("Materials", "material", ("area in m²", "share", "surfaces"), (*rows, total))
+
+
+def _surfaces(room: Room, material: int) -> str:
+    names = [room.mesh.surfaces[k].name for k in np.flatnonzero(room.surface_material == material)]
+    shown = ", ".join(shortened(name) for name in names[:_SURFACES_SHOWN])
+    more = len(names) - _SURFACES_SHOWN
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def position_table(scene: Scene) -> Table:
+    """Return where sources and receivers stand, in metres."""
+    points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
+    return Table(
+        "Positions in metres",
+        "name",
+        ("", "x", "y", "z"),
+        tuple(
+            Row(p.name, (Cell(kind, style="words"), *(Cell(number(v, 2)) for v in p.position_m)))
+            for kind, p in points
+        ),
+    )

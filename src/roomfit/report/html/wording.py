@@ -1,0 +1,139 @@
+"""Numbers and names as a reader expects them: sensible digits, units, no NaN."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import groupby
+
+import numpy as np
+
+from roomfit.typing import BoolArray, FloatArray
+
+DASH = "–"
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """How a room-acoustic parameter is written.
+
+    Attributes
+    ----------
+    symbol, unit : str
+    decimals : int
+        Of a value in `unit`.
+    error_unit : str
+        "%" where errors are told relative to the measured value.
+    error_decimals : int
+    """
+
+    symbol: str
+    unit: str
+    decimals: int
+    error_unit: str
+    error_decimals: int
+
+
+PARAMETERS = {
+    "T20_s": Parameter("T20", "s", 2, "%", 1),
+    "T30_s": Parameter("T30", "s", 2, "%", 1),
+    "EDT_s": Parameter("EDT", "s", 2, "%", 1),
+    "C50_dB": Parameter("C50", "dB", 1, "dB", 2),
+    "C80_dB": Parameter("C80", "dB", 1, "dB", 2),
+    "D50_percent": Parameter("D50", "%", 0, "points", 1),
+    "TS_ms": Parameter("TS", "ms", 0, "ms", 1),
+    "G_dB": Parameter("G", "dB", 1, "dB", 2),
+}
+"""In the order in which tables show them; those of ISO 3382-1."""
+
+
+def number(value: float, decimals: int, *, signed: bool = False) -> str:
+    """Return a number with a true minus sign, never "-0.0"; a dash where there is none.
+
+    Examples
+    --------
+    >>> number(-0.04, 1, signed=True), number(1.25, 2), number(float("nan"), 1)
+    ('0.0', '1.25', '–')
+    """
+    if not np.isfinite(value):
+        return DASH
+    rounded = round(float(value), decimals) + 0.0
+    if rounded == 0.0:
+        return f"{0.0:.{decimals}f}"
+    return f"{rounded:{'+' if signed else ''}.{decimals}f}".replace("-", "\N{MINUS SIGN}")
+
+
+def coefficient(value: float, upper: float) -> str:
+    """Return an absorption coefficient with two decimals; three where all of it is below 0.1."""
+    return number(value, 3 if upper < 0.1 else 2)
+
+
+def area(value_m2: float) -> str:
+    """Return an area or absorption area in m2 with about three digits."""
+    return number(value_m2, 2 if abs(value_m2) < 9.995 else 1)
+
+
+def hertz(frequency_hz: float) -> str:
+    """Return a frequency with its unit.
+
+    Examples
+    --------
+    >>> hertz(125.0), hertz(2000.0), hertz(31.5)
+    ('125 Hz', '2 kHz', '31.5 Hz')
+    """
+    if frequency_hz >= 1000.0:
+        return f"{frequency_hz / 1000.0:g} kHz"
+    return f"{frequency_hz:g} Hz"
+
+
+def count(number_of: int, singular: str, plural: str | None = None) -> str:
+    """Return a number with its noun.
+
+    Examples
+    --------
+    >>> count(1, "pair"), count(3, "pair"), count(0, "frequency", "frequencies")
+    ('1 pair', '3 pairs', '0 frequencies')
+    """
+    return f"{number_of} {singular if number_of == 1 else plural or singular + 's'}"
+
+
+def listing(words: Sequence[str]) -> str:
+    """Return words as a sentence lists them.
+
+    Examples
+    --------
+    >>> listing(["a", "b", "c"])
+    'a, b and c'
+    """
+    if len(words) < 2:
+        return "".join(words)
+    return f"{', '.join(words[:-1])} and {words[-1]}"
+
+
+def band_ranges(centres_hz: FloatArray, chosen: BoolArray) -> str:
+    """Return the chosen bands in words; neighbours are joined.
+
+    Examples
+    --------
+    >>> bands = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
+    >>> band_ranges(bands, np.array([True, False, True, True, True]))
+    '125 Hz and 500 Hz to 2 kHz'
+    """
+    runs = []
+    for wanted, members in groupby(range(len(centres_hz)), key=lambda j: bool(chosen[j])):
+        run = list(members)
+        if wanted:
+            ends = [hertz(float(centres_hz[j])) for j in (run[0], run[-1])]
+            runs.append(ends[0] if len(run) == 1 else " to ".join(ends))
+    return listing(runs)
+
+
+def shortened(name: str, longest: int = 34) -> str:
+    """Return a name that fits above a panel: the end of a long one is cut."""
+    return name if len(name) <= longest else name[: longest - 1] + "…"
+
+
+def parameter(key: str) -> Parameter:
+    """Return how a parameter is written; of an unknown one the key tells symbol and unit."""
+    symbol, _, unit = key.partition("_")
+    return PARAMETERS.get(key) or Parameter(symbol, unit, 2, unit, 2)
