@@ -18,7 +18,7 @@ from roomfit.report.html.plots import (
     panel_title,
     rounded,
 )
-from roomfit.report.html.wording import area, count, hertz, number
+from roomfit.report.html.wording import count, hertz, number
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.answer import Answer
 
@@ -39,7 +39,7 @@ def absorption_plot(answer: Answer) -> Plot:
     layout["annotations"] = [
         *(panel_title(layout, i, _title(answer, i)) for i in range(n)),
         panel_title(layout, n, "<b>mean of the room</b>, by area"),
-        *outer_titles(layout, "band centre (Hz)", "absorption coefficient"),
+        *outer_titles("band centre (Hz)", "absorption coefficient"),
     ]
     return Plot(
         "absorption",
@@ -54,9 +54,8 @@ def absorption_plot(answer: Answer) -> Plot:
 
 def _title(answer: Answer, material: int) -> str:
     found = int(answer.identifiable[material].sum())
-    told = f"{found} of {len(answer.bands)}"
-    name = label(answer.materials[material])
-    return f"<b>{name}</b>, {area(float(answer.areas_m2[material]))} m², {told}"
+    name = label(answer.materials[material], 20)
+    return f"<b>{name}</b>: {found} of {len(answer.bands)} identifiable"
 
 
 def _traces(answer: Answer) -> list[Figure]:
@@ -114,8 +113,8 @@ def _bars(
             "color": "#555555",
         },
         "text": [
-            f"{hertz(f)}: {number(m, 3)} ({number(l, 3)} to {number(u, 3)}), {name}"
-            for f, m, l, u in zip(centres, a, low, high, strict=True)
+            f"{hertz(f)}: {number(m, 3)} ({number(b, 3)} to {number(t, 3)}), {name}"
+            for f, m, b, t in zip(centres, a, low, high, strict=True)
         ],
         "hoverinfo": "text",
         **panel_axes(panel),

@@ -14,7 +14,7 @@ from roomfit.report.html.tables import (
     band_heads,
     block_caption,
 )
-from roomfit.report.html.wording import area, coefficient, number
+from roomfit.report.html.wording import DASH, area, coefficient, number
 from roomfit.scene.scene import Scene
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.answer import Answer
@@ -76,11 +76,11 @@ def _mean_row(answer: Answer, block: IntArray) -> Row:
 def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, held: bool) -> Cell:
     """Return an absorption with its interval; doubt and given values are told in words."""
     if not np.isfinite(value):
-        return Cell("–", ("not determined",), "unsure")
+        return Cell(DASH, ("not determined",), "unsure")
     if held:
         return Cell(coefficient(value, upper), ("given",), "given")
     text = coefficient(value, upper)
-    interval = f"{coefficient(lower, upper)}–{coefficient(upper, upper)}"
+    interval = f"{coefficient(lower, upper)}{DASH}{coefficient(upper, upper)}"
     if sure:
         return Cell(text, (interval,))
     return Cell(f"({text})", (interval, NOT_IDENTIFIABLE), "unsure")
@@ -105,7 +105,7 @@ def fit_tables(answer: Answer) -> tuple[Table, ...]:
 
 def _phi_cell(phi: float) -> Cell:
     if not np.isfinite(phi):
-        return Cell("–", ("too few data",), "unsure")
+        return Cell(DASH, ("too few data",), "unsure")
     if phi > LARGEST_PHI:
         return Cell(number(phi, 1), ("does not fit",), "far")
     return Cell(number(phi, 1), ("fits",), "near")
@@ -128,7 +128,9 @@ def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
     bounds = answer.mean_absorption[1:] * float(np.sum(answer.areas_m2))
     return tuple(
         Table(
-            block_caption("Equivalent absorption area A = αS in m²", centres, block),
+            block_caption(
+                "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²", centres, block
+            ),
             "material",
             ("S in m²", *band_heads(centres, block)),
             (
@@ -147,21 +149,30 @@ def _area_rows(answer: Answer, areas: FloatArray, block: IntArray) -> list[Row]:
     for i, name in enumerate(answer.materials):
         cells = [Cell(area(float(answer.areas_m2[i])), style="first")]
         for j in block:
-            text = area(float(areas[i, j]))
-            sure = bool(answer.identifiable[i, j])
-            cells.append(Cell(text) if sure else Cell(f"({text})", style="unsure"))
+            cell = _area_cell(float(areas[i, j]))
+            if np.isfinite(areas[i, j]) and not answer.identifiable[i, j]:
+                cell = Cell(f"({cell.text})", style="unsure")
+            cells.append(cell)
         rows.append(Row(name, tuple(cells)))
     return rows
 
 
 def _wall_row(answer: Answer, walls: FloatArray, bounds: FloatArray, block: IntArray) -> Row:
-    cells = tuple(
-        Cell(area(float(walls[j])), (f"{area(bounds[0, j])}–{area(bounds[1, j])}",)) for j in block
-    )
+    cells = []
+    for j in block:
+        known = bool(np.isfinite(bounds[:, j]).all())
+        interval = f"{area(bounds[0, j])}{DASH}{area(bounds[1, j])}" if known else ""
+        cells.append(_area_cell(float(walls[j]), interval))
     whole = Cell(area(float(np.sum(answer.areas_m2))), style="first")
     return Row("all surfaces", (whole, *cells), "95 % interval below", style="total")
 
 
 def _sum_row(head: str, values: FloatArray, block: IntArray, small: str, style: str = "") -> Row:
-    cells = tuple(Cell(area(float(values[j]))) for j in block)
+    cells = tuple(_area_cell(float(values[j])) for j in block)
     return Row(head, (Cell("", style="first"), *cells), small, style=style)
+
+
+def _area_cell(value_m2: float, interval: str = "") -> Cell:
+    if not np.isfinite(value_m2):
+        return Cell(DASH, ("not determined",), "unsure")
+    return Cell(area(value_m2), (interval,) if interval else ())

@@ -66,7 +66,7 @@ def _plot(answer: Answer, curve: dict[str, Any], n_pairs: int) -> Plot:
     layout["xaxis"] |= {"rangemode": "tozero"}
     layout["annotations"] = [
         *(panel_title(layout, j, head) for j, head in enumerate(curve["heads"])),
-        *outer_titles(layout, "time after emission (s)", "energy decay curve (dB)"),
+        *outer_titles("time after emission (s)", "energy decay curve (dB)"),
     ]
     return Plot(
         "decay",

@@ -95,5 +95,5 @@ def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
     if not np.isfinite(null):
         return Cell(text, ("no others",))
     if round(model, decimals) > round(null, decimals):
-        return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "middle")
-    return Cell(text, (f"others {number(null, decimals)}",), "near")
+        return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "worse")
+    return Cell(text, (f"others {number(null, decimals)}",))

@@ -60,7 +60,7 @@ def report_html(
     decay, curves = drawn if drawn else (None, [])
     room, absorption = room_plot(scene), absorption_plot(answer)
     plots = [plot for plot in (room, absorption, decay) if plot is not None]
-    return _template().render(
+    text: str = _template().render(
         title=title,
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
@@ -83,6 +83,7 @@ def report_html(
         page_data=page_json(_page_data(plots, curves)),
         plotly_js=_plotly_js(),
     )
+    return text
 
 
 def _page_data(plots: list[Any], curves: list[dict[str, Any]]) -> dict[str, Any]:
@@ -94,7 +95,7 @@ def _page_data(plots: list[Any], curves: list[dict[str, Any]]) -> dict[str, Any]
 
 def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tuple[str, str], ...]:
     mesh, air = scene.room.mesh, scene.air
-    rows = (
+    return (
         ("roomfit", version("roomfit")),
         ("campaign", campaign or "not told"),
         ("method, model", f"{answer.method}, {answer.model}"),
@@ -112,7 +113,6 @@ def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tup
         ),
         ("speed of sound", f"{number(answer.speed_of_sound_m_s, 2)} m/s"),
     )
-    return rows
 
 
 def _template() -> Any:

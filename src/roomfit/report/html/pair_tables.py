@@ -107,8 +107,8 @@ def _parameter_row(pair: ComparedPair, key: str, block: IntArray) -> Row:
 def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell:
     measured, predicted = float(compared.measured[band]), float(compared.predicted[band])
     if not np.isfinite(measured):
-        told = number(predicted, decimals)
-        return Cell(DASH, ("not measured", f"predicted {told}"), "missing")
+        guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
+        return Cell(DASH, ("not measured", *guess), "missing")
     if not np.isfinite(predicted):
         told = number(measured, decimals)
         return Cell(DASH, ("not predicted", f"measured {told}"), "missing")

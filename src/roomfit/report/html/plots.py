@@ -122,7 +122,7 @@ def panel_title(layout: Figure, i: int, text: str) -> Figure:
     }
 
 
-def outer_titles(layout: Figure, below: str, left: str) -> list[Figure]:
+def outer_titles(below: str, left: str) -> list[Figure]:
     """Return what stands once below and once left of all panels."""
     common = {"xref": "paper", "yref": "paper", "showarrow": False}
     return [
@@ -147,9 +147,9 @@ def frequency_axis(centres_hz: FloatArray) -> Figure:
     }
 
 
-def label(name: str) -> str:
+def label(name: str, longest: int = 34) -> str:
     """Return a name as plotly shows it literally: its markup is taken apart, its length cut."""
-    return html.escape(shortened(name), quote=False)
+    return html.escape(shortened(name, longest), quote=False)
 
 
 def rounded(values: FloatArray, decimals: int) -> list[float | None]:

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.report.html.plots import (
     GRID,
     INK,
@@ -19,7 +20,7 @@ from roomfit.report.html.plots import (
 )
 from roomfit.report.html.room_outline import outline_m
 from roomfit.report.html.tables import Cell, Row, Table
-from roomfit.report.html.wording import area, count, number, shortened
+from roomfit.report.html.wording import DASH, area, count, number, shortened
 from roomfit.scene.room import Room, material_areas_m2, triangle_material
 from roomfit.scene.scene import Point, Scene
 from roomfit.typing import FloatArray
@@ -27,6 +28,8 @@ from roomfit.typing import FloatArray
 _HEIGHT_PX = 520
 _MOST_EDGES = 6000
 _SURFACES_SHOWN = 6
+_MOST_NAMES = 12
+_FLAT_M = 0.01
 
 
 def room_plot(scene: Scene) -> Plot:
@@ -39,6 +42,7 @@ def room_plot(scene: Scene) -> Plot:
     data = [
         *_walls(scene.room),
         *([edges] if edges else []),
+        *([_names(scene.room)] if len(scene.room.materials) <= _MOST_NAMES else []),
         _points("source", scene.sources, SECOND, "diamond"),
         _points("receiver", scene.receivers, INK, "circle"),
     ]
@@ -64,8 +68,8 @@ def _space(room: Room) -> Figure:
         "yaxis": axis | {"title": {"text": "y (m)"}},
         "zaxis": axis | {"title": {"text": "z (m)"}, "nticks": 5},
         "camera": {
-            "eye": {"x": -0.95, "y": -1.55, "z": height},
-            "center": {"x": 0.0, "y": 0.0, "z": -0.08},
+            "eye": {"x": -0.98, "y": -1.6, "z": height},
+            "center": {"x": 0.0, "y": 0.0, "z": -0.14},
         },
     }
 
@@ -89,7 +93,7 @@ def _walls(room: Room) -> list[Figure]:
                 **{axis: rounded(vertices[:, k], 3) for k, axis in enumerate("xyz")},
                 **{axis: corners[:, k].tolist() for k, axis in enumerate("ijk")},
                 "color": material_colour(i),
-                "opacity": 0.38,
+                "opacity": 0.3,
                 "flatshading": True,
                 "lighting": {"ambient": 0.9, "diffuse": 0.25, "specular": 0.0},
                 "hoverinfo": "name",
@@ -113,6 +117,36 @@ def _edges(room: Room) -> Figure | None:
         "hoverinfo": "skip",
         "showlegend": False,
     }
+
+
+def _names(room: Room) -> Figure:
+    """Return the name of each material, in the middle of its largest plane."""
+    at = np.array([_middle_of_largest_plane(room, i) for i in range(len(room.materials))])
+    return {
+        "type": "scatter3d",
+        "mode": "text",
+        "name": "names of materials",
+        **{axis: rounded(at[:, k], 3) for k, axis in enumerate("xyz")},
+        "text": [label(name, 20) for name in room.materials],
+        "textfont": {"color": "#444444", "size": 11},
+        "hoverinfo": "skip",
+    }
+
+
+def _middle_of_largest_plane(room: Room, material: int) -> FloatArray:
+    """Return the centroid, shape (3,), of all faces that lie in the plane of the largest face."""
+    mine = triangle_material(room) == material
+    if not mine.any():
+        return np.full(3, np.nan)
+    vectors = area_vectors_m2(room.mesh)[mine]
+    middles = corners_m(room.mesh)[mine].mean(axis=1)
+    areas = np.linalg.norm(vectors, axis=1)
+    largest = int(np.argmax(areas))
+    normal = vectors[largest] / max(float(areas[largest]), 1e-12)
+    off = np.abs((middles - middles[largest]) @ normal)
+    weight = areas * ((off < _FLAT_M) & (vectors @ normal > 0.999 * areas))
+    total = float(weight.sum())
+    return np.asarray(weight @ middles / total) if total > 0.0 else middles[largest]
 
 
 def _points(kind: str, points: Sequence[Point], colour: str, symbol: str) -> Figure:
@@ -139,7 +173,7 @@ def material_table(room: Room) -> Table:
             name,
             (
                 Cell(area(float(areas[i]))),
-                Cell(f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else '–'} %"),
+                Cell(f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"),
                 Cell(_surfaces(room, i), style="words"),
             ),
             colour=material_colour(i),

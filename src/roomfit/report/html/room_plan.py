@@ -61,7 +61,7 @@ def room_plan(scene: Scene) -> Plan:
         for kind, points in (("source", scene.sources), ("receiver", scene.receivers))
         for p in points
     ]
-    told = " × ".join(number(float(v), 2) for v in size)
+    told = " \N{MULTIPLICATION SIGN} ".join(number(float(v), 2) for v in size)
     return Plan(
         round(float(width), 1), round(float(height), 1), lines, _labelled(places, float(width)),
         round(float(scale), 2), f"{told} m",

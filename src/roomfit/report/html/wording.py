@@ -10,7 +10,7 @@ import numpy as np
 
 from roomfit.typing import BoolArray, FloatArray
 
-DASH = "–"
+DASH = "\N{EN DASH}"
 
 
 @dataclass(frozen=True, slots=True)
