@@ -17,7 +17,7 @@ from roomfit.geometry.mesh import Surface
 from roomfit.typing import FloatArray
 
 # What a parser of others may raise on a damaged file; anything else is a fault of this program.
-_PARSER_ERRORS = (
+PARSER_ERRORS = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
     *(NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error),
 )
@@ -71,7 +71,7 @@ def _load(path: Path, kind: str) -> list[tuple[str, FloatArray, np.ndarray[Any, 
             points = trimesh.transform_points(mesh.vertices, transform)
             material = getattr(getattr(mesh.visual, "material", None), "name", None)
             parts.append((str(node), points, np.asarray(mesh.faces), material or None))
-    except _PARSER_ERRORS as error:
+    except PARSER_ERRORS as error:
         raise InputError(
             f"this {kind.upper()} file cannot be read",
             where=str(path),

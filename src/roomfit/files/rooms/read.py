@@ -8,6 +8,8 @@ from pathlib import Path
 from roomfit.checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.files.rooms.ac3d import read_ac3d
+from roomfit.files.rooms.catt.read import read_catt
+from roomfit.files.rooms.dxf import read_dxf
 from roomfit.files.rooms.foreign import read_glb, read_stl
 from roomfit.files.rooms.model import METRES_PER_UNIT, RoomModel, in_metres
 from roomfit.files.rooms.obj import read_obj
@@ -30,6 +32,8 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".ply": read_ply,
     ".stl": read_stl,
     ".glb": read_glb,
+    ".geo": read_catt,
+    ".dxf": read_dxf,
 }
 
 

@@ -39,12 +39,13 @@ class RoomSpec:
     Attributes
     ----------
     file : Path or None
-        OBJ, AC3D, PLY, STL or GLB, by the end of its name.
+        OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, or DXF, by the end of its name.
     shoebox : tuple of three floats or None
         Lengths along x, y and z of a box with one corner at the origin.
     polygons : PolygonSpec or None
     unit : str or None
-        m, mm, cm, ft or in. None: what the format prescribes (GLB, shoebox and polygons: m).
+        m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons: m)
+        or the file says (DXF's $INSUNITS).
     up : {"z", "y"} or None
         None: what the format prescribes (GLB: y, all others: z).
     materials : mapping from str to str

@@ -1,0 +1,1 @@
+"""Rooms of CATT-Acoustic: .geo files with their constants, expressions and includes."""
