@@ -24,7 +24,7 @@ from roomfit.uncertainty.answer import Answer, ComparedPair, Decay
 
 LOWEST_DB = -45.0
 _COLUMNS, _PANEL_PX = 3, 150
-# About six characters a number: this keeps all curves of a report within half a megabyte.
+# About six characters a number: this keeps all curves of most reports within half a megabyte.
 _NUMBERS, _FEWEST, _MOST = 80_000, 24, 120
 
 

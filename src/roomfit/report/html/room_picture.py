@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.geometry.mesh import area_vectors_m2, corners_m, triangle_areas_m2
 from roomfit.report.html.plots import (
     GRID,
     INK,
@@ -23,10 +23,11 @@ from roomfit.report.html.tables import Cell, Row, Table
 from roomfit.report.html.wording import DASH, area, count, number, shortened
 from roomfit.scene.room import Room, material_areas_m2, triangle_material
 from roomfit.scene.scene import Point, Scene
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 _HEIGHT_PX = 520
 _MOST_EDGES = 6000
+_MOST_TRIANGLES = 40_000
 _SURFACES_SHOWN = 6
 _MOST_NAMES = 12
 _FLAT_M = 0.01
@@ -39,6 +40,9 @@ def room_plot(scene: Scene) -> Plot:
     layout["legend"] |= {"y": 0.0, "yanchor": "top"}
     layout["scene"] = _space(scene.room)
     edges = _edges(scene.room)
+    caption = "Drag to turn; a click on a material in the legend hides it."
+    if len(scene.room.mesh.triangles) > _MOST_TRIANGLES:
+        caption += f" Only the largest {_MOST_TRIANGLES} faces are drawn."
     data = [
         *_walls(scene.room),
         *([edges] if edges else []),
@@ -53,7 +57,7 @@ def room_plot(scene: Scene) -> Plot:
         f"The room in three dimensions with {count(len(scene.room.materials), 'material')}, "
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}; "
         "the plan and the tables below tell the same in numbers.",
-        "Drag to turn; a click on a material in the legend hides it.",
+        caption,
     )
 
 
@@ -76,7 +80,7 @@ def _space(room: Room) -> Figure:
 
 def _walls(room: Room) -> list[Figure]:
     """Return one half-transparent mesh for each material that has faces."""
-    owner = triangle_material(room)
+    owner = np.where(_drawn(room), triangle_material(room), -1)
     meshes = []
     for i, name in enumerate(room.materials):
         mine = room.mesh.triangles[owner == i]
@@ -100,6 +104,14 @@ def _walls(room: Room) -> list[Figure]:
             }
         )
     return meshes
+
+
+def _drawn(room: Room) -> BoolArray:
+    """Return which triangles are drawn: all, or the largest of very many."""
+    n = len(room.mesh.triangles)
+    drawn = np.zeros(n, dtype=np.bool_)
+    drawn[np.argsort(-triangle_areas_m2(room.mesh), kind="stable")[:_MOST_TRIANGLES]] = True
+    return drawn
 
 
 def _edges(room: Room) -> Figure | None:
