@@ -1,0 +1,225 @@
+"""Common materials by name: what published tables print of their absorption, as priors."""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from importlib.resources import files
+from typing import Any
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.checks import nearest, read_only
+from roomfit.errors import InputError
+from roomfit.materials.typical import (
+    HIGH_WIDENING,
+    LOW_WIDENING,
+    OCTAVES_HZ,
+    common_spread,
+    typical_logit,
+)
+from roomfit.typing import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reading:
+    """One row of one published table.
+
+    Attributes
+    ----------
+    source : str
+        The publication, in full.
+    row : str
+        What the table calls it, in brackets whom it credits.
+    absorption : float array, shape (8,)
+        Octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed.
+    """
+
+    source: str
+    row: str
+    absorption: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "absorption", read_only(np.array(self.absorption)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CatalogueEntry:
+    """A common material with what tables say of it.
+
+    Attributes
+    ----------
+    name : str
+        Lower case with hyphens: ``"carpet-on-underlay"``.
+    group, description : str
+    readings : tuple of Reading
+    logit_mean, logit_sd : float arrays, shape (8,)
+        Of logit absorption in octaves 63 to 8000 Hz; see `roomfit.materials.typical`.
+    """
+
+    name: str
+    group: str
+    description: str
+    readings: tuple[Reading, ...]
+    logit_mean: FloatArray
+    logit_sd: FloatArray
+
+    def __post_init__(self) -> None:
+        for name in ("logit_mean", "logit_sd"):
+            object.__setattr__(self, name, read_only(np.array(getattr(self, name))))
+
+    @property
+    def absorption(self) -> FloatArray:
+        """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
+        return np.asarray(1.0 / (1.0 + np.exp(-self.logit_mean)))
+
+    @property
+    def sd(self) -> FloatArray:
+        """Standard deviation of absorption, shape (8,), to first order from that of its logit."""
+        a = self.absorption
+        return np.asarray(self.logit_sd * a * (1.0 - a))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Catalogue:
+    """All entries, in the order of the file: group by group."""
+
+    entries: tuple[CatalogueEntry, ...]
+    common_logit_sd: float
+    """How far tables differ, in logit absorption, where they use the same name."""
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of all entries."""
+        return tuple(e.name for e in self.entries)
+
+
+@cache
+def catalogue() -> Catalogue:
+    """Return the catalogue that comes with roomfit."""
+    text = files("roomfit.materials").joinpath("catalogue.toml").read_text(encoding="utf-8")
+    return catalogue_from(tomllib.loads(text))
+
+
+def catalogue_from(content: Mapping[str, Any]) -> Catalogue:
+    """Return a catalogue from the content of a file like ``catalogue.toml``.
+
+    Parameters
+    ----------
+    content : mapping
+        ``sources`` maps short keys to publications; ``materials`` maps a name to ``group``,
+        ``what`` and ``readings``: lists of source key, row, and six values (octaves 125 to
+        4000 Hz) or seven (from 63 Hz).
+    """
+    sources = content["sources"]
+    readings = {
+        name: tuple(
+            Reading(sources[source], row, _eight(values))
+            for source, row, values in material["readings"]
+        )
+        for name, material in content["materials"].items()
+    }
+    tables = {name: np.array([r.absorption for r in rows]) for name, rows in readings.items()}
+    common = common_spread(tables.values())
+    entries = tuple(
+        CatalogueEntry(
+            name,
+            material["group"],
+            material["what"],
+            readings[name],
+            *typical_logit(tables[name], common),
+        )
+        for name, material in content["materials"].items()
+    )
+    return Catalogue(entries, common)
+
+
+def find_material(name: str) -> CatalogueEntry:
+    """Return the entry of that name; case does not matter, and blanks stand for hyphens.
+
+    Raises
+    ------
+    InputError
+        There is none; the nearest name is told.
+
+    Examples
+    --------
+    >>> find_material("Carpet on underlay").name
+    'carpet-on-underlay'
+    """
+    wanted = "-".join(name.lower().replace("_", " ").replace("-", " ").split())
+    for entry in catalogue().entries:
+        if entry.name == wanted:
+            return entry
+    hint = _similar(wanted)
+    raise InputError(
+        "the catalogue has no such material",
+        found=repr(name),
+        needed=f"one of the {len(catalogue().entries)} names that `roomfit catalogue` lists",
+        hint=hint,
+    )
+
+
+def _similar(wanted: str) -> str | None:
+    """Names to offer instead: the nearest one, or those that share a word like one of `wanted`."""
+    names = catalogue().names
+    guess = nearest(wanted, names)
+    if guess:
+        return f"did you mean {guess!r}?"
+    words = {word for name in names for word in name.split("-")}
+    known = [w for w in (nearest(part, words) for part in wanted.split("-")) if w]
+    offered = [name for name in names if any(w in name.split("-") for w in known)]
+    return f"did you mean one of {', '.join(offered[:6])}?" if offered else None
+
+
+def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
+    """Return every entry whose name, group or description holds all of the words."""
+    wanted = [w.lower() for w in words]
+    return tuple(
+        e
+        for e in catalogue().entries
+        if all(w in f"{e.name} {e.group} {e.description}".lower() for w in wanted)
+    )
+
+
+def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of absorption of a catalogue material as a prior.
+
+    `roomfit.materials.knowledge.logit_prior` turns the two into logit absorption again.
+
+    Parameters
+    ----------
+    name : str
+        See `find_material`.
+    bands : Bands
+        Octaves or third octaves. Between the octaves of the catalogue logit mean and spread are
+        interpolated linearly in the logarithm of frequency; beyond 63 Hz and 8 kHz the mean is
+        held and the spread widened further for every octave.
+
+    Returns
+    -------
+    mean, sd : float arrays, shape (n_bands,)
+        0.005 <= mean <= 0.98; sd above 0.
+
+    Raises
+    ------
+    InputError
+        There is no material of that name.
+    """
+    entry = find_material(name)
+    at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
+    mean = 1.0 / (1.0 + np.exp(-np.interp(at, known, entry.logit_mean)))
+    below, above = np.maximum(known[0] - at, 0.0), np.maximum(at - known[-1], 0.0)
+    sd = np.interp(at, known, entry.logit_sd)
+    sd = np.sqrt(sd**2 + below * LOW_WIDENING**2 + above * HIGH_WIDENING**2)
+    return np.asarray(mean), np.asarray(sd * mean * (1.0 - mean))
+
+
+def _eight(values: list[float]) -> FloatArray:
+    """Six values from 125 Hz, or seven from 63 Hz, in eight places."""
+    eight = np.full(8, np.nan)
+    eight[7 - len(values) : 7] = values
+    return eight
