@@ -10,7 +10,8 @@ from hypothesis import strategies as st
 from roomfit.errors import InputError, RoomfitError
 from roomfit.files.campaign.campaign import read_campaign
 from roomfit.files.campaign.materials import material_knowledge
-from roomfit.materials.knowledge import sampling_scattering
+from roomfit.materials.catalogue import catalogue, catalogue_prior
+from roomfit.materials.knowledge import logit_prior, sampling_scattering
 
 GOOD = """
 [room]
@@ -91,6 +92,10 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
         ("prior = {mean = 0.3, sd = 0.1}\nbounds = [0.4, 0.9]", "outside of its bounds"),
         ("absorption = 0.3\nbounds = [0.4, 0.9]", "outside of its own bounds"),
         ("scattering = {centres_hz = [125, 250], values = [0.1]}", "as many values"),
+        ('prior = "carpt"', "materials.carpet.prior"),
+        ('same_absorption_as = "brick"', r"does not have(?s:.*)brick"),
+        ('same_absorption_as = "carpet"', "tied to itself"),
+        ("delay_sd_ms = 9", "delay_sd_ms"),
     ],
 )
 def test_what_is_told_of_a_material_is_checked(tmp_path, line, words):
@@ -162,3 +167,21 @@ def test_a_damaged_campaign_is_read_or_refused_in_our_words(
         material_knowledge(campaign, ("carpet",))
     except RoomfitError:
         pass
+
+
+def test_a_prior_may_be_named_after_a_catalogue_entry(tmp_path):
+    name = catalogue().names[0]
+    campaign = campaign_from(tmp_path, GOOD.replace("scattering = 0.2", f'prior = "{name}"'))
+    (carpet,) = material_knowledge(campaign, ("carpet",))
+    mean, sd = catalogue_prior(name, campaign.bands)
+    logit, logit_sd = logit_prior(mean, sd)
+    np.testing.assert_allclose(carpet.prior_logit_mean, logit)
+    np.testing.assert_allclose(carpet.prior_logit_sd, logit_sd)
+
+
+def test_ties_and_delays_reach_the_knowledge_of_a_material(tmp_path):
+    lines = 'same_absorption_as = "plaster"\ndelay_sd_ms = 0.3'
+    campaign = campaign_from(tmp_path, GOOD.replace("scattering = 0.2", lines))
+    carpet, _ = material_knowledge(campaign, ("carpet", "plaster"))
+    assert carpet.tied_to == "plaster"
+    assert carpet.wall_delay_sd_s == pytest.approx(3e-4)

@@ -11,12 +11,14 @@ from roomfit.errors import InputError
 from roomfit.objective.parameters import (
     Block,
     Parameters,
+    fitted_columns,
     physical_values,
     prior_residuals,
     start_vector,
     to_free,
     to_physical,
 )
+from roomfit.uncertainty.gaussian import absorption_intervals, weighted_mean_interval
 
 
 def block(transform: str, n: int = 3, **changes) -> Block:
@@ -74,3 +76,36 @@ def test_a_prior_without_end_adds_no_row():
 def test_a_lower_bound_above_the_upper_is_refused_by_name():
     with pytest.raises(InputError, match=r"lower bound(?s:.)*'m1'"):
         block("logit", lower=np.array([0.0, 0.9, 0.0]), upper=np.array([1.0, 0.5, 1.0]))
+
+
+def test_a_tied_entry_takes_its_leader_s_value_and_gives_it_its_derivatives():
+    """f = 2 a0 + 3 a1 + 5 a2 with a2 tied to a0 changes by 7 for each unit of a0."""
+    b = block("logit", fitted=np.array([True, True, False]), leader=np.array([0, 1, 0]))
+    p = Parameters((b,))
+    vector = np.array([0.3, -0.4])
+    values, slopes = physical_values(p, vector)
+    assert values["logit"][2] == values["logit"][0]
+    factors = np.array([[2.0, 3.0, 5.0]])
+    columns = fitted_columns(p, {"logit": factors * slopes["logit"]})
+    own = to_physical(b, np.array([0.3, -0.4, 0.0]))[1]
+    np.testing.assert_allclose(columns, [[7.0 * own[0], 3.0 * own[1]]], rtol=1e-14)
+
+
+def test_a_tied_entry_has_its_leader_s_interval_and_counts_in_the_mean():
+    b = block("logit", name="absorption", fitted=np.array([True, True, False]),
+              leader=np.array([0, 1, 0]))  # fmt: skip
+    p = Parameters((b,))
+    vector, information = np.array([0.3, -0.4]), np.diag([400.0, 100.0])
+    found = absorption_intervals(p, vector, information, 1.0)
+    for values in (found.absorption, found.lower95, found.upper95, found.identifiable):
+        assert values[2] == values[0]
+    merged = Parameters((block("logit", 2, name="absorption"),))
+    pooled = weighted_mean_interval(merged, vector, found.covariance, np.array([0.7, 0.3]))
+    apart = weighted_mean_interval(p, vector, found.covariance, np.array([0.3, 0.3, 0.4]))
+    np.testing.assert_allclose(apart, pooled, rtol=1e-12)
+
+
+@pytest.mark.parametrize("leader", [[1, 2, 2], [0, 0, 1]])
+def test_an_entry_that_follows_must_not_lead(leader):
+    with pytest.raises(InputError, match="must not lead"):
+        block("logit", fitted=np.array([True, False, False]), leader=np.array(leader))

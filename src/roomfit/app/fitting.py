@@ -13,7 +13,7 @@ from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.objective.parameters import Parameters, position_of, to_free
+from roomfit.objective.parameters import Parameters, leaders, position_of, to_free
 from roomfit.objective.problem import BandProblem
 from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.gaussian import (
@@ -90,11 +90,13 @@ def band_answer(
         parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
     )
     block = next(b for b in parameters.blocks if b.name == "absorption")
-    covariance: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
-    own = np.flatnonzero(block.fitted)
+    own: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
+    fitted = np.flatnonzero(block.fitted)
     first = position_of(parameters, "absorption")
-    chosen = slice(first, first + own.size)
-    covariance[np.ix_(own, own)] = found.covariance[chosen, chosen]
+    chosen = slice(first, first + fitted.size)
+    own[np.ix_(fitted, fitted)] = found.covariance[chosen, chosen]
+    leader = leaders(block)
+    covariance = own[np.ix_(leader, leader)]
     return BandAnswer(
         found.absorption,
         found.lower95,

@@ -296,20 +296,25 @@ def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
 
 def _absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
     known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
-    fitted = np.isnan(known)
-    lower = np.array([k.lower for k in knowledge])
-    upper = np.array([k.upper for k in knowledge])
+    names = [k.name for k in knowledge]
+    leader = np.array([names.index(k.tied_to or k.name) for k in knowledge])
+    follows = leader != np.arange(len(names))
+    known = known[leader]
+    fitted = np.isnan(known) & ~follows
+    lower = np.array([k.lower for k in knowledge])[leader]
+    upper = np.array([k.upper for k in knowledge])[leader]
     inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
     return Block(
         "absorption",
         tuple(k.name for k in knowledge),
         "logit",
-        np.where(fitted, inside, known),
+        np.where(np.isnan(known), inside, known),
         fitted,
         np.array([k.prior_logit_mean[band] for k in knowledge]),
         np.array([k.prior_logit_sd[band] for k in knowledge]),
         lower,
         upper,
+        leader if follows.any() else None,
     )
 
 

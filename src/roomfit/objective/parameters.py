@@ -11,9 +11,9 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.checks import bool_array, float_array
+from roomfit.checks import bool_array, float_array, int_array
 from roomfit.errors import InputError
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Transform = Literal["identity", "log", "logit"]
 
@@ -37,6 +37,9 @@ class Block:
         Gaussian prior of the free number; an infinite sd is written as 0 in `prior_weight`.
     lower, upper : float arrays, shape (n,)
         Physical bounds, used by "logit".
+    leader : int array, shape (n,), or None
+        Entry whose value each entry takes, its own or another's; an entry that follows another is
+        not fitted itself. None where nothing is tied.
     """
 
     name: str
@@ -48,6 +51,7 @@ class Block:
     prior_sd: FloatArray
     lower: FloatArray
     upper: FloatArray
+    leader: IntArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.labels)
@@ -64,6 +68,14 @@ class Block:
         sd.setflags(write=False)
         object.__setattr__(self, "prior_sd", sd)
         object.__setattr__(self, "fitted", bool_array(f"{self.name} fitted", self.fitted, (n,)))
+        if self.leader is not None:
+            leader = int_array(
+                f"{self.name} leaders", self.leader, (n,), np.int64, low=0, high=n - 1
+            )
+            follows = leader != np.arange(n)
+            if np.any(follows & self.fitted) or np.any(follows[leader[follows]]):
+                raise InputError(f"an entry of {self.name} that follows another must not lead")
+            object.__setattr__(self, "leader", leader)
         bad = np.flatnonzero(self.lower >= self.upper)
         if bad.size:
             i = int(bad[0])
@@ -80,6 +92,11 @@ class Parameters:
     """Blocks laid end to end; the free vector holds the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
+
+
+def leaders(block: Block) -> IntArray:
+    """Return the entry whose value each entry takes, shape (n,)."""
+    return np.arange(len(block.labels)) if block.leader is None else block.leader
 
 
 def to_free(block: Block, values: FloatArray) -> FloatArray:
@@ -139,8 +156,12 @@ def physical_values(
         position += n
         found, slope = to_physical(block, free)
         # a held value is exactly the one given, without a round trip through the transform
-        values[block.name] = np.where(block.fitted, found, block.start)
-        slopes[block.name] = np.where(block.fitted, slope, 0.0)
+        own, own_slope = (
+            np.where(block.fitted, found, block.start),
+            np.where(block.fitted, slope, 0.0),
+        )
+        leader = leaders(block)
+        values[block.name], slopes[block.name] = own[leader], own_slope[leader]
     return values, slopes
 
 
@@ -149,7 +170,14 @@ def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> 
 
     `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n).
     """
-    return np.concatenate([jacobians[b.name][:, b.fitted] for b in parameters.blocks], axis=1)
+    columns = []
+    for block in parameters.blocks:
+        jacobian = jacobians[block.name]
+        if block.leader is not None:
+            # what followers change, their leader changes
+            jacobian = jacobian @ np.eye(len(block.labels))[block.leader]
+        columns.append(jacobian[:, block.fitted])
+    return np.concatenate(columns, axis=1)
 
 
 def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:

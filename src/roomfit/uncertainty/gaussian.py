@@ -9,6 +9,7 @@ import numpy as np
 from roomfit.objective.parameters import (
     Block,
     Parameters,
+    leaders,
     physical_values,
     position_of,
     to_physical,
@@ -71,8 +72,13 @@ def absorption_intervals(
     sure = (
         (phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * block.prior_sd)
     )
+    leader = leaders(block)
     return AbsorptionIntervals(
-        absorption, lower, upper, sure | ~block.fitted, np.asarray(covariance, dtype=np.float64)
+        absorption,
+        lower[leader],
+        upper[leader],
+        (sure | ~block.fitted)[leader],
+        np.asarray(covariance, dtype=np.float64),
     )
 
 
@@ -95,7 +101,8 @@ def weighted_mean_interval(
     block = next(b for b in parameters.blocks if b.name == "absorption")
     n = int(np.count_nonzero(block.fitted))
     first = position_of(parameters, "absorption")
-    gradient = (weights * slopes["absorption"])[block.fitted]
+    whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
+    gradient = whole[block.fitted]
     part = covariance[first : first + n, first : first + n]
     sd = float(np.sqrt(gradient @ part @ gradient))
     return mean, max(mean - _Z95 * sd, 0.0), min(mean + _Z95 * sd, 1.0)

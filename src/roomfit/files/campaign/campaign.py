@@ -258,7 +258,6 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
     for name, material in table.materials.items():
         where = f"materials.{name}"
         refusals.append((f"{where}.scattering", "fit", material.scattering == "fit"))
-        refusals.append((f"{where}.prior", material.prior, isinstance(material.prior, str)))
     for number, row in enumerate(table.measurements, start=1):
         for kind in ("parameters", "spectrum"):
             found = getattr(row, kind)

@@ -8,7 +8,8 @@ from roomfit.bands import Bands
 from roomfit.checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.files.campaign.campaign import Campaign
-from roomfit.files.campaign.schema import MaterialTable, Prior, Spectrum
+from roomfit.files.campaign.schema import MaterialTable, Spectrum
+from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.knowledge import (
     DEFAULT_MEAN,
     MaterialKnowledge,
@@ -83,9 +84,9 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
         share = (DEFAULT_MEAN - lower) / (upper - lower)
         share = share if 0.1 <= share <= 0.9 else 0.5
         mean, _ = logit_prior(np.full(n, share), np.ones(n))
-    if isinstance(table.prior, Prior):
-        alpha = _per_band(table.prior.mean, n, f"{where}.prior.mean")
-        alpha_sd = _per_band(table.prior.sd, n, f"{where}.prior.sd")
+    told = _told_prior(campaign, table, where)
+    if told is not None:
+        alpha, alpha_sd = told
         inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
         if not np.all(inside):
             band = int(np.argmin(inside))
@@ -114,6 +115,22 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
         fit_scattering=table.scattering == "fit",
         tied_to=table.same_absorption_as,
         wall_delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+    )
+
+
+def _told_prior(
+    campaign: Campaign, table: MaterialTable, where: str
+) -> tuple[FloatArray, FloatArray] | None:
+    """Mean and standard deviation of absorption in every band, from the file or the catalogue."""
+    if table.prior is None:
+        return None
+    if isinstance(table.prior, str):
+        with located(f"{where}.prior"):
+            return catalogue_prior(table.prior, campaign.bands)
+    n = len(campaign.bands)
+    return (
+        _per_band(table.prior.mean, n, f"{where}.prior.mean"),
+        _per_band(table.prior.sd, n, f"{where}.prior.sd"),
     )
 
 
