@@ -358,7 +358,7 @@ def test_names_are_shown_and_never_obeyed():
 
 
 def test_the_outline_of_a_box_is_its_twelve_edges():
-    ends = outline_m(scene_of().room)
+    ends = outline_m(scene_of().room, 100)
     lengths = np.sort(np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1))
     # the six diagonals between the triangles of one wall are left out
     assert lengths.tolist() == [3.0] * 4 + [4.0] * 4 + [6.0] * 4

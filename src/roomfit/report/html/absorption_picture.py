@@ -8,6 +8,7 @@ from roomfit.report.html.absorption_tables import given
 from roomfit.report.html.plots import (
     ACCENT,
     INK,
+    MANY_PANELS,
     Figure,
     Plot,
     frequency_axis,
@@ -22,7 +23,7 @@ from roomfit.report.html.wording import count, hertz, number
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.answer import Answer
 
-_COLUMNS, _PANEL_PX = 3, 150
+_LEVELS = {"range": [-0.03, 1.03], "tickvals": [0.0, 0.25, 0.5, 0.75, 1.0]}
 
 
 def absorption_plot(answer: Answer) -> Plot:
@@ -31,11 +32,7 @@ def absorption_plot(answer: Answer) -> Plot:
     The last panel is the mean of the room by area.
     """
     n = len(answer.materials)
-    layout, height_px = panel_layout(n + 1, _COLUMNS, _PANEL_PX)
-    layout["xaxis"] |= frequency_axis(answer.bands.centres_hz)
-    layout["yaxis"] |= {"range": [-0.03, 1.03], "tickvals": [0.0, 0.25, 0.5, 0.75, 1.0]}
-    for i in range(n + 1):
-        layout[f"xaxis{'' if i == 0 else i + 1}"] |= frequency_axis(answer.bands.centres_hz)
+    layout, height_px = panel_layout(n + 1, frequency_axis(answer.bands.centres_hz), _LEVELS)
     layout["annotations"] = [
         *(panel_title(layout, i, _title(answer, i)) for i in range(n)),
         panel_title(layout, n, "<b>mean of the room</b>, by area"),
@@ -47,15 +44,18 @@ def absorption_plot(answer: Answer) -> Plot:
         height_px,
         f"Absorption coefficient over frequency with 95 % intervals, "
         f"{count(n, 'material')} and the mean of the room; the table below holds every number.",
-        "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
+        "Above each panel: in how many bands the material is identifiable. Points with bars: "
+        "absorption and its 95 % interval. Filled: identifiable. Hollow: not "
         "identifiable, the number may come from what was assumed beforehand. Diamonds: given.",
     )
 
 
 def _title(answer: Answer, material: int) -> str:
     found = int(answer.identifiable[material].sum())
-    name = label(answer.materials[material], 20)
-    return f"<b>{name}</b>: {found} of {len(answer.bands)} identifiable"
+    if len(answer.materials) < MANY_PANELS:
+        name = label(answer.materials[material], 20)
+        return f"<b>{name}</b>: {found} of {len(answer.bands)} identifiable"
+    return f"<b>{label(answer.materials[material], 16)}</b>: {found} of {len(answer.bands)}"
 
 
 def _traces(answer: Answer) -> list[Figure]:

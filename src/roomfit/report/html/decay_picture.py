@@ -23,7 +23,7 @@ from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Answer, ComparedPair, Decay
 
 LOWEST_DB = -45.0
-_COLUMNS, _PANEL_PX = 3, 150
+_LEVELS = {"range": [LOWEST_DB, 2.0], "tickvals": [-40, -30, -20, -10, 0]}
 # About six characters a number: this keeps all curves of most reports within half a megabyte.
 _NUMBERS, _FEWEST, _MOST = 80_000, 24, 120
 
@@ -61,9 +61,7 @@ def decay_plot(answer: Answer) -> tuple[Plot, list[dict[str, Any]]] | None:
 
 def _plot(answer: Answer, curve: dict[str, Any], n_pairs: int) -> Plot:
     n = len(answer.bands)
-    layout, height_px = panel_layout(n, _COLUMNS, _PANEL_PX)
-    layout["yaxis"] |= {"range": [LOWEST_DB, 2.0], "tickvals": [-40, -30, -20, -10, 0]}
-    layout["xaxis"] |= {"rangemode": "tozero"}
+    layout, height_px = panel_layout(n, {"rangemode": "tozero"}, _LEVELS)
     layout["annotations"] = [
         *(panel_title(layout, j, head) for j, head in enumerate(curve["heads"])),
         *outer_titles("time after emission (s)", "energy decay curve (dB)"),
@@ -74,8 +72,8 @@ def _plot(answer: Answer, curve: dict[str, Any], n_pairs: int) -> Plot:
         height_px,
         f"Measured and predicted energy decay curves of {count(n_pairs, 'pair')}, one panel a "
         "band; the tables below hold the parameters derived from them.",
-        "Energy left in the room relative to the whole, after each time. The picture begins with "
-        "the pair whose parameters are furthest off.",
+        "Energy left in the room relative to the whole, after each time; above each panel T20, "
+        "measured → predicted. The picture begins with the pair whose parameters are furthest off.",
     )
 
 
@@ -128,4 +126,4 @@ def _head(answer: Answer, pair: ComparedPair, band: int) -> str:
     if t20 is None or not np.isfinite(t20.measured[band]) or not np.isfinite(t20.predicted[band]):
         return head
     measured, predicted = number(t20.measured[band], 2), number(t20.predicted[band], 2)
-    return f"{head}: T20 {measured} s, predicted {predicted} s"
+    return f"{head}: T20 {measured} → {predicted} s"

@@ -29,6 +29,9 @@ COLOURS = (
 )
 _FONT = "system-ui, 'Segoe UI', Helvetica, Arial, 'DejaVu Sans', sans-serif"
 _GAP_X, _GAP_PX = 0.05, 52.0
+_AXIS = {"gridcolor": GRID, "linecolor": "#888888", "zeroline": False, "ticks": "outside"}
+MANY_PANELS = 12
+"""More than so many panels are drawn smaller, with shorter words above them."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +64,13 @@ def base_layout(height_px: int) -> Figure:
     }
 
 
-def panel_layout(n: int, columns: int, panel_px: int) -> tuple[Figure, int]:
+def panel_layout(n: int, x_axis: Figure, y_axis: Figure) -> tuple[Figure, int]:
     """Return a layout with n panels in rows that share their scales, and its height in pixels.
 
-    Axes are called x, x2, ... and y, y2, ... in reading order.
+    Axes are called x, x2, ... and y, y2, ... in reading order. More than twelve panels are drawn
+    smaller, so that two dozen still fit on a sheet of A4.
     """
-    columns = min(n, columns)
+    columns, panel_px = (min(n, 3), 150) if n <= MANY_PANELS else (4, 115)
     rows = -(-n // columns)
     inner_px = rows * panel_px + (rows - 1) * _GAP_PX
     above_px, below_px = 74, 58
@@ -79,23 +83,17 @@ def panel_layout(n: int, columns: int, panel_px: int) -> tuple[Figure, int]:
         row, column = divmod(i, columns)
         left = column * (width + _GAP_X)
         top = 1.0 - row * (panel_px + _GAP_PX) / inner_px
-        axis = {"gridcolor": GRID, "linecolor": "#888888", "zeroline": False, "ticks": "outside"}
+        shared_x, shared_y = ({}, {}) if i == 0 else ({"matches": "x"}, {"matches": "y"})
+        domain_x = [left, min(left + width, 1.0)]
+        domain_y = [max(top - panel_px / inner_px, 0.0), top]
         layout[f"xaxis{_nth(i)}"] = (
-            axis
-            | {
-                "domain": [left, min(left + width, 1.0)],
-                "anchor": f"y{_nth(i)}",
-            }
-            | ({} if i == 0 else {"matches": "x"})
+            _AXIS | x_axis | shared_x | {"domain": domain_x, "anchor": f"y{_nth(i)}"}
         )
         layout[f"yaxis{_nth(i)}"] = (
-            axis
-            | {
-                "domain": [max(top - panel_px / inner_px, 0.0), top],
-                "anchor": f"x{_nth(i)}",
-                "showticklabels": column == 0,
-            }
-            | ({} if i == 0 else {"matches": "y"})
+            _AXIS
+            | y_axis
+            | shared_y
+            | {"domain": domain_y, "anchor": f"x{_nth(i)}", "showticklabels": column == 0}
         )
     return layout, height_px
 

@@ -12,10 +12,12 @@ _SAME_PLANE = 0.9995
 """Cosine between normals above which two faces look flat together, 1.8 degrees."""
 
 
-def outline_m(room: Room) -> FloatArray:
+def outline_m(room: Room, at_most: int) -> FloatArray:
     """Return the visible edges, shape (n_edges, 2 ends, 3), in metres.
 
-    An edge is left out where two triangles of one material and surface lie in one plane.
+    An edge is left out where two triangles of one material lie in one plane. Of more than
+    `at_most`, the longest are kept that are no shorter than a twentieth of the room's diagonal:
+    the walls of a hall without the legs of its chairs.
     """
     corners = room.mesh.triangles.astype(np.int64)
     ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
@@ -28,7 +30,13 @@ def outline_m(room: Room) -> FloatArray:
     first = triangle[order[starts]]
     second = triangle[order[np.minimum(starts + 1, len(order) - 1)]]
     flat = several & _alike(room, first, second)
-    return np.asarray(room.mesh.vertices_m[lines[~flat]])
+    edges = room.mesh.vertices_m[lines[~flat]]
+    if len(edges) <= at_most:
+        return np.asarray(edges)
+    lengths = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)
+    longest = np.argsort(-lengths, kind="stable")[:at_most]
+    diagonal = np.linalg.norm(np.ptp(room.mesh.vertices_m, axis=0))
+    return np.asarray(edges[longest[lengths[longest] >= diagonal / 20.0]])
 
 
 def _alike(

@@ -26,7 +26,7 @@ from roomfit.scene.scene import Point, Scene
 from roomfit.typing import BoolArray, FloatArray
 
 _HEIGHT_PX = 520
-_MOST_EDGES = 6000
+_MOST_EDGES = 3000
 _MOST_TRIANGLES = 40_000
 _SURFACES_SHOWN = 6
 _MOST_NAMES = 12
@@ -35,7 +35,9 @@ _FLAT_M = 0.01
 
 def room_plot(scene: Scene) -> Plot:
     """Return the room seen from above one corner, all axes to the same scale."""
-    layout = base_layout(_HEIGHT_PX)
+    # a legend of many materials takes room below the picture
+    height_px = _HEIGHT_PX + 20 * max(-(-len(scene.room.materials) // 3) - 2, 0)
+    layout = base_layout(height_px)
     layout["margin"] = {"l": 0, "r": 0, "t": 0, "b": 0}
     layout["legend"] |= {"y": 0.0, "yanchor": "top"}
     layout["scene"] = _space(scene.room)
@@ -53,7 +55,7 @@ def room_plot(scene: Scene) -> Plot:
     return Plot(
         "room",
         {"data": data, "layout": layout},
-        _HEIGHT_PX,
+        height_px,
         f"The room in three dimensions with {count(len(scene.room.materials), 'material')}, "
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}; "
         "the plan and the tables below tell the same in numbers.",
@@ -62,7 +64,13 @@ def room_plot(scene: Scene) -> Plot:
 
 
 def _space(room: Room) -> Figure:
-    axis = {"gridcolor": GRID, "showbackground": False, "zeroline": False, "showspikes": False}
+    axis: Figure = {
+        "nticks": 7,
+        "gridcolor": GRID,
+        "showbackground": False,
+        "zeroline": False,
+        "showspikes": False,
+    }
     size = np.ptp(room.mesh.vertices_m, axis=0)
     # a wide, low room is looked at from higher up, and everything from far enough to be seen whole
     height = 0.9 + 0.5 * float(max(size[0], size[1]) / max(size.sum(), 1e-9))
@@ -72,8 +80,8 @@ def _space(room: Room) -> Figure:
         "yaxis": axis | {"title": {"text": "y (m)"}},
         "zaxis": axis | {"title": {"text": "z (m)"}, "nticks": 5},
         "camera": {
-            "eye": {"x": -0.98, "y": -1.6, "z": height},
-            "center": {"x": 0.0, "y": 0.0, "z": -0.14},
+            "eye": {"x": -1.02, "y": -1.66, "z": height},
+            "center": {"x": 0.0, "y": 0.0, "z": -0.17},
         },
     }
 
@@ -115,8 +123,8 @@ def _drawn(room: Room) -> BoolArray:
 
 
 def _edges(room: Room) -> Figure | None:
-    ends = outline_m(room)
-    if not 0 < len(ends) <= _MOST_EDGES:
+    ends = outline_m(room, _MOST_EDGES)
+    if not len(ends):
         return None
     gap: FloatArray = np.full((len(ends), 1, 3), np.nan)
     path = np.concatenate([ends, gap], axis=1).reshape(-1, 3)
@@ -139,7 +147,7 @@ def _names(room: Room) -> Figure:
         "mode": "text",
         "name": "names of materials",
         **{axis: rounded(at[:, k], 3) for k, axis in enumerate("xyz")},
-        "text": [label(name, 20) for name in room.materials],
+        "text": [_in_space(shortened(name, 20)) for name in room.materials],
         "textfont": {"color": "#444444", "size": 11},
         "hoverinfo": "skip",
     }
@@ -168,12 +176,23 @@ def _points(kind: str, points: Sequence[Point], colour: str, symbol: str) -> Fig
         "mode": "markers+text",
         "name": f"{kind}s",
         **{axis: rounded(at[:, k], 3) for k, axis in enumerate("xyz")},
-        "text": [label(p.name) for p in points],
+        "text": [_in_space(p.name) for p in points],
+        "hovertext": [label(p.name) for p in points],
         "textposition": "top center",
         "textfont": {"color": colour, "size": 13},
         "marker": {"symbol": symbol, "size": 5, "color": colour},
         "hoverinfo": "text",
     }
+
+
+def _in_space(name: str) -> str:
+    """Return a name for a label in space: markup there is obeyed, entities are not known."""
+    return name.translate(
+        {
+            ord("<"): "\N{SINGLE LEFT-POINTING ANGLE QUOTATION MARK}",
+            ord(">"): "\N{SINGLE RIGHT-POINTING ANGLE QUOTATION MARK}",
+        }
+    )
 
 
 def material_table(room: Room) -> Table:

@@ -11,7 +11,7 @@ from roomfit.report.html.wording import number, shortened
 from roomfit.scene.scene import Scene
 
 _WIDTH, _MARGIN, _TALLEST = 420.0, 34.0, 520.0
-_MOST_EDGES = 3000
+_MOST_EDGES = 1500
 _LETTER = 6.6
 
 
@@ -53,7 +53,7 @@ def room_plan(scene: Scene) -> Plan:
         return round(float(x), 1), round(float(y), 1)
 
     flat = {
-        tuple(sorted((onto(*a[:2]), onto(*b[:2])))) for a, b in outline_m(scene.room)[:_MOST_EDGES]
+        tuple(sorted((onto(*a[:2]), onto(*b[:2])))) for a, b in outline_m(scene.room, _MOST_EDGES)
     }
     lines = tuple((*a, *b) for a, b in sorted(flat) if a != b)
     places = [

@@ -11,10 +11,12 @@ from roomfit.report.html.absorption_tables import given
 from roomfit.report.html.error_tables import errors_of
 from roomfit.report.html.pair_tables import known_mean
 from roomfit.report.html.wording import band_ranges, count, listing, number, parameter
+from roomfit.typing import BoolArray
 from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.gaussian import LARGEST_PHI
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
+_MOST_ENDS, _MOST_NAMES = 3, 8
 _TOLD = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 
 
@@ -86,17 +88,30 @@ def _what_is_told(answer: Answer) -> list[str]:
         elif not found.any():
             never.append(name)
         else:
-            some.append(f"{name} ({band_ranges(answer.bands.centres_hz, found)})")
+            some.append(f"{name} ({_where(answer, found)})")
     if whole:
-        told.append(f"Identified in every band: {listing(whole)}.")
+        told.append(f"Identified in every band: {_first(whole)}.")
     if some:
-        told.append(f"Identified in some bands: {listing(some)}.")
+        told.append(f"Identified in some bands: {_first(some)}.")
     if never:
-        told.append(f"Not identifiable in any band: {listing(never)}.")
+        told.append(f"Not identifiable in any band: {_first(never)}.")
     fixed_names = [name for name, fixed in zip(names, held, strict=True) if fixed.all()]
     if fixed_names:
-        told.append(f"Given beforehand and held fixed: {listing(fixed_names)}.")
+        told.append(f"Given beforehand and held fixed: {_first(fixed_names)}.")
     return told
+
+
+def _where(answer: Answer, found: BoolArray) -> str:
+    """Return the bands; their number where they are too scattered to be read."""
+    if int(np.sum(np.diff(found.astype(int)) != 0)) > _MOST_ENDS:
+        return f"{int(found.sum())} of {len(answer.bands)} bands"
+    return band_ranges(answer.bands.centres_hz, found)
+
+
+def _first(names: list[str]) -> str:
+    """Return a list that stays short enough to be read; the tables hold all."""
+    more = len(names) - _MOST_NAMES
+    return listing(names) if more <= 0 else listing([*names[:_MOST_NAMES], f"{more} more"])
 
 
 def _where_it_does_not_fit(answer: Answer) -> str:
