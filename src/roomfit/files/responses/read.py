@@ -9,19 +9,29 @@ import numpy as np
 from roomfit.errors import InputError, StoreError
 from roomfit.files.responses.mat import read_mat
 from roomfit.files.responses.recording import Recording, checked
+from roomfit.files.responses.rew import read_rew
 from roomfit.files.responses.sofa import read_sofa
 from roomfit.files.responses.spec import ResponseSpec
+from roomfit.files.responses.sweep import deconvolved
 from roomfit.files.responses.wav import read_wav
 from roomfit.findings import Finding
 from roomfit.signals.impulse_response import ImpulseResponse
 
-_READERS = {".wav": read_wav, ".wave": read_wav, ".mat": read_mat, ".sofa": read_sofa}
+_READERS = {
+    ".wav": read_wav,
+    ".wave": read_wav,
+    ".mat": read_mat,
+    ".sofa": read_sofa,
+    ".txt": read_rew,
+}
 _KEYS = {
     ".wav": ("channel",),
     ".wave": ("channel",),
     ".mat": ("channel", "variable", "sampling_rate_variable"),
     ".sofa": ("measurement", "receiver_index"),
+    ".txt": (),
 }
+_RECORDED = (".wav", ".wave", ".mat")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
 
@@ -31,6 +41,8 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     Where `spec.time_zero` is "emission", sample 0 lies `spec.latency_s` before emission. Where it
     is "direct" or "unknown" the file does not know when the sound left: the same holds for the time
     being, and `roomfit.signals.onset.time_zero_from_direct` sets it right by the geometry.
+
+    Where `spec.excitation` is given, the file is a recording and is deconvolved first.
 
     Raises
     ------
@@ -47,14 +59,28 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             "unknown kind of response file",
             where=str(path),
             found=f"ending {path.suffix!r}",
-            needed="a name that ends in .wav, .mat or .sofa",
+            needed="a name that ends in .wav, .mat, .sofa, or .txt for an export of REW",
         )
     _refuse_foreign_keys(spec, kind)
     recording = _READERS[kind](spec, _content(path))
     _check_clock(recording, spec)
+    if spec.excitation is not None:
+        recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
     pressure, findings = checked(recording, path)
     time_zero_s = spec.latency_s - recording.delay_s
     return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
+
+
+def _excitation(spec: ResponseSpec, kind: str) -> Recording:
+    path = Path(spec.excitation or "")
+    if kind not in _RECORDED or path.suffix.lower() not in (".wav", ".wave"):
+        raise InputError(
+            "an excitation goes with a recording",
+            where=str(spec.path),
+            found=f"a {kind} file with the excitation {path.name}",
+            needed="a recording as WAV or MAT, and an excitation as WAV",
+        )
+    return read_wav(ResponseSpec(path, channel=spec.excitation_channel), _content(path))
 
 
 def _content(path: Path) -> bytes:
@@ -81,13 +107,19 @@ def _content(path: Path) -> bytes:
 
 def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
     """A key that this kind of file cannot obey would be silently lost."""
+    if spec.excitation is None and spec.excitation_channel is not None:
+        raise InputError(
+            "a channel of an excitation without the excitation",
+            where=str(spec.path),
+            needed="excitation = a WAV file",
+        )
     for key in _CHOICES:
         if getattr(spec, key) is not None and key not in _KEYS[kind]:
             raise InputError(
                 "a key does not belong to this kind of file",
                 where=str(spec.path),
                 found=f"{key} for a {kind} file",
-                needed=f"only {', '.join(_KEYS[kind])}",
+                needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
             )
 
 

@@ -14,6 +14,7 @@ from roomfit.typing import FloatArray
 _SHORTEST_S = 0.01
 _LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from what a float can hold
 _CLIPPED_RUN = 4
+_CREST_STEPS = 3.0
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
 
@@ -74,6 +75,21 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
     InputError
         Too short, nan or infinite samples, or nothing but silence.
     """
+    refuse_useless(recording, where)
+    pressure = recording.pressure
+    offset, told = _offset(pressure, where)
+    clipped = clipping(pressure, where, "Early energy is wrong")
+    return pressure - offset, (*recording.findings, *clipped, *told)
+
+
+def refuse_useless(recording: Recording, where: Path) -> None:
+    """Refuse what cannot be sound.
+
+    Raises
+    ------
+    InputError
+        Too short, nan or infinite samples, or nothing but silence.
+    """
     pressure, place = recording.pressure, str(where)
     duration_s = len(pressure) / recording.sampling_rate_hz
     if duration_s < _SHORTEST_S:
@@ -108,18 +124,33 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
             found=f"{len(pressure)} samples, all of them {pressure[0]:g}",
             hint="another channel may hold the response",
         )
-    offset, told = _offset(pressure, where)
-    return pressure - offset, (*recording.findings, *_clipping(pressure, where), *told)
 
 
-def _clipping(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
-    """A peak is one sample or two; a run of equal samples at the peak was cut off."""
+def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...]:
+    """Return a finding where the peak was cut off: a run of equal samples with steep sides.
+
+    A peak is one sample or two. The crest of a low tone holds more samples that a coarse converter
+    takes for equal, but beside them it falls by a step or two of the converter only.
+
+    Parameters
+    ----------
+    pressure : float array, shape (n_samples,)
+        Finite, not all equal.
+    where : Path
+    harm : str
+        What it does to the result.
+    """
     size = np.abs(pressure)
     # full scale downwards is one step farther than upwards
     at_peak = size[1:] >= size.max() * (1.0 - 1e-4)
     repeated = (np.diff(pressure) == 0.0) & at_peak
     edges = np.flatnonzero(np.diff(np.concatenate(([0], repeated.astype(np.int8), [0]))))
-    longest = int(np.max(edges[1::2] - edges[::2], initial=0)) + 1
+    first, last = edges[::2], edges[1::2]
+    steps = np.abs(np.diff(pressure))
+    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
+    beside = np.concatenate(([0.0], steps, [0.0]))
+    steep = np.maximum(beside[first], beside[last + 1]) > crest
+    longest = int(np.max((last - first)[steep], initial=0)) + 1
     if longest < _CLIPPED_RUN:
         return ()
     return (
@@ -127,7 +158,7 @@ def _clipping(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
             "response-clipped",
             "serious",
             f"{where.name} looks clipped: {longest} samples in a row have the largest value, "
-            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
+            f"{size.max():.4g}. {harm}; measure again at a lower level.",
             {"longest_run": longest, "largest": float(size.max())},
         ),
     )

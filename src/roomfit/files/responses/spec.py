@@ -16,7 +16,7 @@ class ResponseSpec:
     Attributes
     ----------
     path : Path
-        A WAV, MAT or SOFA file, told by its ending.
+        A WAV, MAT or SOFA file, or a text file of REW (.txt), told by its ending.
     channel : int or None
         WAV: channel; MAT: column. From 0; needed where there are several.
     variable : str or None
@@ -30,7 +30,14 @@ class ResponseSpec:
     time_zero : {"emission", "direct", "unknown"}
         What the beginning of the file stands for.
     latency_s : float
-        Delay of the measuring chain: emission lies this long after the first sample.
+        Delay of the measuring chain: emission lies this long after the first sample (REW: after
+        REW's own time zero).
+    excitation : Path or None
+        The WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
+        impulse response; emission is the start of this file. It may be `path` itself, where
+        another channel holds a loopback.
+    excitation_channel : int or None
+        From 0; needed where the excitation has several channels.
     """
 
     path: Path
@@ -42,3 +49,5 @@ class ResponseSpec:
     receiver_index: int | None = None
     time_zero: TimeZero = "emission"
     latency_s: float = 0.0
+    excitation: Path | None = None
+    excitation_channel: int | None = None
