@@ -10,6 +10,7 @@ import roomfit
 from roomfit.cli.catalogue import catalogue
 from roomfit.cli.check import check
 from roomfit.cli.demo import demo
+from roomfit.cli.export import export
 from roomfit.cli.identify import identify
 from roomfit.cli.paper import paper
 
@@ -41,5 +42,6 @@ def options(
 app.command()(catalogue)
 app.command()(check)
 app.command()(demo)
+app.command()(export)
 app.command()(identify)
 app.command()(paper)

@@ -1,0 +1,1 @@
+"""Absorption for other programs: what a fit found, in the words of each."""
