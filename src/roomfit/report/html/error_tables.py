@@ -65,25 +65,22 @@ def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> list
     centres = answer.bands.centres_hz
     keys = parameter_keys(pairs)
     found = {key: errors_of(pairs, key) for key in keys}
-    return [
-        Table(
-            block_caption(caption, centres, block),
-            "parameter",
-            (*band_heads(centres, block), "all bands"),
-            tuple(
-                Row(
-                    parameter(key).symbol,
-                    (
-                        *(_cell(key, found[key], [int(j)]) for j in block),
-                        _cell(key, found[key], list(range(len(centres)))),
-                    ),
-                    small=f"in {parameter(key).error_unit}",
-                )
-                for key in keys
-            ),
+    everything = list(range(len(centres)))
+    tables = []
+    for block in band_blocks(len(centres)):
+        last = ["all bands"] if block[-1] == everything[-1] else []
+        groups = [[int(j)] for j in block] + [everything for _ in last]
+        rows = tuple(
+            Row(
+                parameter(key).symbol,
+                tuple(_cell(key, found[key], group) for group in groups),
+                small=f"in {parameter(key).error_unit}",
+            )
+            for key in keys
         )
-        for block in band_blocks(len(centres))
-    ]
+        columns = (*band_heads(centres, block), *last)
+        tables.append(Table(block_caption(caption, centres, block), "parameter", columns, rows))
+    return tables
 
 
 def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:

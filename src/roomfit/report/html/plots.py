@@ -131,15 +131,16 @@ def outer_titles(below: str, left: str) -> list[Figure]:
 
 
 def frequency_axis(centres_hz: FloatArray) -> Figure:
-    """Return a logarithmic axis that names the octaves among the bands."""
+    """Return a logarithmic axis that names the bands; of more than ten every second octave."""
     named = centres_hz
     if len(centres_hz) > 10:
-        named = centres_hz[np.abs(np.log2(centres_hz / 1000.0) % 1.0 - 0.5) > 0.45]
+        named = centres_hz[np.abs(np.log2(centres_hz / 500.0) / 2.0 % 1.0 - 0.5) > 0.475]
     low, high = np.log10(centres_hz[[0, -1]])
     return {
         "type": "log",
         "range": [round(float(low) - 0.12, 4), round(float(high) + 0.12, 4)],
         "tickmode": "array",
+        "tickangle": 0,
         "tickvals": [float(f) for f in named],
         "ticktext": [hertz(float(f)).removesuffix(" Hz").replace(" kHz", "k") for f in named],
     }
