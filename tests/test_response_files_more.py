@@ -344,8 +344,8 @@ def test_the_band_of_an_excitation_is_the_one_it_was_made_for(signal, low_hz, hi
 
     A sweep that runs through r hertz a second smears its ends by about sqrt(r): the exponential
     one by sqrt(80 ln(9000 / 80) / 3) = 11 Hz, a fifth of an octave at 80 Hz, the linear one by
-    sqrt(2900) = 54 Hz, almost half an octave at 200 Hz. Noise has a line or two in each band below 20 Hz, where one
-    may well be 15 dB low.
+    sqrt(2900) = 54 Hz, almost half an octave at 200 Hz. Noise has a line or two in each band
+    below 20 Hz, where one may well be 15 dB low.
     """
     low, high = band_of(signal, RATE_HZ)
     assert abs(np.log2(low / low_hz)) <= leak

@@ -153,6 +153,15 @@ def test_a_door_is_cut_out_of_its_wall(tmp_path):
     assert areas["5", "wall"] == pytest.approx(17.5, rel=1e-9)
 
 
+def test_an_object_that_is_moved_cannot_refer_to_corners_outside_it(tmp_path):
+    """Whether before or behind the move is not told by the format."""
+    panel = "OBJECT\nTRANSLATE 1 0 0\nCORNERS\n80 x(1) 0 0\n81 0 1 0\n82 0 1 1\n"
+    written(tmp_path, panel + "PLANES\n[100 a / 80 81 82 / b]", "panel.geo")
+    path = written(tmp_path, "INCLUDE panel\n" + BOX)
+    with pytest.raises(InputError, match="outside it"):
+        read_mesh(RoomSpec(file=path))
+
+
 polygons = st.lists(st.floats(0.3, 1.0), min_size=3, max_size=9)
 
 
@@ -198,8 +207,8 @@ def test_a_panel_with_front_and_back_is_one_sheet_and_its_image_another(tmp_path
     MIRROR 100 200
     CORNERS
     0  0 -1 0
-    1  0 -1 1
-    2  0  1 1
+    1  x(0) y(0) z(0)+1
+    2  0  1 z(1)
     3  0  1 0
     PLANES
     [0 front / 0 1 2 3 / panel*]

@@ -66,12 +66,23 @@ class FileNames:
             if name not in self.shared.constants:
                 raise InputError("a constant is not defined", where=where, found=name)
             owner, line = self.shared.constants[name]
-        with _Step(self.shared, f"constant {name}", where):
+        with _Step(self.shared, f"constant {name} of {owner.file.path.name}", where):
             return value_of(line.text, owner, line.where)
 
     def corner(self, number: int, where: str) -> Point:
-        """Return a corner by the number that this file writes for it."""
-        return corner_of(self.shared, number + self.offset, where)
+        """Return a corner by the number that this file writes for it, before TRANSLATE."""
+        x, y, z = corner_of(self.shared, number + self.offset, where)
+        if not any(self.shift):
+            return x, y, z
+        source = self.shared.corners.get(number + self.offset)
+        if source is None or source.names is not self:
+            raise InputError(
+                "an object that TRANSLATE moves refers to a corner outside it",
+                where=where,
+                found=f"corner {number}",
+                needed="corners of its own file, and not their mirror images",
+            )
+        return x - self.shift[0], y - self.shift[1], z - self.shift[2]
 
 
 @dataclass(frozen=True, slots=True)
@@ -120,12 +131,11 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
         There is none, or it cannot be worked out.
     """
     source = shared.corners.get(number)
-    mirrored = None
     if source is None:
-        mirrored = _original(shared, number)
-        if mirrored is None:
+        original = _original(shared, number)
+        if original is None:
             raise InputError("no corner has this number", where=where, found=str(number))
-        x, y, z = corner_of(shared, mirrored, where)
+        x, y, z = corner_of(shared, original, where)
         return -x, y, z
     if source.point is None:
         with _Step(shared, f"corner {number}", where):
