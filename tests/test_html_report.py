@@ -12,6 +12,8 @@ import numpy as np
 import plotly.graph_objects
 import plotly.offline
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from matplotlib.image import imread
 
 from report_cases import (
@@ -25,7 +27,9 @@ from report_cases import (
     scene_of,
 )
 from roomfit.air import attenuation_per_m
+from roomfit.report.html import wording
 from roomfit.report.html.page import report_html
+from roomfit.report.html.plots import page_json
 from roomfit.report.html.room_outline import outline_m
 from roomfit.report.html.wording import DASH
 from roomfit.signals.jnd import in_jnd
@@ -355,6 +359,24 @@ def test_names_are_shown_and_never_obeyed():
     assert HOSTILE in "".join(page.words)
     drawn = json.dumps(page_data(page)["plots"])
     assert "&lt;script&gt;" in drawn and "<script" not in drawn
+
+
+@given(st.recursive(st.text(), lambda inner: st.lists(inner) | st.dictionaries(st.text(), inner)))
+def test_what_a_page_holds_for_its_script_comes_back_whole_and_opens_no_element(value):
+    text = str(page_json(value))
+    assert json.loads(text) == value
+    assert not set("<>&\u2028\u2029") & set(text)
+
+
+@given(st.floats(), st.integers(0, 4), st.booleans())
+def test_a_number_is_told_to_its_last_digit_or_as_a_dash(value, decimals, signed):
+    told = wording.number(value, decimals, signed=signed)
+    if not np.isfinite(value):
+        assert told == DASH
+        return
+    # half a unit of the last digit, and the rounding of the value itself
+    assert abs(number(told) - value) <= 0.5 * 10.0**-decimals + 1e-15 * abs(value)
+    assert (told[0] == "\N{MINUS SIGN}") == (number(told) < 0.0)
 
 
 def test_the_outline_of_a_box_is_its_twelve_edges():
