@@ -1,0 +1,71 @@
+"""What is known of a material beforehand: what it may hold, and what is refused."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roomfit.errors import InputError
+from roomfit.materials.knowledge import (
+    MaterialKnowledge,
+    logit_prior,
+    sampling_scattering,
+    unknown_material,
+)
+
+MEAN, SD = np.zeros(3), np.ones(3)
+
+
+def test_an_unknown_material_has_the_broad_prior_and_nothing_else():
+    plain = unknown_material("wall", 3)
+    assert plain.prior_logit_mean.shape == plain.prior_logit_sd.shape == (3,)
+    assert plain.scattering is None
+    assert plain.known is None
+    assert plain.tied_to is None
+    assert plain.wall_delay_sd_s is None
+    assert not plain.fit_scattering
+    assert sampling_scattering(plain) is None
+
+
+def test_the_trace_samples_with_the_mean_scattering_of_the_bands():
+    told = MaterialKnowledge("wall", MEAN, SD, scattering=np.array([0.1, 0.2, 0.6]))
+    assert sampling_scattering(told) == pytest.approx(0.3)
+
+
+def test_arrays_are_copies_that_cannot_be_changed():
+    scattering = np.array([0.1, 0.2, 0.3])
+    told = MaterialKnowledge("wall", MEAN, SD, scattering=scattering)
+    scattering[0] = 0.9
+    assert told.scattering[0] == pytest.approx(0.1)
+    with pytest.raises(ValueError, match="read-only"):
+        told.scattering[0] = 0.5
+
+
+@pytest.mark.parametrize(
+    ("told", "words"),
+    [
+        ({"scattering": np.array([0.1, 0.2])}, "materials.wall.scattering has the wrong shape"),
+        ({"scattering": np.array([0.1, 0.2, 1.2])}, "materials.wall.scattering is out of range"),
+        ({"known": np.array([0.1, np.nan, 0.2])}, "materials.wall.absorption is out of range"),
+        ({"lower": 0.5, "upper": 0.5}, "lower bound is not below"),
+        ({"tied_to": "wall"}, "tied to itself"),
+        ({"tied_to": "floor", "known": np.full(3, 0.1)}, "has a value of its own"),
+        ({"wall_delay_sd_s": -1e-4}, "delay out of range"),
+        ({"wall_delay_sd_s": 0.3}, "delay out of range"),
+        ({"wall_delay_sd_s": float("nan")}, "delay out of range"),
+    ],
+)
+def test_knowledge_that_cannot_be_is_refused(told, words):
+    with pytest.raises(InputError, match=words):
+        MaterialKnowledge("wall", MEAN, SD, **told)
+
+
+def test_the_logit_prior_agrees_with_a_finite_difference():
+    mean, sd = np.array([0.05, 0.5, 0.9]), np.array([0.01, 0.1, 0.02])
+    logit_mean, logit_sd = logit_prior(mean, sd)
+    np.testing.assert_allclose(1.0 / (1.0 + np.exp(-logit_mean)), mean, rtol=1e-12)
+    step = 1e-5
+    up = 1.0 / (1.0 + np.exp(-(logit_mean + step)))
+    down = 1.0 / (1.0 + np.exp(-(logit_mean - step)))
+    # central difference: error of the order step squared
+    np.testing.assert_allclose(logit_sd * (up - down) / (2 * step), sd, rtol=1e-8)
