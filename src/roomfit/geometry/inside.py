@@ -28,7 +28,11 @@ def is_inside(mesh: Mesh, points_m: FloatArray) -> BoolArray:
     points_m : float array, shape (n_points, 3)
     """
     walls = corners_m(mesh)[~is_double_sided(mesh)]
-    odd = _odd_crossings(walls, _rows(points_m), _DIRECTIONS)
+    points = _rows(points_m)
+    odd = np.zeros(len(points), dtype=np.int64)
+    for direction in _DIRECTIONS:
+        first, kept, cell = _shafts(walls, points, direction)
+        odd += _odd_crossings(walls, points, cell, first, kept, direction)
     return np.asarray(2 * odd > _N_DIRECTIONS)
 
 
@@ -71,17 +75,74 @@ def _rows(points_m: FloatArray) -> FloatArray:
     return np.ascontiguousarray(points_m, dtype=np.float64).reshape(-1, 3)
 
 
+def _shafts(
+    walls_m: FloatArray, points_m: FloatArray, direction: FloatArray
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Cut space into square shafts along a direction, about as many as there are walls.
+
+    Returns
+    -------
+    first : int array, shape (n_shafts + 1,)
+    walls : int array, shape (n_entries,)
+        Shaft k is touched by ``walls[first[k]:first[k + 1]]`` at most.
+    shaft : int array, shape (n_points,)
+        The shaft of each point, -1 outside of all walls.
+    """
+    across = np.linalg.svd(direction[None])[2][1:]
+    corners = walls_m @ across.T
+    low, high = corners.min(axis=(0, 1)), corners.max(axis=(0, 1))
+    side = int(np.clip(np.sqrt(len(walls_m)), 1, 512))
+    scale = side / np.maximum(high - low, 1e-9)
+    # a margin of a thousandth of a shaft stays clear of all rounding
+    from_cell = np.clip(np.floor((corners.min(axis=1) - low) * scale - 1e-3), 0, side - 1)
+    to_cell = np.clip(np.floor((corners.max(axis=1) - low) * scale + 1e-3), 0, side - 1)
+    first, walls = _filled(from_cell.astype(np.int64), to_cell.astype(np.int64), side)
+    place = np.floor((points_m @ across.T - low) * scale).astype(np.int64)
+    # on the outermost edge itself a point may round to the next shaft
+    beyond = np.any((place < -1) | (place > side), axis=1)
+    place = np.clip(place, 0, side - 1)
+    return first, walls, np.where(beyond, -1, place[:, 0] * side + place[:, 1])
+
+
 @kernel()
-def _odd_crossings(walls_m: FloatArray, points_m: FloatArray, directions: FloatArray) -> IntArray:
-    """Count for each point the directions in which an odd number of walls is crossed."""
+def _filled(from_cell: IntArray, to_cell: IntArray, side: int) -> tuple[IntArray, IntArray]:
+    """Sort walls into the cells of a grid that their bounding rectangles touch."""
+    first = np.zeros(side * side + 1, dtype=np.int64)
+    for i in range(len(from_cell)):
+        for x in range(from_cell[i, 0], to_cell[i, 0] + 1):
+            for y in range(from_cell[i, 1], to_cell[i, 1] + 1):
+                first[x * side + y + 1] += 1
+    first = np.cumsum(first)
+    walls = np.zeros(first[-1], dtype=np.int64)
+    filled = first[:-1].copy()
+    for i in range(len(from_cell)):
+        for x in range(from_cell[i, 0], to_cell[i, 0] + 1):
+            for y in range(from_cell[i, 1], to_cell[i, 1] + 1):
+                walls[filled[x * side + y]] = i
+                filled[x * side + y] += 1
+    return first, walls
+
+
+@kernel()
+def _odd_crossings(
+    walls_m: FloatArray,
+    points_m: FloatArray,
+    shaft: IntArray,
+    first: IntArray,
+    walls: IntArray,
+    direction: FloatArray,
+) -> IntArray:
+    """Return 1 for each point from which an odd number of walls lies in the direction, else 0."""
     odd = np.zeros(len(points_m), dtype=np.int64)
+    ahead = (direction[0], direction[1], direction[2])
     for p in range(len(points_m)):
-        for d in range(len(directions)):
-            crossings = 0
-            for i in range(len(walls_m)):
-                if flight_m(walls_m, i, row(points_m, p), row(directions, d)) > 0.0:
-                    crossings += 1
-            odd[p] += crossings % 2
+        if shaft[p] < 0:
+            continue
+        crossings = 0
+        for k in range(first[shaft[p]], first[shaft[p] + 1]):
+            if flight_m(walls_m, walls[k], row(points_m, p), ahead) > 0.0:
+                crossings += 1
+        odd[p] = crossings % 2
     return odd
 
 
