@@ -112,6 +112,8 @@ def test_raven_files_are_ini_files_with_31_third_octaves(tmp_path):
     assert set(values[:8]) == {round(alphas[0], 4)}
     assert set(values[24:]) == {round(alphas[-1], 4)}
     np.testing.assert_allclose(scatter, 0.3)
+    parser.read(out / "Wand_grun.mat", encoding="utf-8")
+    assert parser["Material"]["notes"].endswith("not determined at 250 Hz")
 
 
 def test_raven_bands_are_those_of_a_published_set(real_data):

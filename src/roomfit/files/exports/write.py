@@ -23,7 +23,7 @@ from roomfit.files.exports.raven import RAVEN_BANDS, raven_text
 from roomfit.files.exports.resample import resample
 from roomfit.files.exports.table import MaterialTable
 from roomfit.findings import Finding
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
@@ -118,13 +118,25 @@ def _texts(
     )
     return {
         f"{short}.mat": raven_text(
-            short, " ".join(["fitted by roomfit.", *remarks]), absorption[i], scattering[i], fitted
+            short, _raven_notes(table, i), absorption[i], scattering[i], fitted
         )
         for i, short in enumerate(names.values())
     }
 
 
-def _bands_filled(bands: Bands, filled: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> Finding:
+def _raven_notes(table: MaterialTable, material: int) -> str:
+    notes = "Fitted by roomfit; 1 in interpol: no fitted band"
+    sure = table.identifiable[material]
+    return notes if np.all(sure) else f"{notes}; not determined {_where(table.bands, ~sure)}"
+
+
+def _where(bands: Bands, chosen: BoolArray) -> str:
+    if np.all(chosen):
+        return "in any band"
+    return f"at {', '.join(f'{f:g}' for f in bands.centres_hz[chosen])} Hz"
+
+
+def _bands_filled(bands: Bands, filled: BoolArray) -> Finding:
     listed = [f"{f:g}" for f in bands.centres_hz[filled]]
     return Finding(
         "export-bands-filled",
@@ -143,7 +155,11 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
     }
     if not doubtful:
         return []
-    listed = "; ".join(f"{n} at {', '.join(f'{f:g}' for f in b)} Hz" for n, b in doubtful.items())
+    listed = "; ".join(
+        f"{name} {_where(table.bands, ~sure)}"
+        for name, sure in zip(table.names, table.identifiable, strict=True)
+        if not np.all(sure)
+    )
     return [
         Finding(
             "export-not-identifiable",
