@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from scipy.signal import fftconvolve
-from scipy.sparse import csr_array
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.measuring import MeasuredPair
@@ -23,15 +22,16 @@ from roomfit.objective.energy_problem import (
     lone_rows,
 )
 from roomfit.objective.parameters import Block, Parameters
-from roomfit.objective.problem import BandProblem
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, energy_rows
+from roomfit.response.rows import EnergyRows, energy_rows, grouped_rows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import (
     FilterBank,
     energy_bandwidth_hz,
     energy_share,
+    share_matrix,
+    share_slopes_per_s,
     smearing_kernel,
     statistical_bandwidth_hz,
     window_energies,
@@ -42,13 +42,10 @@ from roomfit.typing import FloatArray
 BIN_S = 0.1e-3
 # Positions are taken with a tape, unless the campaign says how well they are known.
 UNTOLD_POSITION_SD_M = 0.02
-_STEP_S = 1e-5
 # A window is used down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
 # Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
 _ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
-# Shares of a bin below this are below every other error and would fill memory.
-_LEAST_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,6 +76,17 @@ def bin_paths(scene: Scene, bands: Bands, paths: Paths, duration_s: float) -> Bi
     return BinnedPaths(edges, rows)
 
 
+def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
+    """Return the same paths in bins as coarse as a band permits: a sixteenth of a period.
+
+    A band of a filter does not resolve time finer than several periods.
+    """
+    together = max(int(1.0 / (16.0 * centre_hz * BIN_S)), 1)
+    first = np.arange(0, binned.edges_s.size - 1, together)
+    edges_s = binned.edges_s[np.append(first, binned.edges_s.size - 1)]
+    return BinnedPaths(edges_s, tuple(grouped_rows(rows, together) for rows in binned.rows))
+
+
 def band_problems(
     scene: Scene,
     bands: Bands,
@@ -86,20 +94,16 @@ def band_problems(
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
     start: FloatArray,
-) -> tuple[EnergyProblem | None, ...]:
-    """Return the problem of every band, over the measurements that are to be fitted.
+) -> Iterator[EnergyProblem | None]:
+    """Make the problem of one band after the other, over the measurements that are to be fitted.
 
     None stands for a band in which fewer windows rise above the noise than there are unknowns.
+    Problems of large jobs are large: take what is needed of one before asking for the next.
 
     Parameters
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
-
-    Raises
-    ------
-    CannotTell
-        No band has enough usable windows.
 
     Notes
     -----
@@ -107,50 +111,51 @@ def band_problems(
     noise would say nothing of the walls, and its gain nothing at all.
     """
     attenuation = attenuation_per_m(scene.air, bands)
-    pairs = {m.pair for m in measured if m.file.use == "fit"}
-    lone = {pair: lone_rows(binned.rows[pair]) for pair in pairs}
-    problems: list[EnergyProblem | None] = []
     for band in range(len(bands)):
         fitted = tuple(m for m in measured if tells_of_band(m, band))
+        coarse = in_band(binned, float(bands.centres_hz[band]))
         gain_labels = _gain_labels(fitted)
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
             _observation(
-                bank, band, m, binned.edges_s, _timing_sd_s(scene, m), _gain_index(gain_labels, m)
+                bank, band, m, coarse.edges_s, _timing_sd_s(scene, m), _gain_index(gain_labels, m)
             )
             for m in fitted
         )
         if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
-            problems.append(None)
+            yield None
             continue
-        absorption = _absorption_block(knowledge, band, float(start[band]))
+        absorption = absorption_block(knowledge, band, float(start[band]))
         gain = _gain_block(
-            gain_labels, observations, binned, fitted, absorption, float(attenuation[band])
+            gain_labels, observations, coarse, fitted, absorption, float(attenuation[band])
         )
+        lone = {m.pair: lone_rows(coarse.rows[m.pair]) for m in fitted}
         problem = EnergyProblem(
             float(bands.centres_hz[band]),
             float(statistical_bandwidth_hz(bank)[0]),
             float(attenuation[band]),
-            tuple(binned.rows[m.pair] for m in fitted),
+            tuple(coarse.rows[m.pair] for m in fitted),
             tuple(lone[m.pair] for m in fitted),
             observations,
             Parameters((absorption, gain)),
         )
-        problems.append(in_air(problem))
-    return tuple(problems)
+        yield in_air(problem)
 
 
-def untold_band_findings(
-    bands: Bands, problems: Sequence[BandProblem | None]
-) -> tuple[Finding, ...]:
+def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
     """Return a finding for the bands in which nothing could be fitted.
+
+    Parameters
+    ----------
+    fitted : sequence of bool
+        For each band.
 
     Raises
     ------
     CannotTell
         There is no other band.
     """
-    untold = [float(f) for f, p in zip(bands.centres_hz, problems, strict=True) if p is None]
+    untold = [float(f) for f, told in zip(bands.centres_hz, fitted, strict=True) if not told]
     if not untold:
         return ()
     if len(untold) == len(bands):
@@ -229,17 +234,15 @@ def _observation(
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
     kernel = smearing_kernel(bank)
-    before, after = (energy_share(kernel, 0, centres + s * _STEP_S, edges).T for s in (-1, 1))
-    slopes = (after - before) / (2.0 * _STEP_S)
     return Observation(
         m.pair,
         edges,
         unit * window_energies(bank, m.response, edges)[0],
         unit * per_second * np.diff(edges),
-        _sparse(energy_share(kernel, 0, centres, edges).T, _LEAST_SHARE),
+        share_matrix(kernel, 0, centres, edges),
         fine,
-        _sparse(energy_share(kernel, 0, centres, fine).T, _LEAST_SHARE),
-        _sparse(slopes, _LEAST_SHARE / _STEP_S),
+        share_matrix(kernel, 0, centres, fine),
+        share_slopes_per_s(kernel, 0, centres, edges),
         timing_sd_s,
         gain,
     )
@@ -269,10 +272,6 @@ def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
     return float(np.linalg.norm(sd_m) / speed_of_sound_m_s(scene.air))
 
 
-def _sparse(matrix: FloatArray, least: float) -> csr_array:
-    return csr_array(np.where(np.abs(matrix) > least, matrix, 0.0))
-
-
 def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:
     labels = [_gain_label(m) for m in fitted]
     return tuple(dict.fromkeys(label for label in labels if label))
@@ -294,7 +293,8 @@ def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
     return labels.index(label) if label else -1
 
 
-def _absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
+def absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
+    """Return the unknown absorptions of one band, those that are not known starting alike."""
     known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
     names = [k.name for k in knowledge]
     leader = np.array([names.index(k.tied_to or k.name) for k in knowledge])
