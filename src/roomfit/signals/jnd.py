@@ -24,10 +24,32 @@ def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> Float
     array([2.])
     """
     difference = np.asarray(predicted) - np.asarray(measured)
+    return np.asarray(difference / jnd_of(parameter, measured))
+
+
+def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
+    """Return one just noticeable difference of a parameter, in its own unit, at given values.
+
+    Parameters
+    ----------
+    parameter : str
+        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms" or "G_dB".
+    values : float array
+
+    Raises
+    ------
+    InputError
+        The standard names none for this parameter.
+
+    Examples
+    --------
+    >>> float(jnd_of("EDT_s", np.array(2.0)))
+    0.1
+    """
     if parameter in _RELATIVE:
-        return np.asarray(difference / (_RELATIVE[parameter] * measured))
+        return np.asarray(_RELATIVE[parameter] * np.asarray(values))
     if parameter in _ABSOLUTE:
-        return np.asarray(difference / _ABSOLUTE[parameter])
+        return np.full(np.shape(values), _ABSOLUTE[parameter])
     raise InputError(
         "no just noticeable difference is known for this parameter",
         found=repr(parameter),

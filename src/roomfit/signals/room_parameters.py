@@ -16,8 +16,13 @@ from roomfit.typing import BoolArray, FloatArray
 ParameterName = Literal["EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"]
 PARAMETER_NAMES: tuple[ParameterName, ...] = get_args(ParameterName)
 
-_FIT_RANGES_DB = {"EDT_s": (0.0, 10.0), "T20_s": (5.0, 25.0), "T30_s": (5.0, 35.0)}
-_POINTS_OF_A_FIT = 512
+# Levels between which each decay time is read, below the curve's beginning.
+FIT_RANGES_DB: dict[str, tuple[float, float]] = {
+    "EDT_s": (0.0, 10.0),
+    "T20_s": (5.0, 25.0),
+    "T30_s": (5.0, 35.0),
+}
+POINTS_OF_A_FIT = 512
 # Energy after the usable end is extrapolated; where it is a hundredth of all, it can be 20 % wrong
 # without moving D50, TS or C80 around 0 dB by more than a tenth of a just noticeable difference.
 _LEAST_RANGE_DB = 20.0
@@ -78,7 +83,7 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
     values = np.full((len(PARAMETER_NAMES), n_bands), np.nan)
     nonlinearity = np.full((2, n_bands), np.nan)
     for band in range(n_bands):
-        for row, (_, fit_range_db) in enumerate(_FIT_RANGES_DB.items()):
+        for row, (_, fit_range_db) in enumerate(FIT_RANGES_DB.items()):
             found = _decay_time_s(curve, levels_db[band], band, fit_range_db)
             if found is not None:
                 values[row, band] = found[0]
@@ -128,7 +133,7 @@ def _decay_time_s(
     if not end_s > begin_s or start >= len(curve.time_s):
         return None
     # the curve is known at unequal times: the line is drawn through equally spaced ones
-    times = np.linspace(begin_s, end_s, _POINTS_OF_A_FIT)
+    times = np.linspace(begin_s, end_s, POINTS_OF_A_FIT)
     levels = np.interp(times, curve.time_s, level_db)
     t, y = times - times.mean(), levels - levels.mean()
     slope = float(t @ y / (t @ t))
