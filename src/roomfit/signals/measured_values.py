@@ -170,8 +170,8 @@ def joined_values(
         return joined, ()
     sentence = (
         f"{first.source} to {first.receiver} was measured {len(repeated)} times with different "
-        f"results, {_short(worst_name)} at {centre_hz:g} Hz by {apart:.1f} just noticeable differences. "
-        "Their mean is used, and half of the difference as its spread."
+        f"results, {_short(worst_name)} at {centre_hz:g} Hz by {apart:.1f} just noticeable "
+        "differences. Their mean is used, and half of the difference as its spread."
     )
     severity: Severity = "warning" if apart > 1.0 else "info"
     evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
