@@ -5,13 +5,18 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import cKDTree
 
+from roomfit.errors import InputError
 from roomfit.scene.room import Room, triangle_material
+from roomfit.tracing.beam_tree import TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
 from roomfit.tracing.images_set import ImageSet, reflections_in_order
-from roomfit.tracing.images_tree import Tree, image_tree
-from roomfit.tracing.images_visible import Legs, follow_back
-from roomfit.tracing.images_walls import Screens, Walls, mirrors_of
+from roomfit.tracing.images_walls import Blockers, Walls, mirrors_of
 from roomfit.tracing.paths import Reflections
 from roomfit.typing import FloatArray, IntArray
+
+# Bytes that a kept image and a kept hit take, growing and in the sets made of them.
+_BYTES = 400
+# Walls held against beams; some ten minutes on one core.
+WORK_LIMIT = 5e9
 
 
 def polyhedron_images(
@@ -22,15 +27,17 @@ def polyhedron_images(
     max_length_m: float,
     *,
     with_reflections: bool = False,
-    mirrors: tuple[Walls, Screens] | None = None,
+    with_unfolding: bool = False,
+    mirrors: tuple[Walls, Blockers] | None = None,
     memory_limit_bytes: float = 4 * 2**30,
+    work_limit: float = WORK_LIMIT,
 ) -> list[ImageSet]:
-    """Return for each receiver the visible images of a source.
+    """Return for each receiver the visible images of a source, by one tree of beams for all.
 
-    The source is mirrored in the walls again and again; an image counts where every reflection
-    point lies on its wall and nothing stands between. Distances, hits and angles are exact. The
-    number of images to try grows with the number of walls to the power of the order: meant for
-    order 4 to 6 in rooms of some ten walls, 1 or 2 in rooms of thousands.
+    An image counts where every reflection point lies on its wall and nothing stands between.
+    Lengths, hits and angles are exact. In a room of few walls all images within some ten mean free
+    paths are a matter of seconds; in a room of thousands of walls, order 1 or 2, see
+    `roomfit.tracing.images_budget`.
 
     Parameters
     ----------
@@ -40,61 +47,125 @@ def polyhedron_images(
     order : int
         Most hits of a path, 0 or more.
     max_length_m : float
-    with_reflections : bool
-        Return the ordered hits as well.
-    mirrors : tuple of Walls and Screens, optional
+    with_reflections, with_unfolding : bool
+        Return the ordered hits, and the product of the reflections, as well.
+    mirrors : tuple of Walls and Blockers, optional
         From `mirrors_of`, where several sources share a room of thousands of walls.
     memory_limit_bytes : float
+    work_limit : float
+        Most walls to hold against beams.
 
     Raises
     ------
     InputError
-        The images to try would pass the memory limit.
+        The images pass the memory limit, or the search for them that of the work.
+
+    Notes
+    -----
+    A path through an edge, within the tolerance of `Walls`, is found from both its walls and kept
+    once. One that passes an edge of a wall in its way that closely is not stopped.
     """
-    walls, screens = mirrors_of(room) if mirrors is None else mirrors
-    source = np.asarray(source_m, dtype=np.float64)
-    tree = image_tree(walls, source, order, max_length_m, memory_limit_bytes=memory_limit_bytes)
+    walls, blockers = mirrors_of(room) if mirrors is None else mirrors
+    source = np.array(source_m, dtype=np.float64)
+    receivers = np.array(receivers_m, dtype=np.float64).reshape(-1, 3)
+    found = beam_tree(
+        walls,
+        blockers,
+        source,
+        receivers,
+        distances_to_m(walls, receivers),
+        limits_of(order, max_length_m, work_limit, memory_limit_bytes / _BYTES),
+    )
+    _refuse(found)
+    first = np.concatenate(([0], np.cumsum(found.order)))
     owner = triangle_material(room)
     sets = []
-    for receiver in np.asarray(receivers_m, dtype=np.float64):
-        legs = follow_back(walls, screens, tree, np.array(receiver), max_length_m)
-        kept = _one_of_each(np.flatnonzero(legs.visible), tree, 10.0 * walls.tolerance_m)
-        sets.append(_image_set(room, tree, legs, kept, receiver, owner, with_reflections))
+    for number, receiver in enumerate(receivers):
+        own = _one_of_each(np.flatnonzero(found.receiver == number), found, walls.tolerance_m)
+        sets.append(
+            _image_set(room, found, first, own, receiver, owner, with_reflections, with_unfolding)
+        )
     return sets
 
 
-def _one_of_each(visible: IntArray, tree: Tree, tolerance_m: float) -> IntArray:
-    """Return the visible images without those that stand where an earlier one does.
+def limits_of(order: int, max_length_m: float, work: float, n_hits: float) -> Limits:
+    """Return the limits as the compiled tree takes them."""
+    largest = 2.0**62
+    return Limits(
+        int(order), float(max_length_m), int(min(work, largest)), int(min(n_hits, largest))
+    )
+
+
+def distances_to_m(walls: Walls, receivers_m: FloatArray) -> FloatArray:
+    """Return how far each wall's plane is from the nearest receiver at least, (n_walls,)."""
+    heights = np.abs(walls.normal @ receivers_m.T - walls.offset_m[:, None])
+    return np.asarray(np.min(heights, axis=1, initial=np.inf))
+
+
+def _refuse(found: Found) -> None:
+    if found.ending == TOO_MUCH_MEMORY:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"more than {len(found.receiver)} images of one source",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+    if found.ending == TOO_MUCH_WORK:
+        raise InputError(
+            "too many image sources to look for",
+            found=f"{found.work:.3g} walls held against beams, and more to do",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+
+
+def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
+    """Return some images, nearest order first, without those that stand where an earlier one does.
 
     Two images in one place are one path that touches an edge, found from both its walls.
     """
-    if visible.size < 2:
-        return visible
-    near = cKDTree(tree.position_m[visible]).query_pairs(tolerance_m, output_type="ndarray")
-    return np.delete(visible, np.unique(near.max(axis=1)) if len(near) else [])
+    own = own[np.argsort(found.order[own], kind="stable")]
+    if own.size < 2:
+        return own
+    tree = cKDTree(found.position_m[own])
+    near = tree.query_pairs(10.0 * tolerance_m, output_type="ndarray")
+    return np.delete(own, np.unique(near.max(axis=1)) if len(near) else [])
 
 
 def _image_set(
     room: Room,
-    tree: Tree,
-    legs: Legs,
-    kept: IntArray,
+    found: Found,
+    first: IntArray,
+    own: IntArray,
     receiver: FloatArray,
     owner: IntArray,
     with_reflections: bool,
+    with_unfolding: bool,
 ) -> ImageSet:
-    to_receiver = receiver - tree.position_m[kept]
+    to_receiver = receiver - found.position_m[own]
     length = np.linalg.norm(to_receiver, axis=1)
     near = np.argsort(length, kind="stable")
-    kept, to_receiver, length = kept[near], to_receiver[near], length[near]
-    path, place = np.nonzero(legs.triangle[kept] >= 0)
-    material = owner[legs.triangle[kept][path, place]]
-    hits = np.zeros((len(kept), len(room.materials)), dtype=np.uint16)
-    np.add.at(hits, (path, material), 1)
+    own, to_receiver, length = own[near], to_receiver[near], length[near]
+    arrival = to_receiver / length[:, None]
+    matrix = found.matrix[own].reshape(-1, 3, 3)
+    # the image's direction, folded back to the source by the transposed matrix
+    departure = np.einsum("pij,pi->pj", matrix, arrival)
+    counts = found.order[own].astype(np.int64)
+    path = np.repeat(np.arange(len(own)), counts)
+    place = np.arange(len(path)) - np.repeat(np.cumsum(counts) - counts, counts)
+    entry = np.repeat(first[own], counts) + place
+    material = owner[found.triangle[entry]]
+    n_materials = len(room.materials)
+    hits = np.bincount(path * n_materials + material, minlength=len(own) * n_materials)
     reflections: Reflections | None = None
     if with_reflections:
-        cosine = legs.cosine[kept][path, place]
+        cosine = found.cosine[entry]
         reflections = reflections_in_order(
-            path, place.astype(np.float64), material, cosine, len(kept)
+            path, place.astype(np.float64), material, cosine, len(own)
         )
-    return ImageSet(length, hits, legs.departure[kept], to_receiver / length[:, None], reflections)
+    return ImageSet(
+        length,
+        hits.reshape(-1, n_materials).astype(np.uint16),
+        departure,
+        arrival,
+        reflections,
+        matrix if with_unfolding else None,
+    )

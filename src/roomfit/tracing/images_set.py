@@ -22,6 +22,8 @@ class ImageSet:
         Unit vectors: away from the source, and the direction in which sound travels on arrival.
     reflections : Reflections or None
         Every path's hits in order, where they were asked for.
+    unfolding : float array, shape (n_paths, 3, 3), or None
+        Product of the reflections, see `Paths`, where it was asked for.
     """
 
     length_m: FloatArray
@@ -29,6 +31,7 @@ class ImageSet:
     departure: FloatArray
     arrival: FloatArray
     reflections: Reflections | None = None
+    unfolding: FloatArray | None = None
 
 
 def reflections_in_order(

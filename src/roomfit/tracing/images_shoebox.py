@@ -20,6 +20,7 @@ def shoebox_images(
     max_length_m: float,
     *,
     with_reflections: bool = False,
+    with_unfolding: bool = False,
 ) -> ImageSet:
     """Return all images up to an order and a distance.
 
@@ -35,8 +36,8 @@ def shoebox_images(
     order : int
         Most hits of a path, 0 or more.
     max_length_m : float
-    with_reflections : bool
-        Return the ordered hits as well.
+    with_reflections, with_unfolding : bool
+        Return the ordered hits, and the product of the reflections, as well.
 
     References
     ----------
@@ -51,12 +52,14 @@ def shoebox_images(
     index, to_receiver, distance = index[near], to_receiver[near], distance[near]
     arrival = to_receiver / distance[:, None]
     # every hit on an axis turns that component of the direction
-    departure = arrival * np.where(index % 2 == 0, 1.0, -1.0)
+    turned = np.where(index % 2 == 0, 1.0, -1.0)
+    departure = arrival * turned
     hits = np.zeros((len(index), len(room.materials)), dtype=np.uint16)
     for wall in range(6):
         hits[:, room.surface_material[wall]] += _wall_hits(index, wall).astype(np.uint16)
     reflections = _reflections(room, index, receiver_m, to_receiver) if with_reflections else None
-    return ImageSet(distance, hits, departure, arrival, reflections)
+    unfolding = turned[:, :, None] * np.eye(3) if with_unfolding else None
+    return ImageSet(distance, hits, departure, arrival, reflections, unfolding)
 
 
 def count_of_shoebox_images(

@@ -10,13 +10,13 @@ from roomfit.compiled import kernel
 from roomfit.geometry.kernels import Vector, corner, dot, row
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.scene.room import Room
-from roomfit.typing import FloatArray, IntArray
+from roomfit.tracing.images_outline import convex_outline, convex_pieces
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Share of the room's size within which a point lies in a plane and an edge belongs to both its
 # walls: 20 micrometres in a hall, above the rounding of files in single precision and far below
 # a wavelength.
 FLATNESS = 1e-6
-_OUTLINE_CORNERS = 12
 
 
 class Walls(NamedTuple):
@@ -40,6 +40,11 @@ class Walls(NamedTuple):
     first_corner : int64 array, shape (n_walls + 1,)
     outline_m : float array, shape (n_corners, 3)
         A convex polygon about each wall's pieces, corners in turn.
+    edge : float array, shape (n_corners, 4)
+        Unit normal and offset of the plane on which each side of an outline stands, inwards.
+    ends_sound : bool array, shape (n_walls,)
+        Whether sound goes nowhere beyond the outline: its pieces fill it, or it has the whole room
+        in front.
     """
 
     tolerance_m: float
@@ -50,27 +55,36 @@ class Walls(NamedTuple):
     piece_triangle: IntArray
     first_corner: IntArray
     outline_m: FloatArray
+    edge: FloatArray
+    ends_sound: BoolArray
 
 
-class Screens(NamedTuple):
-    """All triangles, as what may stand between two points.
+class Blockers(NamedTuple):
+    """Convex polygons that may stand between two points of the room, largest first.
+
+    Walls with the whole room in front of them are left out: a convex room has no blockers.
 
     Attributes
     ----------
-    corners_m : float array, shape (n_triangles, 3, 3)
-    normal : float array, shape (n_triangles, 3)
-    offset_m : float array, shape (n_triangles,)
-        Of the plane of the wall that the triangle belongs to, so that points of one wall are in
-        front of none of its triangles.
+    wall : int64 array, shape (n_blockers,)
+        The wall whose plane each lies in, so that points of one wall are in front of none of its
+        polygons.
+    first_corner : int64 array, shape (n_blockers + 1,)
+    corner_m : float array, shape (n_corners, 3)
+        In turn, counter-clockwise about the wall's normal.
     """
 
-    corners_m: FloatArray
-    normal: FloatArray
-    offset_m: FloatArray
+    wall: IntArray
+    first_corner: IntArray
+    corner_m: FloatArray
 
 
-def mirrors_of(room: Room) -> tuple[Walls, Screens]:
-    """Return the mirrors of a room and the screens in it. Triangles without area are left out."""
+def mirrors_of(room: Room) -> tuple[Walls, Blockers]:
+    """Return the mirrors of a room and what can hide one point of it from another.
+
+    Coplanar triangles that face the same way are one mirror, of whatever materials they are.
+    Triangles without area are left out.
+    """
     mesh = room.mesh
     vectors = area_vectors_m2(mesh)
     areas = np.linalg.norm(vectors, axis=1)
@@ -92,6 +106,12 @@ def mirrors_of(room: Room) -> tuple[Walls, Screens]:
         convex_outline(piece_m[order[a:b]].reshape(-1, 3), n)
         for a, b, n in zip(first[:-1], first[1:], normal, strict=True)
     ]
+    blocking = [
+        convex_pieces(piece_m[order[a:b]], n, FLATNESS * size)
+        if (corners @ n).max() > o + FLATNESS * size
+        else []
+        for a, b, n, o in zip(first[:-1], first[1:], normal, offset, strict=True)
+    ]
     walls = Walls(
         FLATNESS * size,
         normal,
@@ -99,47 +119,38 @@ def mirrors_of(room: Room) -> tuple[Walls, Screens]:
         first.astype(np.int64),
         np.ascontiguousarray(piece_m[order]),
         kept[piece[order]].astype(np.int64),
-        np.concatenate(([0], np.cumsum([len(o) for o in outlines]))).astype(np.int64),
+        _starts(outlines),
         np.concatenate(outlines),
+        np.concatenate([_edges(o, n) for o, n in zip(outlines, normal, strict=True)]),
+        np.array(
+            [
+                len(b) == 0 or (len(b) == 1 and len(b[0]) == len(o))
+                for b, o in zip(blocking, outlines, strict=True)
+            ]
+        ),
     )
-    front = owner[: len(kept)]
-    return walls, Screens(np.ascontiguousarray(corners), normal[front], offset[front])
+    return walls, _as_blockers(blocking)
 
 
-def convex_outline(points_m: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return a convex polygon that holds points of a plane, counter-clockwise about its normal.
-
-    The convex hull [1]_ where that has few corners, else a rectangle about it.
-
-    References
-    ----------
-    .. [1] A. M. Andrew, "Another efficient algorithm for convex hulls in two dimensions",
-           Information Processing Letters 9, 216-219 (1979).
-    """
-    axis = np.eye(3)[np.argmin(np.abs(normal))]
-    u = np.cross(axis, normal) / np.linalg.norm(np.cross(axis, normal))
-    axes = np.array([u, np.cross(normal, u)])
-    flat = points_m @ axes.T
-    order = np.lexsort((flat[:, 1], flat[:, 0]))
-    hull = _half_hull(flat, order)[:-1] + _half_hull(flat, order[::-1])[:-1]
-    if len(hull) <= _OUTLINE_CORNERS:
-        return np.asarray(points_m[hull])
-    (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
-    rectangle = np.array([[left, low], [right, low], [right, high], [left, high]])
-    return np.asarray(rectangle @ axes + np.dot(points_m[0], normal) * normal)
+def _edges(outline_m: FloatArray, normal: FloatArray) -> FloatArray:
+    along = np.roll(outline_m, -1, axis=0) - outline_m
+    inwards = np.cross(normal, along)
+    inwards /= np.linalg.norm(inwards, axis=1)[:, None]
+    return np.column_stack([inwards, np.einsum("ij,ij->i", inwards, outline_m)])
 
 
-def _half_hull(flat: FloatArray, order: IntArray) -> list[int]:
-    chain: list[int] = []
-    for i in order:
-        while len(chain) > 1 and not _turns_left(flat[chain[-2]], flat[chain[-1]], flat[i]):
-            chain.pop()
-        chain.append(int(i))
-    return chain
+def _as_blockers(blocking: list[list[FloatArray]]) -> Blockers:
+    pieces = [(w, piece) for w, own in enumerate(blocking) for piece in own]
+    pieces.sort(key=lambda piece: -float(np.ptp(piece[1], axis=0).max()))
+    return Blockers(
+        np.array([w for w, _ in pieces], dtype=np.int64),
+        _starts([p for _, p in pieces]),
+        np.concatenate([np.zeros((0, 3)), *(p for _, p in pieces)]),
+    )
 
 
-def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
-    return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
+def _starts(polygons: list[FloatArray]) -> IntArray:
+    return np.concatenate(([0], np.cumsum([len(p) for p in polygons]))).astype(np.int64)
 
 
 @kernel()

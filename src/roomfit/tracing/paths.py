@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from roomfit.checks import float_array, int_array
 from roomfit.errors import InputError
@@ -71,7 +72,18 @@ class Paths:
     sampling_scattering : float array, shape (n_materials,)
         Scattering coefficient with which each material was traced.
     reflections : Reflections or None
-        Ordered reflections with angles, for image paths on request.
+        Ordered reflections with angles, for image paths on request; rays have none.
+    unfolding : float32 array, shape (n_paths, 3, 3), or None
+        Product A of a path's reflections (the last hit's leftmost), for image paths on request;
+        zeros for rays.
+
+    Notes
+    -----
+    The image of a source at S stands at ``A S + b``. From the receiver it is seen along
+    ``V = -length * arrival``, and when source and receiver move by dS and dR, without another wall
+    coming into play, along ``V + A dS - dR``, exactly and for moves of any size. To first order
+    the length grows by ``arrival . dR - departure . dS``, because ``departure = A^T arrival``:
+    without A, departure and arrival do for that.
     """
 
     n_pairs: int
@@ -87,6 +99,7 @@ class Paths:
     n_batches: int
     sampling_scattering: FloatArray
     reflections: Reflections | None = None
+    unfolding: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.length_m)
@@ -111,6 +124,14 @@ class Paths:
                     f"paths: {name} has the wrong shape", found=f"{array.shape}", needed=f"{shape}"
                 )
             array.setflags(write=False)
+        if self.unfolding is not None:
+            if self.unfolding.shape != (n, 3, 3):
+                raise InputError(
+                    "paths: unfolding has the wrong shape",
+                    found=f"{self.unfolding.shape}",
+                    needed=f"{(n, 3, 3)}",
+                )
+            self.unfolding.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.length_m)
@@ -122,7 +143,7 @@ def hits(paths: Paths) -> IntArray:
 
 
 def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
-    """Return the chosen paths, by mask or index; ordered reflections are carried along."""
+    """Return the chosen paths, by mask or index, with all that is known of them."""
     reflections = None
     if paths.reflections is not None:
         old = paths.reflections
@@ -146,11 +167,15 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
         paths.n_batches,
         paths.sampling_scattering.copy(),
         reflections,
+        None if paths.unfolding is None else paths.unfolding[keep],
     )
 
 
 def concatenate(parts: Sequence[Paths]) -> Paths:
-    """Return all paths of several traces of one scene as one; reflections are not carried along.
+    """Return all paths of several traces of one scene as one.
+
+    Where some part has ordered reflections or unfoldings, the paths of the others get empty lists
+    and zeros.
 
     Raises
     ------
@@ -185,4 +210,34 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
         joined("batch"),
         max(p.n_batches for p in parts),
         first.sampling_scattering.copy(),
+        _joined_reflections(parts),
+        _joined_unfolding(parts),
     )
+
+
+def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
+    if all(p.reflections is None for p in parts):
+        return None
+    none = np.zeros(0, dtype=np.int32)
+    lists = [
+        Reflections(np.zeros(len(p) + 1, dtype=np.int64), none, np.zeros(0))
+        if p.reflections is None
+        else p.reflections
+        for p in parts
+    ]
+    counts = np.concatenate([np.diff(r.offsets) for r in lists])
+    return Reflections(
+        np.concatenate(([0], np.cumsum(counts))),
+        np.concatenate([r.material for r in lists]),
+        np.concatenate([r.cosine for r in lists]),
+    )
+
+
+def _joined_unfolding(parts: Sequence[Paths]) -> NDArray[np.float32] | None:
+    if all(p.unfolding is None for p in parts):
+        return None
+    blank = [
+        np.zeros((len(p), 3, 3), dtype=np.float32) if p.unfolding is None else p.unfolding
+        for p in parts
+    ]
+    return np.concatenate(blank)

@@ -1,0 +1,250 @@
+"""A beam against polygons: its sides, what of a polygon it meets, and what a shadow leaves of it.
+
+A beam is the cone from an image source through a convex polygon, its opening, beyond the plane in
+which that lies. Every cut leaves a tolerance too much, so that a beam is never too narrow.
+"""
+
+from __future__ import annotations
+
+import math
+
+from roomfit.compiled import kernel
+from roomfit.geometry.kernels import Vector, cross, dot, minus, row
+from roomfit.typing import FloatArray
+
+# Corners that a polygon keeps. One that would get more stays as wide as it is, which is still
+# right, for a beam too wide makes more to do and nothing wrong.
+CORNERS = 16
+# Room for a polygon of fewer than CORNERS after one more cut, however bad its shape.
+ROWS = 24
+# An edge shorter than this share of the tolerance has no direction worth the name: two corners
+# that clipping has put in one place would make a side that cuts anywhere.
+_SHORTEST = 1e-2
+
+
+@kernel(allocates=False, inlined=True)
+def height(planes: FloatArray, p: int, x: Vector) -> float:
+    """Return how far inside plane p (normal inwards, offset) a point lies."""
+    return float(planes[p, 0] * x[0] + planes[p, 1] * x[1] + planes[p, 2] * x[2] - planes[p, 3])
+
+
+@kernel(allocates=False, inlined=True)
+def put(table: FloatArray, i: int, x: Vector) -> None:
+    """Write a vector to row i of an (n, 3) array."""
+    table[i, 0], table[i, 1], table[i, 2] = x
+
+
+@kernel(allocates=False)
+def copy_corners(source: FloatArray, start: int, n: int, target: FloatArray) -> None:
+    """Copy rows of an (n, 3) array to the top of another, which slices do more slowly."""
+    for c in range(n):
+        for k in range(3):
+            target[c, k] = source[start + c, k]
+
+
+@kernel(allocates=False)
+def sides(
+    apex: Vector,
+    opening: FloatArray,
+    n: int,
+    wall_normal: Vector,
+    wall_offset_m: float,
+    planes: FloatArray,
+    tolerance_m: float,
+) -> int:
+    """Write the planes that bound a beam, normals inwards, the one of its opening first.
+
+    Parameters
+    ----------
+    apex : vector
+    opening : float array, shape (ROWS, 3)
+        The first n corners count.
+    wall_normal, wall_offset_m : vector, float
+        The plane of the opening; the beam goes where ``normal . x`` is smaller.
+    planes : float array, shape (ROWS + 1, 4)
+        Receives normal and offset of each.
+
+    Returns
+    -------
+    int
+        How many planes there are.
+    """
+    planes[0, 0], planes[0, 1], planes[0, 2] = -wall_normal[0], -wall_normal[1], -wall_normal[2]
+    planes[0, 3] = -wall_offset_m
+    return 1 + cone(apex, opening, n, planes, 1, tolerance_m)
+
+
+@kernel(allocates=False)
+def cone(
+    apex: Vector, opening: FloatArray, n: int, planes: FloatArray, start: int, tolerance_m: float
+) -> int:
+    """Write the planes through an apex and the edges of a polygon to planes[start:]; count them.
+
+    Where an edge is too short, or so close to the apex that it gives no plane, the cone is left
+    open.
+    """
+    middle = (0.0, 0.0, 0.0)
+    for c in range(n):
+        middle = (
+            middle[0] + opening[c, 0] / n,
+            middle[1] + opening[c, 1] / n,
+            middle[2] + opening[c, 2] / n,
+        )
+    to_middle = minus(middle, apex)
+    count = 0
+    for c in range(n):
+        a, b = row(opening, c), row(opening, (c + 1) % n)
+        edge, ray = minus(b, a), minus(a, apex)
+        if dot(edge, edge) < (_SHORTEST * tolerance_m) ** 2:
+            continue
+        side = cross(ray, edge)
+        length = math.sqrt(dot(side, side))
+        if length == 0.0:
+            continue
+        depth = dot(side, to_middle) / length
+        if abs(depth) <= 1e-3 * tolerance_m:
+            continue
+        scale = math.copysign(1.0 / length, depth)
+        p = start + count
+        planes[p, 0], planes[p, 1], planes[p, 2] = side[0] * scale, side[1] * scale, side[2] * scale
+        planes[p, 3] = dot(side, apex) * scale
+        count += 1
+    return count
+
+
+@kernel(allocates=False)
+def clip(
+    polygon: FloatArray,
+    n: int,
+    planes: FloatArray,
+    first: int,
+    stop: int,
+    least_m: float,
+    scratch: FloatArray,
+) -> int:
+    """Cut a convex polygon in its place to what lies within planes; return its corners [1]_.
+
+    Parameters
+    ----------
+    polygon, scratch : float arrays, shape (ROWS, 3)
+    planes : float array, shape (n_planes, 4)
+        Those from `first` to before `stop` cut.
+    least_m : float
+        Points down to this height are kept: negative for a polygon too wide.
+
+    References
+    ----------
+    .. [1] I. E. Sutherland, G. W. Hodgman, "Reentrant polygon clipping", Communications of the
+           ACM 17, 32-42 (1974).
+    """
+    for p in range(first, stop):
+        outside = 0
+        for c in range(n):
+            if height(planes, p, row(polygon, c)) < least_m:
+                outside += 1
+        if outside == n:
+            return 0
+        if outside == 0 or n >= CORNERS:
+            continue
+        kept = _cut(polygon, n, planes, p, least_m, scratch)
+        copy_corners(scratch, 0, kept, polygon)
+        n = kept
+        if n < 3:
+            return 0
+    return n
+
+
+@kernel(allocates=False)
+def _cut(
+    polygon: FloatArray, n: int, planes: FloatArray, p: int, least_m: float, cut: FloatArray
+) -> int:
+    """Write the part of a polygon above a height over plane p; return its corners."""
+    kept = 0
+    a = row(polygon, n - 1)
+    ha = height(planes, p, a) - least_m
+    for c in range(n):
+        b = row(polygon, c)
+        hb = height(planes, p, b) - least_m
+        # a corner at the very height is kept once and gives no crossing of its own
+        if (ha > 0.0 and hb < 0.0) or (ha < 0.0 and hb > 0.0):
+            share = ha / (ha - hb)
+            cut[kept, 0] = a[0] + share * (b[0] - a[0])
+            cut[kept, 1] = a[1] + share * (b[1] - a[1])
+            cut[kept, 2] = a[2] + share * (b[2] - a[2])
+            kept += 1
+        if hb >= 0.0:
+            put(cut, kept, b)
+            kept += 1
+        a, ha = b, hb
+    return kept
+
+
+@kernel(allocates=False)
+def outside_of(
+    polygon: FloatArray,
+    n: int,
+    planes: FloatArray,
+    p: int,
+    tolerance_m: float,
+    part: FloatArray,
+) -> int:
+    """Write the part of a polygon beyond plane p, a tolerance more; return its corners.
+
+    0 where no corner is further beyond than two tolerances: such a sliver is the edge that shadow
+    and polygon share.
+    """
+    farthest = 0.0
+    for c in range(n):
+        farthest = min(farthest, height(planes, p, row(polygon, c)))
+    if farthest >= -2.0 * tolerance_m or n >= CORNERS:
+        return 0
+    for k in range(4):
+        planes[p, k] = -planes[p, k]
+    kept = _cut(polygon, n, planes, p, -tolerance_m, part)
+    for k in range(4):
+        planes[p, k] = -planes[p, k]
+    return kept if kept > 2 else 0
+
+
+@kernel(allocates=False)
+def without_repeats(polygon: FloatArray, n: int, tolerance_m: float) -> int:
+    """Drop corners of a polygon that stand where the one before stands; return how many stay."""
+    least = (_SHORTEST * tolerance_m) ** 2
+    kept = 0
+    for c in range(n):
+        x = row(polygon, c)
+        if kept > 0:
+            step = minus(x, row(polygon, kept - 1))
+            if dot(step, step) < least:
+                continue
+        put(polygon, kept, x)
+        kept += 1
+    if kept > 1:
+        step = minus(row(polygon, 0), row(polygon, kept - 1))
+        if dot(step, step) < least:
+            kept -= 1
+    return kept if kept > 2 else 0
+
+
+@kernel(allocates=False)
+def distance_m(apex: Vector, polygon: FloatArray, n: int, normal: Vector, ahead_m: float) -> float:
+    """Return the distance from a point to a convex polygon `ahead_m` away along its normal."""
+    foot = (
+        apex[0] + ahead_m * normal[0],
+        apex[1] + ahead_m * normal[1],
+        apex[2] + ahead_m * normal[2],
+    )
+    square = math.inf
+    inside = True
+    for c in range(n):
+        a, b = row(polygon, c), row(polygon, (c + 1) % n)
+        edge, away = minus(b, a), minus(foot, a)
+        if dot(cross(edge, away), normal) < 0.0:
+            inside = False
+            length = dot(edge, edge)
+            share = min(max(dot(away, edge) / length, 0.0), 1.0) if length > 0.0 else 0.0
+            gap = minus(away, (share * edge[0], share * edge[1], share * edge[2]))
+            square = min(square, dot(gap, gap))
+    if inside:
+        return abs(ahead_m)
+    return math.sqrt(square + ahead_m * ahead_m)
