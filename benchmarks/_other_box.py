@@ -1,0 +1,137 @@
+"""Boxes measured in another program, pyroomacoustics, and written as campaigns.
+
+Image sources with phase that the other program enumerates, delays, filters and adds. Imposed on it,
+because its own differ: the speed of sound, and the air of ISO 9613-1. Its responses begin 40 samples
+late, which is taken off; between the octaves' centres it interpolates what a wall reflects.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import bands_between
+from roomfit.testproblems.pressure_box import WALLS, add_noise
+
+RATE_HZ = 16_000
+LATE_SAMPLES = 40
+DURATION_S = 0.45
+
+
+@dataclass(frozen=True)
+class OtherBox:
+    """What is true of a simulated room, and its campaign file."""
+
+    campaign: Path
+    lengths_m: np.ndarray
+    materials: tuple[str, ...]
+    absorption: np.ndarray  # (6, 7), octaves 125 to 8000 Hz
+    positions_m: dict[str, np.ndarray]  # true ones
+    speed_of_sound_m_s: float
+
+
+def write_other_box(
+    seed: int, folder: Path, *, n_pairs: int = 8, position_error_m: float = 0.01, c_error: float = 0
+) -> OtherBox:
+    """Simulate a random box from a seed and write it as a campaign into an existing folder.
+
+    The room, the places and the materials of a seed are the same for any position error.
+    """
+    import soundfile
+
+    rng = np.random.default_rng([seed, 3])
+    lengths = _lengths(rng)
+    low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
+    logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 7)), axis=1)
+    absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
+    n_sources, n_receivers = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}[n_pairs]
+    places = rng.uniform(0.6, lengths - 0.6, (8, 3))
+    told = {f"LS{i + 1}": places[i] for i in range(n_sources)}
+    told |= {f"MP{i + 1}": places[4 + i] for i in range(n_receivers)}
+    errors = rng.standard_normal((8, 3))
+    noise_db = rng.uniform(-60.0, -45.0)
+    true = {n: p + position_error_m * errors[_place(n)] for n, p in told.items()}
+    c = speed_of_sound_m_s(Air()) * (1.0 + c_error)
+    pairs = [(s, r) for s in told if s[0] == "L" for r in told if r[0] == "M"]
+    responses = _simulated(lengths, absorption, true, pairs, c)
+    for (s, r), pressure in zip(pairs, responses, strict=True):
+        noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
+        soundfile.write(folder / f"{s}_{r}.wav", noisy, RATE_HZ, subtype="FLOAT")
+    materials = tuple(f"material_{wall}" for wall in WALLS)
+    campaign = folder / "campaign.toml"
+    campaign.write_text(_campaign_text(lengths, materials, told, pairs, position_error_m))
+    return OtherBox(campaign, lengths, materials, absorption, true, c)
+
+
+def _place(name: str) -> int:
+    return int(name[2:]) - 1 + (4 if name[0] == "M" else 0)
+
+
+def _lengths(rng: np.random.Generator) -> np.ndarray:
+    while True:
+        lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
+        if np.min(np.abs(np.diff(np.sort(lengths)))) > 0.15:  # no two sides alike
+            return np.round(lengths, 3)
+
+
+def _simulated(
+    lengths: np.ndarray,
+    absorption: np.ndarray,
+    places: dict[str, np.ndarray],
+    pairs: list[tuple[str, str]],
+    c: float,
+) -> list[np.ndarray]:
+    """Return the other program's responses of all pairs, time 0 at the emission."""
+    import pyroomacoustics as pra
+
+    octaves = bands_between("octave", 125, 8000)
+    names = ("west", "east", "south", "north", "floor", "ceiling")
+    materials = {
+        name: pra.Material({"coeffs": list(a), "center_freqs": list(octaves.centres_hz)})
+        for name, a in zip(names, absorption, strict=True)
+    }
+    # every image that arrives in time: |i| + |j| + |k| is largest along (1/Lx, 1/Ly, 1/Lz)
+    order = int(np.ceil(c * DURATION_S * np.sqrt(np.sum(lengths**-2.0)))) + 2
+    sources = list(dict.fromkeys(s for s, _ in pairs))
+    receivers = list(dict.fromkeys(r for _, r in pairs))
+    room = pra.ShoeBox(
+        list(lengths), fs=RATE_HZ, materials=materials, max_order=order, air_absorption=True
+    )
+    room.set_sound_speed(c)
+    room.air_absorption = attenuation_per_m(Air(), octaves)
+    for s in sources:
+        room.add_source(list(places[s]))
+    room.add_microphone_array(np.array([places[r] for r in receivers]).T)
+    room.compute_rir()
+    out = []
+    n = round(DURATION_S * RATE_HZ)
+    for s, r in pairs:
+        rir = np.asarray(room.rir[receivers.index(r)][sources.index(s)], dtype=np.float64)
+        out.append(rir[LATE_SAMPLES : LATE_SAMPLES + n])
+    return out
+
+
+def _campaign_text(
+    lengths: np.ndarray,
+    materials: tuple[str, ...],
+    told: dict[str, np.ndarray],
+    pairs: list[tuple[str, str]],
+    position_error_m: float,
+) -> str:
+    lines = ["[room]", f"shoebox = {lengths.tolist()}", "[room.materials]"]
+    lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, materials, strict=True)]
+    lines += ["[air]", "temperature_c = 20.0", "humidity_percent = 50.0"]
+    for name in materials:
+        lines += [f"[materials.{name}]", "scattering = 0.0"]
+    for name, position in told.items():
+        kind = "sources" if name[0] == "L" else "receivers"
+        lines += [f"[{kind}.{name}]", f"position = {position.tolist()}"]
+        lines += [f"position_sd = {position_error_m}"]
+    for s, r in pairs:
+        lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
+        lines += [f'file = "{s}_{r}.wav"']
+    lines += ["[identify]", 'bands = "octave"', "from_hz = 125", "to_hz = 4000", "seed = 1"]
+    return "\n".join(lines) + "\n"

@@ -1,0 +1,320 @@
+"""The partly coherent reader: image sources' pressures added as far as their times are known.
+
+Energies that add know nothing of how reflections interfere. Where arrival times are known to a
+fraction of a period, pressures can be added instead: ``y(t) = sum of sqrt(gamma_i e_i) f(t - t_i)``
+with the band filter's impulse response f and a coherence gamma_i of each path. The energy of a
+window is the integral of y^2 and what is not coherent, the sum of ``(1 - gamma_i) e_i``. This
+module makes the first part and its derivatives.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy import fft
+from scipy.special import i0
+
+from roomfit.checks import float_array
+from roomfit.errors import InputError
+from roomfit.response.coherent_kernels import (
+    TABLE_STEPS,
+    TAPS,
+    lay_trains,
+    root_energies,
+    window_products,
+)
+from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
+from roomfit.tracing.paths import Paths
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+# The octave filter ends at twice its centre; pressures on a grid of eight samples a period of the
+# centre have squares that the grid still resolves.
+_SAMPLES_PER_PERIOD = 8.0
+# A zero-phase octave filter has less than 1e-7 of its energy farther away.
+_PADDING_PERIODS = 16.0
+# Oversampling is 2: the shape parameter of Beatty, Nishimura and Pauly (2005), eq. 5.
+_BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImagePaths:
+    """Image paths of several observations of one band, one observation after the other.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    offsets : int64 array, shape (n_observations + 1,)
+    weight : float array, shape (n_paths,)
+        Energy of each path if no wall absorbed: spreading, scattering and air.
+    hits : uint16 array, shape (n_paths, n_materials)
+    away_m : float array, shape (n_paths, 3)
+        From the image to the receiver.
+    unfolding : float array, shape (n_paths, 9)
+        The orthogonal matrix A of each path, row by row: a source that moves by x moves its image
+        by A x.
+    coherence : float array, shape (n_paths,)
+        gamma, 0 to 1.
+    """
+
+    materials: tuple[str, ...]
+    offsets: IntArray
+    weight: FloatArray
+    hits: IntArray
+    away_m: FloatArray
+    unfolding: FloatArray
+    coherence: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Times:
+    """What sets the arrival times beside the told geometry.
+
+    Attributes
+    ----------
+    shifts_m : float array, shape (n_observations, 6)
+        Displacement of source and receiver.
+    speed_m_s : float
+    latency_s : float array, shape (n_observations,)
+    delays_s : float array, shape (n_materials,)
+        Delay that each reflection adds.
+    """
+
+    shifts_m: FloatArray
+    speed_m_s: float
+    latency_s: FloatArray
+    delays_s: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandGrid:
+    """The grid of times on which the pressures of one band are added.
+
+    Attributes
+    ----------
+    first_s, rate_hz : float
+    n : int
+    filter, slope : complex arrays, shape (n // 2 + 1,)
+        Transfer function from spikes to filtered pressure and to minus its time derivative.
+    table : float array
+        The spreading kernel.
+    """
+
+    first_s: float
+    rate_hz: float
+    n: int
+    filter: FloatArray
+    slope: FloatArray
+    table: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentResponse:
+    """Energies of the coherent pressure, windows of all observations end to end.
+
+    Attributes
+    ----------
+    energy : float array, shape (n_windows,)
+        Integral of y^2, in the unit of path energies.
+    by_log_reflected : float array, shape (n_windows, n_materials)
+        Derivative by ln(1 - alpha) of each material.
+    by_times : float array, shape (n_windows, 8 + n_materials)
+        Derivative by source (3), receiver (3), ln c, latency and delays of the own observation.
+    """
+
+    energy: FloatArray
+    by_log_reflected: FloatArray
+    by_times: FloatArray
+
+
+def image_paths(
+    paths: Paths, pairs: IntArray, attenuation_per_m: float, unfolding: FloatArray | None = None
+) -> ImagePaths:
+    """Return the image paths of each observation's pair, fully coherent.
+
+    Parameters
+    ----------
+    paths : Paths
+        Rays among them are left out.
+    pairs : int array, shape (n_observations,)
+    attenuation_per_m : float
+        Energy attenuation of the air.
+    unfolding : float array, shape (n_paths, 3, 3), optional
+        Where it is not told, the reflection that turns the departure into the arrival stands in:
+        exact to first order in a source's displacement, and exact for a box.
+    """
+    image = paths.batch < 0
+    own = [np.flatnonzero(image & (paths.pair == pair)) for pair in pairs]
+    chosen = np.concatenate([np.zeros(0, dtype=np.int64), *own])
+    length = paths.length_m[chosen]
+    arrival = paths.arrival[chosen].astype(np.float64)
+    arrival /= np.linalg.norm(arrival, axis=1, keepdims=True)
+    departure = paths.departure[chosen].astype(np.float64)
+    matrices = (
+        _stand_in(departure, arrival)
+        if unfolding is None
+        else np.asarray(unfolding[chosen], dtype=np.float64)
+    )
+    return ImagePaths(
+        paths.materials,
+        np.concatenate(([0], np.cumsum([o.size for o in own]))).astype(np.int64),
+        paths.weight_per_m2[chosen] * np.exp(-attenuation_per_m * length),
+        np.ascontiguousarray(paths.hits_specular[chosen] + paths.hits_diffuse[chosen]),
+        arrival * length[:, None],
+        matrices.reshape(-1, 9),
+        np.ones(chosen.size),
+    )
+
+
+def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
+    """Return the paths of a mask, shape (n_paths,), in their observations."""
+    before = np.concatenate(([0], np.cumsum(keep)))
+    return replace(
+        paths,
+        offsets=before[paths.offsets].astype(np.int64),
+        weight=paths.weight[keep],
+        hits=np.ascontiguousarray(paths.hits[keep]),
+        away_m=paths.away_m[keep],
+        unfolding=paths.unfolding[keep],
+        coherence=paths.coherence[keep],
+    )
+
+
+def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
+    """Return a grid for the only band of a bank that holds the times from first to last.
+
+    Notes
+    -----
+    Spikes between grid points are spread over six points by a Kaiser-Bessel kernel, whose spectrum
+    the filter divides out [1]_. The pressure is exact to 1e-5 of a path's amplitude.
+
+    References
+    ----------
+    .. [1] P. J. Beatty, D. G. Nishimura, J. M. Pauly, "Rapid gridding reconstruction with a
+           minimal oversampling ratio", IEEE Trans. Med. Imaging 24, 799-808 (2005).
+    """
+    if len(bank.bands) != 1:
+        raise InputError("a grid belongs to one band", found=f"{len(bank.bands)} bands")
+    top_hz = float(bank.bands.upper_hz[0] ** 2 / bank.bands.exact_centres_hz[0])
+    rate_hz = 0.5 * _SAMPLES_PER_PERIOD * top_hz
+    padding_s = _PADDING_PERIODS / (top_hz - float(bank.bands.exact_centres_hz[0]))
+    n = fft.next_fast_len(int(np.ceil((last_s - first_s + 2.0 * padding_s) * rate_hz)), real=True)
+    n += n % 2
+    frequencies = fft.rfftfreq(n, 1.0 / rate_hz)
+    shape = frequency_response(bank, frequencies)[0]
+    shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bank)[0])
+    used = shape > 0.0
+    kernel = _kernel_spectrum(frequencies / rate_hz)
+    transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
+    return BandGrid(
+        first_s - padding_s,
+        rate_hz,
+        n,
+        transfer,
+        -2j * np.pi * frequencies * transfer,
+        _kernel_table(),
+    )
+
+
+def coherent_response(
+    paths: ImagePaths,
+    absorption: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
+    *,
+    derivative: bool = True,
+) -> CoherentResponse:
+    """Return the energy of the coherent pressure in every window, with its derivatives.
+
+    Parameters
+    ----------
+    paths : ImagePaths
+        Amplitudes are those of the told geometry; only times move with `times`.
+    absorption : float array, shape (n_materials,)
+        Below 1.
+    times : Times
+    grid : BandGrid
+    edges_s : tuple of float arrays, one an observation
+        Window edges, not before the grid nor behind its last time.
+    derivative : bool
+        False leaves the derivatives zero.
+    """
+    trains = np.zeros((len(edges_s), 8 + len(paths.materials), grid.n))
+    lay_trains(
+        *(paths.offsets, paths.away_m, paths.unfolding, paths.hits),
+        *(_roots(paths, absorption), times.shifts_m, times.speed_m_s, times.latency_s),
+        *(times.delays_s, grid.first_s, grid.rate_hz, grid.table, trains),
+    )
+    return _filtered(trains, grid, edges_s, derivative=derivative)
+
+
+def _filtered(
+    trains: FloatArray, grid: BandGrid, edges_s: tuple[FloatArray, ...], *, derivative: bool
+) -> CoherentResponse:
+    """Put spike trains through the filter and integrate their products over windows."""
+    n_materials = trains.shape[1] - 8
+    spectra = fft.rfft(trains if derivative else trains[:, :1], axis=-1, workers=2)
+    pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
+    if derivative:
+        level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)
+        moved = fft.irfft(spectra * grid.slope, grid.n, axis=-1, workers=2)
+        columns = np.concatenate((level, moved), axis=1)
+    else:
+        columns = np.zeros((len(edges_s), 0, grid.n))
+    starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
+    edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
+    n_windows = int(starts[-1]) - len(edges_s)
+    energy, slopes = np.zeros(n_windows), np.zeros((n_windows, columns.shape[1]))
+    window_products(starts, edges, pressure, columns, energy, slopes)
+    energy /= grid.rate_hz
+    slopes /= grid.rate_hz
+    by_times = np.zeros((n_windows, 8 + n_materials))
+    if derivative:
+        shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
+        first = 1 + n_materials
+        by_times[:, 0:3] = -shifted[:, first : first + 3]
+        by_times[:, 3:6] = shifted[:, first + 3 : first + 6]
+        by_times[:, 6] = -shifted[:, first + 6]
+        by_times[:, 7] = shifted[:, 0]
+        by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
+    by_level = 0.5 * slopes[:, :n_materials] if derivative else np.zeros((n_windows, n_materials))
+    return CoherentResponse(energy, by_level, by_times)
+
+
+def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
+    """Return the energy of every path, whatever its coherence, shape (n_paths,)."""
+    return np.asarray(_roots(replace(paths, coherence=np.ones(paths.weight.size)), absorption) ** 2)
+
+
+def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
+    a = float_array("absorption", absorption, (len(paths.materials),), low=0.0, high=1.0)
+    highest = int(paths.hits.max(initial=0))
+    powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1)
+    return root_energies(paths.weight * paths.coherence, paths.hits, powers)
+
+
+def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:
+    """Return matrices that turn each departure into its arrival, (n, 3, 3).
+
+    Signs on the diagonal where these do, as in a box; otherwise one reflection.
+    """
+    signs = np.where(departure * arrival < 0.0, -1.0, 1.0)
+    out = signs[:, :, None] * np.eye(3)
+    other = np.flatnonzero(np.abs(departure * signs - arrival).max(axis=1) > 1e-5)
+    step = departure[other] - arrival[other]
+    squared = np.einsum("ni,ni->n", step, step)[:, None, None]
+    out[other] = np.eye(3) - 2.0 * step[:, :, None] * step[:, None, :] / squared
+    return np.asarray(out)
+
+
+def _kernel_table() -> FloatArray:
+    x = np.arange(TAPS // 2 * TABLE_STEPS + 2 * TABLE_STEPS) / TABLE_STEPS
+    inside = np.maximum(1.0 - (2.0 * x / TAPS) ** 2, 0.0)
+    return np.asarray(np.where(x <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0))
+
+
+def _kernel_spectrum(cycles_per_sample: FloatArray) -> FloatArray:
+    """Return the Fourier transform of the spreading kernel within its pass band."""
+    argument = np.sqrt(np.maximum(_BETA**2 - (np.pi * TAPS * cycles_per_sample) ** 2, 1e-12))
+    return np.asarray(TAPS * np.sinh(argument) / (argument * i0(_BETA)))
