@@ -17,6 +17,7 @@ from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Answer, ComparedPair
+from roomfit.uncertainty.posterior_draws import logit
 
 
 def write_result(folder: Path, answer: Answer, inputs: Iterable[Path]) -> None:
@@ -36,8 +37,9 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
     """Return what result.json holds: lists as long as bands_hz, null only inside pairs.
 
     The first of the inputs is the campaign; the others are named as seen from its folder.
+    ``posterior`` tells the Gaussian of logit absorption in each band, where the answer has it.
     """
-    return {
+    content: dict[str, Any] = {
         "format": "roomfit-result",
         "format_version": 1,
         "bands_hz": _numbers(answer.bands.centres_hz),
@@ -73,6 +75,13 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    if answer.logit_covariance is not None:
+        content["posterior"] = {
+            "materials": list(answer.materials),
+            "logit_mean": [_numbers(band) for band in logit(answer.absorption).T],
+            "logit_covariance": [[_numbers(r) for r in band] for band in answer.logit_covariance],
+        }
+    return content
 
 
 def absorption_csv(answer: Answer) -> str:

@@ -99,6 +99,9 @@ class Answer:
     speed_of_sound_m_s : float
     seed : int
     seconds : float
+    logit_covariance : float array, shape (n_bands, n_materials, n_materials), or None
+        Covariance of logit absorption, misfit included; zeros for what is held. None where only
+        the intervals are known.
     """
 
     bands: Bands
@@ -121,3 +124,4 @@ class Answer:
     speed_of_sound_m_s: float
     seed: int
     seconds: float
+    logit_covariance: FloatArray | None = None
