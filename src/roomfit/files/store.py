@@ -6,12 +6,15 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from roomfit.errors import InputError, StoreError
+
+# Within an output folder: intermediate results of a run, see `roomfit.files.cache`.
+CACHE_FOLDER = ".roomfit-cache"
 
 
 def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
@@ -20,14 +23,15 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
     Raises
     ------
     InputError
-        The folder exists and holds something, and `overwrite` is false; or a file is in its place.
+        The folder exists and holds something other than the cache of an unfinished run, and
+        `overwrite` is false; or a file is in its place.
     StoreError
         Nothing can be written there.
     """
     path = Path(path)
     try:
         nearest = _nearest_existing(path)
-        filled = path.is_dir() and any(path.iterdir())
+        filled = path.is_dir() and not _holds_only_cache(path)
     except OSError as error:
         raise _cannot_be_made(path, error) from error
     if not nearest.is_dir():
@@ -54,12 +58,22 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
+def whole_output_folder(
+    path: Path, *, overwrite: bool = False, own: Sequence[str] = ()
+) -> Iterator[Path]:
     """Give a folder to fill, which takes its place and name when the block ends well.
 
     It is made aside, hidden, on the same disk. An error or an interruption within the block leaves
     nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files of the
-    same name are replaced and all others stay.
+    same name are replaced, those that an earlier run of the same command wrote and this one did
+    not are removed, and all others stay, as does the cache.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+    own : sequence of str
+        Patterns of the names that the command writes, as in ``"decay_[0-9]*.png"``.
 
     Raises
     ------
@@ -74,7 +88,9 @@ def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path
         raise _cannot_be_made(path, error) from error
     try:
         yield aside
+        written = {p.name for p in aside.iterdir()}
         _put_in_place(aside, path)
+        _remove_stale(path, own, written)
     finally:
         shutil.rmtree(aside, ignore_errors=True)
 
@@ -137,9 +153,17 @@ def _give_usual_permissions(path: Path, most: int) -> None:
     path.chmod(most & ~umask)
 
 
+def _holds_only_cache(path: Path) -> bool:
+    return all(p.name == CACHE_FOLDER for p in path.iterdir())
+
+
 def _put_in_place(aside: Path, path: Path) -> None:
     """Rename a folder; where there is one of that name, move every file into its place there."""
     try:
+        if path.exists() and _holds_only_cache(path):
+            if (path / CACHE_FOLDER).exists():
+                (path / CACHE_FOLDER).rename(aside / CACHE_FOLDER)
+            path.rmdir()
         if not path.exists():
             path.parent.mkdir(parents=True, exist_ok=True)
             _give_usual_permissions(aside, 0o777)
@@ -153,3 +177,11 @@ def _put_in_place(aside: Path, path: Path) -> None:
         raise StoreError(
             "the results cannot be put into the output folder", where=str(path), found=str(error)
         ) from error
+
+
+def _remove_stale(path: Path, own: Sequence[str], written: set[str]) -> None:
+    """Remove what an earlier run wrote and this one did not, so that no answer is a mixture."""
+    for pattern in own:
+        for file in path.glob(pattern):
+            if file.name not in written and file.is_file():
+                file.unlink(missing_ok=True)

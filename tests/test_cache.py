@@ -1,0 +1,264 @@
+"""What is kept of a run: found again by what it depends on, never broken, never in the way."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from small_campaign import run_command, write_campaign
+
+from roomfit.air import Air
+from roomfit.app.cached_trace import TRACE_CLASSES, cached_trace
+from roomfit.errors import InputError
+from roomfit.files.cache import Cache, cache_of, cached
+from roomfit.files.digests import digest
+from roomfit.files.records import BrokenRecordError, load_record, save_record
+from roomfit.files.store import CACHE_FOLDER, check_output_folder, whole_output_folder
+from roomfit.geometry.shoebox import shoebox_mesh
+from roomfit.materials.scattering import uniform_scattering
+from roomfit.scene.rooms import room_from_mesh
+from roomfit.scene.scene import Point, Scene
+from roomfit.tracing.join import trace
+from roomfit.tracing.settings import TraceSettings
+
+
+@dataclass(frozen=True, eq=False)
+class Sheet:
+    """A record to keep."""
+
+    name: str
+    numbers: np.ndarray
+    inner: Sheet | None = None
+
+
+values = st.recursive(
+    st.none()
+    | st.booleans()
+    | st.integers()
+    | st.floats(allow_nan=False)
+    | st.text(max_size=5)
+    | st.binary(max_size=5),
+    lambda inner: (
+        st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=3)
+    ),
+    max_leaves=6,
+)
+
+
+def told_apart(value: object) -> str:
+    """Another road to equality of kind and value: Python's own text of it."""
+    if isinstance(value, dict):
+        return f"{{{sorted((k, told_apart(v)) for k, v in value.items())}}}"
+    if isinstance(value, list):
+        return f"[{[told_apart(v) for v in value]}]"
+    return f"{type(value).__name__} {value!r}"
+
+
+@given(values, values)
+def test_digests_are_equal_for_equal_values_and_for_no_others(one, other):
+    assert (digest(one) == digest(other)) == (told_apart(one) == told_apart(other))
+
+
+def test_a_digest_tells_shape_and_type_of_an_array_apart():
+    row = np.arange(6.0)
+    kinds = (row, row.reshape(2, 3), row.reshape(3, 2), row.astype(np.float32), row.tolist())
+    assert len({digest(k) for k in kinds}) == len(kinds)
+    assert digest(row.reshape(2, 3).T) == digest(np.ascontiguousarray(row.reshape(2, 3).T))
+    assert digest(Sheet("a", row)) != digest(Sheet("b", row))
+
+
+def test_a_record_comes_back_as_it_was(tmp_path):
+    sheet = Sheet("a", np.array([[1, 2]], dtype=np.uint16), Sheet("b", np.array([np.nan, -0.0])))
+    path = tmp_path / "a.npz"
+    save_record(path, (sheet, {"x": [1, 2.5, None, True]}))
+    back, table = load_record(path, (Sheet,))
+    assert (back.name, back.inner.name, back.inner.inner) == ("a", "b", None)
+    assert back.numbers.dtype == np.uint16
+    assert back.numbers.tobytes() == sheet.numbers.tobytes()
+    assert back.inner.numbers.tobytes() == sheet.inner.numbers.tobytes()
+    assert table == {"x": (1, 2.5, None, True)}
+    with pytest.raises(BrokenRecordError, match="Sheet"):
+        load_record(path, ())
+
+
+def test_every_altered_or_missing_byte_that_matters_is_found_out(tmp_path):
+    """A byte turned anywhere, or the file cut anywhere, gives an error or the same record."""
+    sheet = Sheet("a", np.arange(40.0))
+    path = tmp_path / "a.npz"
+    save_record(path, sheet)
+    whole = path.read_bytes()
+    refused = 0
+    rng = np.random.default_rng(5)
+    for place in rng.permutation(len(whole))[:300]:
+        altered = bytearray(whole)
+        altered[place] ^= 0xFF
+        for content in (bytes(altered), whole[:place]):
+            path.write_bytes(content)
+            try:
+                back = load_record(path, (Sheet,))
+            except BrokenRecordError:
+                refused += 1
+                continue
+            assert back.name == "a"
+            np.testing.assert_array_equal(back.numbers, sheet.numbers)
+    # every cut, and every byte turned but those of dates and the like that zip files carry
+    assert refused > 450
+
+
+def box_scene() -> Scene:
+    mesh = shoebox_mesh((4.0, 3.0, 2.5))
+    room = room_from_mesh(mesh, {s.name: "walls" for s in mesh.surfaces}, (4.0, 3.0, 2.5))
+    return Scene(
+        room,
+        (Point("S", np.array([1.0, 1.0, 1.0])),),
+        (Point("R", np.array([3.0, 2.0, 1.5])),),
+        np.array([[0, 0]]),
+        Air(),
+    )
+
+
+SETTINGS = TraceSettings(duration_s=0.1, n_rays=500, image_order=2, seed=3)
+
+
+def same_paths(one, other) -> bool:
+    names = ("pair", "length_m", "weight_per_m2", "hits_specular", "hits_diffuse", "batch")
+    names += ("departure", "arrival", "sampling_scattering")
+    return all(getattr(one, n).tobytes() == getattr(other, n).tobytes() for n in names)
+
+
+def test_a_trace_is_found_again_with_the_same_bits_and_only_for_the_same_scene(tmp_path):
+    scene, cache = box_scene(), Cache(tmp_path / "cache")
+    scattering = uniform_scattering(scene.room.materials, 0.2)
+    first = cached_trace(scene, SETTINGS, scattering, cache)
+    again = cached_trace(scene, SETTINGS, scattering, cache)
+    assert (first.found, again.found) == (False, True)
+    assert same_paths(first.value.paths, again.value.paths)
+    assert same_paths(trace(scene, SETTINGS, scattering).paths, again.value.paths)
+    assert again.value.statistics.n_hits == first.value.statistics.n_hits
+    moved = Scene(
+        scene.room,
+        (Point("S", np.array([1.0, 1.0, 1.0 + 1e-12])),),
+        scene.receivers,
+        scene.pairs,
+        scene.air,
+    )
+    warmer = Scene(scene.room, scene.sources, scene.receivers, scene.pairs, Air(25.0))
+    for other in (moved, warmer):
+        assert not cached_trace(other, SETTINGS, scattering, cache).found
+    other_s = uniform_scattering(scene.room.materials, 0.3)
+    assert not cached_trace(scene, SETTINGS, other_s, cache).found
+
+
+@pytest.mark.parametrize("damage", ["cut", "turned", "empty", "text"])
+def test_a_damaged_file_is_told_and_computed_anew(tmp_path, damage):
+    scene, cache = box_scene(), Cache(tmp_path / "cache")
+    scattering = uniform_scattering(scene.room.materials, 0.2)
+    first = cached_trace(scene, SETTINGS, scattering, cache)
+    (file,) = cache.folder.iterdir()
+    whole = file.read_bytes()
+    middle = len(whole) // 2
+    file.write_bytes(
+        {
+            "cut": whole[:middle],
+            "turned": whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :],
+            "empty": b"",
+            "text": b"not an archive",
+        }[damage]
+    )
+    again = cached_trace(scene, SETTINGS, scattering, cache)
+    assert not again.found
+    assert [f.code for f in again.findings] == ["cache-file-damaged"]
+    assert same_paths(first.value.paths, again.value.paths)
+    assert file.read_bytes() == whole
+    assert cached_trace(scene, SETTINGS, scattering, cache).found
+
+
+def keep(cache: Cache, key: int, n: int = 1000) -> bool:
+    return cached(cache, "sheet", (key,), lambda: Sheet("x", np.full(n, float(key))), [Sheet]).found
+
+
+def test_the_least_recently_used_go_when_the_limit_is_reached(tmp_path):
+    cache = Cache(tmp_path, limit_bytes=20_000)  # two sheets of 8 kB and their outlines
+    keep(cache, 1)
+    os.utime(next(tmp_path.iterdir()), (1, 1))
+    keep(cache, 2)
+    assert keep(cache, 1)  # used: now the newest
+    keep(cache, 3)
+    assert sum(p.stat().st_size for p in tmp_path.iterdir()) <= cache.limit_bytes
+    assert keep(cache, 1)
+    assert not keep(cache, 2)
+    assert not keep(cache, 4, n=10_000)
+    assert not keep(cache, 4, n=10_000)  # larger than the limit: never kept
+
+
+def test_a_cache_that_cannot_be_written_leaves_the_value_and_says_so(tmp_path):
+    (tmp_path / "file").write_text("in the way")
+    found = cached(
+        Cache(tmp_path / "file" / "cache"), "sheet", (1,), lambda: Sheet("x", np.ones(3)), [Sheet]
+    )
+    assert found.value.numbers.tolist() == [1.0, 1.0, 1.0]
+    # a file in the place of a folder cannot be read, either
+    assert {f.code for f in found.findings} <= {"cache-not-written", "cache-file-damaged"}
+    assert "cache-not-written" in {f.code for f in found.findings}
+
+
+def test_without_a_cache_nothing_is_written(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert not cached(None, "sheet", (1,), lambda: Sheet("x", np.ones(3)), [Sheet]).found
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_an_output_folder_with_nothing_but_a_cache_counts_as_empty(tmp_path):
+    out = tmp_path / "out"
+    keep(cache_of(out), 1)
+    check_output_folder(out)
+    with whole_output_folder(out) as folder:
+        (folder / "result.json").write_text("new")
+    assert sorted(p.name for p in out.iterdir()) == [CACHE_FOLDER, "result.json"]
+    assert keep(cache_of(out), 1)
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+    with pytest.raises(InputError, match="not empty"):
+        check_output_folder(out)
+
+
+def test_overwriting_leaves_no_file_of_the_earlier_run_and_every_foreign_one(tmp_path):
+    out, own = tmp_path / "out", ("result.json", "decay_[0-9]*.png")
+    with whole_output_folder(out, own=own) as folder:
+        for name in ("result.json", "decay_01_a.png", "decay_02_b.png"):
+            (folder / name).write_text("old")
+    (out / "notes.txt").write_text("mine")
+    (out / "decay_of_my_own.png").write_text("mine")
+    keep(cache_of(out), 1)
+    with whole_output_folder(out, overwrite=True, own=own) as folder:
+        (folder / "result.json").write_text("new")
+        (folder / "decay_01_a.png").write_text("new")
+    content = {p.name: p.read_text() for p in out.iterdir() if p.is_file()}
+    assert content == {
+        "result.json": "new",
+        "decay_01_a.png": "new",
+        "notes.txt": "mine",
+        "decay_of_my_own.png": "mine",
+    }
+    assert keep(cache_of(out), 1)
+
+
+def test_an_error_while_overwriting_removes_nothing(tmp_path):
+    out = tmp_path / "out"
+    out.mkdir()
+    (out / "decay_01_a.png").write_text("old")
+    with (
+        pytest.raises(RuntimeError),
+        whole_output_folder(out, overwrite=True, own=("decay_*.png",)),
+    ):
+        raise RuntimeError
+    assert (out / "decay_01_a.png").read_text() == "old"
