@@ -211,17 +211,31 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
         signal = gain * (seen.shares @ energy)
         squares = weigh(lone, coefficients, attenuation, derivative=False).energy[0]
         timing = (gain * seen.timing_sd_s) ** 2 * (seen.slopes.power(2) @ squares)
-        tracing = gain**2 * _tracing_variance(rows, seen, coefficients, attenuation)
+        tracing = gain**2 * tracing_variance(rows, seen, coefficients, attenuation)
         interference = gain**2 * _interference(problem.bandwidth_hz, seen, energy, squares)
-        noise = seen.noise * (seen.noise + 2.0 * signal)
-        noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
-        # where the measurement is far above, its own size bounds the certainty: a window that a
-        # trial absorption leaves empty must not outweigh all others
-        scale = np.maximum(signal, 0.5 * (seen.energy - seen.noise))
-        model = (problem.model_error * scale) ** 2
-        model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
-        variances.append(interference + timing + noise + tracing + model)
+        rest = noise_and_model_variance(problem, seen, signal)
+        variances.append(interference + timing + tracing + rest)
     return np.concatenate(variances)
+
+
+def noise_and_model_variance(
+    problem: EnergyProblem, seen: Observation, signal: FloatArray
+) -> FloatArray:
+    """Return the variance of each window by background noise and by the errors of the model.
+
+    Parameters
+    ----------
+    signal : float array, shape (n_windows,)
+        Expected energy without noise.
+    """
+    noise = seen.noise * (seen.noise + 2.0 * signal)
+    noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
+    # where the measurement is far above, its own size bounds the certainty: a window that a
+    # trial absorption leaves empty must not outweigh all others
+    scale = np.maximum(signal, 0.5 * (seen.energy - seen.noise))
+    model = (problem.model_error * scale) ** 2
+    model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
+    return np.asarray(noise + model)
 
 
 def lone_rows(rows: EnergyRows) -> EnergyRows:
@@ -276,7 +290,7 @@ def _ringing(edges_s: FloatArray, signal: FloatArray) -> FloatArray:
     return np.asarray(np.tril(np.diff(arrived, axis=0), -1) @ signal)
 
 
-def _tracing_variance(
+def tracing_variance(
     rows: EnergyRows, seen: Observation, coefficients: FloatArray, attenuation: FloatArray
 ) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, from independent batches."""

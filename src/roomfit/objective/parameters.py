@@ -88,10 +88,36 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class JointPrior:
+    """A correlated Gaussian prior of the fitted entries of one block, in place of its own.
+
+    Attributes
+    ----------
+    block : str
+    mean : float array, shape (n,)
+        Of the fitted entries' free numbers.
+    information : float array, shape (n, n)
+        Inverse of their covariance: symmetric, positive definite.
+    """
+
+    block: str
+    mean: FloatArray
+    information: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Blocks laid end to end; the free vector holds the fitted entries only, in this order."""
+    """Blocks laid end to end; the free vector holds the fitted entries only, in this order.
+
+    Attributes
+    ----------
+    blocks : tuple of Block
+    joint : JointPrior or None
+        Replaces the separate priors of one block.
+    """
 
     blocks: tuple[Block, ...]
+    joint: JointPrior | None = None
 
 
 def leaders(block: Block) -> IntArray:
@@ -191,5 +217,16 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
     sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])
     finite = np.isfinite(sd)
+    if parameters.joint is None:
+        jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
+        return ((vector - mean) / sd)[finite], jacobian
+    joint = parameters.joint
+    first = position_of(parameters, joint.block)
+    own = slice(first, first + joint.mean.size)
+    finite[own] = False
     jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
-    return ((vector - mean) / sd)[finite], jacobian
+    root = np.zeros((joint.mean.size, vector.size))
+    root[:, own] = np.linalg.cholesky(joint.information).T
+    separate = ((vector - mean) / sd)[finite]
+    correlated = root[:, own] @ (vector[own] - joint.mean)
+    return np.concatenate((separate, correlated)), np.concatenate((jacobian, root))

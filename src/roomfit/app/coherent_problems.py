@@ -1,0 +1,188 @@
+"""A campaign's energy problems made partly coherent: image paths, places, speed, latency, delays."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.app.measuring import MeasuredPair
+from roomfit.app.problems import UNTOLD_POSITION_SD_M, BinnedPaths, in_band
+from roomfit.bands import Bands
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.objective.coherent_geometry import GEOMETRY, Geometry, geometry_block
+from roomfit.objective.coherent_problem import CoherentProblem
+from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.parameters import JointPrior, Parameters
+from roomfit.response.coherent import band_grid, chosen_paths, image_paths
+from roomfit.response.rows import EnergyRows
+from roomfit.scene.scene import Scene
+from roomfit.signals.filters import FilterBank
+from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray
+
+# What is assumed of an unknown of which nothing is told.
+SPEED_SD = 2e-3
+DELAY_SD_S = 2e-4
+_LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
+
+
+def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
+    """Return the bins that end by a time, with their rows."""
+    n = max(int(np.searchsorted(binned.edges_s, end_s + 1e-9, side="right")) - 1, 1)
+    if n >= binned.edges_s.size - 1:
+        return binned
+    rows = []
+    for r in binned.rows:
+        last = int(r.offsets[n])
+        rows.append(
+            EnergyRows(
+                r.materials,
+                n,
+                r.offsets[: n + 1],
+                r.weight_per_m2[:last],
+                r.hits[:last],
+                r.length_m[:last],
+                r.batch[:last],
+                r.n_batches,
+            )
+        )
+    return BinnedPaths(binned.edges_s[: n + 1], tuple(rows))
+
+
+def campaign_geometry(
+    scene: Scene,
+    knowledge: tuple[MaterialKnowledge, ...],
+    fitted: tuple[MeasuredPair, ...],
+    *,
+    positions: bool,
+    delays: bool,
+    speed_sd: float = SPEED_SD,
+) -> Geometry:
+    """Return the unknowns of arrival times of the fitted measurements.
+
+    Parameters
+    ----------
+    fitted : tuple of MeasuredPair
+        One an observation, in the order of the observations.
+    positions : bool
+        Whether places, speed of sound and latencies may move.
+    delays : bool
+        Whether walls may delay.
+    speed_sd : float
+        Standard deviation of ln c.
+    """
+    labels: list[str] = []
+    sd: list[float] = []
+    places = {}
+    for kind, points in (("source", scene.sources), ("receiver", scene.receivers)):
+        for i, point in enumerate(points):
+            places[kind, i] = len(labels)
+            told = point.position_sd_m
+            labels += [f"{kind} {point.name} {axis}" for axis in "xyz"]
+            sd += 3 * [UNTOLD_POSITION_SD_M if told is None else told]
+    speed = len(labels)
+    labels.append("speed of sound")
+    sd.append(speed_sd)
+    latency = {}
+    for m in fitted:
+        source = int(scene.pairs[m.pair][0])
+        if source not in latency:
+            latency[source] = len(labels)
+            labels.append(f"latency {scene.sources[source].name}")
+            assumed = _LATENCY_SD_S[m.file.response.time_zero]
+            sd.append(assumed if m.file.latency_sd_s is None else m.file.latency_sd_s)
+    first_delay = len(labels)
+    labels += [f"delay {k.name}" for k in knowledge]
+    spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in knowledge]
+    sds = np.array(sd if positions else np.zeros(len(sd)), dtype=np.float64)
+    sds = np.concatenate((sds, spreads if delays else np.zeros(len(spreads))))
+    columns = []
+    for m in fitted:
+        s, r = (int(i) for i in scene.pairs[m.pair])
+        places_s, places_r = places["source", s], places["receiver", r]
+        columns.append(
+            [
+                *range(places_s, places_s + 3),
+                *range(places_r, places_r + 3),
+                speed,
+                latency[s],
+                *range(first_delay, first_delay + len(knowledge)),
+            ]
+        )
+    return Geometry(tuple(labels), sds, speed_of_sound_m_s(scene.air), np.array(columns))
+
+
+def coherent_problem(
+    bands: Bands,
+    band: int,
+    energies: EnergyProblem,
+    attenuation_per_m: float,
+    paths: Paths,
+    binned: BinnedPaths,
+    geometry: Geometry,
+    joint: JointPrior | None,
+) -> CoherentProblem:
+    """Return the partly coherent problem of a band from its energy problem, not coherent yet.
+
+    Parameters
+    ----------
+    energies : EnergyProblem
+        Of the same paths and observations; its attenuation may be in its rows already.
+    attenuation_per_m : float
+        Energy attenuation of the air in the band.
+    geometry : Geometry
+        With one row of columns for each observation.
+    joint : JointPrior or None
+        What lower bands say of the geometry.
+    """
+    seen = energies.observations
+    c = geometry.speed_m_s
+    bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+    first = min(float(o.edges_s[0]) for o in seen)
+    last = max(float(o.edges_s[-1]) for o in seen)
+    grid = band_grid(bank, first, last)
+    images = image_paths(paths, np.array([o.pair for o in seen]), attenuation_per_m)
+    travel = np.linalg.norm(images.away_m, axis=1) / c
+    images = chosen_paths(images, travel < last + 4.0 / energies.centre_hz)
+    travel = np.linalg.norm(images.away_m, axis=1) / c
+    bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
+    bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
+    bins[bins >= bin_edges_s.size - 1] = -1
+    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)), joint)
+    nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
+    return CoherentProblem(
+        energies,
+        parameters,
+        geometry,
+        replace(images, coherence=np.zeros(travel.size)),
+        nothing,
+        bins,
+        np.zeros(0, dtype=np.int64),
+        grid,
+        energies.centre_hz,
+    )
+
+
+def whole_covariance(
+    parameters: Parameters, own: FloatArray | None
+) -> FloatArray:
+    """Return the covariance of all entries of the geometry, zero where one is held.
+
+    Parameters
+    ----------
+    own : float array, shape (n_fitted, n_fitted), or None
+        Of the fitted entries; None takes the prior.
+    """
+    block = next(b for b in parameters.blocks if b.name == GEOMETRY)
+    fitted = np.flatnonzero(block.fitted)
+    if own is None:
+        own = (
+            np.diag(block.prior_sd[fitted] ** 2)
+            if parameters.joint is None
+            else np.linalg.inv(parameters.joint.information)
+        )
+    out = np.zeros((block.fitted.size, block.fitted.size))
+    out[np.ix_(fitted, fitted)] = own
+    return out

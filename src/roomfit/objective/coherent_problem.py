@@ -1,0 +1,280 @@
+"""Measured windows of one band against partly coherent image sources and energies of the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit.objective.coherent_geometry import GEOMETRY, Geometry, local_roots, times_of
+from roomfit.objective.energy_problem import (
+    EnergyProblem,
+    noise_and_model_variance,
+    predict_windows,
+    tracing_variance,
+)
+from roomfit.objective.parameters import Parameters, fitted_columns, physical_values
+from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.response.coherent import (
+    BandGrid,
+    CoherentResponse,
+    ImagePaths,
+    chosen_paths,
+    coherent_response,
+    image_energies,
+)
+from roomfit.response.coherent_kernels import binned_energies, spread_squared
+from roomfit.response.energy import weigh
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+# A path less coherent than this is left to the energies.
+_LEAST_COHERENCE = 1e-3
+# Relative error of a travel time that no fitted parameter stands for.
+_TIMING_SHARE = 1e-4
+# The same of a place, per coordinate.
+_PLACE_SD_M = 0.5e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentProblem:
+    """One band: absorption, gains and geometry under which partly coherent paths explain it.
+
+    The expected energy of a window is what `energies` expects of all paths, less the coherent part
+    gamma e of the image paths, plus the energy of their coherent pressure.
+
+    Attributes
+    ----------
+    energies : EnergyProblem
+        All paths, as energies; its parameters are not used.
+    parameters : Parameters
+        Blocks "absorption", "gain" and "geometry".
+    geometry : Geometry
+    images : ImagePaths
+        All image paths of the observations with the coherence of each.
+    coherent : ImagePaths
+        Those of them that are coherent at all.
+    bins : int array, shape (n_images,)
+        Fine time bin of each of `images`.
+    coherent_bins : int array
+        Of each of `coherent`.
+    grid : BandGrid
+    centre_hz : float
+    """
+
+    energies: EnergyProblem
+    parameters: Parameters
+    geometry: Geometry
+    images: ImagePaths
+    coherent: ImagePaths
+    bins: IntArray
+    coherent_bins: IntArray
+    grid: BandGrid
+    centre_hz: float
+
+    def measured(self) -> FloatArray:
+        """Return the measured window energies, all observations end to end, (n_windows,)."""
+        return self.energies.measured()
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return what the model expects in every window."""
+        return _predict(self, vector)
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return how far every window may scatter; see `coherent_variance`."""
+        return coherent_variance(self, vector)
+
+    def counted_as_one(self) -> FloatArray:
+        """Return 1 for every window."""
+        return np.ones(self.measured().size)
+
+    def are_energies(self) -> BoolArray:
+        """Return True for every window."""
+        return self.energies.are_energies()
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log density of every window's energy."""
+        return gamma_log_likelihood(self.measured(), expected, variance)
+
+
+def with_coherence(
+    problem: CoherentProblem, covariance: FloatArray, phase_sd: float = 0.0
+) -> CoherentProblem:
+    """Return the problem with each path as coherent as its arrival time is known.
+
+    ``gamma = exp(-w^2 var(t) - phase_sd^2 n)`` with w of the band's centre, n hits, and var(t) of
+    the geometry's covariance, of places to half a millimetre and of a share of 1e-4 of the time.
+
+    Parameters
+    ----------
+    covariance : float array, shape (n, n)
+        Of all entries of the geometry's free numbers, held ones zero.
+    phase_sd : float
+        Standard deviation of the phase that a reflection adds at random, rad.
+    """
+    images, c = problem.images, problem.geometry.speed_m_s
+    length = np.linalg.norm(images.away_m, axis=1)
+    toward = images.away_m / length[:, None]
+    departure = np.einsum("nij,ni->nj", images.unfolding.reshape(-1, 3, 3), toward)
+    spread = np.empty(length.size)
+    roots = local_roots(problem.geometry, covariance)
+    spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
+    spread += 2.0 * (_PLACE_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
+    phase = (2.0 * np.pi * problem.centre_hz) ** 2 * spread
+    phase += phase_sd**2 * images.hits.sum(axis=1)
+    gamma = np.exp(-phase)
+    keep = (gamma > _LEAST_COHERENCE) & (problem.bins >= 0)
+    images = replace(images, coherence=np.where(keep, gamma, 0.0))
+    return replace(
+        problem,
+        images=images,
+        coherent=chosen_paths(images, keep),
+        coherent_bins=problem.bins[keep],
+    )
+
+
+def _predict(problem: CoherentProblem, vector: FloatArray) -> Prediction:
+    values, slopes = physical_values(problem.parameters, vector)
+    energies = replace(problem.energies, parameters=Parameters(_leading(problem.parameters)))
+    n_leading = vector.size - _n_geometry(problem.parameters)
+    plain = predict_windows(energies, vector[:n_leading])
+    extra, by_absorption, by_times = _correction(problem, values)
+    gains = np.append(values["gain"], 1.0)
+    gain = gains[_gain_of_window(problem)]
+    columns = np.zeros((extra.size, values["gain"].size))
+    for k in range(columns.shape[1]):
+        columns[_gain_of_window(problem) == k, k] = 1.0
+    jacobians = {
+        "absorption": gain[:, None] * by_absorption * slopes["absorption"],
+        "gain": columns * extra[:, None] * slopes["gain"],
+        GEOMETRY: gain[:, None] * by_times * slopes[GEOMETRY],
+    }
+    jacobian = fitted_columns(problem.parameters, jacobians)
+    jacobian[:, :n_leading] += plain.jacobian
+    added = gain * extra
+    return Prediction(plain.expected + added, plain.signal + added, jacobian)
+
+
+def _correction(
+    problem: CoherentProblem, values: dict[str, FloatArray]
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return what coherence adds to each window at a gain of 1, by absorption and geometry."""
+    absorption = values["absorption"]
+    response = _response(problem, values, derivative=True)
+    n_materials = absorption.size
+    energy = image_energies(problem.coherent, absorption) * problem.coherent.coherence
+    less, less_by_hits = [], []
+    for o, seen in enumerate(problem.energies.observations):
+        own = slice(problem.coherent.offsets[o], problem.coherent.offsets[o + 1])
+        n_bins = seen.shares.shape[1]
+        total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
+        binned_energies(
+            *(problem.coherent_bins[own], problem.coherent.hits[own], energy[own]),
+            *(total, by_hits),
+        )
+        less.append(seen.shares @ total)
+        less_by_hits.append(seen.shares @ by_hits.T)
+    by_log = response.by_log_reflected - np.concatenate(less_by_hits)
+    # d ln(1 - a) = -da / (1 - a)
+    by_absorption = -by_log / np.maximum(1.0 - absorption, 1e-12)
+    by_times = np.zeros((by_log.shape[0], problem.geometry.sd.size))
+    for o, windows in enumerate(_windows(problem)):
+        np.add.at(
+            by_times,
+            (windows[:, None], problem.geometry.columns[o][None, :]),
+            response.by_times[windows],
+        )
+    return (
+        response.energy - np.concatenate(less),
+        by_absorption,
+        by_times * problem.geometry.sd,
+    )
+
+
+def _response(
+    problem: CoherentProblem,
+    values: dict[str, FloatArray],
+    *,
+    derivative: bool,
+    fine: bool = False,
+) -> CoherentResponse:
+    return coherent_response(
+        problem.coherent,
+        values["absorption"],
+        times_of(problem.geometry, values[GEOMETRY]),
+        problem.grid,
+        tuple(o.fine_edges_s if fine else o.edges_s for o in problem.energies.observations),
+        derivative=derivative,
+    )
+
+
+def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArray:
+    """Return the variance of every measured window energy about its expectation.
+
+    With Y the energy per time of the coherent pressure and P that of what is not, the random part
+    interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated over the
+    window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what lone paths cannot do, since a
+    lone path has its energy whatever its phase. Without coherence this is the variance of
+    `roomfit.objective.energy_problem.window_variance`.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+    """
+    values, _ = physical_values(problem.parameters, vector)
+    absorption = values["absorption"]
+    coefficients, still = absorption[:, None], np.array([problem.energies.attenuation_per_m])
+    gains = np.append(values["gain"], 1.0)
+    images = problem.images
+    energy = image_energies(images, absorption)
+    gamma = images.coherence
+    intensity = _response(problem, values, derivative=False, fine=True).energy
+    starts = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.energies.observations)])
+    whole = _response(problem, values, derivative=False).energy
+    variances = []
+    for o, (rows, seen) in enumerate(
+        zip(problem.energies.rows, problem.energies.observations, strict=True)
+    ):
+        gain = gains[seen.gain]
+        own = slice(images.offsets[o], images.offsets[o + 1])
+        bins, e, g = problem.bins[own], energy[own], gamma[own]
+        inside = bins >= 0
+        bins, e, g = bins[inside], e[inside], g[inside]
+        n_bins = seen.shares.shape[1]
+        all_paths = weigh(rows, coefficients, still, derivative=False).energy[0]
+        random = np.maximum(all_paths - np.bincount(bins, g * e, n_bins), 0.0)
+        lone = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
+        late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
+        coherent = intensity[starts[o] : starts[o + 1]]
+        spread = seen.fine_shares @ random
+        pieces = spread**2 + 2.0 * spread * coherent - seen.fine_shares.power(2) @ lone
+        pieces = np.maximum(pieces, 0.0)
+        pieces /= problem.energies.bandwidth_hz * np.diff(seen.fine_edges_s)
+        first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+        interference = np.add.reduceat(pieces, first)
+        timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ late)
+        tracing = tracing_variance(rows, seen, coefficients, still)
+        signal = gain * (seen.shares @ random + whole[_windows(problem)[o]])
+        variances.append(
+            gain**2 * (interference + timing + tracing)
+            + noise_and_model_variance(problem.energies, seen, signal)
+        )
+    return np.concatenate(variances)
+
+
+def _windows(problem: CoherentProblem) -> list[IntArray]:
+    """Return which windows belong to each observation."""
+    ends = np.cumsum([0, *(o.energy.size for o in problem.energies.observations)])
+    return [np.arange(low, high) for low, high in zip(ends[:-1], ends[1:], strict=True)]
+
+
+def _gain_of_window(problem: CoherentProblem) -> IntArray:
+    seen = problem.energies.observations
+    return np.repeat([o.gain for o in seen], [o.energy.size for o in seen])
+
+
+def _leading(parameters: Parameters) -> tuple:
+    return tuple(b for b in parameters.blocks if b.name != GEOMETRY)
+
+
+def _n_geometry(parameters: Parameters) -> int:
+    return sum(int(b.fitted.sum()) for b in parameters.blocks if b.name == GEOMETRY)
