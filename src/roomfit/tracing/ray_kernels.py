@@ -10,6 +10,7 @@ from numba import prange
 from roomfit.compiled import kernel
 from roomfit.tracing.acceleration import Walls, next_wall, wall_material
 from roomfit.tracing.bounce import Vector, after_wall
+from roomfit.tracing.rain import towards, unobstructed
 from roomfit.tracing.random import ray_key
 from roomfit.tracing.spheres import Spheres, cell_at, chord, enters_grid, leaves_cell
 from roomfit.typing import FloatArray, IntArray
@@ -30,6 +31,9 @@ class Job(NamedTuple):
     max_hits : int
         A ray ends at the wall hit of this number.
     seed, source : int
+    rain : bool
+        Whether diffuse reflections rain on the receivers, and spheres catch only what comes from
+        a specular reflection or straight from the source.
     """
 
     start_m: FloatArray
@@ -38,6 +42,7 @@ class Job(NamedTuple):
     max_hits: int
     seed: int
     source: int
+    rain: bool = False
 
 
 class Caught(NamedTuple):
@@ -50,6 +55,7 @@ class Caught(NamedTuple):
     sphere : int32 array, shape (n_chunks, capacity)
     ray : int64 array, shape (n_chunks, capacity)
     length_m, chord_m : float arrays, shape (n_chunks, capacity)
+        For rain, the chord that would bring as much.
     hits_specular, hits_diffuse : uint16 arrays, shape (n_chunks, capacity, n_materials)
     arrival : float32 array, shape (n_chunks, capacity, 3)
     """
@@ -157,10 +163,12 @@ def _trace_ray(
     try_each = len(spheres.first) == 2
     o = (job.start_m[0], job.start_m[1], job.start_m[2])
     travelled, hit, sum_m, sum_m2 = 0.0, 0, 0.0, 0.0
-    last = -1
+    last, caught_by_spheres = -1, True
     while True:
         flight, wall = next_wall(walls, o, d, last)
-        if try_each:
+        if not caught_by_spheres:
+            pass
+        elif try_each:
             for k in range(len(spheres.radius_m)):
                 nearest, length = chord(spheres, k, o, d, flight)
                 if length > 0.0 and travelled + nearest <= job.max_length_m:
@@ -186,11 +194,47 @@ def _trace_ray(
         material = wall_material(walls, wall, o)
         last = wall
         normal = (walls.normal[wall, 0], walls.normal[wall, 1], walls.normal[wall, 2])
+        before = d
         d, is_diffuse = after_wall(d, normal, job.scattering[material], key, hit - 1)
         if is_diffuse:
             diffuse[material] += np.uint16(1)
         else:
             specular[material] += np.uint16(1)
+        if job.rain:
+            caught_by_spheres = not is_diffuse
+            if is_diffuse:
+                _rain(
+                    *(walls, spheres, job, o, before, normal, wall, travelled),
+                    *(ray, chunk, specular, diffuse, caught),
+                )
+
+
+@kernel(allocates=False)
+def _rain(
+    walls: Walls,
+    spheres: Spheres,
+    job: Job,
+    o: Vector,
+    d: Vector,
+    normal: Vector,
+    wall: int,
+    travelled: float,
+    ray: int,
+    chunk: int,
+    specular: IntArray,
+    diffuse: IntArray,
+    caught: Caught,
+) -> None:
+    """Record the way from a diffuse reflection to every receiver that it sees."""
+    for k in range(len(spheres.radius_m)):
+        distance, direction, share = towards(spheres, k, o, d, normal)
+        arrived = travelled + distance
+        if share == 0.0 or arrived > job.max_length_m:
+            continue
+        if unobstructed(walls, o, direction, wall, distance):
+            # crossings are recorded by chord over volume of the sphere
+            chord_m = share * 4.0 / 3.0 * np.pi * spheres.radius_m[k] ** 3
+            _record(caught, chunk, k, ray, arrived, chord_m, specular, diffuse, direction)
 
 
 @kernel(allocates=False, inlined=True)

@@ -89,7 +89,9 @@ def trace_rays(
     radii = _radii(scene, settings, receiver_radii_m)
     coefficients = in_room_order(scattering, scene.room)
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
-    expected = expected_paths(scene, settings, receiver_radii_m=radii)
+    expected = expected_paths(
+        scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
+    )
     _check_memory(scene, settings, expected, memory_limit_bytes)
     walls = walls_of(scene.room)
     pieces: list[Piece] = []
@@ -131,10 +133,11 @@ def _trace_source(
         settings.max_hits,
         settings.seed,
         source,
+        settings.estimator == "rain",
     )
     receivers = _spheres(scene, source, radii)
     directions = start_directions(settings, source)
-    per_ray = _crossings_per_ray(scene.room, receivers.radius_m, job)
+    per_ray = _paths_per_ray(scene.room, receivers.radius_m, job)
     for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
         capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
         caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
@@ -142,17 +145,27 @@ def _trace_source(
 
 
 def expected_paths(
-    scene: Scene, settings: TraceSettings, *, receiver_radii_m: ArrayLike | None = None
+    scene: Scene,
+    settings: TraceSettings,
+    *,
+    receiver_radii_m: ArrayLike | None = None,
+    scattering: float = 0.0,
 ) -> float:
-    """Return about how many paths a trace will record.
+    """Return about how many paths a trace will record, or more where walls differ in scattering.
 
     In a diffuse field a ray of length L crosses a sphere of radius a in a room of volume V
-    ``pi a**2 L / V`` times.
+    ``pi a**2 L / V`` times. Of rain, each diffuse reflection brings one path to each receiver.
+
+    Parameters
+    ----------
+    scattering : float
+        The largest of any wall; counts for rain.
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
     length = settings.duration_s * speed_of_sound_m_s(scene.air)
     length = min(length, settings.max_hits * _mean_free_path_m(scene.room))
-    return settings.n_rays * length * float(np.pi * (radii**2).sum()) / _volume_m3(scene.room)
+    rain = scattering if settings.estimator == "rain" else 0.0
+    return settings.n_rays * _paths_along(scene.room, radii, length, rain)
 
 
 def path_bytes(scene: Scene) -> int:
@@ -215,8 +228,15 @@ def _mean_free_path_m(room: Room) -> float:
     return 4.0 * _volume_m3(room) / surface_area_m2(room.mesh)
 
 
-def _crossings_per_ray(room: Room, radii_m: FloatArray, job: Job) -> float:
-    return job.max_length_m * float(np.pi * (radii_m**2).sum()) / _volume_m3(room)
+def _paths_per_ray(room: Room, radii_m: FloatArray, job: Job) -> float:
+    rain = float(job.scattering.max(initial=0.0)) if job.rain else 0.0
+    return _paths_along(room, radii_m, job.max_length_m, rain)
+
+
+def _paths_along(room: Room, radii_m: FloatArray, length_m: float, rain: float) -> float:
+    """Return how many paths one ray is expected to bring, at most."""
+    crossings = length_m * float(np.pi * (radii_m**2).sum()) / _volume_m3(room)
+    return crossings + rain * len(radii_m) * length_m / _mean_free_path_m(room)
 
 
 def _blocks(room: Room, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:

@@ -8,6 +8,7 @@ from typing import Literal
 from roomfit.errors import InputError
 
 Directions = Literal["fibonacci", "sobol"]
+Estimator = Literal["spheres", "rain"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,10 @@ class TraceSettings:
         Independent parts whose spread measures the Monte-Carlo noise.
     seed : int
         Same seed, same paths, bit by bit, for any number of threads.
+    estimator : {"spheres", "rain"}
+        "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
+        spheres catch only what was last reflected specularly, or not at all. It pays where walls
+        scatter most of what they reflect: `benchmarks/rays.py`.
     """
 
     duration_s: float
@@ -44,6 +49,7 @@ class TraceSettings:
     directions: Directions = "sobol"
     n_batches: int = 16
     seed: int = 1
+    estimator: Estimator = "spheres"
 
     def __post_init__(self) -> None:
         limits = (
@@ -68,4 +74,10 @@ class TraceSettings:
                 "unknown set of directions",
                 found=repr(self.directions),
                 needed='"sobol" or "fibonacci"',
+            )
+        if self.estimator not in ("spheres", "rain"):
+            raise InputError(
+                "unknown way to bring rays to receivers",
+                found=repr(self.estimator),
+                needed='"spheres" or "rain"',
             )
