@@ -88,7 +88,7 @@ class RoomValuesProblem:
     observations: tuple[ValueObservation, ...]
     smearing: Smearing
     parameters: Parameters
-    model_error_jnd: float = 0.5
+    model_error_jnd: float = 0.3
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.model_error_jnd <= 100.0:

@@ -147,8 +147,10 @@ def _crossing(
 def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
     """Return C50 or C80 in dB, or D50 in percent, with its derivative by the energy left."""
     left = curve.energy_left[band]
-    weights = _interpolation(curve.time_s, curve.onset_s + _EARLY_S[name])
-    total, late = float(left[0]), float(weights @ left)
+    i, share = _place(curve.time_s, curve.onset_s + _EARLY_S[name])
+    weights: FloatArray = np.zeros_like(left)
+    weights[i : i + 2] = 1.0 - share, share
+    total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
     if name == "D50_percent":
         by_left = -100.0 / total * weights
         by_left[0] += 100.0 * late / total**2
@@ -197,11 +199,7 @@ def _tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArra
     return by_tail, constant_s * by_tail + tail * by_constant
 
 
-def _interpolation(time_s: FloatArray, at_s: float) -> FloatArray:
-    """Return the weights by which linear interpolation reads a curve at one instant."""
-    weights = np.zeros_like(time_s)
-    if at_s <= time_s[-1]:
-        i = int(np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2))
-        share = float(np.clip((at_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
-        weights[i], weights[i + 1] = 1.0 - share, share
-    return weights
+def _place(time_s: FloatArray, at_s: float) -> tuple[int, float]:
+    """Return the boundary before an instant, and how far on the way to the next it lies, 0 to 1."""
+    i = int(np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2))
+    return i, float(np.clip((at_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
