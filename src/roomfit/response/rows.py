@@ -32,6 +32,9 @@ class EnergyRows:
         Independent Monte-Carlo batch; -1 for image paths, which are exact.
     n_batches : int
         Batches of the trace, rows or not; 0 where there were no rays.
+    path : int32 array, shape (n_rows,), or None
+        Which path of the trace each row is, for weights that depend on more than hits and length:
+        see `reweighed_rows`. None where rows are no single paths.
     max_hits : int
         Largest entry of `hits`, worked out once.
     """
@@ -44,6 +47,7 @@ class EnergyRows:
     length_m: FloatArray
     batch: IntArray
     n_batches: int = 0
+    path: IntArray | None = None
     max_hits: int = field(init=False)
 
     def __post_init__(self) -> None:
@@ -55,6 +59,8 @@ class EnergyRows:
             "length_m": (np.float64, (n,)),
             "batch": (np.int32, (n,)),
         }
+        if self.path is not None:
+            columns["path"] = (np.int32, (n,))
         for name, (dtype, shape) in columns.items():
             array = np.ascontiguousarray(getattr(self, name), dtype=dtype)
             if array.shape != shape:
@@ -116,6 +122,7 @@ def energy_rows(
         paths.length_m[own],
         paths.batch[own],
         paths.n_batches,
+        own.astype(np.int32),
     )
 
 
@@ -176,6 +183,42 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
         rows,
         weight_per_m2=rows.weight_per_m2 * np.exp(-attenuation_per_m * rows.length_m),
         length_m=np.zeros(len(rows)),
+    )
+
+
+def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
+    """Return the same rows with every weight times a factor of its path.
+
+    Costs the memory of the weights; everything else is shared.
+
+    Parameters
+    ----------
+    rows : EnergyRows
+    factors : float array, shape (n_paths,)
+        Of every path of the trace, of all pairs.
+
+    Raises
+    ------
+    InputError
+        The rows do not know which paths they are.
+    """
+    if rows.path is None:
+        raise InputError(
+            "rows that are no single paths cannot be weighed anew",
+            needed="rows as `energy_rows` makes them",
+            hint="weigh anew before merging equal rows",
+        )
+    return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
+
+
+def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
+    """Return the same rows in coarser windows, each of so many of the old ones.
+
+    The last one holds what is left. No row is copied or moved.
+    """
+    first = np.arange(0, rows.n_windows, n_together)
+    return replace(
+        rows, n_windows=first.size, offsets=rows.offsets[np.append(first, rows.n_windows)]
     )
 
 

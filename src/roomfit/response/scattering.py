@@ -1,15 +1,25 @@
-"""Traced paths weighed anew for another scattering coefficient."""
+"""Traced paths weighed anew for another scattering coefficient, band by band."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import prange
 
+from roomfit.compiled import kernel
 from roomfit.errors import InputError
 from roomfit.materials.scattering import Scattering
+from roomfit.response.energy import weigh
+from roomfit.response.rows import EnergyRows, reweighed_rows
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
+
+# Below it a few paths carry all the weight, and the trace is to be made again.
+LEAST_SAMPLE_SHARE = 0.1
+_SLICES = 8
+_FEWEST_IN_SLICE = 32
 
 
 def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
@@ -43,7 +53,7 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
             found=", ".join(scattering.materials),
             needed=", ".join(paths.materials),
         )
-    factor = np.ones(len(paths))
+    ratios = np.ones((2, len(paths.materials)))
     sampled = zip(paths.sampling_scattering, scattering.coefficients, strict=True)
     for m, (s0, s) in enumerate(sampled):
         if s == s0:
@@ -56,11 +66,24 @@ def scattering_weights(paths: Paths, scattering: Scattering) -> FloatArray:
                 needed="a sampling coefficient between 0 and 1",
                 hint="trace again with the coefficient that is wanted",
             )
-        diffuse = paths.hits_diffuse[:, m].astype(np.float64)
-        specular = paths.hits_specular[:, m].astype(np.float64)
-        # s = 0 or 1 leaves paths without the lost kind of hit alone: 0 ** 0 is 1
-        factor *= (s / s0) ** diffuse * ((1.0 - s) / (1.0 - s0)) ** specular
+        ratios[:, m] = s / s0, (1.0 - s) / (1.0 - s0)
+    factor = np.empty(len(paths))
+    _ratios_to_the_hits(ratios, paths.hits_diffuse, paths.hits_specular, factor)
     return factor
+
+
+@kernel(parallel=True)
+def _ratios_to_the_hits(
+    ratios: FloatArray, diffuse: IntArray, specular: IntArray, factor: FloatArray
+) -> None:
+    """Fill the product over materials of both ratios to the power of the hits; 0 ** 0 is 1."""
+    for i in prange(len(factor)):
+        product = 1.0
+        for m in range(ratios.shape[1]):
+            if ratios[0, m] != 1.0:
+                product *= ratios[0, m] ** np.int64(diffuse[i, m])
+                product *= ratios[1, m] ** np.int64(specular[i, m])
+        factor[i] = product
 
 
 def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
@@ -95,3 +118,110 @@ def effective_sample_size(factors: FloatArray) -> float:
     """
     square = float(np.sum(np.square(factors)))
     return float(np.sum(factors)) ** 2 / square if square > 0.0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandRows:
+    """Energy rows weighed for the scattering of one band.
+
+    Attributes
+    ----------
+    rows : tuple of EnergyRows
+    sample_share : float
+        Effective share of the sample where it is least; see `sample_share`. Below
+        `LEAST_SAMPLE_SHARE` trace again with coefficients near those that are wanted.
+    """
+
+    rows: tuple[EnergyRows, ...]
+    sample_share: float
+
+
+def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scattering) -> BandRows:
+    """Return rows with the weights that another scattering gives them.
+
+    Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact.
+
+    Parameters
+    ----------
+    rows : sequence of EnergyRows
+        Made from `paths` by `energy_rows`, of any pairs; merged or squared ones cannot be used.
+    paths : Paths
+    scattering : Scattering
+        What is wanted in this band.
+
+    Raises
+    ------
+    InputError
+        As `scattering_weights`.
+    """
+    if np.array_equal(scattering.coefficients, paths.sampling_scattering):
+        return BandRows(tuple(rows), 1.0)
+    factors = scattering_weights(paths, scattering)
+    weighed = tuple(reweighed_rows(r, factors) for r in rows)
+    share = min((sample_share(r, w) for r, w in zip(rows, weighed, strict=True)), default=1.0)
+    return BandRows(weighed, share)
+
+
+def sample_share(rows: EnergyRows, weighed: EnergyRows) -> float:
+    """Return which share of its rays a pair's sample is still worth after weighing anew.
+
+    Kish's effective number by the new weights over that by the old ones, in eighths of the rays by
+    time, the least of them: weights degenerate with every hit, so that the late part suffers
+    first. At most 1.
+
+    Parameters
+    ----------
+    rows, weighed : EnergyRows
+        The same rows with old and new weights.
+    """
+    rays = np.flatnonzero(rows.batch >= 0)
+    n_slices = int(np.clip(len(rays) // _FEWEST_IN_SLICE, 1, _SLICES))
+    shares = [
+        effective_sample_size(weighed.weight_per_m2[part])
+        / max(effective_sample_size(rows.weight_per_m2[part]), 1e-300)
+        for part in np.array_split(rays, n_slices)
+        if part.size
+    ]
+    return float(min((1.0, *shares)))
+
+
+def scattering_derivative(
+    rows: EnergyRows,
+    paths: Paths,
+    scattering: Scattering,
+    absorption: FloatArray,
+    attenuation_per_m: FloatArray,
+) -> FloatArray:
+    """Return the derivative of window energies by the scattering coefficient of each material.
+
+    Exact for the paths at hand: a path's weight is proportional to ``s**d (1 - s)**n``, so that
+    its logarithm has the slope ``d / s - n / (1 - s)``.
+
+    Parameters
+    ----------
+    rows : EnergyRows
+        Weighed for `scattering`.
+    absorption : float array, shape (n_materials, n_bands)
+    attenuation_per_m : float array, shape (n_bands,)
+
+    Returns
+    -------
+    float array, shape (n_materials, n_bands, n_windows)
+
+    Raises
+    ------
+    InputError
+        A coefficient of 0 or 1, where paths of one kind are missing.
+    """
+    if not np.all((scattering.coefficients > 0.0) & (scattering.coefficients < 1.0)):
+        raise InputError(
+            "energies have no slope by a scattering of 0 or 1",
+            found=", ".join(f"{s:g}" for s in scattering.coefficients),
+            needed="0 < s < 1",
+        )
+    slopes = []
+    for m, s in enumerate(scattering.coefficients):
+        slope = paths.hits_diffuse[:, m] / s - paths.hits_specular[:, m] / (1.0 - s)
+        sloped = reweighed_rows(rows, slope)
+        slopes.append(weigh(sloped, absorption, attenuation_per_m, derivative=False).energy)
+    return np.array(slopes)
