@@ -13,6 +13,7 @@ from roomfit.cli.demo import demo
 from roomfit.cli.export import export
 from roomfit.cli.identify import identify
 from roomfit.cli.paper import paper
+from roomfit.cli.predict import predict
 
 app = typer.Typer(
     name="roomfit",
@@ -45,3 +46,4 @@ app.command()(demo)
 app.command()(export)
 app.command()(identify)
 app.command()(paper)
+app.command()(predict)

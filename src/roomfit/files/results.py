@@ -42,12 +42,12 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
     content: dict[str, Any] = {
         "format": "roomfit-result",
         "format_version": 1,
-        "bands_hz": _numbers(answer.bands.centres_hz),
+        "bands_hz": numbers(answer.bands.centres_hz),
         "materials": {
             name: {
-                "absorption": _numbers(answer.absorption[i]),
-                "lower95": _numbers(answer.lower95[i]),
-                "upper95": _numbers(answer.upper95[i]),
+                "absorption": numbers(answer.absorption[i]),
+                "lower95": numbers(answer.lower95[i]),
+                "upper95": numbers(answer.upper95[i]),
                 "identifiable": [bool(b) for b in answer.identifiable[i]],
                 "area_m2": round(float(answer.areas_m2[i]), 4),
             }
@@ -55,12 +55,12 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "combinations": _combinations(answer),
         "pairs": [_pair(p) for p in answer.pairs],
-        "findings": [_finding(f) for f in answer.findings],
+        "findings": [finding_content(f) for f in answer.findings],
         "fit": {
             "method": answer.method,
             "model": answer.model,
             "cost": answer.cost,
-            "phi": _numbers(answer.phi),
+            "phi": numbers(answer.phi),
             "evaluations": answer.evaluations,
             "converged": [bool(b) for b in answer.converged],
             "seconds": round(answer.seconds, 3),
@@ -70,7 +70,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "provenance": {
             "roomfit": version("roomfit"),
-            "inputs_sha256": _digests(tuple(inputs)),
+            "inputs_sha256": input_digests(tuple(inputs)),
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
@@ -78,8 +78,8 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
     if answer.logit_covariance is not None:
         content["posterior"] = {
             "materials": list(answer.materials),
-            "logit_mean": [_numbers(band) for band in logit(answer.absorption).T],
-            "logit_covariance": [[_numbers(r) for r in band] for band in answer.logit_covariance],
+            "logit_mean": [numbers(band) for band in logit(answer.absorption).T],
+            "logit_covariance": [[numbers(r) for r in band] for band in answer.logit_covariance],
         }
     return content
 
@@ -122,17 +122,18 @@ def _pair(pair: ComparedPair) -> dict[str, Any]:
         "use": pair.use,
         "parameters": {
             name: {
-                "measured": _numbers_or_null(c.measured),
-                "predicted": _numbers_or_null(c.predicted),
-                "jnd": _numbers_or_null(c.jnd),
-                "mean_of_others": _numbers_or_null(c.null),
+                "measured": numbers_or_null(c.measured),
+                "predicted": numbers_or_null(c.predicted),
+                "jnd": numbers_or_null(c.jnd),
+                "mean_of_others": numbers_or_null(c.null),
             }
             for name, c in pair.parameters.items()
         },
     }
 
 
-def _finding(finding: Finding) -> dict[str, Any]:
+def finding_content(finding: Finding) -> dict[str, Any]:
+    """Return a finding as JSON holds it."""
     return {
         "code": finding.code,
         "severity": finding.severity,
@@ -154,15 +155,24 @@ def _plain(value: Any) -> Any:
     return str(value)
 
 
-def _numbers(values: FloatArray) -> list[float]:
+def numbers(values: FloatArray) -> list[float]:
+    """Return an array of known values as a list."""
     return [float(v) for v in values]
 
 
-def _numbers_or_null(values: FloatArray) -> list[float | None]:
+def numbers_or_null(values: FloatArray) -> list[float | None]:
+    """Return an array as a list, None for what is unknown."""
     return [float(v) if np.isfinite(v) else None for v in values]
 
 
-def _digests(inputs: tuple[Path, ...]) -> dict[str, str]:
+def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
+    """Return the SHA-256 of every file, named as seen from the folder of the first.
+
+    Raises
+    ------
+    StoreError
+        A file cannot be read again.
+    """
     folder = inputs[0].parent if inputs else Path()
     return {_seen_from(folder, path): _sha256(path) for path in inputs}
 
