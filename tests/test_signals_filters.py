@@ -18,6 +18,8 @@ from roomfit.signals.filters import (
     filter_pressure,
     frequency_response,
     ringing_s,
+    share_matrix,
+    share_slopes_per_s,
     smearing_kernel,
     statistical_bandwidth_hz,
     window_energies,
@@ -222,3 +224,21 @@ def test_edges_that_do_not_rise_are_refused():
     kernel = smearing_kernel(FilterBank(Bands("octave", np.array([1000.0]))))
     with pytest.raises(InputError, match="rising edges"):
         energy_share(kernel, 0, [0.0], [0.1, 0.1])
+
+
+@pytest.mark.parametrize("band", [0, 3, 5])
+def test_shares_of_many_impulses_are_those_of_each(band):
+    """The sparse matrix holds `energy_share` to 1e-7, its slopes those of the cumulative share."""
+    kernel = smearing_kernel(FilterBank(bands_between("octave", 125, 4000)))
+    edges = np.sort(np.random.default_rng(band).uniform(0.0, 0.35, 12))
+    delays = np.arange(-0.03, 0.4, 1e-4)
+    dense = energy_share(kernel, band, delays, edges).T
+    found = share_matrix(kernel, band, delays, edges)
+    np.testing.assert_allclose(found.toarray(), dense, atol=2e-7)
+    # half a step of the table to either side: the derivative that the table itself has there
+    h = 0.5 / 256 / kernel.centres_hz[band]
+    later, earlier = (energy_share(kernel, band, delays + s * h, edges).T for s in (1, -1))
+    slopes = share_slopes_per_s(kernel, band, delays, edges).toarray()
+    np.testing.assert_allclose(
+        slopes, (later - earlier) / (2 * h), atol=0.01 * np.abs(slopes).max()
+    )

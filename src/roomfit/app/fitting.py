@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,25 +60,34 @@ class BandAnswer:
 
 
 def fit_bands(
-    problems: Sequence[BandProblem | None], method: str, seed: int, progress: Progress | None
-) -> tuple[BandFit | None, ...]:
-    """Fit one band after the other; None where there is no problem.
+    problems: Iterable[BandProblem | None],
+    knowledge: tuple[MaterialKnowledge, ...],
+    areas_m2: FloatArray,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[BandAnswer, ...]:
+    """Fit one band after the other; where there is no problem, what was known is the answer.
 
     Parameters
     ----------
+    problems : iterable of BandProblem or None
+        Taken one at a time, so that they may be made when they are needed.
     method : {"auto", "least-squares", "simplex", "annealing"}
-        "auto" is least squares in this version. The paper's two methods search with the same
-        squares; after annealing's first round the simplex refines.
+        "auto" is least squares. The paper's two methods search with the same squares; after
+        annealing's first round the simplex refines.
     """
-    fits: list[BandFit | None] = []
-    for number, problem in enumerate(problems):
+    n_bands = knowledge[0].prior_logit_mean.size
+    answers: list[BandAnswer] = []
+    for band, problem in enumerate(problems):
         if problem is None:
-            fits.append(None)
+            answers.append(untold_band(knowledge, band, areas_m2))
             continue
-        done = part(progress, number / len(problems), (number + 1) / len(problems))
+        done = part(progress, band / n_bands, (band + 1) / n_bands)
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
-        fits.append(fit_band(problem, solver, refiner, progress=done))
-    return tuple(fits)
+        fit = fit_band(problem, solver, refiner, progress=done)
+        answers.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
+    return tuple(answers)
 
 
 def band_answer(

@@ -11,11 +11,9 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.comparing import compare_pairs
 from roomfit.app.fitting import (
     BandAnswer,
-    band_answer,
     fit_bands,
     fit_findings,
     schroeder_findings,
-    untold_band,
 )
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.planning import plan_trace
@@ -45,6 +43,7 @@ from roomfit.findings import Finding
 from roomfit.geometry.faults import refuse
 from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.identification.start import eyring_absorption
+from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room, material_areas_m2
 from roomfit.scene.scene import Scene
@@ -52,6 +51,7 @@ from roomfit.signals.room_parameters import ParameterName
 from roomfit.tracing.join import trace
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
+from roomfit.uncertainty.posterior_draws import plain_logit_covariance
 
 INTERVAL_KIND = "Gaussian, local"
 
@@ -112,15 +112,15 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
     decay_s = _median_decay_s(measured)
     start = _eyring_start(scene, campaign, decay_s)
     problems = band_problems(scene, campaign.bands, knowledge, measured, binned, start)
-    untold = untold_band_findings(campaign.bands, problems)
-    fits = fit_bands(problems, campaign.method, campaign.seed, part(progress, 0.5, 0.98))
-    areas = material_areas_m2(room)
-    answers = tuple(
-        untold_band(knowledge, band, areas)
-        if problem is None or fit is None
-        else band_answer(problem.parameters, fit, areas, "energy")
-        for band, (problem, fit) in enumerate(zip(problems, fits, strict=True))
+    answers = fit_bands(
+        problems,
+        knowledge,
+        material_areas_m2(room),
+        campaign.method,
+        campaign.seed,
+        part(progress, 0.5, 0.98),
     )
+    untold = untold_band_findings(campaign.bands, [a.model != "prior" for a in answers])
     findings = (
         *room_findings,
         *measured_findings,
@@ -132,7 +132,7 @@ def identify(campaign: Campaign, *, progress: Progress | None = None) -> Answer:
         *fit_findings(campaign.bands, answers),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
-    return _answer(campaign, scene, measured, binned, answers, findings, began)
+    return _answer(campaign, scene, measured, binned, answers, findings, began, knowledge)
 
 
 def _answer(
@@ -143,6 +143,7 @@ def _answer(
     found: tuple[BandAnswer, ...],
     findings: tuple[Finding, ...],
     began: float,
+    knowledge: tuple[MaterialKnowledge, ...],
 ) -> Answer:
     """Put the bands side by side and predict every pair with what they say."""
     absorption = np.stack([b.absorption for b in found], axis=1)
@@ -168,6 +169,21 @@ def _answer(
         speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
         seed=campaign.seed,
         seconds=time.perf_counter() - began,
+        logit_covariance=_logit_covariance(found, absorption, knowledge),
+    )
+
+
+def _logit_covariance(
+    found: tuple[BandAnswer, ...], absorption: FloatArray, knowledge: tuple[MaterialKnowledge, ...]
+) -> FloatArray:
+    """Return the covariance of logit absorption in every band, whatever the bounds of the fit."""
+    names = [k.name for k in knowledge]
+    leaders = [names.index(k.tied_to or k.name) for k in knowledge]
+    return plain_logit_covariance(
+        np.stack([b.logit_covariance for b in found]),
+        absorption,
+        np.array([k.lower for k in knowledge])[leaders],
+        np.array([k.upper for k in knowledge])[leaders],
     )
 
 

@@ -23,6 +23,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
+from scipy.sparse import csr_array
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
@@ -33,6 +34,8 @@ from roomfit.typing import FloatArray
 # holds less than 1e-11 of a band's energy (measured; it falls with the fifth power).
 _SPAN_PERIODS = 64.0
 _STEPS_PER_PERIOD = 256
+# Shares below this are below every other error and would fill memory.
+_LEAST_SHARE = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,6 +258,59 @@ def energy_share(
     delays = np.asarray(delays_s, dtype=np.float64)
     periods = (edges[None, :] - delays[:, None]) * kernel.centres_hz[band]
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
+
+
+def share_matrix(
+    kernel: SmearingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+) -> csr_array:
+    """Return `energy_share` of many impulses as a sparse matrix.
+
+    Parameters
+    ----------
+    delays_s : float array, shape (n_impulses,)
+        Rising.
+
+    Returns
+    -------
+    sparse array, shape (n_windows, n_impulses)
+        Without what an impulse leaves in windows that less than 1e-7 of it reaches on either side.
+    """
+    return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
+
+
+def share_slopes_per_s(
+    kernel: SmearingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+) -> csr_array:
+    """Return the derivative of `share_matrix` by the delays, 1/s."""
+    rate = -kernel.centres_hz[band] * kernel.density
+    return _banded(kernel, band, delays_s, edges_s, rate)
+
+
+def _banded(
+    kernel: SmearingKernel,
+    band: int,
+    delays_s: FloatArray,
+    edges_s: ArrayLike,
+    table: FloatArray,
+) -> csr_array:
+    """Return the difference of a tabulated function between both edges of every window."""
+    edges = _rising(edges_s)
+    centre = float(kernel.centres_hz[band])
+    reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
+    span_s = -float(reached) / centre
+    first = np.searchsorted(delays_s, edges[:-1] - span_s)
+    last = np.searchsorted(delays_s, edges[1:] + span_s)
+    values, columns = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
+    for low, high, a, b in zip(edges[:-1], edges[1:], first, last, strict=True):
+        near = delays_s[a:b]
+        until, before = (
+            np.interp((edge - near) * centre, kernel.periods, table) for edge in (high, low)
+        )
+        values.append(until - before)
+        columns.append(np.arange(a, b))
+    pointers = np.concatenate(([0], np.cumsum(last - first)))
+    shape = (len(edges) - 1, len(delays_s))
+    return csr_array((np.concatenate(values), np.concatenate(columns), pointers), shape=shape)
 
 
 def _rising(edges_s: ArrayLike) -> FloatArray:
