@@ -7,6 +7,8 @@ seed fails about once in 500.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -320,3 +322,20 @@ def test_progress_rises_from_0_to_1() -> None:
 
 def _of_order(paths: Paths, order: int) -> Paths:
     return select(paths, paths.hits_specular.sum(axis=1, dtype=np.int64) == order)
+
+
+def test_images_may_end_at_a_time_and_rays_go_on_from_there():
+    """Every window within 4.5 standard errors: one false alarm in 20,000 rooms."""
+    scene = scene_of(box_room(), *PLACES)
+    exact = trace(scene, settings(0, 1000), uniform_scattering(scene.room.materials, 0.0))
+    chosen = replace(settings(40_000, 1000), image_until_s=0.03)
+    mixed = trace(scene, chosen, uniform_scattering(scene.room.materials, 0.0))
+    images = mixed.paths.batch < 0
+    assert 0 < np.count_nonzero(images) < len(exact.paths)
+    assert mixed.paths.length_m[images].max() < 0.03 * SPEED_M_S
+    assert mixed.paths.length_m[~images].min() >= 0.03 * SPEED_M_S
+    a = np.full(len(scene.room.materials), 0.3)
+    edges = np.array([0.006, 0.027, 0.033, 0.05, 0.07])
+    expected, _ = energies(exact.paths, a, edges)
+    found, sd = energies(mixed.paths, a, edges)
+    assert np.all(np.abs(found - expected) <= 4.5 * sd + 1e-3 * expected)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.geometry.inside import distance_to_walls_m
@@ -52,10 +53,11 @@ def trace(
 ) -> Trace:
     """Return the paths of every pair: images up to an order, and rays for what they leave.
 
-    A ray's path with no diffuse hit and at most `settings.image_order` hits is left out, because
-    it is a noisy copy of an image path; all others have something that images do not: nothing is
-    counted twice and nothing lost. With scattering s an image path carries ``(1 - s) ** hits`` of
-    its energy, and the rays bring the rest, with at least one diffuse hit.
+    A ray's path with no diffuse hit and at most `settings.image_order` hits that arrives before
+    `settings.image_until_s` is left out, because it is a noisy copy of an image path; all others
+    have something that images do not: nothing is counted twice and nothing lost. With scattering s
+    an image path carries ``(1 - s) ** hits`` of its energy, and the rays bring the rest, later or
+    with a diffuse hit.
 
     Parameters
     ----------
@@ -88,9 +90,15 @@ def trace(
     parts: list[Paths] = []
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     if settings.image_order >= 0:
-        order, duration_s = settings.image_order, settings.duration_s
+        order, duration_s = settings.image_order, _images_end_s(settings)
         shown = _part_of(progress, 0.0, share)
-        parts.append(trace_images(scene, order, duration_s, scattering, progress=shown))
+        parts.append(
+            trace_images(
+                *(scene, order, duration_s, scattering),
+                with_unfolding=settings.keep_unfolding,
+                progress=shown,
+            )
+        )
     rays, findings = _rays_beyond_images(
         scene, settings, scattering, _part_of(progress, share, 1.0)
     )
@@ -99,10 +107,17 @@ def trace(
     return Trace(paths, rays.statistics, (*findings, *_leaks(rays.statistics)))
 
 
-def covered_by_images(paths: Paths, image_order: int) -> BoolArray:
-    """Return which paths images up to an order stand for: specular only, and few enough hits."""
+def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -> BoolArray:
+    """Return which paths images up to an order and a length stand for: specular only, and short."""
     specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
-    return np.asarray(~paths.hits_diffuse.any(axis=1) & (specular <= image_order))
+    near = (specular <= image_order) & (paths.length_m < reach_m)
+    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
+
+
+def _images_end_s(settings: TraceSettings) -> float:
+    if settings.image_until_s is None:
+        return settings.duration_s
+    return min(settings.image_until_s, settings.duration_s)
 
 
 def _rays_beyond_images(
@@ -115,7 +130,8 @@ def _rays_beyond_images(
     rays = trace_rays(scene, settings, scattering, progress, receiver_radii_m=radii)
     if settings.image_order < 0:
         return rays, findings
-    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order))
+    reach_m = _images_end_s(settings) * speed_of_sound_m_s(scene.air)
+    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order, reach_m))
     return RayTrace(late, rays.statistics), findings
 
 

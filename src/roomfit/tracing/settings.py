@@ -24,6 +24,8 @@ class TraceSettings:
     image_order : int
         Highest reflection order done by image sources; -1 leaves image sources out, so that even
         the direct sound comes from rays.
+    image_until_s : float or None
+        Image sources end here, and rays bring all that is later; None for the whole duration.
     receiver_radius_m : float
         Radius of the spheres that catch rays.
     max_hits : int
@@ -35,6 +37,8 @@ class TraceSettings:
         Independent parts whose spread measures the Monte-Carlo noise.
     seed : int
         Same seed, same paths, bit by bit, for any number of threads.
+    keep_unfolding : bool
+        Image paths keep what moves their images with the source.
     estimator : {"spheres", "rain"}
         "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
         spheres catch only what was last reflected specularly, or not at all. It pays where walls
@@ -50,6 +54,8 @@ class TraceSettings:
     n_batches: int = 16
     seed: int = 1
     estimator: Estimator = "spheres"
+    image_until_s: float | None = None
+    keep_unfolding: bool = False
 
     def __post_init__(self) -> None:
         limits = (
@@ -61,6 +67,8 @@ class TraceSettings:
             ("n_batches", self.n_batches, 1, 10_000),
             ("seed", self.seed, 0, 2**63 - 1),
         )
+        if self.image_until_s is not None:
+            limits = (*limits, ("image_until_s", self.image_until_s, 0.0, 100.0))
         for name, value, low, high in limits:
             if not low <= value <= high:
                 raise InputError(
