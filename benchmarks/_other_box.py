@@ -1,8 +1,8 @@
 """Boxes measured in another program, pyroomacoustics, and written as campaigns.
 
-Image sources with phase that the other program enumerates, delays, filters and adds. Imposed on it,
-because its own differ: the speed of sound, and the air of ISO 9613-1. Its responses begin 40 samples
-late, which is taken off; between the octaves' centres it interpolates what a wall reflects.
+Image sources with phase that the other program enumerates, delays, filters and adds. The speed of
+sound and the air of ISO 9613-1 are imposed on it, because its own differ. Its responses begin 40
+samples late, which is taken off; between the octaves' centres it interpolates what a wall reflects.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def write_other_box(
     logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 7)), axis=1)
     absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
     n_sources, n_receivers = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}[n_pairs]
-    places = rng.uniform(0.6, lengths - 0.6, (8, 3))
+    places = _places(rng, lengths)
     told = {f"LS{i + 1}": places[i] for i in range(n_sources)}
     told |= {f"MP{i + 1}": places[4 + i] for i in range(n_receivers)}
     errors = rng.standard_normal((8, 3))
@@ -75,6 +75,14 @@ def _lengths(rng: np.random.Generator) -> np.ndarray:
         lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
         if np.min(np.abs(np.diff(np.sort(lengths)))) > 0.15:  # no two sides alike
             return np.round(lengths, 3)
+
+
+def _places(rng: np.random.Generator, lengths: np.ndarray) -> np.ndarray:
+    """Return four sources and four receivers, 0.6 m from the walls and each pair 1 m apart."""
+    while True:
+        places = rng.uniform(0.6, lengths - 0.6, (8, 3))
+        if np.min(np.linalg.norm(places[:4, None] - places[None, 4:], axis=-1)) > 1.0:
+            return places
 
 
 def _simulated(

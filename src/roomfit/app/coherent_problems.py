@@ -1,4 +1,4 @@
-"""A campaign's energy problems made partly coherent: image paths, places, speed, latency, delays."""
+"""A campaign's energy problems made partly coherent, with places and times as unknowns."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import UNTOLD_POSITION_SD_M, BinnedPaths, in_band
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.objective.coherent_geometry import GEOMETRY, Geometry, geometry_block
+from roomfit.objective.coherent_geometry import Geometry, geometry_block
 from roomfit.objective.coherent_problem import CoherentProblem
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import JointPrior, Parameters
@@ -20,7 +20,6 @@ from roomfit.response.rows import EnergyRows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
 
 # What is assumed of an unknown of which nothing is told.
 SPEED_SD = 2e-3
@@ -96,8 +95,8 @@ def campaign_geometry(
     first_delay = len(labels)
     labels += [f"delay {k.name}" for k in knowledge]
     spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in knowledge]
-    sds = np.array(sd if positions else np.zeros(len(sd)), dtype=np.float64)
-    sds = np.concatenate((sds, spreads if delays else np.zeros(len(spreads))))
+    sds = np.array([*sd, *(spreads if delays else np.zeros(len(spreads)))])
+    free = np.array([positions] * len(sd) + [delays] * len(spreads))
     columns = []
     for m in fitted:
         s, r = (int(i) for i in scene.pairs[m.pair])
@@ -111,7 +110,7 @@ def campaign_geometry(
                 *range(first_delay, first_delay + len(knowledge)),
             ]
         )
-    return Geometry(tuple(labels), sds, speed_of_sound_m_s(scene.air), np.array(columns))
+    return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
 
 
 def coherent_problem(
@@ -163,26 +162,3 @@ def coherent_problem(
         grid,
         energies.centre_hz,
     )
-
-
-def whole_covariance(
-    parameters: Parameters, own: FloatArray | None
-) -> FloatArray:
-    """Return the covariance of all entries of the geometry, zero where one is held.
-
-    Parameters
-    ----------
-    own : float array, shape (n_fitted, n_fitted), or None
-        Of the fitted entries; None takes the prior.
-    """
-    block = next(b for b in parameters.blocks if b.name == GEOMETRY)
-    fitted = np.flatnonzero(block.fitted)
-    if own is None:
-        own = (
-            np.diag(block.prior_sd[fitted] ** 2)
-            if parameters.joint is None
-            else np.linalg.inv(parameters.joint.information)
-        )
-    out = np.zeros((block.fitted.size, block.fitted.size))
-    out[np.ix_(fitted, fitted)] = own
-    return out

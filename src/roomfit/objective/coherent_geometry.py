@@ -12,7 +12,7 @@ import numpy as np
 
 from roomfit.objective.parameters import Block
 from roomfit.response.coherent import Times
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 GEOMETRY = "geometry"
 
@@ -26,7 +26,9 @@ class Geometry:
     labels : tuple of str
         "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
     sd : float array, shape (n,)
-        Standard deviations beforehand: m, 1 (of ln c), s and s; 0 holds an entry at zero.
+        Standard deviations beforehand: m, 1 (of ln c), s and s; 0 says that an entry is known.
+    fitted : bool array, shape (n,)
+        Which entries may move; one that may not still blurs the coherence by its deviation.
     speed_m_s : float
         Speed of sound beforehand.
     columns : int array, shape (n_observations, 8 + n_materials)
@@ -35,6 +37,7 @@ class Geometry:
 
     labels: tuple[str, ...]
     sd: FloatArray
+    fitted: BoolArray
     speed_m_s: float
     columns: IntArray
 
@@ -47,7 +50,7 @@ def geometry_block(geometry: Geometry) -> Block:
         geometry.labels,
         "identity",
         np.zeros(n),
-        geometry.sd > 0.0,
+        geometry.fitted & (geometry.sd > 0.0),
         np.zeros(n),
         np.ones(n),
         np.full(n, -1e6),
@@ -82,3 +85,19 @@ def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
     values, vectors = np.linalg.eigh(covariance)
     root = geometry.sd[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
     return np.ascontiguousarray(root[geometry.columns])
+
+
+def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
+    """Return the covariance of all free numbers; those that are held keep their unit variance.
+
+    Parameters
+    ----------
+    fitted : float array, shape (n_fitted, n_fitted), optional
+        Covariance of the fitted entries; left out: the unit normal prior.
+    """
+    n = geometry.sd.size
+    out = np.eye(n)
+    if fitted is not None:
+        free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+        out[np.ix_(free, free)] = fitted
+    return out

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -13,7 +14,7 @@ from roomfit.objective.energy_problem import (
     predict_windows,
     tracing_variance,
 )
-from roomfit.objective.parameters import Parameters, fitted_columns, physical_values
+from roomfit.objective.parameters import Block, Parameters, fitted_columns, physical_values
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
 from roomfit.response.coherent import (
     BandGrid,
@@ -264,7 +265,7 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
 def _windows(problem: CoherentProblem) -> list[IntArray]:
     """Return which windows belong to each observation."""
     ends = np.cumsum([0, *(o.energy.size for o in problem.energies.observations)])
-    return [np.arange(low, high) for low, high in zip(ends[:-1], ends[1:], strict=True)]
+    return [np.arange(low, high) for low, high in pairwise(ends)]
 
 
 def _gain_of_window(problem: CoherentProblem) -> IntArray:
@@ -272,7 +273,7 @@ def _gain_of_window(problem: CoherentProblem) -> IntArray:
     return np.repeat([o.gain for o in seen], [o.energy.size for o in seen])
 
 
-def _leading(parameters: Parameters) -> tuple:
+def _leading(parameters: Parameters) -> tuple[Block, ...]:
     return tuple(b for b in parameters.blocks if b.name != GEOMETRY)
 
 

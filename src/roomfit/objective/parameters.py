@@ -194,11 +194,13 @@ def physical_values(
 def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> FloatArray:
     """Return the Jacobian by the free vector from the blocks' own, shape (n_rows, n_free).
 
-    `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n).
+    `jacobians` maps block name to derivatives by its free numbers, shape (n_rows, n). What is left
+    out does not depend on that block.
     """
+    n_rows = len(next(iter(jacobians.values())))
     columns = []
     for block in parameters.blocks:
-        jacobian = jacobians[block.name]
+        jacobian = jacobians.get(block.name, np.zeros((n_rows, len(block.labels))))
         if block.leader is not None:
             # what followers change, their leader changes
             jacobian = jacobian @ np.eye(len(block.labels))[block.leader]

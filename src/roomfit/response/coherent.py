@@ -240,21 +240,37 @@ def coherent_response(
     derivative : bool
         False leaves the derivatives zero.
     """
-    trains = np.zeros((len(edges_s), 8 + len(paths.materials), grid.n))
+    trains = np.zeros((len(edges_s), grid.n, 8 + len(paths.materials)))
     lay_trains(
-        *(paths.offsets, paths.away_m, paths.unfolding, paths.hits),
-        *(_roots(paths, absorption), times.shifts_m, times.speed_m_s, times.latency_s),
-        *(times.delays_s, grid.first_s, grid.rate_hz, grid.table, trains),
+        paths.offsets,
+        paths.away_m,
+        paths.unfolding,
+        paths.hits,
+        _roots(paths, absorption),
+        times.shifts_m,
+        times.speed_m_s,
+        times.latency_s,
+        times.delays_s,
+        grid.first_s,
+        grid.rate_hz,
+        grid.table,
+        trains,
     )
-    return _filtered(trains, grid, edges_s, derivative=derivative)
+    used = trains if derivative else trains[:, :, :1]
+    spikes = np.ascontiguousarray(np.swapaxes(used, 1, 2))
+    return _filtered(spikes, len(paths.materials), grid, edges_s, derivative=derivative)
 
 
 def _filtered(
-    trains: FloatArray, grid: BandGrid, edges_s: tuple[FloatArray, ...], *, derivative: bool
+    trains: FloatArray,
+    n_materials: int,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
+    *,
+    derivative: bool,
 ) -> CoherentResponse:
     """Put spike trains through the filter and integrate their products over windows."""
-    n_materials = trains.shape[1] - 8
-    spectra = fft.rfft(trains if derivative else trains[:, :1], axis=-1, workers=2)
+    spectra = fft.rfft(trains, axis=-1, workers=2)
     pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
     if derivative:
         level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)
@@ -290,8 +306,8 @@ def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
 def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     a = float_array("absorption", absorption, (len(paths.materials),), low=0.0, high=1.0)
     highest = int(paths.hits.max(initial=0))
-    powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1)
-    return root_energies(paths.weight * paths.coherence, paths.hits, powers)
+    powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
+    return root_energies(paths.weight * paths.coherence, paths.hits, np.asarray(powers))
 
 
 def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:

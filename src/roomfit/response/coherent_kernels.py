@@ -58,12 +58,12 @@ def lay_trains(
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
         By how much source and receiver stand elsewhere, m.
-    trains : shape (n_observations, 8 + n_materials, n_grid)
+    trains : shape (n_observations, n_grid, 8 + n_materials)
         Zeros; filled with spikes of height s; hits s of every material; -dt/dsource s (3),
         dt/dreceiver s (3), and -dt/dln c s (1).
     """
     n_materials = hits.shape[1]
-    n_grid = trains.shape[2]
+    n_grid = trains.shape[1]
     half = TAPS // 2
     for o in numba.prange(len(offsets) - 1):
         values = np.empty(8 + n_materials)
@@ -102,8 +102,8 @@ def lay_trains(
                 share = distance - step
                 height = table[step] + share * (table[step + 1] - table[step])
                 g = int(low + tap) % n_grid
-                for j in range(len(values)):
-                    own[j, g] += height * values[j]
+                for j in range(8 + n_materials):
+                    own[g, j] += height * values[j]
 
 
 @kernel(parallel=True)
@@ -135,7 +135,7 @@ def window_products(
         for e in range(starts[o], starts[o + 1] - 1):
             w = e - o
             low, high = edges[e] + 0.5, edges[e + 1] + 0.5
-            first, last = int(math.floor(low)), int(math.floor(high))
+            first, last = math.floor(low), math.floor(high)
             first, last = max(first, 0), min(last, len(y) - 1)
             total = 0.0
             for k in range(first, last + 1):
