@@ -163,17 +163,30 @@ def write_measured_box(
         )
         if progress is not None:
             progress((number + 1) / len(pairs))
-    text = _campaign_text(plan, pairs, position_error_m)
+    text = campaign_text(plan, pairs, position_error_m)
     campaign = write_text_atomically(folder / "campaign.toml", text)
     return MeasuredBox(campaign, plan.materials, bands.centres_hz, plan.absorption)
 
 
-def _campaign_text(plan: BoxPlan, pairs: list[tuple[str, str]], position_error_m: float) -> str:
+def campaign_text(
+    plan: BoxPlan,
+    pairs: list[tuple[str, str]],
+    position_error_m: float,
+    *,
+    scattering: str = "0.0  # smooth, bare walls",
+) -> str:
+    """Return a campaign file that tells what people believe about a box.
+
+    Parameters
+    ----------
+    scattering : str
+        What is written of every wall's scattering.
+    """
     lines = ["[room]", f"shoebox = {list(plan.lengths_m)}", "[room.materials]"]
     lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, plan.materials, strict=True)]
     lines += ["[air]", "temperature_c = 20.0", "humidity_percent = 50.0"]
     for name in plan.materials:
-        lines += [f"[materials.{name}]", "scattering = 0.0  # smooth, bare walls"]
+        lines += [f"[materials.{name}]", f"scattering = {scattering}"]
     for kind, points in (("sources", plan.sources_m), ("receivers", plan.receivers_m)):
         for name, position in points.items():
             lines += [f"[{kind}.{name}]", f"position = {list(position)}"]

@@ -79,13 +79,13 @@ def pressure_response(
     index = np.round(lengths / truth.speed_of_sound_m_s * fine_rate_hz).astype(np.int64)
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
-    for band, share in enumerate(_octave_shares(truth.centres_hz, frequencies)):
+    for band, share in enumerate(octave_shares(truth.centres_hz, frequencies)):
         reflected = np.prod(np.sqrt(1.0 - truth.absorption[:, band]) ** hits, axis=1)
         air = np.exp(-0.5 * truth.attenuation_per_m[band] * lengths)
         amplitude = reflected * air / (4.0 * np.pi * lengths)
         train = np.bincount(index, amplitude, n_fine)
         spectrum += share * np.fft.rfft(train)[: frequencies.size]
-    spectrum *= _loudspeaker(truth.centres_hz, level_db, frequencies)
+    spectrum *= loudspeaker(truth.centres_hz, level_db, frequencies)
     return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
 
 
@@ -121,7 +121,7 @@ def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -
     return np.asarray(pressure + sd * rng.standard_normal(pressure.size))
 
 
-def _loudspeaker(
+def loudspeaker(
     centres_hz: FloatArray, level_db: FloatArray, frequencies_hz: FloatArray
 ) -> ComplexArray:
     """Return the minimum-phase spectrum whose level runs smoothly through those at the centres.
@@ -138,7 +138,7 @@ def _loudspeaker(
     return np.exp(np.fft.rfft(cepstrum))
 
 
-def _octave_shares(centres_hz: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
+def octave_shares(centres_hz: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
     """Return the share of each octave at each frequency; shares add to one inside the range.
 
     A share falls from 1 at its own centre to 0 at its neighbours', so that walls and loudspeaker
