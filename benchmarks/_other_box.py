@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.testproblems.pressure_box import WALLS, add_noise
+from roomfit.testproblems.pressure_box import WALLS, BoxTruth, add_noise, pressure_response
 
 RATE_HZ = 16_000
 LATE_SAMPLES = 40
@@ -31,10 +31,18 @@ class OtherBox:
     absorption: np.ndarray  # (6, 7), octaves 125 to 8000 Hz
     positions_m: dict[str, np.ndarray]  # true ones
     speed_of_sound_m_s: float
+    delays_s: np.ndarray  # (6,), what each wall adds at every reflection
 
 
 def write_other_box(
-    seed: int, folder: Path, *, n_pairs: int = 8, position_error_m: float = 0.01, c_error: float = 0
+    seed: int,
+    folder: Path,
+    *,
+    n_pairs: int = 8,
+    position_error_m: float = 0.01,
+    c_error: float = 0.0,
+    delay_s: float = 0.0,
+    top_hz: float = 4000.0,
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
@@ -56,14 +64,18 @@ def write_other_box(
     true = {n: p + position_error_m * errors[_place(n)] for n, p in told.items()}
     c = speed_of_sound_m_s(Air()) * (1.0 + c_error)
     pairs = [(s, r) for s in told if s[0] == "L" for r in told if r[0] == "M"]
-    responses = _simulated(lengths, absorption, true, pairs, c)
+    delays = np.where(absorption[:, 2] > 0.5, delay_s, 0.0)
+    if delay_s:
+        responses = _delayed(lengths, absorption, true, pairs, c, delays)
+    else:
+        responses = _simulated(lengths, absorption, true, pairs, c)
     for (s, r), pressure in zip(pairs, responses, strict=True):
         noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
         soundfile.write(folder / f"{s}_{r}.wav", noisy, RATE_HZ, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
-    campaign.write_text(_campaign_text(lengths, materials, told, pairs, position_error_m))
-    return OtherBox(campaign, lengths, materials, absorption, true, c)
+    campaign.write_text(_campaign_text(lengths, materials, told, pairs, position_error_m, top_hz))
+    return OtherBox(campaign, lengths, materials, absorption, true, c, delays)
 
 
 def _place(name: str) -> int:
@@ -122,12 +134,33 @@ def _simulated(
     return out
 
 
+def _delayed(
+    lengths: np.ndarray,
+    absorption: np.ndarray,
+    places: dict[str, np.ndarray],
+    pairs: list[tuple[str, str]],
+    c: float,
+    delays_s: np.ndarray,
+) -> list[np.ndarray]:
+    """Return responses of walls that delay, from our own independent images."""
+    octaves = bands_between("octave", 125, 8000)
+    air = attenuation_per_m(Air(), octaves)
+    sides = (float(lengths[0]), float(lengths[1]), float(lengths[2]))
+    truth = BoxTruth(sides, octaves.centres_hz, absorption, air, c, tuple(delays_s.tolist()))
+    flat = np.zeros(len(octaves))
+    return [
+        pressure_response(truth, places[s], places[r], DURATION_S, float(RATE_HZ), flat)
+        for s, r in pairs
+    ]
+
+
 def _campaign_text(
     lengths: np.ndarray,
     materials: tuple[str, ...],
     told: dict[str, np.ndarray],
     pairs: list[tuple[str, str]],
     position_error_m: float,
+    top_hz: float,
 ) -> str:
     lines = ["[room]", f"shoebox = {lengths.tolist()}", "[room.materials]"]
     lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, materials, strict=True)]
@@ -141,5 +174,6 @@ def _campaign_text(
     for s, r in pairs:
         lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
         lines += [f'file = "{s}_{r}.wav"']
-    lines += ["[identify]", 'bands = "octave"', "from_hz = 125", "to_hz = 4000", "seed = 1"]
+    lines += ["[identify]", 'bands = "octave"', "from_hz = 125", f"to_hz = {top_hz:g}"]
+    lines += ["seed = 1"]
     return "\n".join(lines) + "\n"

@@ -35,6 +35,8 @@ class BoxTruth:
     attenuation_per_m : float array, shape (n_bands,)
         Energy attenuation of the air.
     speed_of_sound_m_s : float
+    delays_s : tuple of six floats
+        What each wall adds to the travel time at every reflection, in the order of absorption.
     """
 
     lengths_m: tuple[float, float, float]
@@ -42,6 +44,7 @@ class BoxTruth:
     absorption: FloatArray
     attenuation_per_m: FloatArray
     speed_of_sound_m_s: float
+    delays_s: tuple[float, ...] = (0.0,) * 6
 
 
 def pressure_response(
@@ -76,7 +79,8 @@ def pressure_response(
     fine_rate_hz = sampling_rate_hz * _OVERSAMPLING
     # padded to twice the length, so that the tails of the band-limited impulses do not wrap around
     n_fine = 2 * n_samples * _OVERSAMPLING
-    index = np.round(lengths / truth.speed_of_sound_m_s * fine_rate_hz).astype(np.int64)
+    times = lengths / truth.speed_of_sound_m_s + hits @ np.array(truth.delays_s)
+    index = np.round(times * fine_rate_hz).astype(np.int64)
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
     for band, share in enumerate(octave_shares(truth.centres_hz, frequencies)):
