@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-import json
 import os
-import signal
-import subprocess
-import sys
-import time
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_campaign import run_command, write_campaign
 
 from roomfit.air import Air
-from roomfit.app.cached_trace import TRACE_CLASSES, cached_trace
+from roomfit.app.cached_trace import cached_trace
 from roomfit.errors import InputError
 from roomfit.files.cache import Cache, cache_of, cached
 from roomfit.files.digests import digest

@@ -159,16 +159,9 @@ def _holds_only_cache(path: Path) -> bool:
 
 def _put_in_place(aside: Path, path: Path) -> None:
     """Rename a folder; where there is one of that name, move every file into its place there."""
+    if _renamed(aside, path):
+        return
     try:
-        if path.exists() and _holds_only_cache(path):
-            if (path / CACHE_FOLDER).exists():
-                (path / CACHE_FOLDER).rename(aside / CACHE_FOLDER)
-            path.rmdir()
-        if not path.exists():
-            path.parent.mkdir(parents=True, exist_ok=True)
-            _give_usual_permissions(aside, 0o777)
-            aside.rename(path)
-            return
         for file in sorted(p for p in aside.rglob("*") if p.is_file()):
             place = path / file.relative_to(aside)
             place.parent.mkdir(parents=True, exist_ok=True)
@@ -177,6 +170,26 @@ def _put_in_place(aside: Path, path: Path) -> None:
         raise StoreError(
             "the results cannot be put into the output folder", where=str(path), found=str(error)
         ) from error
+
+
+def _renamed(aside: Path, path: Path) -> bool:
+    """Take a place that is free, or holds nothing but a cache, by one renaming if that is possible.
+
+    Another run that finishes at the same moment may be quicker.
+    """
+    try:
+        if path.exists():
+            if not _holds_only_cache(path):
+                return False
+            if (path / CACHE_FOLDER).exists():
+                (path / CACHE_FOLDER).rename(aside / CACHE_FOLDER)
+            path.rmdir()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _give_usual_permissions(aside, 0o777)
+        aside.rename(path)
+    except OSError:
+        return False
+    return True
 
 
 def _remove_stale(path: Path, own: Sequence[str], written: set[str]) -> None:
