@@ -19,7 +19,7 @@ import numpy as np
 
 from roomfit.app.coherent import CoherentOptions, fit_coherent
 from roomfit.app.fitting import BandAnswer, band_answer
-from roomfit.app.identify import campaign_scene
+from roomfit.app.gathering import campaign_scene
 from roomfit.app.measuring import MeasuredPair, measure
 from roomfit.app.problems import band_problems
 from roomfit.app.retracing import Retracer, energy_fits, log_likelihoods, scene_retracer

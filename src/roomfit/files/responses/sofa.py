@@ -37,9 +37,9 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
         emitters at once, or no such measurement or receiver.
     """
     where = str(spec.path)
-    sofa = _opened(content, where)
-    responses = _real(getattr(sofa, "Data_IR", None))
-    rates_hz = _real(getattr(sofa, "Data_SamplingRate", None))
+    sofa = opened_sofa(content, where)
+    responses = real_array(getattr(sofa, "Data_IR", None))
+    rates_hz = real_array(getattr(sofa, "Data_SamplingRate", None))
     if responses is None or rates_hz is None or responses.ndim not in (3, 4):
         raise InputError(
             "the SOFA file holds no impulse responses",
@@ -64,7 +64,14 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
     return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
 
 
-def _opened(content: bytes, where: str) -> Any:
+def opened_sofa(content: bytes, where: str) -> Any:
+    """Return what the reader makes of a SOFA file.
+
+    Raises
+    ------
+    InputError
+        The reader is not installed, or this is no SOFA file.
+    """
     try:
         import sofar
     except ImportError as error:
@@ -91,7 +98,7 @@ def _opened(content: bytes, where: str) -> Any:
 
 def _delay_samples(sofa: Any, measurement: int, receiver: int) -> float:
     """Return how many samples the file says its responses are to be delayed."""
-    delays = _real(getattr(sofa, "Data_Delay", None))
+    delays = real_array(getattr(sofa, "Data_Delay", None))
     if delays is None:
         return 0.0
     delays = np.atleast_2d(delays)  # sofar drops axes of length one
@@ -99,7 +106,7 @@ def _delay_samples(sofa: Any, measurement: int, receiver: int) -> float:
     return float(delays[row, column].reshape(-1)[0])
 
 
-def _real(value: Any) -> FloatArray | None:
+def real_array(value: Any) -> FloatArray | None:
     """Return real numbers as float64, or None for anything else."""
     array = np.asarray(value if value is not None else ())
     if array.size == 0 or array.dtype.kind not in "iuf":

@@ -1,0 +1,228 @@
+"""Directional sources: sound power kept, slopes, files, and energies in a room."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from images_reference import SPEED_M_S, box_room, scene_of
+from roomfit.bands import bands_between
+from roomfit.errors import InputError
+from roomfit.files.directivity import read_directivity
+from roomfit.materials.scattering import uniform_scattering
+from roomfit.response.directivity import (
+    FirstOrder,
+    aimed,
+    directivity_derivative,
+    directivity_factors,
+    first_order_amplitude,
+    first_order_factor,
+    first_order_slope,
+    with_directivity,
+)
+from roomfit.response.energy import weigh
+from roomfit.response.measured_directivity import (
+    loudspeaker_axes,
+    measured_directivity,
+    measured_factor,
+    sphere_mean,
+)
+from roomfit.response.rows import energy_rows
+from roomfit.tracing.directions import fibonacci_directions
+from roomfit.tracing.join import trace
+from roomfit.tracing.paths import Paths
+from roomfit.tracing.settings import TraceSettings
+from roomfit.typing import FloatArray
+
+SPHERE = fibonacci_directions(4000)
+MANY = fibonacci_directions(500)
+OCTAVES = bands_between("octave", 500, 2000)
+component = st.floats(-3.0, 3.0)
+
+
+@given(st.tuples(component, component, component))
+def test_a_first_order_source_keeps_its_sound_power(b):
+    """The mean over 4000 even directions is 1, to the spiral's error for a quadratic, 1e-3."""
+    factor = first_order_factor(FirstOrder(np.array(b)), SPHERE)
+    assert factor.mean() == pytest.approx(1.0, abs=1e-3)
+    amplitude = first_order_amplitude(FirstOrder(np.array(b)), SPHERE)
+    np.testing.assert_allclose(amplitude**2, factor, rtol=1e-12)
+
+
+def test_a_cardioid_sends_three_times_its_mean_ahead_and_nothing_behind():
+    """(1 + 1)**2 / (1 + 1/3) = 3."""
+    ends = np.array([[0.0, 0.6, 0.8], [0.0, -0.6, -0.8], [1.0, 0.0, 0.0]])
+    factor = first_order_factor(aimed([0.0, 3.0, 4.0], 1.0), ends)
+    np.testing.assert_allclose(factor, [3.0, 0.0, 0.75], atol=1e-12)
+
+
+@given(st.tuples(component, component, component))
+def test_the_slope_by_b_is_that_of_finite_differences(b):
+    """Central differences of 1e-5: 1e-9 of rounding over the step, 1e-10 of curvature."""
+    at = np.array(b)
+    slope = first_order_slope(FirstOrder(at), MANY)
+    for k in range(3):
+        step = 1e-5 * np.eye(3)[k]
+        high, low = (first_order_factor(FirstOrder(at + s * step), MANY) for s in (1.0, -1.0))
+        np.testing.assert_allclose(slope[:, k], (high - low) / 2e-5, atol=1e-7)
+
+
+@pytest.fixture(scope="module")
+def paths() -> Paths:
+    """Two sources and one receiver in a box."""
+    scene = scene_of(box_room(), [[1.2, 1.5, 1.1], [5.0, 1.0, 1.4]], [[4.1, 2.9, 1.2]])
+    settings = TraceSettings(0.05, 2000, 2, 0.4)
+    return trace(scene, settings, uniform_scattering(scene.room.materials, 0.2)).paths
+
+
+def test_only_the_paths_of_a_directional_source_change(paths):
+    """The direct sound changes by the factor towards the receiver."""
+    changed = with_directivity(paths, [None, aimed([-1.0, 0.0, 0.0], 0.7)], [0, 1], 0)
+    ratio = changed.weight_per_m2 / paths.weight_per_m2
+    np.testing.assert_array_equal(ratio[paths.pair == 0], 1.0)
+    direct = np.flatnonzero((paths.pair == 1) & (paths.batch < 0) & (_hits(paths) == 0))
+    away = np.array([4.1, 2.9, 1.2]) - np.array([5.0, 1.0, 1.4])
+    away /= np.linalg.norm(away)
+    # directions are kept in single precision
+    assert ratio[direct[0]] == pytest.approx((1.0 - 0.7 * away[0]) ** 2 / (1 + 0.49 / 3), rel=1e-6)
+
+
+def _hits(paths: Paths) -> FloatArray:
+    return np.asarray((paths.hits_specular + paths.hits_diffuse).sum(axis=1))
+
+
+def test_the_slope_of_window_energies_by_b_is_that_of_finite_differences(paths):
+    """Energies are rational in b: differences of 1e-5 are right to 1e-9 of their scale."""
+    edges = np.linspace(0.0, 0.05, 9)
+    rows = energy_rows(paths, 1, edges, SPEED_M_S)
+    absorption, air = np.full((6, 1), 0.2), np.array([0.003])
+    at = np.array([0.4, -0.3, 0.1])
+
+    def energy(b: FloatArray) -> FloatArray:
+        told = with_directivity(paths, [None, FirstOrder(b)], [0, 1], 0)
+        return weigh(energy_rows(told, 1, edges, SPEED_M_S), absorption, air).energy
+
+    slope = directivity_derivative(rows, paths, FirstOrder(at), absorption, air)
+    for k in range(3):
+        step = 1e-5 * np.eye(3)[k]
+        expected = (energy(at + step) - energy(at - step)) / 2e-5
+        np.testing.assert_allclose(slope[k], expected, rtol=1e-5, atol=1e-7 * np.abs(slope).max())
+
+
+def cardioid(b: float, points: FloatArray) -> FloatArray:
+    """Energy of a first-order source that faces x."""
+    return np.asarray((1.0 + b * points[:, 0]) ** 2)
+
+
+def test_a_measured_directivity_is_that_of_the_source_measured():
+    """A first-order source in 500 directions, turned: within 1 % of its largest factor of 2.3."""
+    axes = loudspeaker_axes([1.0, 2.0, 0.5], [0.0, 0.3, 1.0])
+    energy = 7.0 * np.stack([cardioid(0.6, MANY), np.ones(len(MANY))], axis=1)
+    measured = measured_directivity(MANY, energy, np.array([500.0, 1000.0]), axes)
+    expected = first_order_factor(aimed([1.0, 2.0, 0.5], 0.6), SPHERE)
+    np.testing.assert_allclose(measured_factor(measured, SPHERE, 0), expected, atol=0.023)
+    np.testing.assert_allclose(measured_factor(measured, SPHERE, 1), 1.0, atol=1e-6)
+    np.testing.assert_allclose(sphere_mean(measured.factor), 1.0, rtol=1e-12)
+
+
+def test_left_and_top_are_told_apart():
+    """A source that sends only to its left, and one only upwards, standing ordinarily."""
+    axes = loudspeaker_axes([0.0, 1.0, 0.0])
+    energy = np.stack([np.maximum(MANY[:, 1], 0.0), np.maximum(MANY[:, 2], 0.0)], axis=1)
+    measured = measured_directivity(MANY, energy, np.array([500.0, 1000.0]), axes)
+    # facing y with the top at z, the left is at -x
+    where = np.array([[-1.0, 0.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, 0.0, -1.0]])
+    np.testing.assert_allclose(measured_factor(measured, where, 0), [4.0, 0, 0, 0], atol=0.15)
+    np.testing.assert_allclose(measured_factor(measured, where, 1), [0, 0, 4.0, 0], atol=0.15)
+
+
+def test_the_mean_over_the_sphere_is_that_of_the_integral():
+    """Cos squared has the mean 1/3; the trapezium on 2.5 degrees is right to 1e-3."""
+    polar = np.linspace(0.0, np.pi, 73)
+    table = np.repeat((np.cos(polar) ** 2)[None, :, None], 145, axis=2)
+    assert sphere_mean(table)[0] == pytest.approx(1.0 / 3.0, rel=1e-3)
+
+
+def sofa_file(folder: Path, kind: str, *, turned: bool = False) -> Path:
+    """Write a first-order source with b = 0.6 below 1.2 kHz and none above."""
+    sofar = pytest.importorskip("sofar")
+    frequencies = np.array([500.0, 1000.0, 2000.0])
+    sofa = sofar.Sofa(kind)
+    points = MANY @ loudspeaker_axes([0.0, 1.0, 0.0]) if turned else MANY
+    if turned:
+        sofa.SourceView, sofa.SourceUp = [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]
+        sofa.SourceView_Type = "cartesian"
+    sofa.ReceiverPosition, sofa.ReceiverPosition_Type = 1.4 * points, "cartesian"
+    sofa.ReceiverPosition_Units = "metre"
+    amplitude = np.stack([1.0 + 0.6 * MANY[:, 0]] * 2 + [np.ones(len(MANY))], axis=1)
+    sofa.N = frequencies
+    phase = np.exp(1j * np.linspace(0.0, 9.0, amplitude.size)).reshape(amplitude.shape)
+    sofa.Data_Real, sofa.Data_Imag = (amplitude * phase).real[None], (amplitude * phase).imag[None]
+    path = folder / "source.sofa"
+    sofar.write_sofa(str(path), sofa)
+    return path
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_a_sofa_file_of_transfer_functions_is_read_and_turned(tmp_path, turned):
+    """Phases do not count; the file's own view is its front."""
+    path = sofa_file(tmp_path, "FreeFieldDirectivityTF", turned=turned)
+    measured = read_directivity(path, OCTAVES, [0.0, 0.0, 1.0], [1.0, 0.0, 0.0])
+    expected = first_order_factor(aimed([0.0, 0.0, 1.0], 0.6), SPHERE)
+    for band in (0, 1):
+        np.testing.assert_allclose(measured_factor(measured, SPHERE, band), expected, atol=0.023)
+    np.testing.assert_allclose(measured_factor(measured, SPHERE, 2), 1.0, atol=1e-6)
+    with pytest.raises(InputError, match="no value for a band"):
+        read_directivity(path, bands_between("octave", 125, 500))
+
+
+def test_a_sofa_file_of_impulse_responses_is_read(tmp_path):
+    """An impulse is the same at all frequencies; receivers stand around the source."""
+    sofar = pytest.importorskip("sofar")
+    sofa = sofar.Sofa("GeneralFIR")
+    sofa.SourcePosition, sofa.SourcePosition_Type = [0.0, 0.3, 1.0], "cartesian"
+    sofa.ReceiverPosition = 1.4 * MANY + np.array([0.0, 0.3, 1.0])
+    sofa.ReceiverPosition_Type = "cartesian"
+    sofa.ReceiverPosition_Units = "metre"
+    samples = np.zeros((1, len(MANY), 256))
+    samples[0, :, 20] = 1.0 + 0.6 * MANY[:, 0]
+    sofa.Data_IR, sofa.Data_SamplingRate = samples, 44_100.0
+    sofa.Data_Delay = np.zeros((1, len(MANY)))
+    path = tmp_path / "source.sofa"
+    sofar.write_sofa(str(path), sofa)
+    measured = read_directivity(path, OCTAVES, [0.0, -1.0, 0.0])
+    expected = first_order_factor(aimed([0.0, -1.0, 0.0], 0.6), SPHERE)
+    for band in range(3):
+        np.testing.assert_allclose(measured_factor(measured, SPHERE, band), expected, atol=0.023)
+
+
+def test_directivities_that_say_too_little_are_refused(tmp_path):
+    """Half a sphere, five directions, silence, and a loudspeaker whose top is its front."""
+    axes, centres = np.eye(3), np.array([500.0])
+    upper = MANY[MANY[:, 2] > 0.2]
+    with pytest.raises(InputError, match="hole"):
+        measured_directivity(upper, np.ones((len(upper), 1)), centres, axes)
+    with pytest.raises(InputError, match="too few directions"):
+        measured_directivity(MANY[:5], np.ones((5, 1)), centres, axes)
+    with pytest.raises(InputError, match="without energy"):
+        measured_directivity(MANY, np.zeros((len(MANY), 1)), centres, axes)
+    with pytest.raises(InputError, match="how it stands"):
+        loudspeaker_axes([0.0, 0.0, 2.0])
+    with pytest.raises(InputError, match="aims nowhere"):
+        aimed([0.0, 0.0, 0.0], 1.0)
+    with pytest.raises(InputError, match="cannot be read"):
+        read_directivity(tmp_path / "missing.sofa", OCTAVES)
+    (tmp_path / "text.sofa").write_text("no SOFA")
+    with pytest.raises(InputError, match="SOFA"):
+        read_directivity(tmp_path / "text.sofa", OCTAVES)
+
+
+def test_factors_of_several_sources_go_to_their_own_paths(paths):
+    """Sources are found through the pairs, whatever their order."""
+    factors = directivity_factors(paths, [aimed([1, 0, 0], 1.0), None], [1, 0], 0)
+    np.testing.assert_array_equal(factors[paths.pair == 0], 1.0)
+    assert factors[paths.pair == 1].std() > 0.1
