@@ -17,7 +17,8 @@ from typing import TYPE_CHECKING, Any
 if TYPE_CHECKING:
     from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
     from roomfit.app.check import check_room
-    from roomfit.app.identify import campaign_scene, identify
+    from roomfit.app.gathering import campaign_scene
+    from roomfit.app.identify import identify
     from roomfit.bands import Bands, bands_between
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
     from roomfit.files.campaign.campaign import Campaign, read_campaign
@@ -47,7 +48,7 @@ _HOME = {
     "attenuation_per_m": "air",
     "speed_of_sound_m_s": "air",
     "check_room": "app.check",
-    "campaign_scene": "app.identify",
+    "campaign_scene": "app.gathering",
     "identify": "app.identify",
     "Bands": "bands",
     "bands_between": "bands",

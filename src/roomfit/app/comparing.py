@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from roomfit.air import attenuation_per_m
+from roomfit.app.gathering import Gathered
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, smeared
+from roomfit.app.values import compared_values, predicted_values
 from roomfit.bands import Bands
+from roomfit.files.campaign.campaign import Campaign, Use
 from roomfit.response.energy import weigh
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve
 from roomfit.signals.jnd import in_jnd
@@ -15,6 +19,35 @@ from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Compared, ComparedPair, Decay
 
 _PICTURE_STEP_S = 2e-3
+
+
+def compare_all(
+    campaign: Campaign, gathered: Gathered, binned: BinnedPaths, absorption: FloatArray
+) -> tuple[ComparedPair, ...]:
+    """Return measured against predicted for every response, then for every table's pairs.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    """
+    scene, bands = gathered.scene, campaign.bands
+    attenuation = attenuation_per_m(scene.air, bands)
+    heard = compare_pairs(bands, binned, gathered.responses, absorption, attenuation)
+    tabulated = (*gathered.values, *gathered.kept_values)
+    if not tabulated:
+        return heard
+    predicted = predicted_values(scene, bands, binned, absorption)
+    pair_of = {
+        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
+    }
+    rows = [predicted[pair_of[m.source, m.receiver]] for m in tabulated]
+    uses: list[Use] = ["fit" for _ in gathered.values]
+    uses += ["validate" for _ in gathered.kept_values]
+    tables = compared_values(tabulated, rows, gathered.values, bands)
+    return heard + tuple(
+        ComparedPair(m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None)
+        for m, use, table in zip(tabulated, uses, tables, strict=True)
+    )
 
 
 def compare_pairs(

@@ -86,7 +86,8 @@ def fit_bands(
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
         fit = fit_band(problem, solver, refiner, progress=done)
-        answers.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
+        model = "energy" if problem.are_energies().any() else "values"
+        answers.append(band_answer(problem.parameters, fit, areas_m2, model))
     return tuple(answers)
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -12,13 +12,20 @@ from roomfit.geometry.measures import volume_m3
 from roomfit.materials.knowledge import MaterialKnowledge, sampling_scattering
 from roomfit.materials.scattering import Scattering
 from roomfit.scene.scene import Scene
+from roomfit.tracing.images_budget import affordable_duration_s
 from roomfit.tracing.settings import TraceSettings
 
 DEFAULT_SCATTERING = 0.1
 N_RAYS = 60_000
 RECEIVER_RADIUS_M = 0.5
 _MOST_IMAGES_PER_PAIR = 400_000
-_IMAGE_ORDER = 3
+_IMAGE_ORDER, _ANY_ORDER = 3, 1000
+# A partly coherent fit asks for image sources as far as its windows go, if they can be had.
+_COHERENT_UNTIL_S = 0.22
+_MOST_COHERENT_IMAGES_PER_PAIR = 60_000
+_LEAST_COHERENT_S = 0.03
+# A room of so many triangles is furnished: its images end within milliseconds of work.
+_MOST_TRIANGLES_FOR_IMAGES = 600
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,12 +43,15 @@ def plan_trace(
     longest_decay_s: float,
     latest_window_s: float,
     seed: int,
+    *,
+    coherent: bool = False,
 ) -> TracePlan:
     """Choose how to trace.
 
     A box whose walls do not scatter is done by image sources alone, which are exact; every other
-    room by image sources for the first orders and rays for the rest. Sound is followed until the
-    slowest band has fallen by 45 dB, so that T30 can be predicted.
+    room by image sources for the first orders and rays for the rest. For a partly coherent fit
+    there are image sources of every order for as long as they can be enumerated. Sound is followed
+    until the slowest band has fallen by 45 dB, so that T30 can be predicted.
 
     Parameters
     ----------
@@ -52,6 +62,8 @@ def plan_trace(
     latest_window_s : float
         Where the last usable window of any measurement ends.
     seed : int
+    coherent : bool
+        Whether early reflections are to be added as pressures.
     """
     findings = []
     untold = [k.name for k in knowledge if k.scattering is None]
@@ -79,8 +91,25 @@ def plan_trace(
     settings = TraceSettings(
         duration_s=duration_s,
         n_rays=0 if images_alone else N_RAYS,
-        image_order=1000 if images_alone else _IMAGE_ORDER,
+        image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
         receiver_radius_m=RECEIVER_RADIUS_M,
         seed=seed,
+        keep_unfolding=coherent,
     )
+    until_s = _images_until_s(scene, duration_s) if coherent and not images_alone else 0.0
+    if until_s > 0.0:
+        settings = replace(settings, image_order=_ANY_ORDER, image_until_s=until_s)
     return TracePlan(settings, scattering, tuple(findings))
+
+
+def _images_until_s(scene: Scene, duration_s: float) -> float:
+    """Return how long image sources of every order can be had; 0 where it is not worth while."""
+    c = speed_of_sound_m_s(scene.air)
+    volume = volume_m3(scene.room.mesh)
+    affordable_s = (_MOST_COHERENT_IMAGES_PER_PAIR * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    longest_s = min(duration_s, _COHERENT_UNTIL_S, float(affordable_s))
+    if scene.room.shoebox_m is None:
+        if len(scene.room.mesh.triangles) > _MOST_TRIANGLES_FOR_IMAGES:
+            return 0.0
+        longest_s = affordable_duration_s(scene, longest_s)
+    return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0

@@ -14,6 +14,9 @@ def identify(
     overwrite: Annotated[
         bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
     ] = False,
+    no_cache: Annotated[
+        bool, typer.Option("--no-cache", help="Do not keep the trace for a later run.")
+    ] = False,
 ) -> None:
     """Find the absorption of a measured room, per material and band, with intervals."""
     from roomfit.app.identify import identify_to_folder
@@ -21,6 +24,8 @@ def identify(
     from roomfit.report.answer_text import answer_text
 
     with progress_bar("identifying") as progress:
-        answer = identify_to_folder(campaign, out, overwrite=overwrite, progress=progress)
+        answer = identify_to_folder(
+            campaign, out, overwrite=overwrite, keep=not no_cache, progress=progress
+        )
     typer.echo(answer_text(answer))
-    typer.echo(f"\nresult.json, absorption.csv and pictures are in {out}")
+    typer.echo(f"\nreport.html, result.json, absorption.csv and pictures are in {out}")

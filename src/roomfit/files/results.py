@@ -16,7 +16,7 @@ from roomfit.errors import StoreError
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.answer import Answer, ComparedPair
+from roomfit.uncertainty.answer import Answer, ComparedPair, FittedGeometry
 from roomfit.uncertainty.posterior_draws import logit
 
 
@@ -50,6 +50,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
                 "upper95": numbers(answer.upper95[i]),
                 "identifiable": [bool(b) for b in answer.identifiable[i]],
                 "area_m2": round(float(answer.areas_m2[i]), 4),
+                **_scattering(answer, i),
             }
             for i, name in enumerate(answer.materials)
         },
@@ -60,6 +61,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "method": answer.method,
             "model": answer.model,
             "cost": answer.cost,
+            "models": list(answer.models),
             "phi": numbers(answer.phi),
             "evaluations": answer.evaluations,
             "converged": [bool(b) for b in answer.converged],
@@ -75,6 +77,8 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    if answer.geometry is not None:
+        content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:
         content["posterior"] = {
             "materials": list(answer.materials),
@@ -82,6 +86,24 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "logit_covariance": [[numbers(r) for r in band] for band in answer.logit_covariance],
         }
     return content
+
+
+def _scattering(answer: Answer, material: int) -> dict[str, list[float]]:
+    if answer.scattering is None:
+        return {}
+    return {"scattering": numbers(answer.scattering[material])}
+
+
+def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
+    """What arrival times were found to need: no measurement of places."""
+    return {
+        "note": "fitted to arrival times; these absorb errors of the model, too",
+        "speed_of_sound_m_s": geometry.speed_of_sound_m_s,
+        "labels": list(geometry.labels),
+        "change": numbers(geometry.change),
+        "sd": numbers(geometry.sd),
+        "told_sd": numbers(geometry.told_sd),
+    }
 
 
 def absorption_csv(answer: Answer) -> str:
@@ -98,20 +120,21 @@ def absorption_csv(answer: Answer) -> str:
 
 
 def _combinations(answer: Answer) -> list[dict[str, Any]]:
-    """The mean over all walls: what a decay determines best, even where no wall can be told."""
-    share = answer.areas_m2 / answer.areas_m2.sum()
-    weights = {name: round(float(w), 6) for name, w in zip(answer.materials, share, strict=True)}
+    """Means over groups of materials that the data determine, the whole room's first."""
     return [
         {
             "band_hz": float(centre),
-            "weights": weights,
-            "absorption": float(mean),
-            "lower95": float(lower),
-            "upper95": float(upper),
+            "weights": {
+                name: round(float(w), 6)
+                for name, w in zip(answer.materials, c.weights, strict=True)
+                if w > 0.0
+            },
+            "absorption": c.value,
+            "lower95": c.lower95,
+            "upper95": c.upper95,
         }
-        for centre, (mean, lower, upper) in zip(
-            answer.bands.centres_hz, answer.mean_absorption.T, strict=True
-        )
+        for centre, band in zip(answer.bands.centres_hz, answer.combinations, strict=True)
+        for c in band
     ]
 
 

@@ -64,6 +64,8 @@ def decay_figure(answer: Answer, pair: ComparedPair) -> Figure:
     figure = new_figure(3.4 * columns, 2.4 * rows + 0.5)
     panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     decay = pair.decay
+    if decay is None:
+        raise ValueError("room parameters without a response have no decay curve")
     shown_s = 0.0
     for j, axes in enumerate(panels.ravel()):
         if j >= n:

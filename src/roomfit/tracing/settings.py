@@ -58,7 +58,7 @@ class TraceSettings:
     keep_unfolding: bool = False
 
     def __post_init__(self) -> None:
-        limits = (
+        limits: tuple[tuple[str, float, float, float], ...] = (
             ("duration_s", self.duration_s, 1e-4, 100.0),
             ("n_rays", self.n_rays, 0, 10**9),
             ("image_order", self.image_order, -1, 1000),

@@ -9,6 +9,7 @@ from typing import Literal
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.combinations import Combination
 
 Use = Literal["fit", "validate"]
 
@@ -61,14 +62,40 @@ class ComparedPair:
     use : {"fit", "validate"}
         "validate": this pair was predicted without having been fitted.
     parameters : mapping of "T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"
-    decay : Decay
+        and "G_dB", those that are known.
+    decay : Decay or None
+        None where room parameters were measured and no response.
     """
 
     source: str
     receiver: str
     use: Use
     parameters: Mapping[str, Compared]
-    decay: Decay
+    decay: Decay | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedGeometry:
+    """What the bands together say of arrival times; never a measurement of places.
+
+    Fitted places absorb errors of the model as well.
+
+    Attributes
+    ----------
+    labels : tuple of str
+        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
+    change : float array, shape (n,)
+        From what was told: m, 1 (of ln c), s, s.
+    sd, told_sd : float arrays, shape (n,)
+        Afterwards and beforehand, in the same units.
+    speed_of_sound_m_s : float
+    """
+
+    labels: tuple[str, ...]
+    change: FloatArray
+    sd: FloatArray
+    told_sd: FloatArray
+    speed_of_sound_m_s: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -102,6 +129,14 @@ class Answer:
     logit_covariance : float array, shape (n_bands, n_materials, n_materials), or None
         Covariance of logit absorption, misfit included; zeros for what is held. None where only
         the intervals are known.
+    combinations : tuple of tuples of Combination, one a band
+        Means over groups of materials that the data determine, that of the whole room first.
+    models : tuple of str, one a band
+        "energy", "coherent", "values", or "prior" where nothing could be fitted.
+    scattering : float array, shape (n_materials, n_bands), or None
+        What the walls were taken to scatter, told, assumed or fitted.
+    geometry : FittedGeometry or None
+        None where arrival times were not fitted.
     """
 
     bands: Bands
@@ -125,3 +160,7 @@ class Answer:
     seed: int
     seconds: float
     logit_covariance: FloatArray | None = None
+    combinations: tuple[tuple[Combination, ...], ...] = ()
+    models: tuple[str, ...] = ()
+    scattering: FloatArray | None = None
+    geometry: FittedGeometry | None = None

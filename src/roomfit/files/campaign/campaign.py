@@ -27,6 +27,7 @@ from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
 from roomfit.scene.scene import Point
 
 Level = Literal["per-source", "per-file", "absolute"]
+Use = Literal["fit", "validate"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +48,7 @@ class MeasuredFile:
     receiver: str
     response: ResponseSpec
     level: Level
-    use: Literal["fit", "validate"]
+    use: Use
     latency_sd_s: float | None = None
 
 
@@ -58,7 +59,7 @@ class MeasuredTable:
     path: Path
     source: str | None
     receiver: str | None
-    use: Literal["fit", "validate"]
+    use: Use
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -150,6 +151,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     if room.polygons is not None:
         files += [*room.polygons.corners, *room.polygons.planes, *room.polygons.replace.values()]
     files += [m.response.path for m in campaign.measurements]
+    files += [m.response.excitation for m in campaign.measurements if m.response.excitation]
     files += [t.path for t in campaign.tables]
     return tuple(dict.fromkeys(files))
 
@@ -207,6 +209,8 @@ def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
             receiver_index=row.receiver_index,
             time_zero=row.time_zero,
             latency_s=row.latency_s,
+            excitation=None if row.excitation is None else path.parent / row.excitation,
+            excitation_channel=row.excitation_channel,
         ),
         row.level,
         row.use,
@@ -244,24 +248,14 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
     """A key that would change the answer is refused where this version cannot obey it."""
     refusals: list[tuple[str, object, bool]] = [
         ("identify.method", table.identify.method, table.identify.method in _LATER_METHODS),
-        ("identify.model", table.identify.model, table.identify.model == "coherent"),
-        (
-            "air.temperature_sd_c",
-            table.air.temperature_sd_c,
-            table.air.temperature_sd_c is not None,
-        ),
     ]
     for name, source in table.sources.items():
         refusals.append(
             (f"sources.{name}.directivity", source.directivity, source.directivity != "omni")
         )
-    for name, material in table.materials.items():
-        where = f"materials.{name}"
-        refusals.append((f"{where}.scattering", "fit", material.scattering == "fit"))
     for number, row in enumerate(table.measurements, start=1):
-        for kind in ("parameters", "spectrum"):
-            found = getattr(row, kind)
-            refusals.append((f"measurements[{number}].{kind}", found, found is not None))
+        spectrum = row.spectrum
+        refusals.append((f"measurements[{number}].spectrum", spectrum, spectrum is not None))
     for where, found, refused in refusals:
         if refused:
             raise InputError(

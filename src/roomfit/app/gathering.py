@@ -1,0 +1,205 @@
+"""Everything that was measured, read and put on one scene."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit.app.duplicates import duplicate_findings
+from roomfit.app.measuring import MeasuredPair, measure
+from roomfit.errors import InputError
+from roomfit.files.campaign.campaign import Campaign, Use
+from roomfit.files.parameters import read_parameters
+from roomfit.findings import Finding
+from roomfit.geometry.faults import refuse
+from roomfit.objective.outline import outline_findings
+from roomfit.scene.positions import position_findings
+from roomfit.scene.room import Room
+from roomfit.scene.scene import Scene
+from roomfit.signals.measured_values import MeasuredValues, joined_values
+from roomfit.signals.room_parameters import ParameterName
+from roomfit.typing import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Gathered:
+    """What a campaign's files hold.
+
+    Attributes
+    ----------
+    scene : Scene
+        Each measured pair once, however often it was measured.
+    responses : tuple of MeasuredPair
+        All impulse responses, those kept for validation included.
+    values : tuple of MeasuredValues
+        Room parameters to be fitted, one a pair.
+    kept_values : tuple of MeasuredValues
+        Room parameters to be predicted only.
+    findings : tuple of Finding
+    """
+
+    scene: Scene
+    responses: tuple[MeasuredPair, ...]
+    values: tuple[MeasuredValues, ...]
+    kept_values: tuple[MeasuredValues, ...]
+    findings: tuple[Finding, ...]
+
+
+def gather(campaign: Campaign, room: Room) -> Gathered:
+    """Read and examine every measured file of a campaign.
+
+    Raises
+    ------
+    InputError
+        A file is missing, broken or empty, a position is impossible, or a table names a source or
+        a receiver that the campaign does not define.
+    """
+    fitted, doubts = _values(campaign, "fit")
+    kept, more_doubts = _values(campaign, "validate")
+    scene = _scene(campaign, room, (*fitted, *kept))
+    responses, findings = measure(campaign, scene)
+    heard = [(m.pair, m.response) for m in responses if m.file.use == "fit"]
+    return Gathered(
+        scene,
+        responses,
+        fitted,
+        kept,
+        (
+            *doubts,
+            *more_doubts,
+            *findings,
+            *duplicate_findings(responses),
+            *outline_findings(scene, heard),
+        ),
+    )
+
+
+def campaign_scene(campaign: Campaign, room: Room) -> Scene:
+    """Return the scene of all measured pairs, each once.
+
+    Raises
+    ------
+    InputError
+        A source or a receiver stands outside the room, in a wall, or upon another; or a table of
+        room parameters cannot be read.
+    """
+    tabulated = (*_values(campaign, "fit")[0], *_values(campaign, "validate")[0])
+    return _scene(campaign, room, tabulated)
+
+
+def _scene(campaign: Campaign, room: Room, tabulated: Sequence[MeasuredValues]) -> Scene:
+    pairs = [(m.source, m.receiver) for m in campaign.measurements]
+    pairs += [(v.source, v.receiver) for v in tabulated]
+    wanted = list(dict.fromkeys(pairs))
+    used_sources, used_receivers = ({pair[i] for pair in wanted} for i in (0, 1))
+    sources = tuple(s for s in campaign.sources if s.name in used_sources)
+    receivers = tuple(r for r in campaign.receivers if r.name in used_receivers)
+    refuse(position_findings(room, sources, receivers))
+    source_at = {s.name: i for i, s in enumerate(sources)}
+    receiver_at = {r.name: i for i, r in enumerate(receivers)}
+    indices = np.array([(source_at[s], receiver_at[r]) for s, r in wanted])
+    return Scene(room, sources, receivers, indices, campaign.air)
+
+
+def time_scales(gathered: Gathered) -> tuple[float, float]:
+    """Return the longest decay time of any band, and where the last usable window ends, in s.
+
+    What is kept for validation has no say, so that it cannot change the answer.
+    """
+    fitted = [m for m in gathered.responses if m.file.use == "fit"]
+    longest = 0.0
+    names: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
+    for m in fitted:
+        for name in names:
+            known = _known(m.parameters.of(name))
+            if known.size:
+                longest = max(longest, float(known.max()))
+                break
+    for v in gathered.values:
+        for row in (v.values.get("T30_s"), v.values.get("T20_s"), v.values.get("EDT_s")):
+            if row is not None and _known(row).size:
+                longest = max(longest, float(_known(row).max()))
+    # a decay that nothing could evaluate still ends where it drowns
+    latest = max((float(m.noise.usable_end_s.max()) for m in fitted), default=0.0)
+    if longest <= 0.0:
+        return 0.0, latest if latest > 0.0 else 1.0
+    return longest, min(latest, longest)
+
+
+def median_decay_s(gathered: Gathered, centres_hz: FloatArray) -> FloatArray:
+    """Return the median reverberation time over what is fitted, NaN where none is known.
+
+    Of T20, or of EDT in a band where no pair has the range for T20; shape (n_bands,).
+    """
+    found: FloatArray = np.full(centres_hz.size, np.nan)
+    names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
+    for name in names:
+        rows = [m.parameters.of(name) for m in gathered.responses if m.file.use == "fit"]
+        for v in gathered.values:
+            if name in v.values:
+                rows.append(_at(v.centres_hz, v.values[name], centres_hz))
+        for band, values in enumerate(np.array(rows).reshape(-1, centres_hz.size).T):
+            if _known(values).size:
+                found[band] = np.median(_known(values))
+    return found
+
+
+def _values(campaign: Campaign, use: Use) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
+    """Read the tables of one use; a pair that stands in several of them is joined."""
+    by_pair: dict[tuple[str, str], list[MeasuredValues]] = {}
+    findings: list[Finding] = []
+    for table in campaign.tables:
+        if table.use != use:
+            continue
+        read, doubts = read_parameters(table.path, table.source, table.receiver)
+        findings += doubts
+        for found in read:
+            _check_names(campaign, found, str(table.path))
+            by_pair.setdefault((found.source, found.receiver), []).append(found)
+    joined = []
+    for repeated in by_pair.values():
+        one, doubts = joined_values(tuple(_same_bands(repeated)))
+        findings += doubts
+        joined.append(one)
+    return tuple(joined), tuple(findings)
+
+
+def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
+    for kind, name, known in (
+        ("source", found.source, [s.name for s in campaign.sources]),
+        ("receiver", found.receiver, [r.name for r in campaign.receivers]),
+    ):
+        if name not in known:
+            raise InputError(
+                f"a table of room parameters names a {kind} that the campaign does not define",
+                where=where,
+                found=repr(name),
+                needed=f"one of {', '.join(known)}",
+                hint=f"add [{kind}s.{name}], or choose rows with source and receiver",
+            )
+
+
+def _same_bands(repeated: Sequence[MeasuredValues]) -> list[MeasuredValues]:
+    """Return values of one pair on the bands of the first."""
+    centres = repeated[0].centres_hz
+    return [
+        MeasuredValues(
+            m.source,
+            m.receiver,
+            centres,
+            {name: _at(m.centres_hz, row, centres) for name, row in m.values.items()},
+            {name: _at(m.centres_hz, row, centres) for name, row in m.spread.items()},
+        )
+        for m in repeated
+    ]
+
+
+def _at(centres_hz: FloatArray, row: FloatArray, wanted_hz: FloatArray) -> FloatArray:
+    known = dict(zip(centres_hz.tolist(), row.tolist(), strict=True))
+    return np.array([known.get(f, np.nan) for f in wanted_hz.tolist()])
+
+
+def _known(values: FloatArray) -> FloatArray:
+    return np.asarray(values[np.isfinite(values)])

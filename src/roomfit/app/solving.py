@@ -1,0 +1,134 @@
+"""Data and paths of every band put together and solved, with responses, room parameters or both."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+
+from roomfit.app.coherent import CoherentOptions, fit_coherent
+from roomfit.app.fitting import BandAnswer, fit_bands
+from roomfit.app.gathering import Gathered
+from roomfit.app.problems import BinnedPaths, band_problems
+from roomfit.app.progress import part
+from roomfit.app.values import value_problems
+from roomfit.bands import Bands
+from roomfit.files.campaign.campaign import Campaign
+from roomfit.findings import Finding
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.objective.parameters import Parameters
+from roomfit.objective.problem import BandProblem, JointProblem
+from roomfit.objective.room_values_problem import RoomValuesProblem
+from roomfit.scene.room import material_areas_m2
+from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray, Progress
+from roomfit.uncertainty.answer import FittedGeometry
+
+_COHERENT_METHODS = ("auto", "least-squares")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solved:
+    """The answer of every band, and what was found of arrival times on the way."""
+
+    answers: tuple[BandAnswer, ...]
+    geometry: FittedGeometry | None = None
+    findings: tuple[Finding, ...] = ()
+
+
+def is_coherent(campaign: Campaign) -> bool:
+    """Whether responses are to be fitted with image sources as coherent as their times are known.
+
+    The paper's searches cannot follow the many unknown positions; they compare energies.
+    """
+    hears = any(m.use == "fit" for m in campaign.measurements)
+    return hears and campaign.model != "energy" and campaign.method in _COHERENT_METHODS
+
+
+def solve(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    paths: Paths,
+    binned: BinnedPaths,
+    start: FloatArray,
+    progress: Progress | None,
+) -> Solved:
+    """Fit every band of a campaign.
+
+    Parameters
+    ----------
+    paths : Paths
+    binned : BinnedPaths
+        The same paths in bins.
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    """
+    values = _value_problems(campaign, gathered, knowledge, binned, start)
+    if not is_coherent(campaign):
+        problems = _joined(campaign.bands, gathered, knowledge, binned, start, values)
+        return Solved(_answers(campaign, gathered, knowledge, problems, progress))
+    told = campaign.temperature_sd_c
+    options = CoherentOptions(
+        positions="fixed" if campaign.positions == "fixed" else "fit",
+        delays=campaign.wall_delays,
+        model="coherent" if campaign.model == "coherent" else "auto",
+    )
+    if told is not None:
+        # the speed of sound grows as the root of the absolute temperature
+        relative = 0.5 * told / (273.15 + campaign.air.temperature_c)
+        options = replace(options, speed_sd=max(relative, 1e-6))
+    fit = fit_coherent(
+        *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start),
+        options=options,
+        extra_parts=[() if v is None else (_sharing(v),) for v in values],
+        progress=part(progress, 0.0, 0.95),
+    )
+    untold = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
+    rest = _answers(campaign, gathered, knowledge, untold, part(progress, 0.95, 1.0))
+    answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
+    return Solved(answers, fit.geometry, fit.findings)
+
+
+def _value_problems(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    binned: BinnedPaths,
+    start: FloatArray,
+) -> tuple[RoomValuesProblem | None, ...]:
+    if not gathered.values:
+        return (None,) * len(campaign.bands)
+    return value_problems(gathered.scene, campaign.bands, knowledge, gathered.values, binned, start)
+
+
+def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:
+    """Return what makes the same room parameters depend on another problem's unknowns."""
+    return lambda parameters: replace(values, parameters=parameters)
+
+
+def _joined(
+    bands: Bands,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    binned: BinnedPaths,
+    start: FloatArray,
+    values: tuple[RoomValuesProblem | None, ...],
+) -> Iterator[BandProblem | None]:
+    """Make one problem after the other from window energies, room parameters, or both."""
+    windows = band_problems(gathered.scene, bands, knowledge, gathered.responses, binned, start)
+    for heard, told in zip(windows, values, strict=True):
+        if heard is None or told is None:
+            yield heard or told
+        else:
+            yield JointProblem((heard, replace(told, parameters=heard.parameters)))
+
+
+def _answers(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    problems: Iterator[BandProblem | None] | list[RoomValuesProblem | None],
+    progress: Progress | None,
+) -> tuple[BandAnswer, ...]:
+    areas = material_areas_m2(gathered.scene.room)
+    return fit_bands(problems, knowledge, areas, campaign.method, campaign.seed, progress)

@@ -1,0 +1,69 @@
+"""The paths of a campaign: traced, or found again, with the scattering that the data prefer."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit.app.cached_trace import cached_trace
+from roomfit.app.duplicates import unmet_findings
+from roomfit.app.gathering import Gathered, time_scales
+from roomfit.app.planning import plan_trace
+from roomfit.app.problems import BinnedPaths, bin_paths
+from roomfit.app.solving import is_coherent
+from roomfit.files.cache import Cache
+from roomfit.files.campaign.campaign import Campaign
+from roomfit.findings import Finding
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray, Progress
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedCampaign:
+    """Paths, the same in fine bins, the scattering they were traced with, and every doubt.
+
+    Attributes
+    ----------
+    paths : Paths
+    binned : BinnedPaths
+    scattering : float array, shape (n_materials, n_bands)
+    findings : tuple of Finding
+    """
+
+    paths: Paths
+    binned: BinnedPaths
+    scattering: FloatArray
+    findings: tuple[Finding, ...]
+
+
+def trace_campaign(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    cache: Cache | None,
+    progress: Progress | None,
+) -> TracedCampaign:
+    """Trace every measured pair for as long as its decay is to be compared."""
+    scene = gathered.scene
+    slowest_s, latest_s = time_scales(gathered)
+    plan = plan_trace(
+        *(scene, knowledge, slowest_s, latest_s, campaign.seed), coherent=is_coherent(campaign)
+    )
+    found = cached_trace(scene, plan.settings, plan.scattering, cache, progress)
+    paths = found.value.paths
+    binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s)
+    unknown = [k.name for k in knowledge if k.known is None]
+    scattering = np.repeat(plan.scattering.coefficients[:, None], len(campaign.bands), axis=1)
+    return TracedCampaign(
+        paths,
+        binned,
+        scattering,
+        (
+            *plan.findings,
+            *found.findings,
+            *found.value.findings,
+            *unmet_findings(paths, unknown),
+        ),
+    )
