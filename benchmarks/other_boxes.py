@@ -22,7 +22,6 @@ import numpy as np
 
 from _other_box import OtherBox, write_other_box
 from roomfit.app.coherent import CoherentFit, CoherentOptions, fit_coherent
-from roomfit.app.identify import campaign_scene
 from roomfit.app.measuring import measure
 from roomfit.app.problems import bin_paths
 from roomfit.bands import Bands
@@ -31,6 +30,7 @@ from roomfit.files.campaign.materials import material_knowledge
 from roomfit.files.rooms.read import read_room
 from roomfit.materials.scattering import uniform_scattering
 from roomfit.scene.room import material_areas_m2
+from roomfit.scene.scene import Scene
 from roomfit.tracing.images import trace_images
 
 ALL_ORDERS = 1000
@@ -63,7 +63,9 @@ def outcome(box: OtherBox, options: CoherentOptions) -> Outcome:
     campaign = read_campaign(box.campaign)
     room, _ = read_room(campaign.room)
     knowledge = material_knowledge(campaign, room.materials)
-    scene = campaign_scene(campaign, room)
+    sources, receivers = campaign.sources, campaign.receivers
+    every = np.array([(s, r) for s in range(len(sources)) for r in range(len(receivers))])
+    scene = Scene(room, sources, receivers, every, campaign.air)
     measured, _ = measure(campaign, scene)
     still = uniform_scattering(room.materials, 0.0)
     paths = trace_images(scene, ALL_ORDERS, options.end_s, still)

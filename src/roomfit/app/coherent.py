@@ -7,13 +7,14 @@ under what all the others have found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
 
 from roomfit.air import attenuation_per_m
+from roomfit.app.coherent_answers import widened_by_neighbours, with_both_intervals
 from roomfit.app.coherent_problems import SPEED_SD, campaign_geometry, coherent_problem, cut_at
 from roomfit.app.coherent_spoiled import spoiled_files
 from roomfit.app.fitting import BandAnswer, band_answer
@@ -41,12 +42,16 @@ from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress
+from roomfit.uncertainty.answer import FittedGeometry
 
 # Later windows tell little more and need many more images.
 FIT_END_S = 0.2
+# Shortest window in units of 1 / B: finer ones than energies need tell of phases.
+_WINDOW_PERIODS = 0.75
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
-_TWO_TRIES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
+# Error of the model, ringing, and random phase of a reflection, from good to bad.
+_NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,30 +80,6 @@ class CoherentOptions:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FittedGeometry:
-    """What the bands together say of arrival times; never a measurement of places.
-
-    Fitted places absorb errors of the model as well.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
-    change : float array, shape (n,)
-        From what was told: m, 1 (of ln c), s, s.
-    sd, told_sd : float arrays, shape (n,)
-        Afterwards and beforehand, in the same units.
-    speed_of_sound_m_s : float
-    """
-
-    labels: tuple[str, ...]
-    change: FloatArray
-    sd: FloatArray
-    told_sd: FloatArray
-    speed_of_sound_m_s: float
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class CoherentFit:
     """The answer of every band.
 
@@ -106,8 +87,6 @@ class CoherentFit:
     ----------
     answers : tuple of BandAnswer or None, one a band
         None where too few windows rise above the noise.
-    energy_answers : tuple of BandAnswer or None
-        Of energies alone, from the same windows.
     log_likelihoods : float array, shape (n_bands, 2)
         Of the energy model and of the partly coherent one; NaN where not tried.
     geometry : FittedGeometry or None
@@ -116,7 +95,6 @@ class CoherentFit:
     """
 
     answers: tuple[BandAnswer | None, ...]
-    energy_answers: tuple[BandAnswer | None, ...]
     log_likelihoods: FloatArray
     geometry: FittedGeometry | None
     findings: tuple[Finding, ...]
@@ -199,19 +177,22 @@ def fit_coherent(
     prepared, findings = made
     fits, chosen_noise = _upwards(prepared, settings, progress)
     fits, final = _once_more(prepared, fits, chosen_noise, settings)
-    areas = material_areas_m2(scene.room)
-    energy = tuple(
-        None if b is None else band_answer(b.energies.parameters, b.energy_fit, areas, "energy")
-        for b in prepared
-    )
     likelihoods = _log_likelihoods(prepared, fits)
+    areas = material_areas_m2(scene.room)
+    coherent = tuple(
+        None if f is None else band_answer(f.parameters, f.fit, areas, "coherent") for f in fits
+    )
+    coherent = widened_by_neighbours(coherent, areas)
+    energy: Sequence[BandAnswer | None] = (None,) * len(bands)
+    if any(_asks_energies(f, x, settings) for f, x in zip(fits, likelihoods, strict=True)):
+        coarse = band_problems(scene, bands, knowledge, measured, binned, start)
+        energy = _energy_answers(coarse, prepared, parts, areas)
     answers = tuple(
-        _decided(own, fit, likelihoods[i], areas, settings)
-        for i, (own, fit) in enumerate(zip(energy, fits, strict=True))
+        _decided(*each, settings) for each in zip(energy, coherent, likelihoods, strict=True)
     )
     geometry = next((b.problem.geometry for b in prepared if b is not None), None)
     told = None if geometry is None or final is None else _fitted_geometry(geometry, final)
-    return CoherentFit(answers, energy, likelihoods, told, (*findings, *_findings(told)))
+    return CoherentFit(answers, likelihoods, told, (*findings, *_findings(told)))
 
 
 def _prepared(
@@ -226,7 +207,9 @@ def _prepared(
     parts: Sequence[tuple[PartFactory, ...]],
 ) -> tuple[tuple[_Band | None, ...], tuple[Finding, ...]]:
     """Fit the energies of every band, find spoiled files, and make the coherent problems."""
-    problems = tuple(band_problems(scene, bands, knowledge, measured, binned, start))
+    problems = tuple(
+        band_problems(*(scene, bands, knowledge, measured, binned, start), periods=_WINDOW_PERIODS)
+    )
     files = [tuple(m for m in measured if tells_of_band(m, b)) for b in range(len(bands))]
     nothing = [np.ones(0 if p is None else p.measured().size) for p in problems]
     fits = [_fit_energies(*each) for each in zip(problems, nothing, parts, strict=True)]
@@ -270,7 +253,7 @@ def _upwards(
     noises: list[tuple[float, float, float]] = []
     known: Marginal | None = None
     for i, band in enumerate(prepared):
-        noises.append(_TWO_TRIES[0])
+        noises.append(_NOISES[0])
         if band is None or settings.model == "energy":
             fits.append(None)
             continue
@@ -292,12 +275,12 @@ def _with_best_noise(
     Larger errors are tried only while the data scatter more than the model says.
     """
     best: tuple[CoherentBandFit, tuple[float, float, float]] | None = None
-    for noise in _TWO_TRIES:
+    for noise in _NOISES:
         model, ringing, phase_sd = noise
         own = band.with_noise(model, ringing)
         start = _start(own, known) if best is None else best[0].fit.vector
         fit = _rounds(own, start, phase_sd, None)
-        if best is not None and fit.fit.log_likelihood <= best[0].fit.log_likelihood:
+        if best is not None and fit.log_likelihood <= best[0].log_likelihood:
             break
         best = fit, noise
         if fit.fit.phi <= 1.0:
@@ -370,7 +353,7 @@ def _pair_of_likelihoods(band: _Band, fit: CoherentBandFit) -> tuple[float, floa
     moved = prior[np.any(rows[:, n:] != 0.0, axis=1)]
     energies = joined(band.energies, band.factor, band.parts)
     each = energies.log_likelihood(band.energy_fit.expected, band.energy_fit.variance)
-    return fit.fit.log_likelihood - 0.5 * float(moved @ moved), float(each.sum())
+    return fit.log_likelihood - 0.5 * float(moved @ moved), float(each.sum())
 
 
 def _log_likelihoods(
@@ -383,32 +366,53 @@ def _log_likelihoods(
     return out
 
 
+def _asks_energies(
+    fit: CoherentBandFit | None, likelihoods: FloatArray, settings: CoherentOptions
+) -> bool:
+    """Whether the energy model's answer of a band may be needed."""
+    if fit is None:
+        return True
+    return settings.model != "coherent" and bool(likelihoods[1] - likelihoods[0] < _UNDECIDED)
+
+
+def _energy_answers(
+    problems: Iterable[EnergyProblem | None],
+    prepared: tuple[_Band | None, ...],
+    parts: Sequence[tuple[PartFactory, ...]],
+    areas_m2: FloatArray,
+) -> tuple[BandAnswer | None, ...]:
+    """Return what energies alone say, in the windows whose noise is known to suit them."""
+    out: list[BandAnswer | None] = []
+    for problem, band, own in zip(problems, prepared, parts, strict=True):
+        if problem is None:
+            out.append(None)
+            continue
+        factor = np.ones(problem.measured().size)
+        if band is not None:
+            # as for the finer windows: one factor an observation
+            fine = [o.energy.size for o in band.energies.observations]
+            first = np.cumsum([0, *fine[:-1]])
+            sizes = [o.energy.size for o in problem.observations]
+            factor = np.repeat(band.factor[first], sizes)
+        fit = fit_band(joined(problem, factor, own), gauss_newton, gauss_newton)
+        out.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
+    return tuple(out)
+
+
 def _decided(
     energy: BandAnswer | None,
-    fit: CoherentBandFit | None,
+    coherent: BandAnswer | None,
     likelihoods: FloatArray,
-    areas_m2: FloatArray,
     settings: CoherentOptions,
 ) -> BandAnswer | None:
     """Return the likelier answer; with both intervals where the likelihood cannot decide."""
-    if energy is None or fit is None:
+    if coherent is None:
         return energy
-    coherent = band_answer(fit.parameters, fit.fit, areas_m2, "coherent")
-    if settings.model == "coherent":
+    if energy is None or settings.model == "coherent":
         return coherent
     better = likelihoods[1] - likelihoods[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
-    if abs(better) >= _UNDECIDED:
-        return best
-    lower = np.minimum(best.lower95, other.lower95)
-    upper = np.maximum(best.upper95, other.upper95)
-    mean = (
-        best.mean[0],
-        min(best.mean[1], other.mean[1]),
-        max(best.mean[2], other.mean[2]),
-    )
-    sure = best.identifiable & other.identifiable & (upper - lower <= 0.2)
-    return replace(best, lower95=lower, upper95=upper, mean=mean, identifiable=sure)
+    return best if abs(better) >= _UNDECIDED else with_both_intervals(best, other)
 
 
 def _fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:

@@ -94,6 +94,8 @@ def band_problems(
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
     start: FloatArray,
+    *,
+    periods: float = 1.5,
 ) -> Iterator[EnergyProblem | None]:
     """Make the problem of one band after the other, over the measurements that are to be fitted.
 
@@ -104,6 +106,8 @@ def band_problems(
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
+    periods : float
+        How short the windows may be; see `window_edges_s`.
 
     Notes
     -----
@@ -118,7 +122,13 @@ def band_problems(
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
             _observation(
-                bank, band, m, coarse.edges_s, _timing_sd_s(scene, m), _gain_index(gain_labels, m)
+                bank,
+                band,
+                m,
+                coarse.edges_s,
+                _timing_sd_s(scene, m),
+                _gain_index(gain_labels, m),
+                periods,
             )
             for m in fitted
         )
@@ -221,12 +231,14 @@ def _observation(
     bin_edges_s: FloatArray,
     timing_sd_s: float,
     gain: int,
+    periods: float,
 ) -> Observation:
     clear_s = (
         m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
     )
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
-    edges = window_edges_s(m.direct_s, min(float(clear_s), float(bin_edges_s[-1])), bandwidth_hz)
+    end_s = min(float(clear_s), float(bin_edges_s[-1]))
+    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
     fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.file.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a lone sample of height 1 has the energy 1

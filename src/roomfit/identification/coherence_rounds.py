@@ -26,12 +26,15 @@ class CoherentBandFit:
     ----------
     fit : BandFit
     parameters : Parameters
+    log_likelihood : float
+        Of all data, none counted less than once: compares models of the same data.
     found : Marginal or None
         What this band and those before say of the geometry; None where nothing of it is fitted.
     """
 
     fit: BandFit
     parameters: Parameters
+    log_likelihood: float
     found: Marginal | None
 
 
@@ -64,11 +67,15 @@ def fit_in_rounds(
         vector = fit.vector
         first = position_of(problem.parameters, GEOMETRY)
         if first == vector.size:
-            return CoherentBandFit(fit, problem.parameters, None)
+            break
         own = np.linalg.inv(fit.information)[first:, first:]
         covariance = np.asarray(own * max(fit.phi, 1.0))
+    each = problem.log_likelihood(fit.expected, fit.variance)
+    likelihood = float(each.sum())
+    if first == vector.size:
+        return CoherentBandFit(fit, problem.parameters, likelihood, None)
     found = marginal(fit, first, geometry_information(problem.parameters))
-    return CoherentBandFit(fit, problem.parameters, found)
+    return CoherentBandFit(fit, problem.parameters, likelihood, found)
 
 
 def without_band(final: Marginal, after: Marginal, before: FloatArray) -> JointPrior:

@@ -127,9 +127,7 @@ class CoherentResponse:
     by_times: FloatArray
 
 
-def image_paths(
-    paths: Paths, pairs: IntArray, attenuation_per_m: float, unfolding: FloatArray | None = None
-) -> ImagePaths:
+def image_paths(paths: Paths, pairs: IntArray, attenuation_per_m: float) -> ImagePaths:
     """Return the image paths of each observation's pair, fully coherent.
 
     Parameters
@@ -139,9 +137,11 @@ def image_paths(
     pairs : int array, shape (n_observations,)
     attenuation_per_m : float
         Energy attenuation of the air.
-    unfolding : float array, shape (n_paths, 3, 3), optional
-        Where it is not told, the reflection that turns the departure into the arrival stands in:
-        exact to first order in a source's displacement, and exact for a box.
+
+    Notes
+    -----
+    Paths without `unfolding` get the reflection that turns the departure into the arrival in its
+    place: right to first order in a source's displacement, and exact in a box.
     """
     image = paths.batch < 0
     own = [np.flatnonzero(image & (paths.pair == pair)) for pair in pairs]
@@ -152,8 +152,8 @@ def image_paths(
     departure = paths.departure[chosen].astype(np.float64)
     matrices = (
         _stand_in(departure, arrival)
-        if unfolding is None
-        else np.asarray(unfolding[chosen], dtype=np.float64)
+        if paths.unfolding is None
+        else paths.unfolding[chosen].astype(np.float64)
     )
     return ImagePaths(
         paths.materials,
