@@ -1,0 +1,157 @@
+"""What is sure where single materials are not: means over groups of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from roomfit.checks import float_array
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.uncertainty.straight_draws import draw_along_data
+
+# A combination counts as determined where its 95 % interval reaches this far to either side ...
+WITHIN = 0.1
+# ... and where the data, not the prior, say so.
+_SHARE_OF_PRIOR = 0.5
+# Places the ends of an interval within a third of a percent of probability.
+_DRAWS = 2048
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Combination:
+    """A mean of absorptions, weighed by area.
+
+    Attributes
+    ----------
+    weights : float array, shape (n_materials,)
+        0 or more, sum 1: the area of each material of the group over that of the group.
+    value : float
+        At the answer.
+    lower95, upper95 : float
+        Quantiles of the posterior.
+    sd : float
+        Standard deviation of the posterior.
+    """
+
+    weights: FloatArray
+    value: float
+    lower95: float
+    upper95: float
+    sd: float
+
+    @property
+    def relative(self) -> float:
+        """Half the width of the interval over the value."""
+        return 0.5 * (self.upper95 - self.lower95) / self.value if self.value > 0.0 else np.inf
+
+
+def find_combinations(
+    areas_m2: FloatArray,
+    absorption: FloatArray,
+    covariance_logit: FloatArray,
+    prior_logit_mean: FloatArray,
+    prior_logit_sd: FloatArray,
+    rng: np.random.Generator,
+    *,
+    within: float = WITHIN,
+) -> tuple[Combination, ...]:
+    """Return the groups of materials whose mean absorption is known though their own is not.
+
+    Always first: the mean over the whole room. Then materials that are not determined each by
+    itself are put together, always the two groups whose common mean is then known best, until the
+    mean of a group is determined: its 95 % interval within `within` of its value on either side,
+    and its spread at most half of what it was beforehand. Groups that never get there are left
+    out.
+
+    Parameters
+    ----------
+    areas_m2 : float array, shape (n_materials,)
+    absorption : float array, shape (n_materials,)
+        The answer of one band.
+    covariance_logit : float array, shape (n_materials, n_materials)
+        Posterior covariance of logit absorption, positive semi-definite: zeros where it is held,
+        equal rows where two materials are tied.
+    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
+        Of logit absorption beforehand.
+    rng : numpy.random.Generator
+    within : float
+        Above 0.
+
+    Raises
+    ------
+    InputError
+        Shapes do not belong together, or a value out of range.
+
+    Notes
+    -----
+    Intervals are quantiles of `roomfit.uncertainty.straight_draws.draw_along_data`.
+    """
+    n = len(areas_m2)
+    areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
+    a = float_array("absorption", absorption, (n,), low=0.0, high=1.0)
+    covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
+    prior_mean = float_array("prior mean of logit absorption", prior_logit_mean, (n,))
+    prior_sd = float_array("prior sd of logit absorption", prior_logit_sd, (n,), low=0.0)
+    if not (within > 0.0 and areas.sum() > 0.0):
+        raise InputError("combinations need areas and a width above zero", found=f"{within:g}")
+    held = np.diag(covariance) <= 0.0
+    own, twin = _own(a, covariance, held)
+    draws, beforehand = np.tile(a, (2, _DRAWS, 1))
+    free = np.ix_(own, own)
+    if own.size:
+        drawn = draw_along_data(
+            a[own], covariance[free], prior_mean[own], prior_sd[own], _DRAWS, rng
+        )
+        noise = prior_mean[own] + prior_sd[own] * rng.standard_normal((_DRAWS, own.size))
+        draws[:, ~held] = drawn[:, twin]
+        beforehand[:, ~held] = (0.5 * (1.0 + np.tanh(0.5 * noise)))[:, twin]
+
+    def told(group: tuple[int, ...]) -> tuple[Combination, bool]:
+        weights = np.zeros(n)
+        weights[list(group)] = areas[list(group)] / areas[list(group)].sum()
+        mean = draws @ weights
+        low, high = np.quantile(mean, (0.025, 0.975))
+        found = Combination(
+            weights, float(weights @ a), float(low), float(high), float(np.std(mean))
+        )
+        sharper = found.sd <= _SHARE_OF_PRIOR * float(np.std(beforehand @ weights))
+        return found, found.relative <= within and sharper
+
+    loose: list[tuple[int, ...]] = [(i,) for i in range(n) if areas[i] > 0.0]
+    room = told(tuple(g[0] for g in loose))[0]
+    loose = [g for g in loose if not (held[g[0]] or told(g)[1])]
+    groups: list[Combination] = []
+    while len(loose) > 1:
+        one, other = min(
+            combinations(loose, 2), key=lambda pair: told((*pair[0], *pair[1]))[0].relative
+        )
+        loose = [g for g in loose if g not in (one, other)]
+        found, determined = told((*one, *other))
+        if determined:
+            groups.append(found)
+        else:
+            loose.append((*one, *other))
+    same = [g for g in groups if np.array_equal(g.weights, room.weights)]
+    return (room, *(g for g in groups if g not in same))
+
+
+def _own(
+    absorption: FloatArray, covariance: FloatArray, held: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """Return which materials vary by themselves, and for each that varies which of them it is."""
+    varying = np.flatnonzero(~held)
+    own: list[int] = []
+    twin: list[int] = []
+    for i in varying:
+        same = [
+            k
+            for k, j in enumerate(own)
+            if absorption[j] == absorption[i] and np.allclose(covariance[j], covariance[i])
+        ]
+        if not same:
+            own.append(int(i))
+        twin.append(same[0] if same else len(own) - 1)
+    return np.array(own, dtype=np.int64), np.array(twin, dtype=np.int64)
