@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
+import signal
+import subprocess
+import sys
+import time
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -23,6 +29,7 @@ from roomfit.scene.rooms import room_from_mesh
 from roomfit.scene.scene import Point, Scene
 from roomfit.tracing.join import trace
 from roomfit.tracing.settings import TraceSettings
+from small_campaign import ABSORPTION, write_campaign
 
 
 @dataclass(frozen=True, eq=False)
@@ -255,3 +262,68 @@ def test_an_error_while_overwriting_removes_nothing(tmp_path):
     ):
         raise RuntimeError
     assert (out / "decay_01_a.png").read_text() == "old"
+
+
+# ---------------------------------------------------------------- runs that are killed
+
+
+def prediction_command(folder: Path, out: Path) -> list[str]:
+    """A prediction of four pairs whose absorption is told by a small table."""
+    campaign = folder / "campaign.toml"
+    if not campaign.exists():
+        more = "[sources.LS2]\nposition = [3.0, 2.5, 1.4]\n[receivers.MP1]"
+        write_campaign(folder, ("[receivers.MP1]", more), ("from_hz = 500", "from_hz = 1000"))
+        rows = ["material,band_hz,absorption,lower95,upper95,identifiable"]
+        for name, a in ABSORPTION.items():
+            rows += [f"{name},{f},{a},{a - 0.02},{a + 0.02},true" for f in (1000,)]
+        (folder / "absorption.csv").write_text("\n".join(rows) + "\n")
+    table = str(folder / "absorption.csv")
+    program = [sys.executable, "-m", "roomfit.cli", "predict", str(campaign)]
+    return [*program, "--absorption", table, "--out", str(out), "--overwrite"]
+
+
+def numbers_of(out: Path) -> dict:
+    """Everything in predicted.json but how long it took and what was said of the cache."""
+    content = json.loads((out / "predicted.json").read_text())
+    del content["prediction"]["seconds"]
+    content["findings"] = [f for f in content["findings"] if not f["code"].startswith("cache-")]
+    return content
+
+
+def kept(out: Path, kind: str) -> list[Path]:
+    return sorted((out / CACHE_FOLDER).glob(f"{kind}-*.npz"))
+
+
+def test_a_killed_run_continues_and_ends_with_the_same_bits(tmp_path):
+    out, whole = tmp_path / "out", tmp_path / "whole"
+    command = prediction_command(tmp_path / "campaign", out)
+    run = subprocess.Popen(command, stdout=subprocess.DEVNULL)
+    # a pair's numbers are kept when they are done: the trace is, and three pairs are not
+    while not kept(out, "pair"):
+        assert run.poll() is None
+        time.sleep(0.01)
+    run.send_signal(signal.SIGKILL)
+    assert run.wait() == -signal.SIGKILL
+    assert [p.name for p in out.iterdir()] == [CACHE_FOLDER]
+    found = {p: p.stat().st_ino for kind in ("trace", "pair") for p in kept(out, kind)}
+    assert len(kept(out, "pair")) < 4
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
+    assert len(kept(out, "pair")) == 4
+    # what was kept was used: nothing was written a second time
+    assert {p: p.stat().st_ino for p in found} == found
+    other = prediction_command(tmp_path / "campaign", whole)
+    subprocess.run([*other, "--no-cache"], check=True, stdout=subprocess.DEVNULL)
+    assert numbers_of(out) == numbers_of(whole)
+    assert (out / "predicted.csv").read_bytes() == (whole / "predicted.csv").read_bytes()
+    assert not (whole / CACHE_FOLDER).exists()
+
+
+def test_two_runs_in_one_folder_do_not_break_each_other(tmp_path):
+    out = tmp_path / "out"
+    command = prediction_command(tmp_path / "campaign", out)
+    runs = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]
+    assert [run.wait() for run in runs] == [0, 0]
+    alone = prediction_command(tmp_path / "campaign", tmp_path / "alone")
+    subprocess.run(alone, check=True, stdout=subprocess.DEVNULL)
+    assert numbers_of(out) == numbers_of(tmp_path / "alone")
+    assert [p.name for p in tmp_path.iterdir() if p.name.startswith(".")] == []

@@ -25,7 +25,7 @@ from roomfit.signals.room_parameters import room_parameters
 from roomfit.typing import BoolArray, FloatArray
 
 # Differences between absorptions are read from so many rows, in bins of a millisecond.
-_ROWS_OF_A_DRAW = 60_000
+_ROWS_OF_A_DRAW = 30_000
 _BINS_TOGETHER = 10
 _PICTURE_POINTS = 160
 _LOWEST_DB = -200.0
