@@ -1,0 +1,392 @@
+"""ISO 3382 values as data: tables, contradictions, derivatives, scatter, and a room found again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from roomfit.air import Air
+from roomfit.app.fitting import fit_bands
+from roomfit.app.problems import bin_paths
+from roomfit.app.values import compared_values, predicted_values, value_problems
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.files.parameters import read_parameters
+from roomfit.files.rooms.read import read_room
+from roomfit.files.rooms.spec import RoomSpec
+from roomfit.materials.knowledge import unknown_material
+from roomfit.materials.scattering import Scattering
+from roomfit.objective.parameters import start_vector
+from roomfit.objective.problem import JointProblem
+from roomfit.objective.room_values_problem import RoomValuesProblem, value_covariances
+from roomfit.objective.smearing import band_smearing, before_smearing, smear
+from roomfit.response.rows import EnergyRows
+from roomfit.scene.scene import Point, Scene
+from roomfit.signals.decay import echogram_decay_curve
+from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.signals.measured_values import MeasuredValues
+from roomfit.signals.parameter_gradients import VALUE_NAMES, value_gradients
+from roomfit.signals.room_parameters import PARAMETER_NAMES, room_parameters
+from roomfit.tracing.join import trace
+from roomfit.tracing.settings import TraceSettings
+
+ONE_BAND = Bands("octave", np.array([1000.0]))
+HEAD = "source,receiver,parameter,125,250\n"
+
+
+def echogram(seed: int) -> tuple[np.ndarray, np.ndarray, float]:
+    """Return rough energies of a decay of 0.8 s after a direct sound at 10 ms, and the edges."""
+    edges = 4e-4 * np.arange(-40, 3001)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    rough = np.random.default_rng(seed).gamma(1.0, size=middle.size)
+    late = np.where(middle > 0.01, np.exp(-13.8 * middle / 0.8) * rough, 0.0)
+    return late + np.where(np.abs(middle - 0.01) < 3e-4, 60.0, 0.0), edges, 0.01
+
+
+@given(st.integers(0, 10**6))
+def test_values_are_those_of_the_analysis_of_measurements(seed):
+    """One function reads measured curves, the other predicted ones: the same numbers."""
+    energy, edges, onset_s = echogram(seed)
+    curve = echogram_decay_curve(ONE_BAND, energy[None], edges, onset_s)
+    values, _ = value_gradients(curve, 0, PARAMETER_NAMES)
+    # both add up some thousand numbers: 1e-13, and the line takes differences of their logarithms
+    np.testing.assert_allclose(values, room_parameters(curve).values[:, 0], rtol=1e-10)
+
+
+@given(st.integers(0, 10**6))
+def test_derivatives_by_the_energies_are_those_of_finite_differences(seed):
+    """All bins moved at once in a random direction, the evaluated range moving along."""
+    energy, edges, onset_s = echogram(seed)
+    direction = energy * np.random.default_rng(seed + 1).standard_normal(energy.size)
+
+    def values(step):
+        curve = echogram_decay_curve(ONE_BAND, (energy + step * direction)[None], edges, onset_s)
+        return value_gradients(curve, 0, VALUE_NAMES)
+
+    here, gradients = values(0.0)
+    check_slopes(gradients @ direction, values(-1e-7)[0], here, values(1e-7)[0], 1e-7)
+
+
+def check_slopes(claimed, before, here, after, step):
+    """Check a slope against those on both sides, which differ where the curve has a corner.
+
+    Every boundary between bins is one, and the evaluated range passes over them. Values of 14
+    digits leave a slope seven digits at a step of 1e-7; some values are a hundred times it.
+    """
+    sides = np.array([(here - before) / step, (after - here) / step])
+    slack = 1e-4 * np.abs(sides).max(axis=0) + 1e-5 * np.abs(here)
+    assert np.all(claimed >= sides.min(axis=0) - slack)
+    assert np.all(claimed <= sides.max(axis=0) + slack)
+
+
+def test_a_pure_exponential_has_the_textbook_values():
+    """From its onset on: T of all kinds, C80 = 10 lg(exp(13.8 0.08/T) - 1), TS = T / 13.8."""
+    T, edges = 1.0, 1e-4 * np.arange(0, 20001)
+    left = np.exp(-6.0 * np.log(10.0) * edges / T)
+    energy = left[:-1] - left[1:]
+    curve = echogram_decay_curve(ONE_BAND, energy[None], edges, 0.0)
+    values = dict(zip(VALUE_NAMES, value_gradients(curve, 0, VALUE_NAMES)[0], strict=True))
+    k = 6.0 * np.log(10.0) / T
+
+    for name in ("EDT_s", "T20_s", "T30_s"):
+        assert values[name] == pytest.approx(T, rel=1e-5)
+    assert values["C80_dB"] == pytest.approx(10.0 * np.log10(np.exp(0.08 * k) - 1.0), abs=1e-6)
+    assert values["C50_dB"] == pytest.approx(10.0 * np.log10(np.exp(0.05 * k) - 1.0), abs=1e-6)
+    assert values["D50_percent"] == pytest.approx(100.0 * (1.0 - np.exp(-0.05 * k)), abs=1e-6)
+    # the integral of the curve by trapezia of 0.1 ms
+    assert values["TS_ms"] == pytest.approx(1000.0 / k, rel=1e-6)
+    # total energy 1 over that of the direct sound at 10 m
+    assert values["G_dB"] == pytest.approx(10.0 * np.log10(4.0 * np.pi * 100.0), abs=1e-9)
+
+
+def test_smearing_and_its_transpose_agree():
+    """<S x, y> = <x, S' y>, and nothing is lost of what lies inside."""
+    rng = np.random.default_rng(1)
+    smearing = band_smearing(FilterBank(ONE_BAND), 800, 5e-4)
+    x, y = rng.random(800), rng.random(800)
+    assert smear(smearing, x) @ y == pytest.approx(x @ before_smearing(smearing, y), rel=1e-12)
+    lone = np.zeros(800)
+    lone[400] = 1.0
+    # 1e-11 of an impulse lies farther than 64 periods away
+    assert smear(smearing, lone).sum() == pytest.approx(1.0, abs=1e-9)
+
+
+def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
+    """Return a problem whose rays alone make an exponential decay from the onset on."""
+    scene, bands, binned = small_room(np.array([centre_hz]))
+    n = 5000
+    edges = 5e-4 * np.arange(-100, n - 99)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    weight = np.where(middle > 0.0, np.exp(-6.0 * np.log(10.0) * middle / T), 0.0)
+    rows = EnergyRows(
+        scene.room.materials,
+        n,
+        np.arange(n + 1),
+        weight,
+        np.zeros((n, len(scene.room.materials)), dtype=np.uint16),
+        np.zeros(n),
+        np.zeros(n, dtype=np.int32),
+        1,
+    )
+    measured = MeasuredValues(
+        "S", "R1", bands.centres_hz, {"T20_s": np.array([T]), "T30_s": np.array([T])}, {}
+    )
+    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    (problem,) = value_problems(
+        scene, bands, knowledge, [measured], binned, np.full(1, 0.3), model_error_jnd=0.0
+    )
+    assert problem is not None
+    bank = FilterBank(bands)
+    none = replace(rows, weight_per_m2=np.zeros(n))
+    return replace(
+        problem,
+        edges_s=edges,
+        rows=(rows,),
+        lone_rows=(none,),
+        smearing=band_smearing(bank, n, 5e-4),
+        observations=(replace(problem.observations[0], direct_s=0.0),),
+    )
+
+
+@pytest.mark.parametrize("T", [0.6, 2.0])
+def test_interference_scatters_decay_times_as_the_standard_says(T):
+    """ISO 3382-2 (from Davy): s(T30) = .55 T (B T)^-1/2, s(T20) = .88 T (B T)^-1/2."""
+    problem = exponential_problem(T, 1000.0)
+    (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+    b = float(statistical_bandwidth_hz(FilterBank(ONE_BAND))[0])
+    t20, t30 = np.sqrt(np.diag(covariance)) / (T / np.sqrt(b * T))
+    # the standard's factors are themselves rounded, and hold for a line through the level
+    assert t20 == pytest.approx(0.88, rel=0.06)
+    assert t30 == pytest.approx(0.55, rel=0.06)
+    # T20 is read from a part of what T30 is read from
+    assert 0.3 < covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) < 0.95
+    assert np.all(problem.counted_as_one() > 1.1)
+
+
+def test_the_scatter_of_values_is_that_of_random_echoes():
+    """Independent of the derivation: exponential energies with the chi-square of each bin."""
+    T, edges, b = 1.0, 5e-4 * np.arange(0, 4001), 708.0
+    problem = exponential_problem(T, 1000.0)
+    rng = np.random.default_rng(5)
+    mean = np.diff(-np.exp(-6.0 * np.log(10.0) * edges / T))
+    found = []
+    for _ in range(600):
+        # a window of B dt degrees of freedom scatters by (B dt) ** -1/2: gamma of that shape
+        shape = b * 5e-4
+        energy = mean * rng.gamma(shape, 1.0 / shape, mean.size)
+        curve = echogram_decay_curve(ONE_BAND, energy[None], edges, 0.0)
+        found.append(value_gradients(curve, 0, ("T20_s", "T30_s"))[0])
+    (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+    # 600 trials know a standard deviation within 2.9 %: four of them, and the bandwidth's rounding
+    np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(covariance)), rtol=0.13)
+
+
+def small_room(centres_hz: np.ndarray):
+    """Return a scene of a box with three materials and four pairs, traced."""
+    walls = dict.fromkeys(("west", "east", "south", "north"), "walls")
+    room, _ = read_room(RoomSpec(shoebox=(5.1, 3.7, 2.6), materials=walls))
+    source = (Point("S", np.array([1.1, 1.3, 1.2])),)
+    places = [(3.9, 2.5, 1.4), (3.1, 0.9, 1.0), (1.7, 2.8, 1.7), (4.2, 1.0, 2.0)]
+    receivers = tuple(Point(f"R{i}", np.array(p)) for i, p in enumerate(places, start=1))
+    scene = Scene(room, source, receivers, np.array([(0, i) for i in range(4)]), Air(20.0, 50.0))
+    bands = Bands("octave", centres_hz)
+    settings = TraceSettings(duration_s=0.6, n_rays=4096, image_order=2, seed=3)
+    scattering = Scattering(room.materials, np.full(len(room.materials), 0.3))
+    return scene, bands, bin_paths(scene, bands, trace(scene, settings, scattering).paths, 0.6)
+
+
+def measured_from(scene, bands, values, names) -> list[MeasuredValues]:
+    """Return predicted values as if they had been measured."""
+    return [
+        MeasuredValues("S", f"R{i + 1}", bands.centres_hz, dict(zip(names, row, strict=True)), {})
+        for i, row in enumerate(values)
+    ]
+
+
+def test_derivatives_by_absorption_are_those_of_finite_differences():
+    """Through weights, smearing, curve and evaluation, all eight values of all pairs."""
+    scene, bands, binned = small_room(np.array([1000.0]))
+    truth = np.array([[0.2], [0.3], [0.4]])
+    values = predicted_values(scene, bands, binned, truth)
+    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    (problem,) = value_problems(
+        scene,
+        bands,
+        knowledge,
+        measured_from(scene, bands, values, VALUE_NAMES),
+        binned,
+        np.full(1, 0.25),
+    )
+    assert problem is not None
+    vector = start_vector(problem.parameters)
+    here = problem.predict(vector)
+    for j in range(vector.size):
+        step = np.zeros(vector.size)
+        step[j] = 1e-7
+        after, before = (problem.predict(vector + s * step).expected for s in (1, -1))
+        check_slopes(here.jacobian[:, j], before, here.expected, after, 1e-7)
+
+
+def test_absorption_is_found_again_from_values_alone():
+    """With other rays' noise in nothing: the truth is where all values agree."""
+    scene, bands, binned = small_room(np.array([1000.0]))
+    truth = np.array([[0.15], [0.5], [0.3]])
+    names = ("EDT_s", "T20_s", "C80_dB", "D50_percent", "TS_ms", "G_dB")
+    values = predicted_values(scene, bands, binned, truth, names)
+    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    measured = measured_from(scene, bands, values, names)
+    # a model held for right, so that the prior has no say
+    problems = value_problems(
+        scene, bands, knowledge, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
+    )
+    (answer,) = fit_bands(problems, knowledge, np.ones(3), "auto", 1, None)
+
+    assert answer.phi < 0.1
+    sd = np.sqrt(np.diag(answer.logit_covariance))
+    off = np.log(answer.absorption / (1 - answer.absorption)) - np.log(truth / (1 - truth))[:, 0]
+    # without noise in the data only the prior pulls: by less than the stated spread
+    assert np.all(np.abs(off) < sd)
+    compared = compared_values(measured, values, measured, bands, names)
+    assert compared[0]["T20_s"].jnd == pytest.approx(0.0)
+    others = np.mean([v.values["C80_dB"][0] for v in measured[1:]])
+    assert compared[0]["C80_dB"].null == pytest.approx(others)
+
+
+def test_values_join_other_data_of_the_same_unknowns():
+    """Half of the pairs in one part and half in another make the problem of all."""
+    scene, bands, binned = small_room(np.array([1000.0]))
+    values = predicted_values(scene, bands, binned, np.full((3, 1), 0.3))
+    measured = measured_from(scene, bands, values, VALUE_NAMES)
+    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    start = np.full(1, 0.2)
+    (whole,) = value_problems(scene, bands, knowledge, measured, binned, start)
+    assert whole is not None
+    shared = [whole.parameters]
+    parts = [
+        value_problems(scene, bands, knowledge, half, binned, start, parameters=shared)[0]
+        for half in (measured[:2], measured[2:])
+    ]
+    joint = JointProblem(tuple(p for p in parts if p is not None))
+    vector = start_vector(whole.parameters)
+
+    np.testing.assert_array_equal(joint.measured(), whole.measured())
+    np.testing.assert_allclose(joint.variance(vector), whole.variance(vector))
+    np.testing.assert_allclose(joint.predict(vector).jacobian, whole.predict(vector).jacobian)
+
+
+def test_the_likelihood_is_gaussian_with_its_constants():
+    """Against scipy's normal law."""
+    from scipy.stats import norm
+
+    problem = exponential_problem(1.0, 1000.0)
+    expected, variance = np.array([1.1, 0.9]), np.array([0.01, 0.04])
+    np.testing.assert_allclose(
+        problem.log_likelihood(expected, variance),
+        norm.logpdf([1.0, 1.0], expected, np.sqrt(variance)),
+    )
+
+
+def table(tmp_path, text: str, head: str = HEAD):
+    path = tmp_path / "measured.csv"
+    path.write_text(head + text)
+    return path
+
+
+def test_a_table_is_read_with_its_spread_and_its_gaps(tmp_path):
+    """Order of pairs as in the file; empty cells and rows that are not there are unknown."""
+    path = table(
+        tmp_path,
+        "A,1,T20,1.5,\nA,1,T20_sd,0.1,0.2\n# a remark\nB,2,c80,-1.5,2\nA,1,D50,40,50\n",
+    )
+    (first, second), findings = read_parameters(path)
+
+    assert not findings
+    assert (first.source, first.receiver, second.source) == ("A", "1", "B")
+    np.testing.assert_array_equal(first.centres_hz, [125.0, 250.0])
+    np.testing.assert_array_equal(first.values["T20_s"], [1.5, np.nan])
+    np.testing.assert_array_equal(first.spread["T20_s"], [0.1, 0.2])
+    np.testing.assert_array_equal(second.values["C80_dB"], [-1.5, 2.0])
+    (only,), _ = read_parameters(path, source="B")
+    assert only.receiver == "2"
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("A,1,T20,20,1\n", r"implausible(.|\n)*line 2, column 4(.|\n)*T20 of 20 s"),
+        ("A,1,C80,1,90\n", r"implausible(.|\n)*column 5 \(C80 of A to 1 at 250 Hz\)"),
+        ("A,1,T30,1500,1\n", "milliseconds"),
+        ("A,1,D50,0.4,120\n", "implausible"),
+        ("A,1,C50,3,3\nA,1,C80,2,4\n", "contradict(.|\n)*C80 of 2 dB and C50 of 3 dB"),
+        ("A,1,C50,0,0\nA,1,D50,50,80\n", "contradict(.|\n)*D50 near 50 %"),
+        ("A,1,T20,1,1\nA,1,EDT,1,10\n", "contradict(.|\n)*EDT of 10 s"),
+        ("A,1,T20,1,1\nA,1,T30,1,4\n", "contradict(.|\n)*T30 of 4 s"),
+        ("A,1,T25,1,1\n", "unknown room parameter"),
+        ("A,1,T20,one,1\n", "not a number(.|\n)*line 2, column 4"),
+        ("A,1,T20,nan,1\n", "not a number"),
+        ("A,1,T20,1,5,1,7\n", "more values than bands(.|\n)*point"),
+        ("A,,T20,1,1\n", "without source or receiver"),
+        ("A,1,T20_sd,0.1,0.1\n", "spread without its value"),
+        ("A,1,T20,1,1\nA,1,T20_sd,-1,0\n", "below zero"),
+        ("", "without values"),
+    ],
+)
+def test_bad_tables_are_refused_with_the_place(tmp_path, text, words):
+    """What, where, found, needed."""
+    with pytest.raises(InputError, match=words):
+        read_parameters(table(tmp_path, text))
+
+
+def test_other_heads_and_missing_pairs_are_refused(tmp_path):
+    """The first line, and a pair that the table does not have."""
+    with pytest.raises(InputError, match="begins otherwise"):
+        read_parameters(table(tmp_path, "A,1,T20,1,1\n", "a,b,c,125,250\n"))
+    with pytest.raises(InputError, match="must rise"):
+        read_parameters(table(tmp_path, "A,1,T20,1,1\n", "source,receiver,parameter,250,125\n"))
+    with pytest.raises(InputError, match="A to 1"):
+        read_parameters(table(tmp_path, "A,1,T20,1,1\n"), source="C")
+
+
+def test_a_pair_measured_twice_with_different_results_is_told(tmp_path):
+    """The mean is used with half of the difference as its spread."""
+    path = table(tmp_path, "A,1,T20,1.0,1.0\nA,1,T20,1.2,1.0\n")
+    (joined,), (finding,) = read_parameters(path)
+
+    np.testing.assert_allclose(joined.values["T20_s"], [1.1, 1.0])
+    np.testing.assert_allclose(joined.spread["T20_s"], [0.1, 0.0], atol=1e-12)
+    assert finding.code == "pair-measured-twice"
+    assert finding.severity == "warning"
+    # 0.2 s of 1.1 s in steps of 5 %
+    assert finding.evidence["jnd"] == pytest.approx(0.2 / 1.1 / 0.05)
+    _, nothing = read_parameters(table(tmp_path, "A,1,T20,1,1\nA,1,T20,1,1\n"))
+    assert not nothing
+
+
+def test_values_that_go_badly_together_raise_a_doubt(tmp_path):
+    """D50 ten points from what C50 says; not an error, since both may be means over teams."""
+    _, (finding,) = read_parameters(table(tmp_path, "A,1,C50,0,0\nA,1,D50,50,60\n"))
+    assert finding.code == "parameters-doubtful"
+    assert "250 Hz" in finding.sentence
+
+
+def test_pairs_the_scene_lacks_are_refused():
+    """Named, with those that it has."""
+    scene, bands, binned = small_room(np.array([1000.0]))
+    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    wrong = MeasuredValues("S", "R9", bands.centres_hz, {"T20_s": np.ones(1)}, {})
+    with pytest.raises(InputError, match=r"lacks(.|\n)*S to R9"):
+        value_problems(scene, bands, knowledge, [wrong], binned, np.full(1, 0.2))
+
+
+def test_a_band_without_values_has_no_problem():
+    """Other centres than those of the table: nothing to fit."""
+    scene, bands, binned = small_room(np.array([1000.0, 2000.0]))
+    knowledge = tuple(unknown_material(m, 2) for m in scene.room.materials)
+    values = MeasuredValues("S", "R1", np.array([2000.0]), {"T20_s": np.array([0.4])}, {})
+    problems = value_problems(scene, bands, knowledge, [values], binned, np.full(2, 0.2))
+    assert problems[0] is None
+    assert problems[1] is not None
