@@ -1,0 +1,127 @@
+"""A small box with two observations as a partly coherent problem, made without any file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from roomfit.air import Air
+from roomfit.app.coherent_problems import coherent_problem
+from roomfit.app.problems import BinnedPaths, bin_paths, in_band
+from roomfit.bands import Bands
+from roomfit.geometry.shoebox import shoebox_mesh
+from roomfit.materials.scattering import uniform_scattering
+from roomfit.objective.coherent_geometry import Geometry
+from roomfit.objective.coherent_problem import CoherentProblem
+from roomfit.objective.energy_problem import (
+    EnergyProblem,
+    Observation,
+    fine_edges_s,
+    in_air,
+    lone_rows,
+)
+from roomfit.objective.parameters import Block, Parameters
+from roomfit.objective.windows import window_edges_s
+from roomfit.scene.room import Room
+from roomfit.scene.scene import Point, Scene
+from roomfit.signals.filters import (
+    FilterBank,
+    energy_share,
+    smearing_kernel,
+    statistical_bandwidth_hz,
+)
+from roomfit.tracing.images import trace_images
+from roomfit.tracing.paths import Paths
+
+SPEED_M_S = 340.0
+END_S = 0.06
+MATERIALS = ("walls", "floor", "ceiling")
+CENTRE_HZ = 250.0
+
+
+def small_scene() -> Scene:
+    """Return a box of three materials with one source and two receivers."""
+    lengths = (4.0, 3.1, 2.5)
+    room = Room(shoebox_mesh(lengths), MATERIALS, np.array([0, 0, 0, 0, 1, 2]), lengths)
+    return Scene(
+        room,
+        (Point("S", np.array([1.1, 0.9, 1.2]), 0.01),),
+        (Point("A", np.array([2.9, 2.1, 1.5]), 0.01), Point("B", np.array([3.1, 0.8, 0.9]), 0.01)),
+        np.array([[0, 0], [0, 1]]),
+        Air(speed_of_sound_m_s=SPEED_M_S, attenuation="none"),
+    )
+
+
+def small_problem(centre_hz: float = CENTRE_HZ) -> CoherentProblem:
+    """Return the problem without any coherence, its data all one."""
+    scene = small_scene()
+    bands = Bands("octave", np.array([centre_hz]))
+    paths = trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
+    binned = bin_paths(scene, bands, paths, END_S)
+    energies = energy_problem(bands, scene, in_band(binned, centre_hz))
+    return coherent_problem(bands, 0, energies, 0.0, paths, binned, small_geometry(), None)
+
+
+def small_paths() -> tuple[Scene, Paths]:
+    """Return the scene and its image paths."""
+    scene = small_scene()
+    return scene, trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
+
+
+def small_geometry() -> Geometry:
+    """Return the unknowns of the two observations."""
+    sd = np.array([*[0.01] * 9, 2e-3, 2e-5, *[2e-4] * 3])
+    labels = tuple(f"unknown {i}" for i in range(sd.size))
+    shared = [9, 10, 11, 12, 13]
+    columns = np.array([[0, 1, 2, 3, 4, 5, *shared], [0, 1, 2, 6, 7, 8, *shared]])
+    return Geometry(labels, sd, np.ones(sd.size, dtype=np.bool_), SPEED_M_S, columns)
+
+
+def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyProblem:
+    """Return the energies of both observations, one gain for both."""
+    bank = FilterBank(bands)
+    bandwidth = float(statistical_bandwidth_hz(bank)[0])
+    kernel = smearing_kernel(bank)
+    centres = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])
+    observations = []
+    for pair in range(2):
+        edges = window_edges_s(0.006, END_S - 0.004, bandwidth, periods=0.75)
+        fine = fine_edges_s(edges, bandwidth)
+        shares, fine_shares = (
+            csr_array(energy_share(kernel, 0, centres, e).T) for e in (edges, fine)
+        )
+        n = edges.size - 1
+        observations.append(
+            Observation(
+                *(pair, edges, np.ones(n), np.zeros(n), shares, fine, fine_shares),
+                *(csr_array(shares.shape), 0.0, 0),
+            )
+        )
+    held = np.ones(3, dtype=np.bool_)
+    absorption = Block(
+        *("absorption", MATERIALS, "logit", np.array([0.2, 0.4, 0.1]), held),
+        *(np.full(3, -1.7), np.full(3, 1.5), np.zeros(3), np.ones(3)),
+    )
+    gain = Block(
+        *("gain", ("S",), "log", np.array([2.0]), np.ones(1, dtype=np.bool_)),
+        *(np.zeros(1), np.full(1, np.inf), np.zeros(1), np.ones(1)),
+    )
+    problem = EnergyProblem(
+        *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows),
+        *(tuple(lone_rows(r) for r in binned.rows), tuple(observations)),
+        *(Parameters((absorption, gain)), 0.0, 0.0),
+    )
+    return in_air(problem)
+
+
+def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
+    """Return the problem with other measured energies, observations end to end."""
+    seen = []
+    first = 0
+    for o in problem.energies.observations:
+        n = o.energy.size
+        seen.append(replace(o, energy=data[first : first + n]))
+        first += n
+    return replace(problem, energies=replace(problem.energies, observations=tuple(seen)))

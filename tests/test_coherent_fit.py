@@ -1,0 +1,200 @@
+"""Scoring, carrying the geometry from band to band, spoiled files, and a whole small room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from coherent_cases import small_geometry, small_problem, with_data
+from roomfit.app.coherent_answers import widened_by_neighbours
+from roomfit.app.fitting import BandAnswer
+from roomfit.identification.coherence_rounds import without_band
+from roomfit.identification.scoring import marginal, score_band
+from roomfit.objective.coherent_geometry import GEOMETRY, whole_covariance
+from roomfit.objective.coherent_problem import with_coherence
+from roomfit.objective.parameters import (
+    Block,
+    JointPrior,
+    Parameters,
+    prior_residuals,
+    start_vector,
+)
+from roomfit.objective.problem import Prediction
+from roomfit.objective.softened import SoftenedProblem
+from roomfit.typing import BoolArray, FloatArray
+
+N_OWN, N_SHARED = 2, 3
+
+
+def _block(name: str, n: int, sd: float) -> Block:
+    return Block(
+        *(name, tuple(f"{name} {i}" for i in range(n)), "identity", np.zeros(n)),
+        *(np.ones(n, dtype=np.bool_), np.zeros(n), np.full(n, sd)),
+        *(np.full(n, -1e9), np.full(n, 1e9)),
+    )
+
+
+@dataclass(frozen=True)
+class Linear:
+    """A linear problem with unit variance: its exact posterior is known."""
+
+    matrix: FloatArray
+    data: FloatArray
+    parameters: Parameters
+
+    def measured(self) -> FloatArray:
+        return self.data
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        return Prediction(self.matrix @ vector, self.matrix @ vector, self.matrix)
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        return np.ones(self.data.size) + 0.0 * vector[0]
+
+    def counted_as_one(self) -> FloatArray:
+        return np.ones(self.data.size)
+
+    def are_energies(self) -> BoolArray:
+        return np.zeros(self.data.size, dtype=np.bool_)
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        return np.asarray(-0.5 * (self.data - expected) ** 2 / variance)
+
+
+def _bands(seed: int) -> list[tuple[FloatArray, FloatArray]]:
+    """Return matrix and data of two bands; residuals small, so that phi stays below 1."""
+    rng = np.random.default_rng(seed)
+    out = []
+    shared = rng.standard_normal(N_SHARED)
+    for _ in range(2):
+        matrix = rng.standard_normal((12, N_OWN + N_SHARED))
+        truth = np.concatenate((rng.standard_normal(N_OWN), shared))
+        out.append((matrix, matrix @ truth + 0.1 * rng.standard_normal(12)))
+    return out
+
+
+def _joint_answer(bands: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray]:
+    """Return mean and covariance of the shared unknowns with both bands' own in one system."""
+    n = 2 * N_OWN + N_SHARED
+    H, g = np.diag([1e-4] * (2 * N_OWN) + [1.0] * N_SHARED), np.zeros(n)
+    for b, (matrix, data) in enumerate(bands):
+        A = np.zeros((len(data), n))
+        A[:, b * N_OWN : (b + 1) * N_OWN] = matrix[:, :N_OWN]
+        A[:, 2 * N_OWN :] = matrix[:, N_OWN:]
+        H += A.T @ A
+        g += A.T @ data
+    return np.linalg.solve(H, g), np.linalg.inv(H)
+
+
+def _carried(
+    bands: list[tuple[FloatArray, FloatArray]], joint: JointPrior | None, b: int
+) -> Linear:
+    blocks = (_block("absorption", N_OWN, 100.0), _block(GEOMETRY, N_SHARED, 1.0))
+    return Linear(*bands[b], Parameters(blocks, joint))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_is_carried_from_band_to_band_is_the_joint_answer(seed: int) -> None:
+    """Two linear bands one after the other, against one system with all unknowns."""
+    bands = _bands(seed)
+    first = score_band(_carried(bands, None, 0), np.zeros(5))
+    told = marginal(first, N_OWN, np.eye(N_SHARED))
+    joint = JointPrior(GEOMETRY, told.mean, told.information)
+    second = score_band(_carried(bands, joint, 1), np.zeros(5))
+    mean, covariance = _joint_answer(bands)
+    own = slice(2 * N_OWN, None)
+    np.testing.assert_allclose(second.vector[N_OWN:], mean[own], atol=1e-6)
+    np.testing.assert_allclose(
+        np.linalg.inv(second.information)[N_OWN:, N_OWN:], covariance[own, own], rtol=1e-8
+    )
+
+
+def test_a_bands_own_say_is_taken_out_before_it_is_fitted_again() -> None:
+    """The second visit of the first band has the joint answer's covariance, not a narrower one."""
+    bands = _bands(7)
+    first = score_band(_carried(bands, None, 0), np.zeros(5))
+    after_first = marginal(first, N_OWN, np.eye(N_SHARED))
+    joint = JointPrior(GEOMETRY, after_first.mean, after_first.information)
+    second = score_band(_carried(bands, joint, 1), np.zeros(5))
+    final = marginal(second, N_OWN, after_first.information)
+    again = score_band(
+        _carried(bands, without_band(final, after_first, np.eye(N_SHARED)), 0), np.zeros(5)
+    )
+    _, covariance = _joint_answer(bands)
+    whole = np.linalg.inv(again.information)
+    np.testing.assert_allclose(whole[N_OWN:, N_OWN:], covariance[4:, 4:], rtol=1e-8)
+    np.testing.assert_allclose(whole[:N_OWN, :N_OWN], covariance[:N_OWN, :N_OWN], rtol=1e-8)
+
+
+def test_a_joint_prior_costs_its_mahalanobis_distance() -> None:
+    """Sum of squared prior residuals against d' information d; rows are its derivative."""
+    rng = np.random.default_rng(3)
+    root = rng.standard_normal((3, 3))
+    joint = JointPrior(GEOMETRY, rng.standard_normal(3), root @ root.T + np.eye(3))
+    parameters = Parameters((_block("absorption", 2, 2.0), _block(GEOMETRY, 3, 1.0)), joint)
+    vector = rng.standard_normal(5)
+    residuals, rows = prior_residuals(parameters, vector)
+    d = vector[2:] - joint.mean
+    expected = np.sum((vector[:2] / 2.0) ** 2) + d @ joint.information @ d
+    assert residuals @ residuals == pytest.approx(expected, rel=1e-12)
+    moved, _ = prior_residuals(parameters, vector + 1e-3)
+    np.testing.assert_allclose(moved - residuals, rows @ np.full(5, 1e-3), atol=1e-12)
+
+
+def test_the_geometry_is_found_from_exact_data() -> None:
+    """Absorption and places of noise-free windows come back from a start beside them."""
+    problem = with_coherence(small_problem(), 0.09 * whole_covariance(small_geometry()))
+    truth = start_vector(problem.parameters)
+    truth[:3] += np.array([0.4, -0.5, 0.3])
+    truth[4:] = 0.2 * np.random.default_rng(2).standard_normal(truth.size - 4)
+    problem = with_data(problem, problem.predict(truth).expected)
+    fit = score_band(problem, start_vector(problem.parameters), rounds=12)
+    # what the prior draws towards itself is far inside the stated deviation
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    assert np.all(np.abs(fit.vector - truth) <= 1.0 * sd)
+    start = start_vector(problem.parameters)
+    assert np.abs(fit.vector[:3] - truth[:3]).max() < 0.5 * np.abs(start[:3] - truth[:3]).max()
+
+
+def test_softened_data_have_larger_variances_and_nothing_else() -> None:
+    """Factor by factor."""
+    problem = small_problem()
+    factor = np.linspace(1.0, 3.0, problem.measured().size)
+    soft = SoftenedProblem(problem, factor)
+    vector = start_vector(problem.parameters)
+    np.testing.assert_allclose(soft.variance(vector), factor * problem.variance(vector))
+    np.testing.assert_array_equal(soft.predict(vector).expected, problem.predict(vector).expected)
+
+
+def _answer(absorption: list[float], half_width: float) -> BandAnswer:
+    a = np.array(absorption)
+    sure = np.ones(a.size, dtype=np.bool_)
+    return BandAnswer(
+        *(a, a - half_width, a + half_width, sure, np.log(a / (1 - a)), 0.01 * np.eye(a.size)),
+        *((float(a.mean()), 0.1, 0.4), 1.0, 1.0, 1, True, "coherent"),
+    )
+
+
+def test_absorption_that_jumps_between_bands_has_wider_intervals() -> None:
+    """A material alike in all bands keeps its interval; one that jumps loses identifiability."""
+    areas = np.array([1.0, 1.0])
+    bands = [_answer([0.3, 0.1], 0.02), _answer([0.3, 0.2], 0.02), _answer([0.3, 0.95], 0.02)]
+    wide = widened_by_neighbours(bands, areas)
+    middle = wide[1]
+    assert middle is not None
+    np.testing.assert_allclose((middle.lower95[0], middle.upper95[0]), (0.28, 0.32), atol=1e-9)
+    # 0.144 of 0.75 above less 0.078 of 0.1 below, times 1.96: about a fifth on either side
+    assert middle.upper95[1] - middle.lower95[1] > 0.3
+    np.testing.assert_array_equal(middle.identifiable, [True, False])
+    assert widened_by_neighbours([bands[0], None, None], areas)[0] is bands[0]
+
+
+def test_a_material_that_is_held_stays_held() -> None:
+    """No interval grows about a given absorption."""
+    held = replace(_answer([0.3, 0.1], 0.02), lower95=np.array([0.3, 0.1]))
+    held = replace(held, upper95=held.lower95)
+    wide = widened_by_neighbours([held, _answer([0.6, 0.7], 0.02)], np.ones(2))[0]
+    assert wide is not None
+    np.testing.assert_array_equal(wide.lower95, wide.upper95)
