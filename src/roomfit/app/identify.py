@@ -44,6 +44,8 @@ from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.posterior_draws import plain_logit_covariance
 
 INTERVAL_KIND = "Gaussian, local"
+# The report shows the decays of all pairs; as files of their own they would take minutes.
+MOST_DECAY_PICTURES = 12
 
 
 def identify_to_folder(
@@ -99,7 +101,7 @@ def identify_to_folder(
         write_text_atomically(folder / "report.html", page)
         write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
         heard = [(number, p) for number, p in enumerate(answer.pairs, start=1) if p.decay]
-        for number, pair in heard:
+        for number, pair in heard[:MOST_DECAY_PICTURES]:
             name = f"decay_{number:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
             write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
             if progress is not None:
