@@ -1,0 +1,419 @@
+"""ISO 3382 values as the only data: pairs left out and predicted, beside the null model.
+
+    python benchmarks/room_values.py FOLDER [--ingredients] [--closed]
+
+FOLDER holds `bras_cr2` (scene9.ac, measured values of five pairs, one response; Aspoeck et al.,
+2020) and `ptb_studio` (polygons, measured values of six pairs; PTB round robin III).
+Neither comes with roomfit. Each pair is left out in turn, the absorption fitted to the others, and
+all its values predicted. The null model knows nothing of the room: it takes the mean of the pairs
+that were fitted.
+
+--ingredients   every ingredient changed in turn
+--closed        the studio predicted with its curtains closed, from a fit with open ones
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import tempfile
+import time
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from measured_rooms import bras_campaign
+from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.combinations import band_combinations
+from roomfit.app.fitting import BandAnswer, fit_bands
+from roomfit.app.measuring import measure
+from roomfit.app.problems import BinnedPaths, band_problems, bin_paths
+from roomfit.app.values import compared_values, predicted_values, value_problems
+from roomfit.bands import bands_between
+from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.parameters import read_parameters
+from roomfit.files.rooms.read import read_room
+from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
+from roomfit.geometry.measures import surface_area_m2, volume_m3
+from roomfit.identification.start import eyring_absorption
+from roomfit.materials.knowledge import MaterialKnowledge, logit_prior, unknown_material
+from roomfit.materials.scattering import Scattering
+from roomfit.objective.problem import BandProblem, JointProblem
+from roomfit.scene.room import material_areas_m2
+from roomfit.scene.scene import Point, Scene
+from roomfit.signals.measured_values import MeasuredValues
+from roomfit.signals.parameter_gradients import VALUE_NAMES, ValueName
+from roomfit.tracing.join import trace
+from roomfit.tracing.settings import TraceSettings
+
+BANDS = bands_between("octave", 125, 4000)
+N_RAYS = 15_000
+STUDIO_TABLE = {"T30/s": "T30", "EDT/s": "EDT", "C/dB": "C80", "D/%": "D50", "TS/ms": "TS"}
+STUDIO_TABLE["G/dB"] = "G"
+
+
+@dataclass(frozen=True)
+class Case:
+    """A measured room: what is known, what was measured, and the bands that are judged."""
+
+    name: str
+    scene: Scene
+    values: tuple[MeasuredValues, ...]
+    scattering: np.ndarray
+    knowledge: tuple[MaterialKnowledge, ...]
+    duration_s: float
+    judged: slice
+    image_order: int = 2
+    n_rays: int = N_RAYS
+    model_error_jnd: float = 0.3
+    names: tuple[ValueName, ...] = VALUE_NAMES
+
+
+def seminar_room(folder: Path) -> Case:
+    """Return BRAS CR2 with source LS1."""
+    room, _ = read_room(RoomSpec(file=folder / "scene9.ac", unit="m", up="y"))
+    places = [(-0.993, 1.426, 1.23), (0.439, -0.147, 1.23), (1.361, -0.603, 1.23)]
+    places += [(-1.110, -0.256, 1.23), (-0.998, -1.409, 1.23)]
+    receivers = tuple(Point(f"MP{i}", np.array(p)) for i, p in enumerate(places, start=1))
+    source = Point("LS1", np.array([0.931, -2.547, 0.723]))
+    pairs = np.array([(0, i) for i in range(5)])
+    scene = Scene(room, (source,), receivers, pairs, Air(19.5, 41.7))
+    values, _ = read_parameters(folder / "measured_LS1_per_pair_octave.csv")
+    knowledge = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
+    return Case(
+        "BRAS CR2, 500 to 4000 Hz",
+        scene,
+        values,
+        np.full(len(room.materials), 0.1),
+        knowledge,
+        1.6,
+        slice(2, 6),
+    )
+
+
+def studio(folder: Path, *, closed: bool = False) -> Case:
+    """Return PTB's studio of phase 3, with its curtains open or closed."""
+    spec = PolygonSpec(
+        (folder / "corners.csv", folder / "corners_phase3.csv"),
+        (folder / "planes.csv",),
+        replace={"10": folder / "planes_wood_absorbers.csv", "25": folder / "planes_ceiling.csv"},
+        drop=tuple(range(351, 357)) if closed else (301, 391),
+    )
+    room, _ = read_room(RoomSpec(polygons=spec, materials={"studio_wall": "studio wall"}))
+    sources = (Point("S1", np.array([1.5, 3.5, 1.5])), Point("S2", np.array([-1.5, 5.5, 1.5])))
+    places = [(-2.0, 3.0, 1.2), (2.0, 6.0, 1.2), (0.0, 7.5, 1.2)]
+    receivers = tuple(Point(f"R{i}", np.array(p)) for i, p in enumerate(places, start=1))
+    pairs = np.array([(s, r) for s in (0, 1) for r in (0, 1, 2)])
+    scene = Scene(room, sources, receivers, pairs, Air(20.0, 50.0, 100.0))
+    scattering = np.array([np.mean(stated(folder, m)[1]) for m in room.materials])
+    knowledge = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
+    return Case(
+        "PTB studio, 250 to 4000 Hz",
+        scene,
+        studio_values(folder),
+        scattering,
+        knowledge,
+        1.25,
+        slice(1, 6),
+    )
+
+
+def stated(folder: Path, material: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return absorption and scattering as the participants were given them, (6,) each."""
+    wanted = material.replace(" ", "").replace("windowglass", "windowglas")
+    with (folder / "properties_conditions.csv").open(encoding="utf-8-sig") as stream:
+        for cells in csv.reader(stream):
+            if cells[0].replace(" ", "") == wanted:
+                return np.array(cells[1:7], dtype=float), np.array(cells[8:14], dtype=float)
+    raise SystemExit(f"nothing is stated for {material}")
+
+
+def studio_values(folder: Path) -> tuple[MeasuredValues, ...]:
+    """Return the teams' means with their spread, by way of the table that a campaign would name."""
+    cells: dict[tuple[str, str], dict[str, tuple[str, str]]] = {}
+    with (folder / "measured_open_curtains.csv").open() as stream:
+        for row in csv.DictReader(stream):
+            if row["parameter"] in STUDIO_TABLE:
+                key = row["position"], STUDIO_TABLE[row["parameter"]]
+                cells.setdefault(key, {})[row["band_hz"]] = row["mean"], row["std"]
+    bands = [f"{f:g}" for f in BANDS.centres_hz]
+    lines = [",".join(["source", "receiver", "parameter", *bands])]
+    for (position, name), of_band in cells.items():
+        for i, label in enumerate((name, f"{name}_sd")):
+            row = [of_band[b][i] if b in of_band else "" for b in bands]
+            lines.append(",".join([position[:2], position[2:], label, *row]))
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "measured.csv"
+        path.write_text("\n".join(lines) + "\n")
+        return read_parameters(path)[0]
+
+
+def with_stated_priors(case: Case, folder: Path, logit_sd: float) -> Case:
+    """Return the studio with what the participants knew of its materials as priors."""
+    knowledge = []
+    for k in case.knowledge:
+        absorption = np.clip(stated(folder, k.name)[0], 0.01, 0.99)
+        mean, _ = logit_prior(absorption, np.ones(len(BANDS)))
+        knowledge.append(
+            replace(k, prior_logit_mean=mean, prior_logit_sd=np.full(len(BANDS), logit_sd))
+        )
+    return replace(case, knowledge=tuple(knowledge))
+
+
+def traced(case: Case) -> BinnedPaths:
+    """Trace once for all pairs, fits and bands."""
+    settings = TraceSettings(
+        duration_s=case.duration_s, n_rays=case.n_rays, image_order=case.image_order, seed=1
+    )
+    scattering = Scattering(case.scene.room.materials, case.scattering)
+    paths = trace(case.scene, settings, scattering).paths
+    return bin_paths(case.scene, BANDS, paths, case.duration_s)
+
+
+def start(case: Case) -> np.ndarray:
+    """Return one absorption for all walls in every band, from the mean T30."""
+    mesh, air = case.scene.room.mesh, case.scene.air
+    decay_s = np.mean([v.values["T30_s"] for v in case.values], axis=0)
+    size = volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(air)
+    return np.array(
+        [
+            eyring_absorption(13.8 / t, *size, float(m))
+            for t, m in zip(decay_s, attenuation_per_m(air, BANDS), strict=True)
+        ]
+    )
+
+
+def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tuple[BandAnswer, ...]:
+    """Return what these values say of the walls."""
+    problems = value_problems(
+        case.scene,
+        BANDS,
+        case.knowledge,
+        values,
+        binned,
+        start(case),
+        names=case.names,
+        model_error_jnd=case.model_error_jnd,
+    )
+    return solved(case, problems)
+
+
+def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
+    """Fit every band."""
+    areas = material_areas_m2(case.scene.room)
+    return fit_bands(problems, case.knowledge, areas, "auto", 1, None)
+
+
+def absorption_of(answers: tuple[BandAnswer, ...]) -> np.ndarray:
+    """Return the absorption, (n_materials, n_bands)."""
+    return np.stack([a.absorption for a in answers], axis=1)
+
+
+def left_out_errors(case: Case, binned: BinnedPaths) -> dict[str, tuple[np.ndarray, np.ndarray]]:
+    """Return errors of model and null model, (n_pairs, n_bands) each; of times relative."""
+    errors: dict[str, list[tuple[np.ndarray, np.ndarray]]] = {}
+    for i, left_out in enumerate(case.values):
+        others = [v for v in case.values if v is not left_out]
+        answers = fitted(case, binned, others)
+        predicted = predicted_values(case.scene, BANDS, binned, absorption_of(answers))[i]
+        (compared,) = compared_values([left_out], [predicted], others, BANDS)
+        for name, c in compared.items():
+            unit = c.measured if name.endswith("_s") else 1.0
+            pair = (c.predicted - c.measured) / unit, (c.null - c.measured) / unit
+            errors.setdefault(name, []).append((np.abs(pair[0]), np.abs(pair[1])))
+    return {
+        name: (np.array([r[0] for r in rows]), np.array([r[1] for r in rows]))
+        for name, rows in errors.items()
+    }
+
+
+def error_table(case: Case, errors: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
+    """Return mean errors per band and over the judged bands."""
+    head = " ".join(f"{f:6g}" for f in BANDS.centres_hz)
+    lines = [f"{case.name}: mean |error| of the pair left out", f"{'':24}{head}   judged"]
+    for name, pair in errors.items():
+        short, unit = name.split("_")
+        scale, unit = (100.0, "%") if unit == "s" else (1.0, unit.replace("percent", "points"))
+        for label, rows in zip((f"{short} ({unit})", "  mean of the others"), pair, strict=True):
+            cells = " ".join(f"{scale * m:6.2f}" for m in rows.mean(axis=0))
+            lines.append(f"{label:24}{cells}   {scale * rows[:, case.judged].mean():6.2f}")
+    return "\n".join(lines)
+
+
+def short_line(label: str, case: Case, errors: dict[str, tuple[np.ndarray, np.ndarray]]) -> str:
+    """Return the judged errors in one line."""
+    cells = []
+    for name in ("T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms", "G_dB"):
+        if name in errors:
+            scale = 100.0 if name.endswith("_s") else 1.0
+            cells.append(f"{scale * errors[name][0][:, case.judged].mean():7.2f}")
+    return f"{label:44}" + " ".join(cells)
+
+
+def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
+    """Print what all pairs together say of the walls."""
+    absorption = absorption_of(answers)
+    covariance = np.stack([a.logit_covariance for a in answers])
+    areas = material_areas_m2(case.scene.room)
+    sure = np.array([a.identifiable for a in answers])
+    print(
+        f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
+        + " ".join(f"{a.phi:.2f}" for a in answers)
+    )
+    found = band_combinations(absorption, covariance, case.knowledge, areas, 1)
+    for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
+        for c in combinations:
+            weights = " ".join(f"{w:.2f}" for w in c.weights)
+            print(
+                f"{centre_hz:6g} Hz  {c.value:.4f} ({c.lower95:.4f} to {c.upper95:.4f}, "
+                f"{100 * c.relative:.0f} %) = {weights}"
+            )
+
+
+def seminar(folder: Path) -> tuple[Case, BinnedPaths]:
+    """Print the seminar room, from values alone and with the one response."""
+    began = time.perf_counter()
+    case = seminar_room(folder)
+    binned = traced(case)
+    print(f"traced in {time.perf_counter() - began:.1f} s")
+    answers = fitted(case, binned, list(case.values))
+    print(f"five pairs fitted, {time.perf_counter() - began:.1f} s from the start")
+    print_combinations(case, answers)
+    print(error_table(case, left_out_errors(case, binned)))
+    print("\nwith the response of LS1 to MP1 as well")
+    print_combinations(case, with_response(case, binned, folder))
+    return case, binned
+
+
+def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandAnswer, ...]:
+    """Return what the values of all pairs and the window energies of one response say together."""
+    with tempfile.TemporaryDirectory() as scratch:
+        path = Path(scratch) / "campaign.toml"
+        path.write_text(bras_campaign(folder.resolve()))
+        measured, _ = measure(read_campaign(path), case.scene)
+    begin = start(case)
+    energies = tuple(band_problems(case.scene, BANDS, case.knowledge, measured, binned, begin))
+    shared = [None if p is None else p.parameters for p in energies]
+    values = value_problems(
+        case.scene, BANDS, case.knowledge, case.values, binned, begin, parameters=shared
+    )
+    joint = tuple(
+        JointProblem((e, v)) if e is not None and v is not None else v
+        for e, v in zip(energies, values, strict=True)
+    )
+    return solved(case, joint)
+
+
+def ingredients(case: Case, variants: dict[str, Case], binned: BinnedPaths) -> None:
+    """Print the judged errors with one ingredient changed at a time."""
+    errors = left_out_errors(case, binned)
+    print(
+        f"\n{case.name}, one ingredient changed at a time\n{'':44}"
+        + " ".join(
+            f"{n.split('_')[0]:>7}"
+            for n in ("T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms", "G_dB")
+            if n in errors
+        )
+    )
+    null = {name: (e[1], e[1]) for name, e in errors.items()}
+    print(short_line("mean of the others (null)", case, null))
+    print(short_line("as above", case, errors), flush=True)
+    for label, variant in variants.items():
+        retraced = any(
+            not np.array_equal(getattr(variant, k), getattr(case, k))
+            for k in ("scattering", "image_order", "n_rays")
+        )
+        paths = traced(variant) if retraced else binned
+        print(short_line(label, variant, left_out_errors(variant, paths)), flush=True)
+
+
+def closed_curtains(folder: Path, case: Case, binned: BinnedPaths) -> None:
+    """Print the studio with closed curtains, predicted from what was fitted with open ones.
+
+    The cloth is another wall then: its absorption is the fitted one times the stated ratio of
+    closed to open, which is uncertain by a quarter (one standard deviation of its logarithm: the
+    table calls both values estimated). All else is as fitted, with its uncertainty.
+    """
+    answers = fitted(case, binned, list(case.values))
+    other = studio(folder, closed=True)
+    paths = traced(other)
+    names = [m.replace(" ", "") for m in case.scene.room.materials]
+    cloth = names.index("curtain(open)")
+    ratio = stated(folder, "curtain(closed)")[0] / stated(folder, "curtain(open)")[0]
+    order = [
+        cloth if m.replace(" ", "") == "curtain(closed)" else names.index(m.replace(" ", ""))
+        for m in other.scene.room.materials
+    ]
+    at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
+    rng = np.random.default_rng(1)
+    drawn = []
+    for number in range(201):
+        absorption = np.empty((len(order), len(BANDS)))
+        spread = rng.normal(0.0, 0.25) if number else 0.0
+        for band, answer in enumerate(answers):
+            root = np.linalg.cholesky(answer.logit_covariance + 1e-12 * np.eye(len(names)))
+            step = root @ rng.standard_normal(len(names)) if number else 0.0
+            a = 1.0 / (1.0 + np.exp(-(answer.logit_mean + step)))
+            absorption[:, band] = a[order]
+        absorption[at] = np.clip(absorption[at] * ratio * np.exp(spread), 0.0, 0.99)
+        t30 = predicted_values(other.scene, BANDS, paths, absorption, ("T30_s",))
+        drawn.append(t30[:, 0].mean(axis=0))
+    low, high = np.quantile(drawn[1:], (0.025, 0.975), axis=0)
+    open_s = np.mean([v.values["T30_s"] for v in case.values], axis=0)
+    print("\nPTB studio, mean T30 of the six pairs (s)")
+    for label, row in (
+        ("measured, open", open_s),
+        ("predicted, closed", drawn[0]),
+        ("  lower 95 %", low),
+        ("  upper 95 %", high),
+    ):
+        print(f"{label:24}" + " ".join(f"{t:6.2f}" for t in row))
+
+
+def main() -> None:
+    """Run both rooms."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--ingredients", action="store_true")
+    parser.add_argument("--closed", action="store_true")
+    asked = parser.parse_args()
+    if asked.folder is None:
+        print("no folder of measurements given: nothing to do")
+        return
+    ptb = asked.folder / "ptb_studio"
+    case, binned = seminar(asked.folder / "bras_cr2")
+    if asked.ingredients:
+        ingredients(case, variants_of(case), binned)
+    case = studio(ptb)
+    binned = traced(case)
+    print("\n" + error_table(case, left_out_errors(case, binned)))
+    if asked.ingredients:
+        stated_scattering = {
+            "scattering 0.1": replace(case, scattering=0.0 * case.scattering + 0.1)
+        }
+        priors = {
+            f"stated priors, logit sd {sd:g}": with_stated_priors(case, ptb, sd)
+            for sd in (0.5, 1.0)
+        }
+        ingredients(case, variants_of(case) | stated_scattering | priors, binned)
+    if asked.closed:
+        closed_curtains(ptb, case, binned)
+
+
+def variants_of(case: Case) -> dict[str, Case]:
+    """Return what both rooms are tried with."""
+    half = np.full(case.scattering.size, 0.5)
+    return {
+        "direct sound alone exact, all else by rays": replace(case, image_order=0),
+        "5000 rays": replace(case, n_rays=5000),
+        "60000 rays": replace(case, n_rays=60_000),
+        "scattering 0.5": replace(case, scattering=half),
+        "decay times and C80 only": replace(case, names=("T20_s", "T30_s", "EDT_s", "C80_dB")),
+        "model held for exact": replace(case, model_error_jnd=0.0),
+        "all in just noticeable differences": replace(case, model_error_jnd=10.0),
+    }
+
+
+if __name__ == "__main__":
+    main()
