@@ -1,7 +1,7 @@
 """A beam against polygons: its sides, what of a polygon it meets, and what a shadow leaves of it.
 
 A beam is the cone from an image source through a convex polygon, its opening, beyond the plane in
-which that lies. Every cut leaves a tolerance too much, so that a beam is never too narrow.
+which that lies. Every cut leaves a margin too much, so that a beam is never too narrow.
 """
 
 from __future__ import annotations
@@ -17,9 +17,12 @@ from roomfit.typing import FloatArray
 CORNERS = 16
 # Room for a polygon of fewer than CORNERS after one more cut, however bad its shape.
 ROWS = 24
-# An edge shorter than this share of the tolerance has no direction worth the name: two corners
-# that clipping has put in one place would make a side that cuts anywhere.
-_SHORTEST = 1e-2
+# An edge that is a smaller share of its polygon gives no side, for its direction is too uncertain:
+# two corners that clipping has put in one place would make a side that cuts anywhere.
+_SHORTEST = 1e-6
+# In margins: corners so close are one, and a cone so flat has no side.
+_ONE_PLACE = 1e-2
+_FLAT = 1e-3
 
 
 @kernel(allocates=False, inlined=True)
@@ -50,7 +53,7 @@ def sides(
     wall_normal: Vector,
     wall_offset_m: float,
     planes: FloatArray,
-    tolerance_m: float,
+    margin_m: float,
 ) -> int:
     """Write the planes that bound a beam, normals inwards, the one of its opening first.
 
@@ -71,12 +74,12 @@ def sides(
     """
     planes[0, 0], planes[0, 1], planes[0, 2] = -wall_normal[0], -wall_normal[1], -wall_normal[2]
     planes[0, 3] = -wall_offset_m
-    return 1 + cone(apex, opening, n, planes, 1, tolerance_m)
+    return 1 + cone(apex, opening, n, planes, 1, margin_m)
 
 
 @kernel(allocates=False)
 def cone(
-    apex: Vector, opening: FloatArray, n: int, planes: FloatArray, start: int, tolerance_m: float
+    apex: Vector, opening: FloatArray, n: int, planes: FloatArray, start: int, margin_m: float
 ) -> int:
     """Write the planes through an apex and the edges of a polygon to planes[start:]; count them.
 
@@ -91,18 +94,19 @@ def cone(
             middle[2] + opening[c, 2] / n,
         )
     to_middle = minus(middle, apex)
+    least_m = shortest_m(opening, n)
     count = 0
     for c in range(n):
         a, b = row(opening, c), row(opening, (c + 1) % n)
         edge, ray = minus(b, a), minus(a, apex)
-        if dot(edge, edge) < (_SHORTEST * tolerance_m) ** 2:
+        if dot(edge, edge) < least_m**2:
             continue
         side = cross(ray, edge)
         length = math.sqrt(dot(side, side))
         if length == 0.0:
             continue
         depth = dot(side, to_middle) / length
-        if abs(depth) <= 1e-3 * tolerance_m:
+        if abs(depth) <= _FLAT * margin_m:
             continue
         scale = math.copysign(1.0 / length, depth)
         p = start + count
@@ -185,31 +189,45 @@ def outside_of(
     n: int,
     planes: FloatArray,
     p: int,
-    tolerance_m: float,
+    margin_m: float,
     part: FloatArray,
 ) -> int:
-    """Write the part of a polygon beyond plane p, a tolerance more; return its corners.
+    """Write the part of a polygon beyond plane p, a margin more; return its corners.
 
-    0 where no corner is further beyond than two tolerances: such a sliver is the edge that shadow
+    0 where no corner is further beyond than two margins: such a sliver is the edge that shadow
     and polygon share.
     """
     farthest = 0.0
     for c in range(n):
         farthest = min(farthest, height(planes, p, row(polygon, c)))
-    if farthest >= -2.0 * tolerance_m or n >= CORNERS:
+    if farthest >= -2.0 * margin_m or n >= CORNERS:
         return 0
     for k in range(4):
         planes[p, k] = -planes[p, k]
-    kept = _cut(polygon, n, planes, p, -tolerance_m, part)
+    kept = _cut(polygon, n, planes, p, -margin_m, part)
     for k in range(4):
         planes[p, k] = -planes[p, k]
     return kept if kept > 2 else 0
 
 
 @kernel(allocates=False)
-def without_repeats(polygon: FloatArray, n: int, tolerance_m: float) -> int:
-    """Drop corners of a polygon that stand where the one before stands; return how many stay."""
-    least = (_SHORTEST * tolerance_m) ** 2
+def shortest_m(polygon: FloatArray, n: int) -> float:
+    """Return the length of an edge below which it gives no side."""
+    around = 0.0
+    for c in range(n):
+        edge = minus(row(polygon, (c + 1) % n), row(polygon, c))
+        around += math.sqrt(dot(edge, edge))
+    return _SHORTEST * around
+
+
+@kernel(allocates=False)
+def without_repeats(polygon: FloatArray, n: int, margin_m: float, least_m: float = 0.0) -> int:
+    """Drop corners of a polygon that stand where the one before stands; return how many stay.
+
+    0 where fewer than three do. `least_m` is a distance that counts as one place, if the margin's
+    own is smaller.
+    """
+    least = max(_ONE_PLACE * margin_m, least_m) ** 2
     kept = 0
     for c in range(n):
         x = row(polygon, c)

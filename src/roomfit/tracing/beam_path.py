@@ -27,7 +27,7 @@ def is_visible(
 
     Each reflection point must lie in a triangle of its wall, and no wall may stand between two
     points. An edge belongs to both its walls, and what touches an edge or ends in a wall does not
-    stand in the way of what lies within the tolerance.
+    stand in the way of what lies within `Walls.edge_m`.
 
     Parameters
     ----------
@@ -70,8 +70,8 @@ def _strikes(
         normal, image = row(walls.normal, w), row(chain_m, place)
         before = walls.offset_m[w] - dot(normal, target)
         behind = dot(normal, image) - walls.offset_m[w]
-        # a target within the tolerance of the next wall stands in the edge between two
-        if before < -walls.tolerance_m:
+        # a target within reach of the next wall stands in the edge between two
+        if before < -walls.edge_m:
             return False
         step = minus(image, target)
         target = along(target, step, max(before, 0.0) / (max(before, 0.0) + behind))
@@ -88,7 +88,7 @@ def _strikes(
 def _triangle_at(walls: Walls, w: int, x: Vector) -> int:
     """Return the triangle of a wall in which a point of its plane lies deepest, or -1."""
     normal = row(walls.normal, w)
-    deepest, found = -walls.tolerance_m, -1
+    deepest, found = -walls.edge_m, -1
     for i in range(walls.first_piece[w], walls.first_piece[w + 1]):
         depth = math.inf
         for k in range(3):
@@ -109,10 +109,8 @@ def _stands_between(walls: Walls, blockers: Blockers, b: int, p: Vector, q: Vect
     normal = row(walls.normal, w)
     hp = dot(normal, p) - walls.offset_m[w]
     hq = dot(normal, q) - walls.offset_m[w]
-    tolerance_m = walls.tolerance_m
-    if not (hp > tolerance_m and hq < -tolerance_m) and not (
-        hp < -tolerance_m and hq > tolerance_m
-    ):
+    edge_m = walls.edge_m
+    if not (hp > edge_m and hq < -edge_m) and not (hp < -edge_m and hq > edge_m):
         return False
     x = along(p, minus(q, p), hp / (hp - hq))
     start, stop = blockers.first_corner[b], blockers.first_corner[b + 1]

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
 
 from roomfit.compiled import kernel
-from roomfit.geometry.kernels import Vector, along, dot, minus, row
+from roomfit.geometry.kernels import Vector, dot, row
 from roomfit.tracing.beam_clip import (
     CORNERS,
     ROWS,
     clip,
     cone,
     copy_corners,
-    height,
     outside_of,
-    put,
+    shortest_m,
     without_repeats,
 )
 from roomfit.tracing.images_walls import Blockers, Walls
@@ -27,6 +25,7 @@ from roomfit.typing import FloatArray, IntArray
 FRAGMENTS = 16
 # Shadows of so many largest blockers are taken off; smaller ones are left to the test of paths.
 _CASTING = 64
+IN_THE_WAY = -1
 
 
 class Shadows(NamedTuple):
@@ -37,7 +36,8 @@ class Shadows(NamedTuple):
     planes : float array, shape (n_blockers, ROWS + 1, 4)
         Normals inwards, the blocker's own plane last.
     n_planes : int64 array, shape (n_blockers,)
-        Planes of each; 0 where it casts none.
+        Planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it stands in it and
+        its shadow is too thin to be told.
     pieces, next_pieces : float arrays, shape (FRAGMENTS + ROWS + 1, ROWS, 3)
     corners, next_corners : int64 arrays, shape (FRAGMENTS + ROWS + 1,)
     scratch : float array, shape (3, ROWS, 3)
@@ -78,13 +78,13 @@ def cast(
     shadows: Shadows,
 ) -> None:
     """Work out the shadow of every blocker in a beam (from `wall`, bounded by `planes`)."""
-    tolerance_m = walls.tolerance_m
+    margin_m = walls.margin_m
     polygon, scratch = shadows.scratch[0], shadows.scratch[1]
     for b in range(len(shadows.n_planes)):
         shadows.n_planes[b] = 0
         w = blockers.wall[b]
         normal = row(walls.normal, w)
-        if w == wall or walls.offset_m[w] - dot(normal, apex) <= tolerance_m:
+        if w == wall or walls.offset_m[w] - dot(normal, apex) <= margin_m:
             continue
         start, stop = blockers.first_corner[b], blockers.first_corner[b + 1]
         n = stop - start
@@ -92,14 +92,15 @@ def cast(
             continue
         copy_corners(blockers.corner_m, start, n, polygon)
         # what stands behind the opening casts nothing
-        n = clip(polygon, n, planes, 0, min(n_planes, 1), tolerance_m, scratch)
-        n = clip(polygon, n, planes, 1, n_planes, -tolerance_m, scratch)
-        n = without_repeats(polygon, n, tolerance_m)
+        n = clip(polygon, n, planes, 0, min(n_planes, 1), margin_m, scratch)
+        n = clip(polygon, n, planes, 1, n_planes, -margin_m, scratch)
         if n == 0:
             continue
+        shadows.n_planes[b] = IN_THE_WAY
+        # a cone with a side missing would be too wide a shadow: one a little smaller has all
+        n = without_repeats(polygon, n, margin_m, 2.0 * shortest_m(polygon, n))
         sides = shadows.planes[b]
-        # a cone with a side missing would be too wide a shadow
-        if cone(apex, polygon, n, sides, 0, tolerance_m) != n:
+        if n == 0 or cone(apex, polygon, n, sides, 0, margin_m) != n:
             continue
         sides[n, 0], sides[n, 1], sides[n, 2] = normal
         sides[n, 3] = walls.offset_m[w]
@@ -111,11 +112,11 @@ def lit_pieces(walls: Walls, blockers: Blockers, target: int, shadows: Shadows) 
     """Cut piece 0 of `shadows`, of wall `target`, to what lies in no shadow; return the pieces."""
     n_pieces = 1
     for b in range(len(shadows.n_planes)):
-        if shadows.n_planes[b] == 0 or blockers.wall[b] == target:
+        if shadows.n_planes[b] <= 0 or blockers.wall[b] == target:
             continue
         n_next = 0
         for i in range(n_pieces):
-            n_next = _take_off(shadows, i, b, n_next, walls.tolerance_m)
+            n_next = _take_off(shadows, i, b, n_next, walls.margin_m)
         n_pieces = n_next
         for i in range(n_pieces):
             n = shadows.next_corners[i]
@@ -127,13 +128,13 @@ def lit_pieces(walls: Walls, blockers: Blockers, target: int, shadows: Shadows) 
 
 
 @kernel(allocates=False)
-def _take_off(shadows: Shadows, i: int, b: int, n_next: int, tolerance_m: float) -> int:
+def _take_off(shadows: Shadows, i: int, b: int, n_next: int, margin_m: float) -> int:
     """Append to the next pieces what shadow b leaves of piece i; return how many there are."""
     planes, n_planes = shadows.planes[b], shadows.n_planes[b]
     rest, scratch = shadows.scratch[0], shadows.scratch[1]
     whole, n = shadows.pieces[i], shadows.corners[i]
     copy_corners(whole, 0, n, rest)
-    meets = clip(rest, n, planes, 0, n_planes, 2.0 * tolerance_m, scratch) > 0
+    meets = clip(rest, n, planes, 0, n_planes, 2.0 * margin_m, scratch) > 0
     if not meets or n_next + n_planes >= FRAGMENTS + ROWS:
         copy_corners(whole, 0, n, shadows.next_pieces[n_next])
         shadows.next_corners[n_next] = n
@@ -146,9 +147,9 @@ def _take_off(shadows: Shadows, i: int, b: int, n_next: int, tolerance_m: float)
             copy_corners(rest, 0, n, shadows.next_pieces[n_next])
             shadows.next_corners[n_next] = n
             return n_next + 1
-        part = outside_of(rest, n, planes, p, tolerance_m, shadows.next_pieces[n_next])
+        part = outside_of(rest, n, planes, p, margin_m, shadows.next_pieces[n_next])
         if part > 0:
-            part = without_repeats(shadows.next_pieces[n_next], part, tolerance_m)
+            part = without_repeats(shadows.next_pieces[n_next], part, margin_m)
         if part > 0:
             shadows.next_corners[n_next] = part
             n_next += 1
@@ -156,88 +157,3 @@ def _take_off(shadows: Shadows, i: int, b: int, n_next: int, tolerance_m: float)
         if n == 0:
             break
     return n_next
-
-
-@kernel(allocates=False)
-def only_wall(
-    walls: Walls,
-    blockers: Blockers,
-    apex: Vector,
-    wall: int,
-    opening: FloatArray,
-    n: int,
-    shadows: Shadows,
-    image: FloatArray,
-) -> int:
-    """Return the wall that the whole beam falls on, or -1 where it may be several.
-
-    Most beams of a high order are narrow and fall on one wall only: nothing need be cut.
-
-    Parameters
-    ----------
-    apex, wall, opening, n : vector, int, float array (ROWS, 3), int
-        The beam, out of an opening of n corners in a wall.
-    image : float array, shape (ROWS, 3)
-        Receives the part of the wall that the beam falls on, n corners.
-    """
-    middle = (0.0, 0.0, 0.0)
-    for c in range(n):
-        middle = along(middle, row(opening, c), 1.0 / n)
-    w = _first_hit(walls, apex, minus(middle, apex), wall)
-    if w < 0 or not walls.ends_sound[w]:
-        return -1
-    normal = row(walls.normal, w)
-    ahead = walls.offset_m[w] - dot(normal, apex)
-    for c in range(n):
-        ray = minus(row(opening, c), apex)
-        speed = dot(normal, ray)
-        # at least as far as the opening, and not along the wall
-        if not ahead >= speed > 0.0:
-            return -1
-        x = along(apex, ray, ahead / speed)
-        for e in range(walls.first_corner[w], walls.first_corner[w + 1]):
-            if height(walls.edge, e, x) < 0.0:
-                return -1
-        put(image, c, x)
-    for b in range(len(shadows.n_planes)):
-        if shadows.n_planes[b] > 0 and blockers.wall[b] != w and _rises(walls, blockers, b, w):
-            return -1
-    if len(blockers.wall) > len(shadows.n_planes):
-        return -1
-    return w
-
-
-@kernel(allocates=False)
-def _first_hit(walls: Walls, apex: Vector, ray: Vector, wall: int) -> int:
-    """Return the wall whose outline a ray meets first once it has left a wall, or -1."""
-    first, found = math.inf, -1
-    for w in range(len(walls.offset_m)):
-        normal = row(walls.normal, w)
-        speed = dot(normal, ray)
-        ahead = walls.offset_m[w] - dot(normal, apex)
-        # written so that one division is made only for what may be the first
-        if not (speed > 0.0 and ahead > speed and ahead < first * speed):
-            continue
-        # the back of the sheet that the beam comes from
-        if ahead - speed <= walls.tolerance_m and dot(normal, row(walls.normal, wall)) < -0.5:
-            continue
-        x = along(apex, ray, ahead / speed)
-        inside = True
-        for e in range(walls.first_corner[w], walls.first_corner[w + 1]):
-            if height(walls.edge, e, x) < 0.0:
-                inside = False
-                break
-        if inside:
-            first, found = ahead / speed, w
-    return found
-
-
-@kernel(allocates=False)
-def _rises(walls: Walls, blockers: Blockers, b: int, w: int) -> bool:
-    """Return whether some corner of a blocker stands in front of a wall."""
-    normal = row(walls.normal, w)
-    for c in range(blockers.first_corner[b], blockers.first_corner[b + 1]):
-        x = row(blockers.corner_m, c)
-        if dot(normal, x) < walls.offset_m[w] - walls.tolerance_m:
-            return True
-    return False

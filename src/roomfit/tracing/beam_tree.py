@@ -3,7 +3,7 @@
 A beam is the cone from an image of the source through the part of its wall that sound can reach.
 Each wall within a beam mirrors it into the next; walls that stand before others take their shadow
 off. Beams are followed one after the other, deepest first, so that only a handful is kept. They
-are a tolerance too wide and prune only: `beam_path` decides on each path.
+are a margin too wide and prune only: `beam_path` decides on each path.
 """
 
 from __future__ import annotations
@@ -24,8 +24,9 @@ from roomfit.tracing.beam_clip import (
     sides,
     without_repeats,
 )
+from roomfit.tracing.beam_narrow import only_wall
 from roomfit.tracing.beam_path import is_visible
-from roomfit.tracing.beam_shadow import Shadows, cast, lit_pieces, no_shadows, only_wall
+from roomfit.tracing.beam_shadow import Shadows, cast, lit_pieces, no_shadows
 from roomfit.tracing.images_walls import Blockers, Walls
 from roomfit.typing import FloatArray, IntArray
 
@@ -205,7 +206,7 @@ def _enter(walls: Walls, chain: _Chain, waiting: _Waiting, i: int) -> int:
         normal,
         walls.offset_m[w],
         chain.planes,
-        walls.tolerance_m,
+        walls.margin_m,
     )
 
 
@@ -225,7 +226,7 @@ def _hears(
     if dot(away, away) > limits.length_m**2:
         return False
     for p in range(n_planes):
-        if height(chain.planes, p, x) < -walls.tolerance_m:
+        if height(chain.planes, p, x) < -walls.margin_m:
             return False
     return is_visible(
         walls,
@@ -278,7 +279,7 @@ def _next_beams(
     # the last one noted is the first one followed: images come in the order of the walls
     for w in range(len(walls.offset_m) - 1, -1, -1):
         ahead = walls.offset_m[w] - dot(row(walls.normal, w), apex)
-        if not walls.tolerance_m < ahead <= limits.length_m - to_receiver_m[w]:
+        if not walls.margin_m < ahead <= limits.length_m - to_receiver_m[w]:
             continue
         n = _lit(walls, w, chain, n_planes, shadows.pieces[0])
         if n == 0:
@@ -336,8 +337,8 @@ def _lit(walls: Walls, w: int, chain: _Chain, n_planes: int, polygon: FloatArray
         if highest <= walls.tolerance_m:
             return 0
     copy_corners(walls.outline_m, start, n, polygon)
-    n = clip(polygon, n, chain.planes, 0, n_planes, -walls.tolerance_m, chain.scratch)
-    return without_repeats(polygon, n, walls.tolerance_m)
+    n = clip(polygon, n, chain.planes, 0, n_planes, -walls.margin_m, chain.scratch)
+    return without_repeats(polygon, n, walls.margin_m)
 
 
 @kernel()

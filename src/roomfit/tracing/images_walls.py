@@ -13,10 +13,13 @@ from roomfit.scene.room import Room
 from roomfit.tracing.images_outline import convex_outline, convex_pieces
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
-# Share of the room's size within which a point lies in a plane and an edge belongs to both its
-# walls: 20 micrometres in a hall, above the rounding of files in single precision and far below
-# a wavelength.
+# Share of the room's size within which a point lies in a plane: 20 micrometres in a hall, above
+# the rounding of files in single precision and far below a wavelength.
 FLATNESS = 1e-6
+# Shares of the size that decide on paths must be far smaller: within a hundredth of a millimetre
+# of some edge comes one in ten thousand of the paths with twenty hits.
+_MARGIN = 1e-8
+_EDGE = 1e-9
 
 
 class Walls(NamedTuple):
@@ -27,6 +30,11 @@ class Walls(NamedTuple):
     Attributes
     ----------
     tolerance_m : float
+        Points so close to a plane lie in it, images so close together are one.
+    margin_m : float
+        By how much beams are too wide: above the rounding of images many mirrorings away.
+    edge_m : float
+        So far beyond its edge a wall still reflects, and stops nothing.
     normal : float array, shape (n_walls, 3)
         Unit normal out of the air.
     offset_m : float array, shape (n_walls,)
@@ -48,6 +56,8 @@ class Walls(NamedTuple):
     """
 
     tolerance_m: float
+    margin_m: float
+    edge_m: float
     normal: FloatArray
     offset_m: FloatArray
     first_piece: IntArray
@@ -114,6 +124,8 @@ def mirrors_of(room: Room) -> tuple[Walls, Blockers]:
     ]
     walls = Walls(
         FLATNESS * size,
+        _MARGIN * size,
+        _EDGE * size,
         normal,
         offset,
         first.astype(np.int64),
