@@ -3,7 +3,7 @@
     python benchmarks/scattering.py [--first SEED] [--rooms N] [--model coherent] [--scattering S]
 
 Boxes as in `boxes.py`, s = 0.15 at every wall. Data: image sources that add as pressures, thinned
-by (1 - s) a hit, and noise modulated by an independent ray tracer (`testproblems/scattering_box.py`).
+by (1 - s) a hit, and noise modulated by an independent tracer (`testproblems/scattering_box.py`).
 Fits: images of all orders to 0.25 s and rays for all that is scattered or later.
 """
 

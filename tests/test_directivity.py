@@ -185,6 +185,7 @@ def test_a_sofa_file_of_impulse_responses_is_read(tmp_path):
     sofar = pytest.importorskip("sofar")
     sofa = sofar.Sofa("GeneralFIR")
     sofa.SourcePosition, sofa.SourcePosition_Type = [0.0, 0.3, 1.0], "cartesian"
+    sofa.SourcePosition_Units = "metre"
     sofa.ReceiverPosition = 1.4 * MANY + np.array([0.0, 0.3, 1.0])
     sofa.ReceiverPosition_Type = "cartesian"
     sofa.ReceiverPosition_Units = "metre"

@@ -73,14 +73,15 @@ def first_reflection(source: FloatArray, receiver: FloatArray, n: int = 400) -> 
 def test_one_diffuse_reflection_brings_what_the_integral_over_the_wall_says():
     """Each of the six walls of a box by itself."""
     scene = scene_of(box_room(), [SOURCE], [RECEIVER])
-    paths = rays(scene, "rain", 1.0, 2**16)
+    # the larger the sphere, the less is drawn by lot
+    paths = rays(scene, "rain", 1.0, 2**16, receiver_radius_m=1.0)
     expected = first_reflection(np.array(SOURCE), np.array(RECEIVER))
     once = paths.hits_diffuse.sum(axis=1) == 1
     for wall in range(6):
         found, error = energy(paths, once & (paths.hits_diffuse[:, wall] == 1))
         # the midpoint rule on 400 x 400 squares is right to 1e-5 for points 1 m off the walls
         assert abs(found - expected[wall]) < 5.0 * error + 1e-4 * expected[wall]
-        assert error < 0.03 * expected[wall]
+        assert error < 0.08 * expected[wall]
 
 
 def test_rain_is_exact_in_length_and_in_direction():
@@ -200,12 +201,24 @@ def test_rain_is_the_same_for_any_number_of_threads():
 
 
 def test_the_memory_that_rain_will_need_is_foretold():
-    """Within 15 %, counted in the diffuse box."""
+    """Never too little, and no more than twice too much."""
     scene = scene_of(box_room(), [SOURCE], [RECEIVER])
-    settings = TraceSettings(0.1, 4000, -1, 0.3, estimator="rain")
-    paths = trace_rays(scene, settings, uniform_scattering(scene.room.materials, 0.5)).paths
-    expected = expected_paths(scene, settings, scattering=0.5)
-    assert len(paths) == pytest.approx(expected, rel=0.15)
+    for radius in (0.3, 1.0):
+        settings = TraceSettings(0.1, 4000, -1, radius, estimator="rain")
+        paths = trace_rays(scene, settings, uniform_scattering(scene.room.materials, 0.5)).paths
+        expected = expected_paths(scene, settings, scattering=0.5)
+        assert 0.5 * expected < len(paths) < expected
+
+
+def test_faint_rain_is_drawn_by_lot_and_none_is_fainter_than_a_quarter_of_a_crossing():
+    """A mean crossing weighs 1 / (n pi a**2); the weights of the lot-drawn ones are all alike."""
+    scene = scene_of(box_room(), [SOURCE], [RECEIVER])
+    weight = rays(scene, "rain", 1.0, 2000).weight_per_m2
+    least = 0.25 / (2000 * np.pi * 0.3**2)
+    assert weight.min() >= 0.0
+    drops = weight[rays(scene, "rain", 1.0, 2000).hits_diffuse.any(axis=1)]
+    assert drops.min() == pytest.approx(least, rel=1e-12)
+    assert np.mean(drops < 1.0001 * least) > 0.5
 
 
 def test_another_estimator_is_refused():

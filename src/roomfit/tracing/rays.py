@@ -24,7 +24,7 @@ from roomfit.tracing.acceleration import Walls, walls_of
 from roomfit.tracing.directions import start_directions
 from roomfit.tracing.paths import Paths
 from roomfit.tracing.ray_blocks import Piece, bytes_per_path, joined, packed, trace_block
-from roomfit.tracing.ray_kernels import CHUNK_RAYS, Job, Tally
+from roomfit.tracing.ray_kernels import CHUNK_RAYS, FAINTEST, Job, Tally
 from roomfit.tracing.ray_statistics import RayStatistics, ray_statistics
 from roomfit.tracing.settings import TraceSettings
 from roomfit.tracing.spheres import Spheres, spheres
@@ -154,7 +154,7 @@ def expected_paths(
     """Return about how many paths a trace will record, or more where walls differ in scattering.
 
     In a diffuse field a ray of length L crosses a sphere of radius a in a room of volume V
-    ``pi a**2 L / V`` times. Of rain, each diffuse reflection brings one path to each receiver.
+    ``pi a**2 L / V`` times. Rain brings more paths of less weight.
 
     Parameters
     ----------
@@ -234,9 +234,14 @@ def _paths_per_ray(room: Room, radii_m: FloatArray, job: Job) -> float:
 
 
 def _paths_along(room: Room, radii_m: FloatArray, length_m: float, rain: float) -> float:
-    """Return how many paths one ray is expected to bring, at most."""
-    crossings = length_m * float(np.pi * (radii_m**2).sum()) / _volume_m3(room)
-    return crossings + rain * len(radii_m) * length_m / _mean_free_path_m(room)
+    """Return how many paths one ray is expected to bring, at most.
+
+    Rain brings the energy of the crossings that it replaces, in paths of at least `FAINTEST` of
+    their weight, and never more than one path for a diffuse reflection and a receiver.
+    """
+    crossings = length_m * np.pi * radii_m**2 / _volume_m3(room)
+    drops = np.minimum(crossings / FAINTEST, length_m / _mean_free_path_m(room))
+    return float(crossings.sum() + rain * drops.sum())
 
 
 def _blocks(room: Room, per_ray: float, job: Job, n_rays: int) -> Iterator[range]:
