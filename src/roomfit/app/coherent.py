@@ -15,11 +15,17 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.app.coherent_answers import widened_by_neighbours, with_both_intervals
-from roomfit.app.coherent_problems import SPEED_SD, campaign_geometry, coherent_problem, cut_at
+from roomfit.app.coherent_problems import (
+    SPEED_SD,
+    campaign_geometry,
+    coherent_problem,
+    cut_at,
+    moved_scene,
+)
 from roomfit.app.coherent_spoiled import spoiled_files
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, band_problems, tells_of_band
+from roomfit.app.problems import BinnedPaths, band_problems, paths_at, tells_of_band
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.coherence_rounds import (
@@ -48,6 +54,8 @@ from roomfit.uncertainty.answer import FittedGeometry
 FIT_END_S = 0.2
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
+# Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
+_RETRACE_BELOW_HZ = 1000.0
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
 # Error of the model, ringing, and random phase of a reflection, from good to bad.
@@ -103,6 +111,9 @@ class CoherentFit:
 PartFactory = Callable[[Parameters], BandProblem]
 """Makes another kind of data of a band from the unknowns that all kinds share."""
 
+Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
+"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Band:
@@ -143,6 +154,19 @@ def joined(problem: BandProblem, factor: FloatArray, parts: Sequence[PartFactory
     return JointProblem((softened, *(make(problem.parameters) for make in parts)))
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Task:
+    """What stays the same while paths are traced anew."""
+
+    scene: Scene
+    bands: Bands
+    knowledge: tuple[MaterialKnowledge, ...]
+    measured: tuple[MeasuredPair, ...]
+    start: FloatArray
+    settings: CoherentOptions
+    parts: Sequence[tuple[PartFactory, ...]]
+
+
 def fit_coherent(
     scene: Scene,
     bands: Bands,
@@ -154,6 +178,8 @@ def fit_coherent(
     *,
     options: CoherentOptions | None = None,
     extra_parts: Sequence[tuple[PartFactory, ...]] = (),
+    weights: FloatArray | None = None,
+    retrace: Retrace | None = None,
     progress: Progress | None = None,
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
@@ -169,58 +195,104 @@ def fit_coherent(
     options : CoherentOptions, optional
     extra_parts : sequence of tuples, one a band; optional
         Other kinds of data of each band, made from the unknowns that all kinds share.
+    weights : float array, shape (n_bands, n_paths), optional
+        Factor of every path's weight in each band, as in `binned`.
+    retrace : callable, optional
+        Traces a scene with other positions, as `paths` were. Which images a receiver sees
+        depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
+        images are found anew at the positions they tell, and everything is fitted again from what
+        was told.
     """
     settings = CoherentOptions() if options is None else options
-    binned = cut_at(binned, settings.end_s)
     parts = tuple(extra_parts) or ((),) * len(bands)
-    made = _prepared(scene, bands, knowledge, measured, paths, binned, start, settings, parts)
-    prepared, findings = made
+    task = _Task(scene, bands, knowledge, measured, start, settings, parts)
+    binned = cut_at(binned, settings.end_s)
+    prepared, findings = _prepared(task, paths, weights, binned, None)
+    if retrace is not None and settings.positions == "fit" and settings.model != "energy":
+        moved = _moved(task, prepared)
+        if moved is not None:
+            place, origin = moved
+            paths, weights, binned = retrace(place)
+            binned = cut_at(binned, settings.end_s)
+            prepared, findings = _prepared(task, paths, weights, binned, origin)
     fits, chosen_noise = _upwards(prepared, settings, progress)
     fits, final = _once_more(prepared, fits, chosen_noise, settings)
     likelihoods = _log_likelihoods(prepared, fits)
-    areas = material_areas_m2(scene.room)
-    coherent = tuple(
-        None if f is None else band_answer(f.parameters, f.fit, areas, "coherent") for f in fits
-    )
-    coherent = widened_by_neighbours(coherent, areas)
-    energy: Sequence[BandAnswer | None] = (None,) * len(bands)
-    if any(_asks_energies(f, x, settings) for f, x in zip(fits, likelihoods, strict=True)):
-        coarse = band_problems(scene, bands, knowledge, measured, binned, start)
-        energy = _energy_answers(coarse, prepared, parts, areas)
-    answers = tuple(
-        _decided(*each, settings) for each in zip(energy, coherent, likelihoods, strict=True)
-    )
+    answers = _answers(task, binned, prepared, fits, likelihoods)
     geometry = next((b.problem.geometry for b in prepared if b is not None), None)
     told = None if geometry is None or final is None else _fitted_geometry(geometry, final)
     return CoherentFit(answers, likelihoods, told, (*findings, *_findings(told)))
 
 
-def _prepared(
-    scene: Scene,
-    bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
-    measured: tuple[MeasuredPair, ...],
-    paths: Paths,
+def _answers(
+    task: _Task,
     binned: BinnedPaths,
-    start: FloatArray,
-    settings: CoherentOptions,
-    parts: Sequence[tuple[PartFactory, ...]],
+    prepared: tuple[_Band | None, ...],
+    fits: Sequence[CoherentBandFit | None],
+    likelihoods: FloatArray,
+) -> tuple[BandAnswer | None, ...]:
+    """Return each band's answer by the model that explains it better."""
+    areas = material_areas_m2(task.scene.room)
+    coherent = tuple(
+        None if f is None else band_answer(f.parameters, f.fit, areas, "coherent") for f in fits
+    )
+    coherent = widened_by_neighbours(coherent, areas)
+    energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
+    if any(_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)):
+        coarse = band_problems(
+            *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start)
+        )
+        energy = _energy_answers(coarse, prepared, task.parts, areas)
+    return tuple(
+        _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
+    )
+
+
+def _moved(task: _Task, prepared: tuple[_Band | None, ...]) -> tuple[Scene, FloatArray] | None:
+    """Return the scene at the positions that the lower bands tell, and these as free numbers."""
+    low = tuple(
+        b
+        for b, f in zip(prepared, task.bands.centres_hz, strict=True)
+        if b is not None and f <= _RETRACE_BELOW_HZ
+    )
+    if not low:
+        return None
+    fits, _ = _upwards(low, task.settings, None)
+    known = [f.found for f in fits if f is not None and f.found is not None]
+    if not known:
+        return None
+    return moved_scene(task.scene, low[0].problem.geometry, known[-1].mean)
+
+
+def _prepared(
+    task: _Task,
+    paths: Paths,
+    weights: FloatArray | None,
+    binned: BinnedPaths,
+    origin: FloatArray | None,
 ) -> tuple[tuple[_Band | None, ...], tuple[Finding, ...]]:
     """Fit the energies of every band, find spoiled files, and make the coherent problems."""
+    scene, bands, parts = task.scene, task.bands, task.parts
     problems = tuple(
-        band_problems(*(scene, bands, knowledge, measured, binned, start), periods=_WINDOW_PERIODS)
+        band_problems(
+            *(scene, bands, task.knowledge, task.measured, binned, task.start),
+            periods=_WINDOW_PERIODS,
+        )
     )
-    files = [tuple(m for m in measured if tells_of_band(m, b)) for b in range(len(bands))]
+    files = [tuple(m for m in task.measured if tells_of_band(m, b)) for b in range(len(bands))]
     nothing = [np.ones(0 if p is None else p.measured().size) for p in problems]
     fits = [_fit_energies(*each) for each in zip(problems, nothing, parts, strict=True)]
     factors, findings = spoiled_files(problems, fits, files)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
-    told = tuple(m for m in measured if m.file.use == "fit")
-    moving, delays = settings.positions == "fit", settings.delays
+    told = tuple(m for m in task.measured if m.file.use == "fit")
     whole = campaign_geometry(
-        scene, knowledge, told, positions=moving, delays=delays, speed_sd=settings.speed_sd
+        *(scene, task.knowledge, told),
+        positions=task.settings.positions == "fit",
+        delays=task.settings.delays,
+        speed_sd=task.settings.speed_sd,
     )
+    whole = replace(whole, origin=origin)
     out: list[_Band | None] = []
     for b, (problem, fit) in enumerate(zip(problems, fits, strict=True)):
         if problem is None or fit is None:
@@ -231,7 +303,8 @@ def _prepared(
         rows = [i for i, m in enumerate(told) if m in files[b]]
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
-            *(bands, b, problem, float(attenuation[b]), paths, binned, geometry, None)
+            *(bands, b, problem, float(attenuation[b]), paths_at(paths, weights, b)),
+            *(binned, geometry, None),
         )
         out.append(_Band(problem, fit, factors[b], coherent, parts[b]))
     return tuple(out), findings
@@ -290,7 +363,7 @@ def _with_best_noise(
 
 
 def _rounds(
-    band: _Band, start: FloatArray, phase_sd: float, covariance: FloatArray | None, rounds: int = 3
+    band: _Band, start: FloatArray, phase_sd: float, covariance: FloatArray | None, rounds: int = 2
 ) -> CoherentBandFit:
     return fit_in_rounds(
         lambda c: band.at(c, phase_sd), start, rounds=rounds, covariance=covariance

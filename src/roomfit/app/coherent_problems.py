@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import UNTOLD_POSITION_SD_M, BinnedPaths, in_band
+from roomfit.app.problems import UNTOLD_POSITION_SD_M, BinnedPaths, in_band, regrouped
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.coherent_geometry import Geometry, geometry_block
@@ -20,6 +20,7 @@ from roomfit.response.rows import EnergyRows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray
 
 # What is assumed of an unknown of which nothing is told.
 SPEED_SD = 2e-3
@@ -32,22 +33,21 @@ def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
     n = max(int(np.searchsorted(binned.edges_s, end_s + 1e-9, side="right")) - 1, 1)
     if n >= binned.edges_s.size - 1:
         return binned
-    rows = []
-    for r in binned.rows:
+
+    def cut(r: EnergyRows) -> EnergyRows:
         last = int(r.offsets[n])
-        rows.append(
-            EnergyRows(
-                r.materials,
-                n,
-                r.offsets[: n + 1],
-                r.weight_per_m2[:last],
-                r.hits[:last],
-                r.length_m[:last],
-                r.batch[:last],
-                r.n_batches,
-            )
+        return EnergyRows(
+            r.materials,
+            n,
+            r.offsets[: n + 1],
+            r.weight_per_m2[:last],
+            r.hits[:last],
+            r.length_m[:last],
+            r.batch[:last],
+            r.n_batches,
         )
-    return BinnedPaths(binned.edges_s[: n + 1], tuple(rows))
+
+    return regrouped(binned, binned.edges_s[: n + 1], cut)
 
 
 def campaign_geometry(
@@ -162,3 +162,22 @@ def coherent_problem(
         grid,
         energies.centre_hz,
     )
+
+
+def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[Scene, FloatArray]:
+    """Return the scene with fitted positions, and these as free numbers of all entries.
+
+    Parameters
+    ----------
+    fitted : float array, shape (n_fitted,)
+        Free numbers of the fitted entries of the geometry.
+    """
+    values = np.zeros(geometry.sd.size)
+    values[geometry.fitted & (geometry.sd > 0.0)] = fitted
+    n_places = 3 * (len(scene.sources) + len(scene.receivers))
+    origin = np.where(np.arange(values.size) < n_places, values, 0.0)
+    steps = (geometry.sd * origin)[:n_places].reshape(-1, 3)
+    points = (*scene.sources, *scene.receivers)
+    at = [replace(p, position_m=p.position_m + x) for p, x in zip(points, steps, strict=True)]
+    n = len(scene.sources)
+    return replace(scene, sources=tuple(at[:n]), receivers=tuple(at[n:])), origin

@@ -7,11 +7,10 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.app.gathering import Gathered
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, smeared
+from roomfit.app.problems import BinnedPaths, pair_energies, smeared
 from roomfit.app.values import compared_values, predicted_values
 from roomfit.bands import Bands
 from roomfit.files.campaign.campaign import Campaign, Use
-from roomfit.response.energy import weigh
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve
 from roomfit.signals.jnd import in_jnd
 from roomfit.signals.room_parameters import PARAMETER_NAMES, room_parameters
@@ -78,7 +77,7 @@ def predicted_curve(
     direct_s: float,
 ) -> DecayCurve:
     """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
-    energy = weigh(binned.rows[pair], absorption, attenuation_per_m, derivative=False).energy
+    energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m)
     return echogram_decay_curve(bands, smeared(bands, energy), binned.edges_s, direct_s)
 
 

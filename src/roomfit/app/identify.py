@@ -136,7 +136,7 @@ def identify(
     start = _eyring_start(gathered.scene, campaign, decay_s)
     traced = trace_campaign(campaign, gathered, knowledge, cache, part(progress, 0.02, 0.45))
     solved = solve(
-        *(campaign, gathered, knowledge, traced.paths, traced.binned, start),
+        *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
         part(progress, 0.45, 0.98),
     )
     answers = solved.answers

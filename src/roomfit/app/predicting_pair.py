@@ -8,13 +8,12 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.comparing import predicted_curve
-from roomfit.app.problems import BinnedPaths
+from roomfit.app.problems import BinnedPaths, pair_energies, regrouped
 from roomfit.app.values import predicted_values, value_problems
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge, unknown_material
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.room_values_problem import value_covariances
-from roomfit.response.energy import weigh
 from roomfit.response.rows import grouped_rows
 from roomfit.response.thinning import thinned_rows
 from roomfit.scene.scene import Scene, distances_m
@@ -74,7 +73,8 @@ def pair_numbers(
     draws : float array, shape (n_draws, n_materials, n_bands)
     """
     alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
-    own = BinnedPaths(binned.edges_s, (binned.rows[pair],))
+    bands_of = {f: (rows[pair],) for f, rows in binned.by_band.items()}
+    own = BinnedPaths(binned.edges_s, (binned.rows[pair],), bands_of)
     direct_s = float(distances_m(alone)[0] / speed_of_sound_m_s(scene.air))
     attenuation = attenuation_per_m(scene.air, bands)
     curve = predicted_curve(bands, own, 0, absorption, attenuation, direct_s)
@@ -110,12 +110,14 @@ def _draws(
     times: FloatArray,
 ) -> tuple[FloatArray, FloatArray]:
     """Return values and decay levels under several absorptions, from fewer rows and wider bins."""
-    rows = grouped_rows(thinned_rows(own.rows[0], _ROWS_OF_A_DRAW), _BINS_TOGETHER)
     edges_s = np.append(own.edges_s[:-1][::_BINS_TOGETHER], own.edges_s[-1])
+    few = regrouped(
+        own, edges_s, lambda r: grouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), _BINS_TOGETHER)
+    )
     values = np.empty((len(absorptions), len(VALUE_NAMES), len(bands)))
     shapes = np.empty((len(absorptions), len(bands), times.size))
     for i, absorption in enumerate(absorptions):
-        energy = weigh(rows, absorption, attenuation, derivative=False).energy
+        energy = pair_energies(few, bands, 0, absorption, attenuation)
         # a wall that swallows all leaves later bins empty: too little to matter, but not nothing
         energy = np.maximum(energy, 1e-30 * energy.sum(axis=1, keepdims=True))
         curve = echogram_decay_curve(bands, energy, edges_s, direct_s)

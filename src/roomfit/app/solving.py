@@ -49,6 +49,7 @@ def solve(
     gathered: Gathered,
     knowledge: tuple[MaterialKnowledge, ...],
     paths: Paths,
+    weights: FloatArray | None,
     binned: BinnedPaths,
     start: FloatArray,
     progress: Progress | None,
@@ -58,8 +59,10 @@ def solve(
     Parameters
     ----------
     paths : Paths
+    weights : float array, shape (n_bands, n_paths), or None
+        Factors on the weight of every path in every band.
     binned : BinnedPaths
-        The same paths in bins.
+        The same paths in bins, with these factors.
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
     """
@@ -80,6 +83,7 @@ def solve(
     fit = fit_coherent(
         *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start),
         options=options,
+        weights=weights,
         extra_parts=[() if v is None else (_sharing(v),) for v in values],
         progress=part(progress, 0.0, 0.95),
     )

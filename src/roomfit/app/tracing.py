@@ -12,6 +12,7 @@ from roomfit.app.gathering import Gathered, time_scales
 from roomfit.app.planning import plan_trace
 from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.solving import is_coherent
+from roomfit.app.weighting import band_factors
 from roomfit.files.cache import Cache
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
@@ -28,14 +29,28 @@ class TracedCampaign:
     ----------
     paths : Paths
     binned : BinnedPaths
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
     scattering : float array, shape (n_materials, n_bands)
     findings : tuple of Finding
     """
 
     paths: Paths
     binned: BinnedPaths
+    factors: FloatArray | None
     scattering: FloatArray
     findings: tuple[Finding, ...]
+
+
+def told_scattering(
+    knowledge: tuple[MaterialKnowledge, ...], traced: FloatArray, n_bands: int
+) -> FloatArray:
+    """Return what each wall scatters in each band; where nothing is told, as it was traced."""
+    rows = [
+        np.full(n_bands, s0) if k.scattering is None else k.scattering
+        for k, s0 in zip(knowledge, traced, strict=True)
+    ]
+    return np.stack(rows)
 
 
 def trace_campaign(
@@ -53,17 +68,20 @@ def trace_campaign(
     )
     found = cached_trace(scene, plan.settings, plan.scattering, cache, progress)
     paths = found.value.paths
-    binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s)
+    scattering = told_scattering(knowledge, plan.scattering.coefficients, len(campaign.bands))
+    factors, worn = band_factors(campaign, scene, campaign.bands, paths, scattering)
+    binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s, factors)
     unknown = [k.name for k in knowledge if k.known is None]
-    scattering = np.repeat(plan.scattering.coefficients[:, None], len(campaign.bands), axis=1)
     return TracedCampaign(
         paths,
         binned,
+        factors,
         scattering,
         (
             *plan.findings,
             *found.findings,
             *found.value.findings,
             *unmet_findings(paths, unknown),
+            *worn,
         ),
     )

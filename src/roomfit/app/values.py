@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.problems import BinnedPaths, absorption_block
+from roomfit.app.problems import BinnedPaths, absorption_block, regrouped, rows_at
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.materials.knowledge import MaterialKnowledge
@@ -86,7 +86,8 @@ def value_problems(
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         bank = FilterBank(one)
         m = float(attenuation[band])
-        rows = {o.pair: rows_in_air(coarse.rows[o.pair], m) for o in observations}
+        heard = rows_at(coarse, centre_hz)
+        rows = {o.pair: rows_in_air(heard[o.pair], m) for o in observations}
         problems.append(
             RoomValuesProblem(
                 one,
@@ -107,23 +108,22 @@ def value_problems(
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     """Return the same paths in bins of n times the width; bins that are left over at the end go."""
     kept = (binned.edges_s.size - 1) // n
-    rows = []
-    for fine in binned.rows:
+
+    def joined(fine: EnergyRows) -> EnergyRows:
         offsets = fine.offsets[: n * kept + 1 : n]
         last = int(offsets[-1])
-        rows.append(
-            EnergyRows(
-                fine.materials,
-                kept,
-                offsets,
-                fine.weight_per_m2[:last],
-                fine.hits[:last],
-                fine.length_m[:last],
-                fine.batch[:last],
-                fine.n_batches,
-            )
+        return EnergyRows(
+            fine.materials,
+            kept,
+            offsets,
+            fine.weight_per_m2[:last],
+            fine.hits[:last],
+            fine.length_m[:last],
+            fine.batch[:last],
+            fine.n_batches,
         )
-    return BinnedPaths(binned.edges_s[: n * kept + 1 : n], tuple(rows))
+
+    return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
 
 
 def bin_smearing(bank: FilterBank, binned: BinnedPaths) -> Smearing:
@@ -153,7 +153,7 @@ def predicted_values(
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         smearing = bin_smearing(FilterBank(one), coarse)
         chosen = slice(band, band + 1)
-        for pair, rows in enumerate(coarse.rows):
+        for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
             energy = _energy(rows, absorption[:, chosen], attenuation[chosen])
             curve = echogram_decay_curve(
                 one, smear(smearing, energy), coarse.edges_s, float(direct_s[pair])

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
 
@@ -16,8 +16,10 @@ from roomfit.files.campaign.read import read_campaign_table
 from roomfit.files.campaign.schema import (
     AirTable,
     CampaignTable,
+    Directivity,
     IdentifyTable,
     MaterialTable,
+    MeasuredDirectivity,
     MeasurementTable,
     ReceiverTable,
     SourceTable,
@@ -89,6 +91,8 @@ class Campaign:
     smoothness_per_octave : float or None
         Standard deviation by which logit absorption changes from octave to octave.
     temperature_sd_c : float or None
+    directivities : mapping of source name to what the file says of its directivity
+        For `roomfit.files.campaign.directivity.campaign_directivities`.
     """
 
     path: Path
@@ -107,6 +111,9 @@ class Campaign:
     wall_delays: bool = True
     smoothness_per_octave: float | None = None
     temperature_sd_c: float | None = None
+    directivities: Mapping[str, str | Directivity | MeasuredDirectivity] = field(
+        default_factory=dict
+    )
 
 
 def read_campaign(path: Path) -> Campaign:
@@ -139,6 +146,7 @@ def read_campaign(path: Path) -> Campaign:
         settings.wall_delays,
         settings.smoothness_per_octave,
         table.air.temperature_sd_c,
+        {name: source.directivity for name, source in table.sources.items()},
     )
 
 
@@ -153,6 +161,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     files += [m.response.path for m in campaign.measurements]
     files += [m.response.excitation for m in campaign.measurements if m.response.excitation]
     files += [t.path for t in campaign.tables]
+    files += _directivity_files(campaign)
     return tuple(dict.fromkeys(files))
 
 
@@ -184,6 +193,15 @@ def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
         up=room.up,
         materials=dict(room.materials),
     )
+
+
+def _directivity_files(campaign: Campaign) -> list[Path]:
+    named = [
+        told if isinstance(told, str) else told.file
+        for told in campaign.directivities.values()
+        if told != "omni" and not isinstance(told, Directivity)
+    ]
+    return [campaign.path.parent / name for name in named]
 
 
 def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, ...]:
@@ -251,7 +269,7 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
     ]
     for name, source in table.sources.items():
         refusals.append(
-            (f"sources.{name}.directivity", source.directivity, source.directivity != "omni")
+            (f"sources.{name}.directivity", source.directivity, source.directivity == "fit")
         )
     for number, row in enumerate(table.measurements, start=1):
         spectrum = row.spectrum

@@ -121,6 +121,7 @@ _MEMBER_NAMES = frozenset(
         "Spectrum",
         "Prior",
         "Directivity",
+        "MeasuredDirectivity",
         "float",
         "str",
         "int",
