@@ -1,0 +1,120 @@
+"""How often a predicted interval holds what is measured, in a box made by other means.
+
+    python benchmarks/prediction.py [SEED]
+
+A bare box of 30 m3 with smooth walls: pressures of image sources with phase. Four receivers are
+fitted, the others predicted; and all are predicted with the true absorption as well.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.identify import identify
+from roomfit.app.predicting import predict_campaign
+from roomfit.bands import bands_between
+from roomfit.files.campaign.campaign import input_files, read_campaign
+from roomfit.files.result_reader import read_result
+from roomfit.files.results import write_result
+from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
+from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
+from roomfit.uncertainty.prediction import PredictedPair
+
+LENGTHS_M = (3.9, 3.1, 2.5)
+SOURCE_M = (1.0, 1.2, 1.1)
+ABSORPTION = {"walls": 0.15, "carpet": 0.4, "tiles": 0.3}
+RATE_HZ = 8000
+NAMES = ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms")
+ROOM = f"""[room]
+shoebox = {list(LENGTHS_M)}
+[room.materials]
+walls = "walls"
+floor = "carpet"
+ceiling = "tiles"
+[sources.LS1]
+position = {list(SOURCE_M)}
+[identify]
+from_hz = 500
+to_hz = 1000
+"""
+
+
+def write_campaign(folder: Path, seed: int) -> Path:
+    """Simulate up to 24 receivers, those too near to the source left out."""
+    rng = np.random.default_rng(seed)
+    places = 0.5 + rng.random((24, 3)) * (np.array(LENGTHS_M) - 1.0)
+    places = places[np.linalg.norm(places - SOURCE_M, axis=1) > 1.0]
+    bands, air = bands_between("octave", 250, 2000), Air()
+    owners = ("walls", "walls", "walls", "walls", "carpet", "tiles")
+    truth = BoxTruth(
+        LENGTHS_M,
+        bands.centres_hz,
+        np.array([[ABSORPTION[n]] * len(bands) for n in owners]),
+        attenuation_per_m(air, bands),
+        speed_of_sound_m_s(air),
+    )
+    text = ROOM + "".join(f"[materials.{name}]\nscattering = 0.0\n" for name in ABSORPTION)
+    for i, place in enumerate(places):
+        pressure = pressure_response(
+            truth, np.array(SOURCE_M), place, 0.7, RATE_HZ, np.zeros(len(bands))
+        )
+        noisy = add_noise(pressure, -60, rng).astype(np.float32)
+        soundfile.write(folder / f"R{i}.wav", noisy, RATE_HZ, subtype="FLOAT")
+        text += f"[receivers.R{i}]\nposition = {place.tolist()}\n[[measurements]]\n"
+        text += f'source = "LS1"\nreceiver = "R{i}"\nfile = "R{i}.wav"\n'
+        text += f'use = "{"fit" if i < 4 else "validate"}"\n'
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+def told(title: str, pairs: list[PredictedPair]) -> str:
+    """Return by band how many intervals hold, and the mean and the spread of the misses."""
+    lines = [title, "parameter     held       mean of (measured - predicted) / sd, its spread"]
+    held = []
+    for name in NAMES:
+        m, value, low, high = (
+            np.array([getattr(p.parameters[name], what) for p in pairs])
+            for what in ("measured", "predicted", "lower95", "upper95")
+        )
+        inside = (low <= m) & (m <= high)
+        z = (m - value) / ((high - low) / 3.92)
+        held.append(inside)
+        cells = "   ".join(
+            f"{inside[:, j].mean():.2f} {z[:, j].mean():+5.1f} {z[:, j].std():4.1f}"
+            for j in range(m.shape[1])
+        )
+        lines.append(f"{name:<12}  {cells}")
+    lines.append(f"all: {np.sum(held)} of {np.size(held)}")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Print both tables, 500 Hz and 1 kHz side by side."""
+    seed = int(sys.argv[1]) if len(sys.argv) > 1 else 11
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        campaign = read_campaign(write_campaign(folder, seed))
+        write_result(folder, identify(campaign), input_files(campaign))
+        fitted = predict_campaign(campaign, read_result(folder / "result.json"))
+        a = np.array([[v] * 2 for v in ABSORPTION.values()])
+        true = AbsorptionPosterior(
+            tuple(ABSORPTION), campaign.bands, a, a, a, np.zeros((2, len(a), len(a)))
+        )
+        known = predict_campaign(campaign, true)
+    sys.stdout.write(
+        told("fitted absorption, pairs kept apart", [p for p in fitted.pairs if p.use != "fit"])
+        + "\n\n"
+        + told("true absorption, all pairs", list(known.pairs))
+        + "\n"
+    )
+
+
+if __name__ == "__main__":
+    main()
