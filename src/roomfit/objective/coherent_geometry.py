@@ -33,6 +33,8 @@ class Geometry:
         Speed of sound beforehand.
     columns : int array, shape (n_observations, 8 + n_materials)
         Entries of source (3), receiver (3), ln c, latency and delays of each observation.
+    origin : float array, shape (n,), or None
+        Free numbers of the places at which the paths were traced; None for the told ones.
     """
 
     labels: tuple[str, ...]
@@ -40,6 +42,7 @@ class Geometry:
     fitted: BoolArray
     speed_m_s: float
     columns: IntArray
+    origin: FloatArray | None = None
 
 
 def geometry_block(geometry: Geometry) -> Block:
@@ -61,8 +64,10 @@ def geometry_block(geometry: Geometry) -> Block:
 def times_of(geometry: Geometry, values: FloatArray) -> Times:
     """Return places, speed, latency and delays of the free numbers, shape (n,)."""
     own = (geometry.sd * values)[geometry.columns]
+    traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
+    places = (geometry.sd * values - traced)[geometry.columns[:, :6]]
     return Times(
-        np.ascontiguousarray(own[:, :6]),
+        np.ascontiguousarray(places),
         float(geometry.speed_m_s * np.exp(own[0, 6])),
         np.ascontiguousarray(own[:, 7]),
         np.ascontiguousarray(own[0, 8:]),
