@@ -11,9 +11,6 @@ from roomfit.tracing.beam_shadow import Shadows
 from roomfit.tracing.images_walls import Blockers, Walls
 from roomfit.typing import FloatArray
 
-# In margins.
-_THIN = 20.0
-
 
 @kernel(allocates=False)
 def only_wall(
@@ -28,9 +25,7 @@ def only_wall(
 ) -> int:
     """Return the wall that the whole beam falls on, or -1 where it may be several.
 
-    Most beams of a high order are narrow and fall on one wall only: nothing need be cut. One that
-    is hardly wider than the margin goes where its middle goes: shadows so thin cannot be told from
-    the margin, and it would leak through every wall.
+    Most beams of a high order are narrow and fall on one wall only: nothing need be cut.
 
     Parameters
     ----------
@@ -45,7 +40,6 @@ def only_wall(
     w = _first_hit(walls, apex, minus(middle, apex), wall)
     if w < 0 or not walls.ends_sound[w]:
         return -1
-    thin = _is_thin(opening, n, _THIN * walls.margin_m)
     normal = row(walls.normal, w)
     ahead = walls.offset_m[w] - dot(normal, apex)
     for c in range(n):
@@ -55,12 +49,10 @@ def only_wall(
         if not ahead >= speed > 0.0:
             return -1
         x = along(apex, ray, ahead / speed)
-        if not thin and not _is_over(walls, w, x):
+        if not _is_over(walls, w, x):
             return -1
         # looked at from outside, the corners of an opening run the other way round ahead of it
         put(image, n - 1 - c, x)
-    if thin:
-        return w
     for b in range(len(shadows.n_planes)):
         if shadows.n_planes[b] != 0 and blockers.wall[b] != w and _rises(walls, blockers, b, w):
             return -1
@@ -99,8 +91,12 @@ def _is_over(walls: Walls, w: int, x: Vector) -> bool:
 
 
 @kernel(allocates=False)
-def _is_thin(polygon: FloatArray, n: int, width_m: float) -> bool:
-    """Return whether twice the area over the perimeter is less than a width."""
+def is_sliver(polygon: FloatArray, n: int, width_m: float) -> bool:
+    """Return whether a polygon is narrower than a width: twice its area over its perimeter.
+
+    Where a beam meets the edge of a wall, its margin makes slivers that no sound reaches, and these
+    would leak through every further wall, for shadows as thin as the margin cannot be told.
+    """
     twice = (0.0, 0.0, 0.0)
     around = 0.0
     a = row(polygon, 0)

@@ -24,7 +24,7 @@ from roomfit.tracing.beam_clip import (
     sides,
     without_repeats,
 )
-from roomfit.tracing.beam_narrow import only_wall
+from roomfit.tracing.beam_narrow import is_sliver, only_wall
 from roomfit.tracing.beam_path import is_visible
 from roomfit.tracing.beam_shadow import Shadows, cast, lit_pieces, no_shadows
 from roomfit.tracing.images_walls import Blockers, Walls
@@ -309,7 +309,10 @@ def _await(
     waiting: _Waiting,
     top: int,
 ) -> int:
-    """Note what belongs to the opening at the top; return 1, or 0 where it is too far away."""
+    """Note what belongs to the opening at the top; return 1, or 0 if it is too far or too thin."""
+    # a hundred margins wide: of true beams so narrow, none is likely to hold a receiver
+    if is_sliver(waiting.opening_m[top], n, walls.tolerance_m):
+        return 0
     normal = row(walls.normal, w)
     ahead = walls.offset_m[w] - dot(normal, apex)
     reach = distance_m(apex, waiting.opening_m[top], n, normal, ahead)
