@@ -134,7 +134,7 @@ def identify(
     gathered = gather(campaign, room)
     decay_s = median_decay_s(gathered, campaign.bands.centres_hz)
     start = _eyring_start(gathered.scene, campaign, decay_s)
-    traced = trace_campaign(campaign, gathered, knowledge, cache, part(progress, 0.02, 0.45))
+    traced = trace_campaign(campaign, gathered, knowledge, start, cache, part(progress, 0.02, 0.45))
     solved = solve(
         *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
         part(progress, 0.45, 0.98),

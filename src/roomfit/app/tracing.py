@@ -7,10 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.app.cached_trace import cached_trace
+from roomfit.app.choosing import chosen_scattering, scattering_doubts
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
 from roomfit.app.planning import plan_trace
 from roomfit.app.problems import BinnedPaths, bin_paths
+from roomfit.app.progress import part
 from roomfit.app.solving import is_coherent
 from roomfit.app.weighting import band_factors
 from roomfit.files.cache import Cache
@@ -57,16 +59,31 @@ def trace_campaign(
     campaign: Campaign,
     gathered: Gathered,
     knowledge: tuple[MaterialKnowledge, ...],
+    start: FloatArray,
     cache: Cache | None,
     progress: Progress | None,
 ) -> TracedCampaign:
-    """Trace every measured pair for as long as its decay is to be compared."""
+    """Trace every measured pair for as long as its decay is to be compared.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from, where scattering has to be chosen first.
+    """
     scene = gathered.scene
     slowest_s, latest_s = time_scales(gathered)
-    plan = plan_trace(
-        *(scene, knowledge, slowest_s, latest_s, campaign.seed), coherent=is_coherent(campaign)
+    coherent = is_coherent(campaign)
+    plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
+    knowledge, chosen = chosen_scattering(
+        *(campaign, gathered, knowledge, plan.settings, start), part(progress, 0.0, 0.5)
     )
-    found = cached_trace(scene, plan.settings, plan.scattering, cache, progress)
+    doubts: tuple[Finding, ...] = ()
+    if chosen:
+        plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
+    else:
+        doubts = scattering_doubts(gathered, campaign.bands, knowledge, plan.settings, start)
+    done = part(progress, 0.5 if chosen else 0.0, 1.0)
+    found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths
     scattering = told_scattering(knowledge, plan.scattering.coefficients, len(campaign.bands))
     factors, worn = band_factors(campaign, scene, campaign.bands, paths, scattering)
@@ -83,5 +100,7 @@ def trace_campaign(
             *found.value.findings,
             *unmet_findings(paths, unknown),
             *worn,
+            *chosen,
+            *doubts,
         ),
     )

@@ -1,0 +1,148 @@
+"""How much the walls of a campaign scatter: as told, as the data prefer, or other than told."""
+
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+
+from roomfit.app.gathering import Gathered
+from roomfit.app.retracing import energy_fits, log_likelihoods, scene_retracer
+from roomfit.app.scattering import choose_scattering, suspected_scattering
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.files.campaign.campaign import Campaign
+from roomfit.findings import Finding
+from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.signals.noise import NoiseEstimate
+from roomfit.tracing.settings import TraceSettings
+from roomfit.typing import FloatArray, Progress
+
+# Enough to tell coefficients apart that differ by a factor of two, and quick to trace again.
+_N_RAYS = 20_000
+_LONGEST_S = 0.3
+# Beyond so many unknown coefficients they get one value in common.
+_MOST_APART = 3
+_TRIAL = (0.15,)
+_TRIAL_BANDS = 2
+_TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
+
+
+def chosen_scattering(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    settings: TraceSettings,
+    start: FloatArray,
+    progress: Progress | None,
+) -> tuple[tuple[MaterialKnowledge, ...], tuple[Finding, ...]]:
+    """Return the knowledge with the likeliest value where ``scattering = "fit"`` stands.
+
+    Energies alone are compared, in paths that are weighed anew for every trial.
+
+    Parameters
+    ----------
+    settings : TraceSettings
+        As planned for the campaign; fewer rays are used here.
+    start : float array, shape (n_bands,)
+
+    Raises
+    ------
+    InputError
+        The campaign has no response to fit.
+    """
+    fitted = np.array([k.fit_scattering for k in knowledge])
+    if not fitted.any():
+        return knowledge, ()
+    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
+    if not heard:
+        raise InputError(
+            "scattering cannot be fitted without responses",
+            where=f"{campaign.path}, materials",
+            found='scattering = "fit" and room parameters only',
+            needed="impulse responses, or scattering as a number",
+        )
+    scene, bands = gathered.scene, campaign.bands
+    retracer = scene_retracer(scene, bands, _quick(settings))
+    told = np.stack(
+        [np.full(len(bands), 0.1) if k.scattering is None else k.scattering for k in knowledge]
+    )
+
+    def fit(coefficients: FloatArray) -> FloatArray:
+        return log_likelihoods(
+            energy_fits(scene, bands, knowledge, heard, retracer, start, coefficients)
+        )
+
+    common = int(np.count_nonzero(fitted)) > _MOST_APART
+    choice = choose_scattering(fit, told, fitted, common=common, progress=progress)
+    chosen = tuple(
+        replace(k, scattering=row) if k.fit_scattering else k
+        for k, row in zip(knowledge, choice.coefficients, strict=True)
+    )
+    names = [k.name for k in knowledge if k.fit_scattering]
+    ranges = ", ".join(
+        f"{k.name} {choice.coefficients[i, 0]:g} ({choice.lower[i, 0]:g} to {choice.upper[i, 0]:g})"
+        for i, k in enumerate(knowledge)
+        if k.fit_scattering
+    )
+    sentence = f"Scattering that explains the data best, among eight values: {ranges}."
+    return chosen, (Finding("scattering-fitted", "info", sentence, {"materials": names}),)
+
+
+def _quick(settings: TraceSettings) -> TraceSettings:
+    until_s = min(settings.duration_s, _LONGEST_S)
+    return replace(settings, n_rays=_N_RAYS, duration_s=until_s, keep_unfolding=False)
+
+
+def _in_bands(knowledge: MaterialKnowledge, chosen: slice) -> MaterialKnowledge:
+    return replace(
+        knowledge,
+        prior_logit_mean=knowledge.prior_logit_mean[chosen],
+        prior_logit_sd=knowledge.prior_logit_sd[chosen],
+        scattering=None if knowledge.scattering is None else knowledge.scattering[chosen],
+        known=None if knowledge.known is None else knowledge.known[chosen],
+    )
+
+
+def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
+    return NoiseEstimate(*(getattr(noise, f.name)[chosen] for f in fields(NoiseEstimate)))
+
+
+def scattering_doubts(
+    gathered: Gathered,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    settings: TraceSettings,
+    start: FloatArray,
+) -> tuple[Finding, ...]:
+    """Return a finding where walls that were told to be smooth had better scatter.
+
+    Tried in the two middle bands with one coefficient for all of them.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+    """
+    smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in knowledge]
+    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
+    if not (any(smooth) and heard):
+        return ()
+    first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
+    chosen = slice(first, min(first + _TRIAL_BANDS, len(bands)))
+    middle = Bands(bands.kind, bands.centres_hz[chosen])
+    known = tuple(_in_bands(k, chosen) for k in knowledge)
+    responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in heard)
+    scene = gathered.scene
+    few = replace(_quick(settings), n_rays=_TRIAL_RAYS)
+    few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
+    retracer = scene_retracer(scene, middle, few)
+    told = np.stack(
+        [np.full(len(middle), 0.1) if k.scattering is None else k.scattering for k in known]
+    )
+
+    def fit(coefficients: FloatArray) -> FloatArray:
+        return log_likelihoods(
+            energy_fits(scene, middle, known, responses, retracer, start[chosen], coefficients)
+        )
+
+    return suspected_scattering(fit, scene.room.materials, told, fit(told), trials=_TRIAL)
