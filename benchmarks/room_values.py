@@ -1,12 +1,12 @@
 """ISO 3382 values as the only data: pairs left out and predicted, beside the null model.
 
-    python benchmarks/room_values.py FOLDER [--ingredients] [--closed]
+    python benchmarks/room_values.py FOLDER [--room ROOM] [--ingredients] [--closed]
 
 FOLDER holds `bras_cr2` (scene9.ac, measured values of five pairs, one response; Aspoeck et al.,
-2020) and `ptb_studio` (polygons, measured values of six pairs; PTB round robin III).
-Neither comes with roomfit. Each pair is left out in turn, the absorption fitted to the others, and
-all its values predicted. The null model knows nothing of the room: it takes the mean of the pairs
-that were fitted.
+2020) and `ptb_studio` (polygons, measured values of six pairs; PTB's round robin III). Neither
+comes with roomfit. Each pair is left out in turn, the absorption fitted to the others, and all its
+values predicted. The null model knows nothing of the room: it takes the mean of the pairs that
+were fitted.
 
 --ingredients   every ingredient changed in turn
 --closed        the studio predicted with its curtains closed, from a fit with open ones
@@ -46,6 +46,7 @@ from roomfit.signals.measured_values import MeasuredValues
 from roomfit.signals.parameter_gradients import VALUE_NAMES, ValueName
 from roomfit.tracing.join import trace
 from roomfit.tracing.settings import TraceSettings
+from roomfit.uncertainty.straight_draws import draw_along_data
 
 BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000
@@ -116,6 +117,7 @@ def studio(folder: Path, *, closed: bool = False) -> Case:
         knowledge,
         1.25,
         slice(1, 6),
+        image_order=0,
     )
 
 
@@ -328,7 +330,7 @@ def ingredients(case: Case, variants: dict[str, Case], binned: BinnedPaths) -> N
         print(short_line(label, variant, left_out_errors(variant, paths)), flush=True)
 
 
-def closed_curtains(folder: Path, case: Case, binned: BinnedPaths) -> None:
+def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -> None:
     """Print the studio with closed curtains, predicted from what was fitted with open ones.
 
     The cloth is another wall then: its absorption is the fitted one times the stated ratio of
@@ -347,21 +349,30 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths) -> None:
     ]
     at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
     rng = np.random.default_rng(1)
+    covariances = np.stack([a.logit_covariance for a in answers])
+    prior_mean, prior_sd = (
+        np.array([getattr(k, f"prior_logit_{kind}") for k in case.knowledge])
+        for kind in ("mean", "sd")
+    )
+    fits = absorption_of(answers)
+    draws = np.stack(
+        [
+            draw_along_data(fits[:, b], covariances[b], prior_mean[:, b], prior_sd[:, b], 100, rng)
+            for b in range(len(BANDS))
+        ],
+        axis=2,
+    )
     drawn = []
-    for number in range(201):
-        absorption = np.empty((len(order), len(BANDS)))
+    for number, walls in enumerate((fits, *draws)):
+        absorption = walls[order]
         spread = rng.normal(0.0, 0.25) if number else 0.0
-        for band, answer in enumerate(answers):
-            root = np.linalg.cholesky(answer.logit_covariance + 1e-12 * np.eye(len(names)))
-            step = root @ rng.standard_normal(len(names)) if number else 0.0
-            a = 1.0 / (1.0 + np.exp(-(answer.logit_mean + step)))
-            absorption[:, band] = a[order]
-        absorption[at] = np.clip(absorption[at] * ratio * np.exp(spread), 0.0, 0.99)
+        cloth_closed = absorption[at] * ratio * np.exp(spread)
+        absorption[at] = np.clip(cloth_closed, 0.0, 0.99)
         t30 = predicted_values(other.scene, BANDS, paths, absorption, ("T30_s",))
         drawn.append(t30[:, 0].mean(axis=0))
     low, high = np.quantile(drawn[1:], (0.025, 0.975), axis=0)
     open_s = np.mean([v.values["T30_s"] for v in case.values], axis=0)
-    print("\nPTB studio, mean T30 of the six pairs (s)")
+    print(f"\nPTB studio, mean T30 of the six pairs (s), {label}")
     for label, row in (
         ("measured, open", open_s),
         ("predicted, closed", drawn[0]),
@@ -377,35 +388,42 @@ def main() -> None:
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--ingredients", action="store_true")
     parser.add_argument("--closed", action="store_true")
+    parser.add_argument("--room", choices=("both", "cr2", "ptb"), default="both")
     asked = parser.parse_args()
     if asked.folder is None:
         print("no folder of measurements given: nothing to do")
         return
-    ptb = asked.folder / "ptb_studio"
-    case, binned = seminar(asked.folder / "bras_cr2")
-    if asked.ingredients:
-        ingredients(case, variants_of(case), binned)
-    case = studio(ptb)
+    if asked.room != "ptb":
+        case, binned = seminar(asked.folder / "bras_cr2")
+        if asked.ingredients:
+            exact = {"direct sound alone exact": replace(case, image_order=0)}
+            ingredients(case, variants_of(case) | exact, binned)
+    if asked.room != "cr2":
+        studio_runs(asked.folder / "ptb_studio", asked)
+
+
+def studio_runs(folder: Path, asked: argparse.Namespace) -> None:
+    """Print the studio."""
+    case = studio(folder)
     binned = traced(case)
-    print("\n" + error_table(case, left_out_errors(case, binned)))
-    if asked.ingredients:
-        stated_scattering = {
-            "scattering 0.1": replace(case, scattering=0.0 * case.scattering + 0.1)
-        }
-        priors = {
-            f"stated priors, logit sd {sd:g}": with_stated_priors(case, ptb, sd)
-            for sd in (0.5, 1.0)
-        }
-        ingredients(case, variants_of(case) | stated_scattering | priors, binned)
+    print("\n" + error_table(case, left_out_errors(case, binned)), flush=True)
+    print_combinations(case, fitted(case, binned, list(case.values)))
     if asked.closed:
-        closed_curtains(ptb, case, binned)
+        closed_curtains(folder, case, binned, "broad priors")
+        stated_case = with_stated_priors(case, folder, 0.5)
+        closed_curtains(folder, stated_case, binned, "stated absorption as priors, logit sd 0.5")
+    if asked.ingredients:
+        few = {"scattering 0.1": replace(case, scattering=0.0 * case.scattering + 0.1)}
+        few["without G"] = replace(case, names=VALUE_NAMES[:-1])
+        for sd in (0.5, 1.0):
+            few[f"stated priors, logit sd {sd:g}"] = with_stated_priors(case, folder, sd)
+        ingredients(case, variants_of(case) | few, binned)
 
 
 def variants_of(case: Case) -> dict[str, Case]:
     """Return what both rooms are tried with."""
     half = np.full(case.scattering.size, 0.5)
     return {
-        "direct sound alone exact, all else by rays": replace(case, image_order=0),
         "5000 rays": replace(case, n_rays=5000),
         "60000 rays": replace(case, n_rays=60_000),
         "scattering 0.5": replace(case, scattering=half),

@@ -18,6 +18,7 @@ WITHIN = 0.1
 _SHARE_OF_PRIOR = 0.5
 # Places the ends of an interval within a third of a percent of probability.
 _DRAWS = 2048
+_ALIKE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -134,8 +135,8 @@ def find_combinations(
             groups.append(found)
         else:
             loose.append((*one, *other))
-    same = [g for g in groups if np.array_equal(g.weights, room.weights)]
-    return (room, *(g for g in groups if g not in same))
+    # a group that is nearly the whole room says the same a second time
+    return (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
 
 
 def _own(
