@@ -22,6 +22,7 @@ from roomfit.bands import bands_between
 from roomfit.files.campaign.campaign import input_files, read_campaign
 from roomfit.files.result_reader import read_result
 from roomfit.files.results import write_result
+from roomfit.signals.parameter_gradients import ValueName
 from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
 from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
 from roomfit.uncertainty.prediction import PredictedPair
@@ -30,7 +31,15 @@ LENGTHS_M = (3.9, 3.1, 2.5)
 SOURCE_M = (1.0, 1.2, 1.1)
 ABSORPTION = {"walls": 0.15, "carpet": 0.4, "tiles": 0.3}
 RATE_HZ = 8000
-NAMES = ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms")
+NAMES: tuple[ValueName, ...] = (
+    "T20_s",
+    "T30_s",
+    "EDT_s",
+    "C50_dB",
+    "C80_dB",
+    "D50_percent",
+    "TS_ms",
+)
 ROOM = f"""[room]
 shoebox = {list(LENGTHS_M)}
 [room.materials]

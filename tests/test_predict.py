@@ -426,3 +426,13 @@ def test_a_material_that_no_path_strikes_is_named(campaign):
     (finding,) = unmet_findings(paths, room.materials)
     assert finding.evidence["materials"] == ["walls", "tiles"]
     assert unmet_findings(paths, ("carpet",)) == ()
+
+
+def test_a_campaign_that_keeps_everything_for_validation_has_nothing_to_fit(tmp_path):
+    path = write_campaign(
+        tmp_path,
+        ('"LS1_MP1.wav"', '"LS1_MP1.wav"\nuse = "validate"'),
+        ('"LS1_MP2.wav"', '"LS1_MP2.wav"\nuse = "validate"'),
+    )
+    with pytest.raises(InputError, match="none is left to fit"):
+        read_campaign(path)
