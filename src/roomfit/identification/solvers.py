@@ -22,14 +22,17 @@ _FIRST_EDGE = 0.1
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e10
 _MOST_STEPS = 40
 _NEAR = 0.01
+# of the sum of squares: a thousandth of what one standard deviation would cost
+_LEAST_GAIN = 1e-3
 
 
 def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
     """Solve by damped Gauss-Newton steps with the exact derivative.
 
     Marquardt's damping [1]_, lowered after a step that helps and raised after one that does not.
-    Ends when a step is shorter than a hundredth of a standard deviation. Few unknowns and many
-    residuals: normal equations cost a tenth of the singular values that scipy's solver takes.
+    Ends when a step is shorter than a hundredth of a standard deviation, or gains next to nothing.
+    Few unknowns and many residuals: normal equations cost a tenth of the singular values that
+    scipy's solver takes.
 
     References
     ----------
@@ -51,9 +54,10 @@ def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
             if damping > _MOST_DAMPING:
                 break
             continue
+        gain = values @ values - there @ there
         x, values, jacobian = x + step, there, slope_there
         damping *= 0.1
-        if step @ hessian @ step < _NEAR**2:
+        if step @ hessian @ step < _NEAR**2 or gain < _LEAST_GAIN:
             break
     return x
 
