@@ -61,6 +61,11 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
     return replace(best, lower95=lower, upper95=upper, mean=mean, identifiable=sure)
 
 
+def nothing_identifiable(answer: BandAnswer) -> BandAnswer:
+    """Return an answer in which only what is held counts as identifiable."""
+    return replace(answer, identifiable=answer.upper95 <= answer.lower95)
+
+
 def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
     held = answer.upper95 <= answer.lower95
     sd = np.where(held, 0.0, sd)
