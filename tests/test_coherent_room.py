@@ -66,7 +66,8 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
         np.stack([getattr(a, name) for a in fit.answers], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
-    assert np.median(np.abs(found - true)) < 0.03
+    # two bands alone, and a loudspeaker whose level and phase change within them
+    assert np.median(np.abs(found - true)) < 0.05
     assert np.sum((true < low) | (true > high)) <= 2
     energies = fitted(campaign, model="energy")
     assert energies.geometry is None
