@@ -8,6 +8,7 @@ ones told, a loudspeaker whose gain varies over frequency, and background noise.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -74,7 +75,43 @@ def pressure_response(
     float array, shape (n_samples,)
         In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
     """
-    lengths, hits = box_images(truth, source_m, receiver_m, duration_s)
+    images = box_images(truth, source_m, receiver_m, duration_s)
+    return pressure_of_images(images, truth, duration_s, sampling_rate_hz, level_db)
+
+
+class WallTruth(Protocol):
+    """What is true of walls and air, whatever the shape of the room; see `BoxTruth`."""
+
+    @property
+    def centres_hz(self) -> FloatArray: ...
+    @property
+    def absorption(self) -> FloatArray: ...
+    @property
+    def attenuation_per_m(self) -> FloatArray: ...
+    @property
+    def speed_of_sound_m_s(self) -> float: ...
+    @property
+    def delays_s(self) -> tuple[float, ...]: ...
+
+
+def pressure_of_images(
+    images: tuple[FloatArray, FloatArray],
+    truth: WallTruth,
+    duration_s: float,
+    sampling_rate_hz: float,
+    level_db: FloatArray,
+) -> FloatArray:
+    """Return the sound pressure that images of one pair make together, see `pressure_response`.
+
+    Parameters
+    ----------
+    images : tuple of float arrays
+        Length (n_images,), and hits (n_images, n_walls) in the order of the truth's absorption.
+    truth : WallTruth
+    duration_s, sampling_rate_hz : float
+    level_db : float array, shape (n_bands,)
+    """
+    lengths, hits = images
     n_samples = round(duration_s * sampling_rate_hz)
     fine_rate_hz = sampling_rate_hz * _OVERSAMPLING
     # padded to twice the length, so that the tails of the band-limited impulses do not wrap around

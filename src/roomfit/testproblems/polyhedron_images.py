@@ -1,0 +1,271 @@
+"""All images of a room of convex cells, found in another way than `roomfit.tracing` does it.
+
+The room is mirrored, not the source: every wall that sound meets puts a mirrored copy of the room
+behind it, and all sound goes straight on from the one true source, through openings and walls
+alike. A copy is entered through the part of its wall that the source sees. Whether a path truly
+exists, and what it strikes, is then found out by sending a ball along it through the true room.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from roomfit.compiled import kernel
+from roomfit.testproblems.polyhedron_cells import CellArrays, Cells, cell_arrays
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+_SIDES = 20
+_ON_EDGE_M = 1e-9
+_SAME_PLACE_M = 1e-5
+_SHORT_M = 1e-7
+
+
+def cell_images(
+    cells: Cells, source_m: FloatArray, receivers_m: FloatArray, reach_m: float
+) -> list[tuple[FloatArray, IntArray]]:
+    """Return for each receiver length (n,) and hits per material (n, n_materials) of every path.
+
+    Parameters
+    ----------
+    cells : Cells
+    source_m : float array, shape (3,)
+    receivers_m : float array, shape (n_receivers, 3)
+    reach_m : float
+        No path is longer.
+    """
+    arrays = cell_arrays(cells)
+    source = np.array(source_m, dtype=np.float64)
+    receivers = np.array(receivers_m, dtype=np.float64)
+    inside = np.array([_inside(arrays, r) for r in receivers])
+    start = np.flatnonzero(_inside(arrays, source))[0]
+    owner, place = _straight_lines(arrays, source, int(start), receivers, inside, float(reach_m))
+    found = []
+    for number, receiver in enumerate(receivers):
+        own = place[owner == number]
+        _, first = np.unique(np.round(own / _SAME_PLACE_M), axis=0, return_index=True)
+        steps = own[first] - source
+        length = np.linalg.norm(steps, axis=1)
+        hits = np.zeros((len(length), len(cells.materials)), dtype=np.int64)
+        arrived = _balls(arrays, source, int(start), steps, receiver, hits)
+        found.append((length[arrived], hits[arrived]))
+    return found
+
+
+def _inside(arrays: CellArrays, x: FloatArray) -> BoolArray:
+    heights = arrays.normal @ x - arrays.offset_m
+    pairs = zip(arrays.first_face[:-1], arrays.first_face[1:], strict=True)
+    return np.array([bool((heights[a:b] <= 1e-9).all()) for a, b in pairs])
+
+
+@kernel()
+def _straight_lines(
+    arrays: CellArrays,
+    source: FloatArray,
+    start: int,
+    receivers: FloatArray,
+    inside: BoolArray,
+    reach: float,
+) -> tuple[IntArray, FloatArray]:
+    """Return receiver and place of every mirrored receiver that the source sees straight on."""
+    owner, place, n_found = np.empty(1024, dtype=np.int64), np.empty((1024, 3)), 0
+    # waiting copies of the room: cell, face entered by, turn and shift, sides of the view
+    what, turn, shift = np.empty((4096, 3), np.int64), np.empty((4096, 3, 3)), np.empty((4096, 3))
+    view = np.empty((4096, _SIDES, 3))
+    what[0] = np.array([start, -1, 0])
+    turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all that is seen
+    waiting = 1
+    polygon, cut, sides = np.empty((_SIDES, 3)), np.empty((_SIDES, 3)), np.empty((_SIDES, 3))
+    q, p, x, normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
+    nowhere = np.zeros(3)
+    while waiting > 0:
+        waiting -= 1
+        cell, entered, n_sides = what[waiting]
+        q[:], p[:] = turn[waiting], shift[waiting]
+        for k in range(n_sides):
+            for axis in range(3):
+                sides[k, axis] = view[waiting, k, axis]
+        for r in range(len(receivers)):
+            if not inside[r, cell]:
+                continue
+            _placed(q, p, receivers[r], x)
+            if x[0] ** 2 + x[1] ** 2 + x[2] ** 2 <= reach**2 and _sees(sides, n_sides, x):
+                if n_found == len(owner):
+                    owner = np.concatenate((owner, owner))
+                    place = np.concatenate((place, place))
+                owner[n_found], place[n_found] = r, x + source
+                n_found += 1
+        for f in range(arrays.first_face[cell], arrays.first_face[cell + 1]):
+            if f == entered:
+                continue
+            n = 0
+            for c in range(arrays.first_corner[f], arrays.first_corner[f + 1]):
+                _placed(q, p, arrays.corner_m[c], polygon[n])
+                n += 1
+            n = _part_in_view(polygon, n, sides, n_sides, cut)
+            _placed(q, nowhere, arrays.normal[f], normal)
+            if n < 3 or _nearest(polygon, n, normal) > reach:
+                continue
+            n = _view(polygon, n, view[waiting])
+            if n < 3:
+                continue
+            if arrays.material[f] >= 0:
+                what[waiting, 0], what[waiting, 1] = cell, f
+                for i in range(3):
+                    shift[waiting, i] = p[i] + 2.0 * arrays.offset_m[f] * normal[i]
+                    for j in range(3):
+                        turn[waiting, i, j] = q[i, j] - 2.0 * normal[i] * arrays.normal[f, j]
+            else:
+                beyond = arrays.beyond[f]
+                what[waiting, 0], what[waiting, 1] = beyond, _same_face(arrays, f, beyond)
+                turn[waiting], shift[waiting] = q, p
+            what[waiting, 2] = n
+            waiting += 1
+            if waiting == len(what):
+                raise ValueError("more copies of the room than a stack holds")
+    return owner[:n_found].copy(), place[:n_found].copy()
+
+
+@kernel()
+def _same_face(arrays: CellArrays, f: int, cell: int) -> int:
+    """Return the face of a cell that is the other side of an opening."""
+    for g in range(arrays.first_face[cell], arrays.first_face[cell + 1]):
+        turned = np.dot(arrays.normal[f], arrays.normal[g]) < -0.999
+        if turned and abs(arrays.offset_m[f] + arrays.offset_m[g]) < 1e-6:
+            return g
+    return -1
+
+
+@kernel()
+def _placed(q: FloatArray, p: FloatArray, x: FloatArray, out: FloatArray) -> None:
+    """Write q x + p."""
+    for i in range(3):
+        out[i] = q[i, 0] * x[0] + q[i, 1] * x[1] + q[i, 2] * x[2] + p[i]
+
+
+@kernel()
+def _sees(sides: FloatArray, n: int, x: FloatArray) -> bool:
+    for k in range(n):
+        if sides[k, 0] * x[0] + sides[k, 1] * x[1] + sides[k, 2] * x[2] < -_ON_EDGE_M:
+            return False
+    return True
+
+
+@kernel()
+def _part_in_view(polygon: FloatArray, n: int, sides: FloatArray, m: int, cut: FloatArray) -> int:
+    """Cut a polygon, in place and seen from the origin, to what lies within all sides."""
+    for k in range(m):
+        kept = 0
+        for i in range(n):
+            a, b = polygon[i], polygon[(i + 1) % n]
+            ha = sides[k, 0] * a[0] + sides[k, 1] * a[1] + sides[k, 2] * a[2]
+            hb = sides[k, 0] * b[0] + sides[k, 1] * b[1] + sides[k, 2] * b[2]
+            if ha >= 0.0 and kept < _SIDES:
+                for axis in range(3):
+                    cut[kept, axis] = a[axis]
+                kept += 1
+            if ha * hb < 0.0 and kept < _SIDES:
+                for axis in range(3):
+                    cut[kept, axis] = a[axis] + ha / (ha - hb) * (b[axis] - a[axis])
+                kept += 1
+        n = kept
+        for i in range(n):
+            for axis in range(3):
+                polygon[i, axis] = cut[i, axis]
+        if n < 3:
+            return 0
+    return n
+
+
+@kernel()
+def _view(polygon: FloatArray, n: int, sides: FloatArray) -> int:
+    """Write the planes through the origin and each edge of a polygon; return how many.
+
+    0 for a sliver of no width, whose planes would face anywhere.
+    """
+    mx = my = mz = 0.0
+    for i in range(n):
+        mx, my, mz = mx + polygon[i, 0], my + polygon[i, 1], mz + polygon[i, 2]
+    count = 0
+    for i in range(n):
+        ax, ay, az = polygon[i, 0], polygon[i, 1], polygon[i, 2]
+        k = (i + 1) % n
+        ex, ey, ez = polygon[k, 0] - ax, polygon[k, 1] - ay, polygon[k, 2] - az
+        # corners that cutting has laid upon one another span no plane worth the name
+        if ex * ex + ey * ey + ez * ez < _SHORT_M**2:
+            continue
+        sx, sy, sz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
+        length = np.sqrt(sx * sx + sy * sy + sz * sz)
+        if length == 0.0:
+            continue
+        depth = (sx * mx + sy * my + sz * mz) / (n * length)
+        if abs(depth) < _ON_EDGE_M:
+            return 0
+        if depth < 0.0:
+            length = -length
+        sides[count, 0], sides[count, 1], sides[count, 2] = sx / length, sy / length, sz / length
+        count += 1
+    return count
+
+
+@kernel()
+def _nearest(polygon: FloatArray, n: int, normal: FloatArray) -> float:
+    """Return a lower bound of the distance from the origin: to the plane, or corner less size."""
+    size, to_corner, height = 0.0, 0.0, 0.0
+    for axis in range(3):
+        to_corner += polygon[0, axis] ** 2
+        height += polygon[0, axis] * normal[axis]
+    for i in range(1, n):
+        away = 0.0
+        for axis in range(3):
+            away += (polygon[i, axis] - polygon[0, axis]) ** 2
+        size = max(size, away)
+    return float(max(abs(height), np.sqrt(to_corner) - np.sqrt(size)))
+
+
+@kernel()
+def _over(arrays: CellArrays, f: int, x: FloatArray) -> bool:
+    """Return whether a point of the plane of a face lies on the face."""
+    start, stop = arrays.first_corner[f], arrays.first_corner[f + 1]
+    for c in range(start, stop):
+        a = arrays.corner_m[c]
+        b = arrays.corner_m[c + 1 if c + 1 < stop else start]
+        if np.dot(np.cross(b - a, x - a), arrays.normal[f]) < -_ON_EDGE_M:
+            return False
+    return True
+
+
+@kernel()
+def _balls(
+    arrays: CellArrays,
+    source: FloatArray,
+    start: int,
+    steps: FloatArray,
+    receiver: FloatArray,
+    hits: IntArray,
+) -> BoolArray:
+    """Send a ball along each step through the true room, count its hits, see whether it arrives."""
+    arrived = np.zeros(len(steps), dtype=np.bool_)
+    for i in range(len(steps)):
+        left = np.sqrt(np.dot(steps[i], steps[i]))
+        direction, x, cell, face = steps[i] / left, source.copy(), start, -1
+        while True:
+            first, struck = np.inf, -1
+            for f in range(arrays.first_face[cell], arrays.first_face[cell + 1]):
+                speed = np.dot(arrays.normal[f], direction)
+                if f != face and speed > 0.0:
+                    t = max((arrays.offset_m[f] - np.dot(arrays.normal[f], x)) / speed, 0.0)
+                    if t < first and _over(arrays, f, x + t * direction):
+                        first, struck = t, f
+            if struck < 0 or first >= left:
+                break
+            x, left, face = x + first * direction, left - first, struck
+            if arrays.material[struck] >= 0:
+                hits[i, arrays.material[struck]] += 1
+                normal = arrays.normal[struck]
+                direction = direction - 2.0 * np.dot(normal, direction) * normal
+            else:
+                cell = arrays.beyond[struck]
+                face = _same_face(arrays, struck, cell)
+        end = x + left * direction - receiver
+        arrived[i] = np.dot(end, end) < 1e-12
+    return arrived
