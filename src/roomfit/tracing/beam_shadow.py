@@ -116,7 +116,7 @@ def lit_pieces(walls: Walls, blockers: Blockers, target: int, shadows: Shadows) 
             continue
         n_next = 0
         for i in range(n_pieces):
-            n_next = _take_off(shadows, i, b, n_next, walls.margin_m)
+            n_next = _take_off(shadows, i, b, n_next, n_pieces - 1 - i, walls.margin_m)
         n_pieces = n_next
         for i in range(n_pieces):
             n = shadows.next_corners[i]
@@ -128,14 +128,17 @@ def lit_pieces(walls: Walls, blockers: Blockers, target: int, shadows: Shadows) 
 
 
 @kernel(allocates=False)
-def _take_off(shadows: Shadows, i: int, b: int, n_next: int, margin_m: float) -> int:
-    """Append to the next pieces what shadow b leaves of piece i; return how many there are."""
+def _take_off(shadows: Shadows, i: int, b: int, n_next: int, n_left: int, margin_m: float) -> int:
+    """Append to the next pieces what shadow b leaves of piece i; return how many there are.
+
+    Room is kept for the `n_left` pieces that are still to come, which stay whole at least.
+    """
     planes, n_planes = shadows.planes[b], shadows.n_planes[b]
     rest, scratch = shadows.scratch[0], shadows.scratch[1]
     whole, n = shadows.pieces[i], shadows.corners[i]
     copy_corners(whole, 0, n, rest)
     meets = clip(rest, n, planes, 0, n_planes, 2.0 * margin_m, scratch) > 0
-    if not meets or n_next + n_planes >= FRAGMENTS + ROWS:
+    if not meets or n_next + n_planes + n_left >= FRAGMENTS + ROWS:
         copy_corners(whole, 0, n, shadows.next_pieces[n_next])
         shadows.next_corners[n_next] = n
         return n_next + 1
