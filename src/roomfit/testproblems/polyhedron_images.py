@@ -74,7 +74,7 @@ def _straight_lines(
     what[0] = np.array([start, -1, 0])
     turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all that is seen
     waiting = 1
-    polygon, cut, sides = np.empty((_SIDES, 3)), np.empty((_SIDES, 3)), np.empty((_SIDES, 3))
+    polygon, cut, sides = np.empty((_SIDES, 3)), np.empty((2 * _SIDES, 3)), np.empty((_SIDES, 3))
     q, p, x, normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
     nowhere = np.zeros(3)
     while waiting > 0:
@@ -152,20 +152,35 @@ def _sees(sides: FloatArray, n: int, x: FloatArray) -> bool:
 
 @kernel()
 def _part_in_view(polygon: FloatArray, n: int, sides: FloatArray, m: int, cut: FloatArray) -> int:
-    """Cut a polygon, in place and seen from the origin, to what lies within all sides."""
+    """Cut a polygon, in place and seen from the origin, to what lies within all sides.
+
+    `cut` is room to work in, (2 * _SIDES, 3).
+    """
+    heights = cut[_SIDES:, 0]
     for k in range(m):
+        outside = 0
+        for i in range(n):
+            h = 0.0
+            for axis in range(3):
+                h += sides[k, axis] * polygon[i, axis]
+            heights[i] = h
+            outside += h < 0.0
+        if outside == n:
+            return 0
+        if outside == 0:
+            continue
         kept = 0
         for i in range(n):
-            a, b = polygon[i], polygon[(i + 1) % n]
-            ha = sides[k, 0] * a[0] + sides[k, 1] * a[1] + sides[k, 2] * a[2]
-            hb = sides[k, 0] * b[0] + sides[k, 1] * b[1] + sides[k, 2] * b[2]
+            j = i + 1 if i + 1 < n else 0
+            ha, hb = heights[i], heights[j]
             if ha >= 0.0 and kept < _SIDES:
                 for axis in range(3):
-                    cut[kept, axis] = a[axis]
+                    cut[kept, axis] = polygon[i, axis]
                 kept += 1
             if ha * hb < 0.0 and kept < _SIDES:
                 for axis in range(3):
-                    cut[kept, axis] = a[axis] + ha / (ha - hb) * (b[axis] - a[axis])
+                    step = polygon[j, axis] - polygon[i, axis]
+                    cut[kept, axis] = polygon[i, axis] + ha / (ha - hb) * step
                 kept += 1
         n = kept
         for i in range(n):
@@ -223,13 +238,23 @@ def _nearest(polygon: FloatArray, n: int, normal: FloatArray) -> float:
 
 
 @kernel()
-def _over(arrays: CellArrays, f: int, x: FloatArray) -> bool:
-    """Return whether a point of the plane of a face lies on the face."""
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+
+
+@kernel()
+def _over(arrays: CellArrays, f: int, x: FloatArray, direction: FloatArray, t: float) -> bool:
+    """Return whether a ball comes down on a face after a distance: coplanar ones share a plane."""
     start, stop = arrays.first_corner[f], arrays.first_corner[f + 1]
+    n = arrays.normal[f]
+    px, py, pz = x[0] + t * direction[0], x[1] + t * direction[1], x[2] + t * direction[2]
     for c in range(start, stop):
         a = arrays.corner_m[c]
         b = arrays.corner_m[c + 1 if c + 1 < stop else start]
-        if np.dot(np.cross(b - a, x - a), arrays.normal[f]) < -_ON_EDGE_M:
+        ex, ey, ez = b[0] - a[0], b[1] - a[1], b[2] - a[2]
+        wx, wy, wz = px - a[0], py - a[1], pz - a[2]
+        area = n[0] * (ey * wz - ez * wy) + n[1] * (ez * wx - ex * wz) + n[2] * (ex * wy - ey * wx)
+        if area < -_ON_EDGE_M:
             return False
     return True
 
@@ -245,27 +270,35 @@ def _balls(
 ) -> BoolArray:
     """Send a ball along each step through the true room, count its hits, see whether it arrives."""
     arrived = np.zeros(len(steps), dtype=np.bool_)
+    x, direction = np.empty(3), np.empty(3)
     for i in range(len(steps)):
-        left = np.sqrt(np.dot(steps[i], steps[i]))
-        direction, x, cell, face = steps[i] / left, source.copy(), start, -1
+        left, cell, face = np.sqrt(_dot(steps[i], steps[i])), start, -1
+        for axis in range(3):
+            x[axis], direction[axis] = source[axis], steps[i, axis] / left
         while True:
             first, struck = np.inf, -1
             for f in range(arrays.first_face[cell], arrays.first_face[cell + 1]):
-                speed = np.dot(arrays.normal[f], direction)
+                speed = _dot(arrays.normal[f], direction)
                 if f != face and speed > 0.0:
-                    t = max((arrays.offset_m[f] - np.dot(arrays.normal[f], x)) / speed, 0.0)
-                    if t < first and _over(arrays, f, x + t * direction):
+                    t = max((arrays.offset_m[f] - _dot(arrays.normal[f], x)) / speed, 0.0)
+                    if t < first and _over(arrays, f, x, direction, t):
                         first, struck = t, f
+            flight = min(first, left)
+            for axis in range(3):
+                x[axis] += flight * direction[axis]
             if struck < 0 or first >= left:
                 break
-            x, left, face = x + first * direction, left - first, struck
+            left, face = left - first, struck
             if arrays.material[struck] >= 0:
                 hits[i, arrays.material[struck]] += 1
-                normal = arrays.normal[struck]
-                direction = direction - 2.0 * np.dot(normal, direction) * normal
+                twice = 2.0 * _dot(arrays.normal[struck], direction)
+                for axis in range(3):
+                    direction[axis] -= twice * arrays.normal[struck, axis]
             else:
                 cell = arrays.beyond[struck]
                 face = _same_face(arrays, struck, cell)
-        end = x + left * direction - receiver
-        arrived[i] = np.dot(end, end) < 1e-12
+        missed = 0.0
+        for axis in range(3):
+            missed += (x[axis] - receiver[axis]) ** 2
+        arrived[i] = missed < 1e-12
     return arrived
