@@ -31,6 +31,8 @@ _MASK_S = 0.25e-3
 _LEAST_SCORE, _LEAST_LEAD, _LEAST_SHARE = 1.5, 0.7, 0.7
 _LEAST_RESPONSES = 5
 _EXPLAINED_ORDER = 2
+# Among hundreds of seats every moment has its echo, and telling them takes minutes.
+_MOST_TRIANGLES = 2000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,7 +70,8 @@ def outline_findings(
     scene : Scene
     responses : sequence of (pair, ImpulseResponse)
         Index of the pair in the scene; time zero is the emission. Fewer than five tell nothing;
-        nor does a single source, whose own stand or table echoes in all of them alike.
+        nor does a single source, whose own stand or table echoes in all of them alike, nor a room
+        of more than 2000 triangles.
 
     Returns
     -------
@@ -78,6 +81,8 @@ def outline_findings(
     """
     sources = {int(scene.pairs[pair, 0]) for pair, _ in responses}
     if len(responses) < _LEAST_RESPONSES or len(sources) < 2:
+        return ()
+    if len(scene.room.mesh.triangles) > _MOST_TRIANGLES:
         return ()
     c = speed_of_sound_m_s(scene.air)
     echoes = _all_echoes(scene, responses, c)
