@@ -153,12 +153,11 @@ def _check_volume(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> N
     """Refuse what the volume of the room tells to be too much, before anything is searched."""
     mesh = scene.room.mesh
     volume = max(volume_m3(mesh), 1e-9)
-    mean_hits = wanted.max_length_m * surface_area_m2(mesh) / (4.0 * volume)
-    # an order that hardly cuts: the images within reach fill a sphere
-    if wanted.order < 2.0 * mean_hits:
-        return
-    count = expected_images(volume, wanted.max_length_m)
-    per_image = 250.0 + 6.0 * len(scene.room.materials) + 12.0 * mean_hits
+    free_path_m = 4.0 * volume / surface_area_m2(mesh)
+    # so far, an order hardly cuts: twice the mean number of hits is rare
+    length_m = min(wanted.max_length_m, 0.5 * wanted.order * free_path_m)
+    count = expected_images(volume, length_m)
+    per_image = 250.0 + 6.0 * len(scene.room.materials) + 12.0 * length_m / free_path_m
     _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
 
 

@@ -1,0 +1,376 @@
+"""The beam tree, far in time: against the lattice, a simulator that mirrors the room, and pra."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import settings as hypothesis_settings
+from hypothesis import strategies as st
+
+from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
+from roomfit.errors import InputError
+from roomfit.geometry.mesh import corners_m
+from roomfit.materials.scattering import uniform_scattering
+from roomfit.scene.room import Room
+from roomfit.testproblems.polyhedral_rooms import (
+    l_shaped_cells,
+    paper_cells,
+    room_of,
+    slanted_cells,
+)
+from roomfit.testproblems.polyhedron_cells import Cells, cell_volume_m3, with_moved_planes
+from roomfit.testproblems.polyhedron_images import cell_images
+from roomfit.tracing.images import trace_images
+from roomfit.tracing.images_budget import affordable_duration_s, expected_images
+from roomfit.tracing.images_outline import convex_pieces
+from roomfit.tracing.images_polyhedron import polyhedron_images
+from roomfit.tracing.images_set import ImageSet
+from roomfit.tracing.images_shoebox import shoebox_images
+from roomfit.tracing.images_walls import mirrors_of
+from roomfit.tracing.paths import Paths, concatenate, select
+from roomfit.typing import FloatArray, IntArray
+
+ALL_ORDERS = 1000
+# Some 30 mirrorings of coordinates of some 50 m: 30 * 50 * 2**-53 = 2e-13.
+ATOL_M = 2e-12
+CELLS = {"paper": paper_cells(), "slanted": slanted_cells(), "L": l_shaped_cells()}
+SOURCES = {"paper": [9.82, 6.05, 1.7], "slanted": [1.2, 1.3, 1.1], "L": [5.9, 1.2, 1.3]}
+RECEIVERS = {
+    "paper": [[4.3, 3.1, 1.2], [12.1, 8.2, 1.6]],
+    "slanted": [[4.1, 3.2, 1.5], [2.2, 2.9, 0.8]],
+    "L": [[1.3, 4.9, 0.9], [2.6, 1.4, 1.9]],
+}
+REACH_M = {"paper": 60.0, "slanted": 34.0, "L": 38.0}
+
+
+def tree(room: Room, source: FloatArray, receivers: FloatArray, reach_m: float) -> list[ImageSet]:
+    """Return the images of all orders within a distance."""
+    return polyhedron_images(
+        room, source, receivers, ALL_ORDERS, reach_m, with_reflections=True, with_unfolding=True
+    )
+
+
+def assert_same(lengths: FloatArray, hits: IntArray, found: ImageSet) -> None:
+    """Compare length and hits of every path; those of one length in any order."""
+    assert len(found.length_m) == len(lengths)
+    rows = np.column_stack([np.round(lengths, 8), hits])
+    own = np.column_stack([np.round(found.length_m, 8), found.hits])
+    np.testing.assert_allclose(np.sort(lengths), found.length_m, rtol=0, atol=ATOL_M)
+    np.testing.assert_array_equal(rows[np.lexsort(rows.T[::-1])], own[np.lexsort(own.T[::-1])])
+
+
+def test_a_box_has_the_images_of_the_lattice_to_the_last_one() -> None:
+    """3347 images within 40 m, up to order 18: same places, hits and reflections."""
+    source, receiver = np.array([1.23, 1.51, 1.13]), np.array([4.12, 2.97, 1.29])
+    lattice = shoebox_images(
+        *(box_room(), source, receiver, ALL_ORDERS, 40.0),
+        with_reflections=True,
+        with_unfolding=True,
+    )
+    found = tree(box_room(lattice=False), source, receiver[None], 40.0)[0]
+    assert len(lattice.length_m) == 3347
+    assert_same(lattice.length_m, lattice.hits, found)
+    places, expected = (s.arrival * s.length_m[:, None] for s in (found, lattice))
+    order, theirs = (np.lexsort(np.round(p, 7).T) for p in (places, expected))
+    np.testing.assert_allclose(places[order], expected[theirs], atol=10 * ATOL_M)
+    assert found.unfolding is not None
+    assert lattice.unfolding is not None
+    np.testing.assert_allclose(found.unfolding[order], lattice.unfolding[theirs], atol=1e-13)
+    np.testing.assert_allclose(found.departure[order], lattice.departure[theirs], atol=1e-12)
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_other_rooms_have_the_images_of_a_room_mirrored_instead_of_the_source(name: str) -> None:
+    """Some 1500 to 2300 images a pair, to the last one, in a gabled room, a slanted one and an L.
+
+    The other way shares nothing with this: it mirrors the room, passes openings between convex
+    cells and asks a ball what each path strikes.
+    """
+    source, receivers = np.array(SOURCES[name]), np.array(RECEIVERS[name])
+    found = tree(room_of(CELLS[name]), source, receivers, REACH_M[name])
+    expected = cell_images(CELLS[name], source, receivers, REACH_M[name])
+    for (lengths, hits), images in zip(expected, found, strict=True):
+        assert len(lengths) > 1200
+        assert_same(lengths, hits, images)
+
+
+@given(st.integers(0, 2**32 - 1))
+@hypothesis_settings(max_examples=15, deadline=None)
+def test_rooms_with_walls_anywhere_have_them_too(seed: int) -> None:
+    """Planes moved by some decimetres, source and receiver anywhere: all images within 20 m."""
+    rng = np.random.default_rng(seed)
+    cells = with_moved_planes(slanted_cells(), rng.uniform(-0.4, 0.4, 6))
+    source, receiver = rng.uniform([1.2, 1.2, 0.9], [4.6, 3.4, 2.0], (2, 3))
+    if np.linalg.norm(source - receiver) < 0.01:
+        return
+    found = tree(room_of(cells), source, receiver[None], 20.0)[0]
+    (lengths, hits), *_ = cell_images(cells, source, receiver[None], 20.0)
+    assert_same(lengths, hits, found)
+
+
+@pytest.mark.parametrize(("name", "order"), [("paper", 5), ("slanted", 6), ("L", 5)])
+def test_another_program_has_the_same_images(name: str, order: int) -> None:
+    """pyroomacoustics' polyhedral images of orders 0 to 5 and 6; single precision there."""
+    room = room_of(CELLS[name])
+    source, receiver = np.array(SOURCES[name]), np.array(RECEIVERS[name][0])
+    found = polyhedron_images(room, source, receiver[None], order, 1e3)[0]
+    distance, left = their_images(room, source, receiver, order)
+    assert len(distance) == len(found.length_m)
+    np.testing.assert_allclose(found.length_m, distance, atol=5e-4)
+    a = np.linspace(0.1, 0.7, len(room.materials))
+    own = np.prod((1.0 - a) ** found.hits, axis=1)
+    assert np.sum(own / found.length_m**2) == pytest.approx(np.sum(left / distance**2), rel=1e-4)
+
+
+def their_images(
+    room: Room, source: FloatArray, receiver: FloatArray, order: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return distance and energy left of every image that the other program sees.
+
+    Absorption rises evenly over the materials from 0.1 to 0.7.
+    """
+    pra: Any = pytest.importorskip("pyroomacoustics")
+    a = np.linspace(0.1, 0.7, len(room.materials))
+    owner = room.surface_material[room.mesh.triangle_surface]
+    walls = [
+        pra.wall_factory(triangle.T, [a[m]], [0.0], f"triangle {i}")
+        for i, (triangle, m) in enumerate(zip(corners_m(room.mesh), owner, strict=True))
+    ]
+    theirs = pra.Room(walls, fs=16000, max_order=order, air_absorption=False)
+    theirs.add_source(source)
+    theirs.add_microphone(receiver)
+    theirs.image_source_model()
+    seen = np.asarray(theirs.visibility[0][0]).astype(bool)
+    distance = np.linalg.norm(theirs.sources[0].images[:, seen].T - receiver, axis=1)
+    near = np.argsort(distance)
+    return distance[near], np.asarray(theirs.sources[0].damping[0, seen] ** 2)[near]
+
+
+@pytest.mark.parametrize("name", ["box", *CELLS])
+def test_moved_points_have_the_paths_that_the_unfolding_foretells(name: str) -> None:
+    """``|V + A dS - dR|`` with moves of millimetres is a length of the moved trace.
+
+    All but one path in fifty, which comes or goes at some edge, and in a box all. To float32's 1e-7
+    of the move: 1e-9 m.
+    """
+    room = box_room() if name == "box" else room_of(CELLS[name])
+    source = np.array(SOURCES.get(name, [1.23, 1.51, 1.13]))
+    receiver = np.array(RECEIVERS.get(name, [[4.12, 2.97, 1.29]])[0])
+    ds, dr = np.array([0.002, -0.003, 0.001]), np.array([-0.0015, 0.002, 0.0025])
+    still = uniform_scattering(room.materials, 0.0)
+    before, after = (
+        trace_images(scene_of(room, [s], [r]), ALL_ORDERS, 0.09, still, with_unfolding=True)
+        for s, r in ((source, receiver), (source + ds, receiver + dr))
+    )
+    assert before.unfolding is not None
+    images = tree_or_lattice(room, source, receiver, 0.09 * SPEED_M_S)
+    seen = -images.length_m[:, None] * images.arrival
+    foretold = np.linalg.norm(seen + before.unfolding @ ds - dr, axis=1)
+    near = foretold < 0.09 * SPEED_M_S - 0.1
+    gap = np.abs(after.length_m[None, :] - foretold[near, None]).min(axis=1)
+    assert near.sum() > 100
+    assert np.mean(gap < 2e-9) >= (1.0 if name == "box" else 0.98)
+
+
+@pytest.mark.parametrize("name", ["box", *CELLS])
+def test_departure_and_arrival_are_the_first_derivatives_of_the_length(name: str) -> None:
+    """Central differences over a micrometre; a length of 20 m rounds to 4e-15, over 2e-6 m: 2e-9.
+
+    Between two calls no path may come or go: lengths are compared where their number is the same.
+    """
+    room = box_room() if name == "box" else room_of(CELLS[name])
+    source = np.array(SOURCES.get(name, [1.23, 1.51, 1.13]))
+    receiver = np.array(RECEIVERS.get(name, [[4.12, 2.97, 1.29]])[0])
+    reach_m = 18.0
+    images = tree_or_lattice(room, source, receiver, reach_m)
+    for axis in range(3):
+        step = 1e-6 * np.eye(3)[axis]
+        for moves, expected in (
+            ((step, 0 * step), -images.departure[:, axis]),
+            ((0 * step, step), images.arrival[:, axis]),
+        ):
+            ahead, behind = (
+                tree_or_lattice(room, source + k * moves[0], receiver + k * moves[1], reach_m)
+                for k in (1, -1)
+            )
+            assert len(ahead.length_m) == len(behind.length_m) == len(images.length_m)
+            # matched by their place: order may change between paths of almost one length
+            slope = []
+            for k, length in enumerate(images.length_m):
+                lengths = [
+                    s.length_m[np.argmin(np.linalg.norm(_seen(s) - _seen(images)[k], axis=1))]
+                    for s in (ahead, behind)
+                ]
+                slope.append((lengths[0] - lengths[1]) / 2e-6)
+                assert abs(lengths[0] - length) < 2e-6
+            np.testing.assert_allclose(slope, expected, atol=1e-7)
+
+
+def _seen(images: ImageSet) -> FloatArray:
+    return np.asarray(-images.length_m[:, None] * images.arrival)
+
+
+def tree_or_lattice(
+    room: Room, source: FloatArray, receiver: FloatArray, reach_m: float
+) -> ImageSet:
+    """Return the images in the way that suits the room."""
+    if room.shoebox_m is not None:
+        return shoebox_images(room, source, receiver, ALL_ORDERS, reach_m, with_unfolding=True)
+    return tree(room, source, receiver[None], reach_m)[0]
+
+
+def test_an_unfolding_turns_arrival_into_departure_and_mirrors_once_a_hit() -> None:
+    """Orthogonal, with determinant minus one to the number of hits."""
+    found = tree(
+        room_of(CELLS["slanted"]),
+        *(np.array(SOURCES["slanted"]), np.array(RECEIVERS["slanted"]), 25.0),
+    )[0]
+    assert found.unfolding is not None
+    eye = np.einsum("pij,pkj->pik", found.unfolding, found.unfolding)
+    np.testing.assert_allclose(eye, np.broadcast_to(np.eye(3), eye.shape), atol=1e-13)
+    parity = np.where(found.hits.sum(axis=1) % 2 == 0, 1.0, -1.0)
+    np.testing.assert_allclose(np.linalg.det(found.unfolding), parity, atol=1e-13)
+    back = np.einsum("pij,pi->pj", found.unfolding, found.arrival)
+    np.testing.assert_allclose(back, found.departure, atol=1e-13)
+
+
+def test_chosen_and_joined_paths_keep_reflections_and_unfolding() -> None:
+    """Those that have none get empty lists and zeros."""
+    room = l_shaped_room()
+    scene = scene_of(room, [[1.0, 1.0, 1.2]], [[1.3, 4.1, 0.9]])
+    still = uniform_scattering(room.materials, 0.0)
+    rich = trace_images(scene, 3, 0.1, still, with_reflections=True, with_unfolding=True)
+    poor = trace_images(scene, 2, 0.1, still)
+    assert poor.unfolding is None
+    both = concatenate([poor, rich, poor])
+    assert both.reflections is not None
+    assert both.unfolding is not None
+    counts = np.diff(both.reflections.offsets)
+    assert not counts[: len(poor)].any()
+    assert not both.unfolding[: len(poor)].any()
+    assert not both.unfolding[-len(poor) :].any()
+    own = np.arange(len(both))[len(poor) : len(poor) + len(rich)][::-3]
+    kept = select(both, own)
+    assert_rows(kept, rich, own - len(poor))
+    assert concatenate([poor, poor]).reflections is None
+
+
+def assert_rows(kept: Paths, whole: Paths, index: IntArray) -> None:
+    """Compare reflections and unfolding of chosen paths with their rows, one by one."""
+    assert kept.reflections is not None
+    assert whole.reflections is not None
+    assert kept.unfolding is not None
+    assert whole.unfolding is not None
+    for i, k in enumerate(index):
+        a = slice(*kept.reflections.offsets[i : i + 2])
+        b = slice(*whole.reflections.offsets[k : k + 2])
+        np.testing.assert_array_equal(kept.reflections.material[a], whole.reflections.material[b])
+        np.testing.assert_array_equal(kept.reflections.cosine[a], whole.reflections.cosine[b])
+        np.testing.assert_array_equal(kept.unfolding[i], whole.unfolding[k])
+
+
+@pytest.mark.parametrize("name", CELLS)
+def test_images_fill_space_with_one_for_each_volume_of_the_room(name: str) -> None:
+    """On average over receivers, whatever the shape. Eight of them differ by some 15 % each."""
+    rng = np.random.default_rng(4)
+    low, high = {
+        "paper": ([1, 1, 0.6], [14, 9, 2.5]),
+        "slanted": ([1, 1, 0.6], [4.6, 3.5, 2.2]),
+        "L": ([0.7, 0.7, 0.6], [3.2, 5.2, 2.2]),
+    }[name]
+    found = tree(
+        room_of(CELLS[name]), np.array(SOURCES[name]), rng.uniform(low, high, (8, 3)), REACH_M[name]
+    )
+    mean = np.mean([len(images.length_m) for images in found])
+    expected = expected_images(cell_volume_m3(CELLS[name]), REACH_M[name])
+    assert mean == pytest.approx(expected, rel=0.15)
+
+
+def test_a_convex_room_has_nothing_that_stands_in_the_way() -> None:
+    """And an L has the two walls of its inner corner, each in one piece."""
+    assert len(mirrors_of(room_of(CELLS["paper"]))[1].wall) == 0
+    assert len(mirrors_of(box_room(lattice=False))[1].wall) == 0
+    walls, blockers = mirrors_of(room_of(CELLS["L"]))
+    assert len(walls.normal) == 8
+    assert np.diff(blockers.first_corner).tolist() == [4, 4]
+
+
+def test_pieces_cover_what_their_triangles_cover() -> None:
+    """A square of eight triangles is one piece, an L of three squares two; no area is lost."""
+    square = [[(0, 0), (1, 0), (1, 1)], [(0, 0), (1, 1), (0, 1)]]
+    flat = np.array(
+        [
+            [(x + i, y + j) for x, y in t]
+            for i, j in ((0, 0), (1, 0), (0, 1), (1, 1))
+            for t in square
+        ],
+        dtype=float,
+    )
+    triangles = np.dstack([flat, np.zeros(flat.shape[:2])])
+    up = np.array([0.0, 0.0, 1.0])
+    for n, pieces, area in ((8, 1, 4.0), (6, 2, 3.0)):
+        found = convex_pieces(triangles[:n], up, 1e-6)
+        assert len(found) == pieces
+        total = sum(_area(piece) for piece in found)
+        assert total == pytest.approx(area, rel=1e-12)
+
+
+def _area(polygon: FloatArray) -> float:
+    x, y = polygon[:, 0], polygon[:, 1]
+    return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
+
+
+def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_told() -> None:
+    """The duration told is affordable, and a tenth more is not."""
+    scene = scene_of(room_of(CELLS["slanted"]), [SOURCES["slanted"]], RECEIVERS["slanted"])
+    still = uniform_scattering(scene.room.materials, 0.0)
+    with pytest.raises(InputError, match="too many image sources to look for"):
+        trace_images(scene, ALL_ORDERS, 0.5, still, work_limit=1e4)
+    with pytest.raises(InputError, match="too many image sources for the memory"):
+        trace_images(scene, ALL_ORDERS, 60.0, still)
+    longest_s = affordable_duration_s(scene, 0.5, work=1e5)
+    assert 0.02 < longest_s < 0.2
+    trace_images(scene, ALL_ORDERS, longest_s, still, work_limit=1e5)
+    with pytest.raises(InputError, match="too many image sources to look for"):
+        trace_images(scene, ALL_ORDERS, 1.1 * longest_s, still, work_limit=1e5)
+    assert affordable_duration_s(scene, 0.03) == 0.03
+    few = affordable_duration_s(scene, 0.5, images=500.0)
+    assert len(trace_images(scene, ALL_ORDERS, few, still)) <= 500
+
+
+def test_several_sources_in_threads_give_the_bits_of_one_after_the_other() -> None:
+    """Each source is traced by itself."""
+    room = room_of(CELLS["L"])
+    sources = [SOURCES["L"], [1.1, 5.1, 1.4], [2.0, 2.0, 1.0]]
+    scene = scene_of(room, sources, RECEIVERS["L"])
+    still = uniform_scattering(room.materials, 0.0)
+    before = numba.get_num_threads()
+    found = []
+    try:
+        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(n)
+            found.append(trace_images(scene, ALL_ORDERS, 0.06, still))
+    finally:
+        numba.set_num_threads(before)
+    for name in ("pair", "length_m", "hits_specular", "departure"):
+        np.testing.assert_array_equal(getattr(found[0], name), getattr(found[1], name))
+
+
+def test_points_on_symmetry_planes_and_edges_of_view_count_once() -> None:
+    """Source and receiver in the middle of a box: paths run into edges and corners."""
+    middle, above = np.array(BOX_M) / 2, np.array(BOX_M) * [0.5, 0.5, 0.25]
+    lattice = shoebox_images(box_room(), middle, above, ALL_ORDERS, 25.0)
+    found = tree(box_room(lattice=False), middle, above[None], 25.0)[0]
+    assert_same(lattice.length_m, lattice.hits, found)
+
+
+def test_walls_of_one_plane_mirror_once() -> None:
+    """Eleven faces of the cells of the L are eight walls: floor, ceiling and south are in two."""
+    cells: Cells = CELLS["L"]
+    walls, _ = mirrors_of(room_of(cells))
+    assert len(walls.normal) == 8
+    assert sum(face.material >= 0 for face in cells.faces) == 11
