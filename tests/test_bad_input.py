@@ -12,6 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.store import CACHE_FOLDER
 from small_campaign import (
     MATERIALS,
     RATE_HZ,
@@ -242,21 +243,31 @@ def test_a_broken_campaign_leaves_the_earlier_results_although_overwrite_was_ask
 
 
 @pytest.mark.parametrize("when", ["trace", "write_result", "png"])
-def test_an_interruption_ends_with_130_and_leaves_nothing(tmp_path, monkeypatch, capsys, when):
-    """Before the trace ends, before the tables are written, and between tables and pictures."""
+def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatch, capsys, when):
+    """Before the trace ends, before the tables are written, and between tables and pictures.
+
+    What stays is the cache, from which the next run goes on.
+    """
+    import roomfit.app.cached_trace
     import roomfit.app.identify
     import roomfit.report.pictures
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
-    owner = roomfit.report.pictures if when == "png" else roomfit.app.identify
-    monkeypatch.setattr(owner, when, interrupted)
+    owners = {"trace": roomfit.app.cached_trace, "png": roomfit.report.pictures}
+    monkeypatch.setattr(owners.get(when, roomfit.app.identify), when, interrupted)
     campaign = write_campaign(tmp_path / "campaign")
-    before = sorted(tmp_path.rglob("*"))
+    before = files_of(tmp_path)
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "a" / "out") == 130
     assert "interrupted" in capsys.readouterr().err
-    assert sorted(tmp_path.rglob("*")) == before
+    assert files_of(tmp_path) == before
+
+
+def files_of(folder: Path) -> list[Path]:
+    """Return all files but those of a cache."""
+    found = [p for p in folder.rglob("*") if p.is_file()]
+    return sorted(p for p in found if CACHE_FOLDER not in p.parts)
 
 
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
@@ -267,10 +278,10 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
 
     monkeypatch.setattr(roomfit.files.store.os, "fsync", full)
     campaign = write_campaign(tmp_path / "campaign")
-    before = sorted(tmp_path.rglob("*"))
+    before = sorted(p for p in tmp_path.rglob("*") if p.is_file())
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 2
     assert "No space left" in one_message(capsys.readouterr().err)
-    assert sorted(tmp_path.rglob("*")) == before
+    assert sorted(p for p in tmp_path.rglob("*") if p.is_file()) == before
 
 
 def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):

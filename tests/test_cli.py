@@ -56,10 +56,12 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     assert str(out) in shown.out
     # a name that is no file name does not lead out of the folder
     assert sorted(p.name for p in out.iterdir()) == [
+        ".roomfit-cache",
         "absorption.csv",
         "absorption.png",
         "decay_01_a_b_MP1.png",
         "decay_02_a_b_MP2.png",
+        "report.html",
         "result.json",
     ]
     assert [p.name for p in out.parent.iterdir()] == ["out"]

@@ -46,6 +46,11 @@ from roomfit.uncertainty.posterior_draws import plain_logit_covariance
 INTERVAL_KIND = "Gaussian, local"
 # The report shows the decays of all pairs; as files of their own they would take minutes.
 MOST_DECAY_PICTURES = 12
+# What an earlier run may have left in a folder that is written over.
+OWN_FILES = (
+    *("result.json", "absorption.csv", "absorption.png", "report.html"),
+    "decay_[0-9]*.png",
+)
 
 
 def identify_to_folder(
@@ -96,7 +101,7 @@ def identify_to_folder(
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
     )
-    with whole_output_folder(out, overwrite=overwrite) as folder:
+    with whole_output_folder(out, overwrite=overwrite, own=OWN_FILES) as folder:
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
