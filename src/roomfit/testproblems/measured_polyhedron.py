@@ -58,7 +58,7 @@ class PolyhedronPlan:
         In octaves from 63 to 8000 Hz.
     sources_m, receivers_m : mapping of name to position
     duration_s : float
-        Length of the files; absorption as small as a hundredth rings on beyond it.
+        Length of the files. The room rings on beyond it: they are cut, and do not end in noise.
     """
 
     cells: Cells

@@ -24,60 +24,21 @@ from roomfit.tracing.beam_clip import (
     sides,
     without_repeats,
 )
+from roomfit.tracing.beam_found import (
+    DONE,
+    TOO_MUCH_MEMORY,
+    TOO_MUCH_WORK,
+    Found,
+    Limits,
+    cut_to,
+    nothing,
+    with_room,
+)
 from roomfit.tracing.beam_narrow import is_sliver, only_wall
 from roomfit.tracing.beam_path import is_visible
 from roomfit.tracing.beam_shadow import Shadows, cast, lit_pieces, no_shadows
 from roomfit.tracing.images_walls import Blockers, Walls
 from roomfit.typing import FloatArray, IntArray
-
-DONE, TOO_MUCH_WORK, TOO_MUCH_MEMORY = 0, 1, 2
-
-
-class Limits(NamedTuple):
-    """What ends the tree: its rules, and how much it may take.
-
-    Attributes
-    ----------
-    order : int
-    length_m : float
-    work : int
-        Walls held against beams.
-    n_hits : int
-        Hits and paths kept, together.
-    """
-
-    order: int
-    length_m: float
-    work: int
-    n_hits: int
-
-
-class Found(NamedTuple):
-    """Visible images in the order in which they were found, one after the other.
-
-    Attributes
-    ----------
-    receiver, order : int32 arrays, shape (n_images,)
-    position_m : float array, shape (n_images, 3)
-    matrix : float array, shape (n_images, 9)
-        Product of the reflections, see `roomfit.tracing.paths`.
-    triangle : int32 array, shape (n_hits,)
-        First hit first, path after path.
-    cosine : float array, shape (n_hits,)
-    ending : int
-        DONE, or what there was too much of.
-    work : int
-        How many walls were held against beams.
-    """
-
-    receiver: IntArray
-    order: IntArray
-    position_m: FloatArray
-    matrix: FloatArray
-    triangle: IntArray
-    cosine: FloatArray
-    ending: int
-    work: int
 
 
 class _Chain(NamedTuple):
@@ -124,19 +85,19 @@ def beam_tree(
     chain = _chain_of(source_m, limits.order)
     shadows = no_shadows(blockers)
     waiting = _Waiting(np.empty((64, ROWS, 3)), np.empty((64, 3), dtype=np.int64))
-    found = _nothing()
+    found = nothing()
     n_images, n_hits, work, top = 0, 0, 0, 0
     order, n_planes, n_corners = 0, 0, 0
     while True:
         for r in range(len(receivers_m)):
             if not _hears(walls, blockers, chain, order, n_planes, receivers_m[r], limits):
                 continue
-            found = _with_room(found, n_images + 1, n_hits + order)
+            found = with_room(found, n_images + 1, n_hits + order)
             _note(found, chain, r, order, n_images, n_hits)
             n_images += 1
             n_hits += order
             if n_images + n_hits > limits.n_hits:
-                return _cut_to(found, n_images, n_hits, TOO_MUCH_MEMORY, work)
+                return cut_to(found, n_images, n_hits, TOO_MUCH_MEMORY, work)
         if order < limits.order:
             waiting, top = _next_beams(
                 walls,
@@ -153,9 +114,9 @@ def beam_tree(
             )
             work += len(walls.offset_m)
             if work > limits.work:
-                return _cut_to(found, n_images, n_hits, TOO_MUCH_WORK, work)
+                return cut_to(found, n_images, n_hits, TOO_MUCH_WORK, work)
         if top == 0:
-            return _cut_to(found, n_images, n_hits, DONE, work)
+            return cut_to(found, n_images, n_hits, DONE, work)
         top -= 1
         order, n_corners = waiting.what[top, 0], waiting.what[top, 2]
         n_planes = _enter(walls, chain, waiting, top)
@@ -353,41 +314,6 @@ def _with_more_room(waiting: _Waiting) -> _Waiting:
     return wider
 
 
-@kernel()
-def _nothing() -> Found:
-    return _room_for(256, 4096)
-
-
-@kernel()
-def _room_for(n_images: int, n_hits: int) -> Found:
-    return Found(
-        np.empty(n_images, dtype=np.int32),
-        np.empty(n_images, dtype=np.int32),
-        np.empty((n_images, 3)),
-        np.empty((n_images, 9)),
-        np.empty(n_hits, dtype=np.int32),
-        np.empty(n_hits),
-        DONE,
-        0,
-    )
-
-
-@kernel()
-def _with_room(found: Found, n_images: int, n_hits: int) -> Found:
-    """Return the same images with room for so many images and hits."""
-    have_images, have_hits = len(found.receiver), len(found.triangle)
-    if n_images <= have_images and n_hits <= have_hits:
-        return found
-    wider = _room_for(max(have_images, 2 * n_images), max(have_hits, 2 * n_hits))
-    wider.receiver[:have_images] = found.receiver
-    wider.order[:have_images] = found.order
-    wider.position_m[:have_images] = found.position_m
-    wider.matrix[:have_images] = found.matrix
-    wider.triangle[:have_hits] = found.triangle
-    wider.cosine[:have_hits] = found.cosine
-    return wider
-
-
 @kernel(allocates=False)
 def _note(found: Found, chain: _Chain, r: int, order: int, i: int, first_hit: int) -> None:
     found.receiver[i] = r
@@ -398,17 +324,3 @@ def _note(found: Found, chain: _Chain, r: int, order: int, i: int, first_hit: in
     for k in range(order):
         found.triangle[first_hit + k] = chain.triangle[k]
         found.cosine[first_hit + k] = chain.cosine[k]
-
-
-@kernel()
-def _cut_to(found: Found, n_images: int, n_hits: int, ending: int, work: int) -> Found:
-    return Found(
-        found.receiver[:n_images].copy(),
-        found.order[:n_images].copy(),
-        found.position_m[:n_images].copy(),
-        found.matrix[:n_images].copy(),
-        found.triangle[:n_hits].copy(),
-        found.cosine[:n_hits].copy(),
-        ending,
-        work,
-    )

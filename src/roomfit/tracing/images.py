@@ -1,4 +1,4 @@
-"""Image sources of a scene as paths: the lattice for boxes, mirrors and visibility for the rest."""
+"""Image sources of a scene as paths: the lattice for boxes, a tree of beams for the rest."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def trace_images(
     Parameters
     ----------
     scene : Scene
-        A room with `shoebox_m` gets the lattice, any other mirrors and a visibility test.
+        A room with `shoebox_m` gets the lattice, any other a tree of beams.
     order : int
         Most hits of a path; 0 for the direct sound alone.
     duration_s : float

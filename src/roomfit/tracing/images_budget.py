@@ -8,7 +8,8 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.scene.scene import Scene
-from roomfit.tracing.beam_tree import DONE, beam_tree
+from roomfit.tracing.beam_found import DONE
+from roomfit.tracing.beam_tree import beam_tree
 from roomfit.tracing.images_polyhedron import distances_to_m, limits_of
 from roomfit.tracing.images_walls import mirrors_of
 

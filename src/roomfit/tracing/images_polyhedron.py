@@ -7,7 +7,8 @@ from scipy.spatial import cKDTree
 
 from roomfit.errors import InputError
 from roomfit.scene.room import Room, triangle_material
-from roomfit.tracing.beam_tree import TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
+from roomfit.tracing.beam_found import TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits
+from roomfit.tracing.beam_tree import beam_tree
 from roomfit.tracing.images_set import ImageSet, reflections_in_order
 from roomfit.tracing.images_walls import Blockers, Walls, mirrors_of
 from roomfit.tracing.paths import Reflections
