@@ -120,7 +120,7 @@ def fit_coherent(
     settings = CoherentOptions() if options is None else options
     parts = tuple(extra_parts) or ((),) * len(bands)
     task = CoherentTask(scene, bands, knowledge, measured, start, settings, parts)
-    binned = cut_at(binned, settings.end_s)
+    binned = cut_at(binned, settings.late_end_s)
     origin: FloatArray | None = None
     prepared, findings = prepared_bands(task, paths, weights, binned, origin)
     if retrace is not None and settings.positions == "fit" and settings.model != "energy":
@@ -128,7 +128,7 @@ def fit_coherent(
         if moved is not None:
             place, origin = moved
             paths, weights, binned = retrace(place)
-            binned = cut_at(binned, settings.end_s)
+            binned = cut_at(binned, settings.late_end_s)
             prepared, findings = prepared_bands(task, paths, weights, binned, origin)
     fits, chosen_noise = upwards(prepared, settings, progress)
     if not settings.delays and settings.model != "energy":

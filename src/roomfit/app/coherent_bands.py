@@ -27,7 +27,7 @@ from roomfit.objective.problem import BandProblem, JointProblem
 from roomfit.objective.softened import SoftenedProblem
 from roomfit.typing import FloatArray, Progress
 
-# Later windows tell little more and need many more images.
+# Later pressures tell little more and need many more images.
 FIT_END_S = 0.2
 # Error of the model, ringing, and random phase of a reflection, from good to bad.
 _NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
@@ -49,7 +49,9 @@ class CoherentOptions:
     model : {"auto", "coherent", "energy"}
         "auto" leaves it to the likelihood of each band.
     end_s : float
-        Where the last window ends at the latest, after emission.
+        Until when pressures add, after emission; from there on energies do.
+    late_end_s : float
+        Where the last window ends at the latest; without a limit it ends where the decay drowns.
     speed_sd : float
         Relative standard deviation of the speed of sound beforehand.
     """
@@ -58,6 +60,7 @@ class CoherentOptions:
     delays: bool = True
     model: Literal["auto", "coherent", "energy"] = "auto"
     end_s: float = FIT_END_S
+    late_end_s: float = np.inf
     speed_sd: float = SPEED_SD
 
 

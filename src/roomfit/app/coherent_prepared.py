@@ -84,7 +84,7 @@ def prepared_bands(
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
             *(bands, b, problem, float(attenuation[b]), paths_at(paths, weights, b)),
-            *(binned, geometry, None),
+            *(binned, geometry, None, task.settings.end_s),
         )
         out.append(CoherentBand(problem, fit, factors[b], coherent, parts[b]))
     return tuple(out), findings

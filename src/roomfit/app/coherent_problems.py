@@ -13,7 +13,7 @@ from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.coherent_geometry import Geometry, geometry_block
 from roomfit.objective.coherent_problem import CoherentProblem
-from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.energy_problem import EnergyProblem, first_windows
 from roomfit.objective.parameters import JointPrior, Parameters
 from roomfit.response.coherent import band_grid, chosen_paths, image_paths
 from roomfit.response.rows import EnergyRows
@@ -122,6 +122,7 @@ def coherent_problem(
     binned: BinnedPaths,
     geometry: Geometry,
     joint: JointPrior | None,
+    end_s: float = np.inf,
 ) -> CoherentProblem:
     """Return the partly coherent problem of a band from its energy problem, not coherent yet.
 
@@ -135,8 +136,10 @@ def coherent_problem(
         With one row of columns for each observation.
     joint : JointPrior or None
         What lower bands say of the geometry.
+    end_s : float
+        Pressures add in the windows that end by then.
     """
-    seen = energies.observations
+    seen = tuple(first_windows(o, end_s) for o in energies.observations)
     c = geometry.speed_m_s
     bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
     first = min(float(o.edges_s[0]) for o in seen)
@@ -153,6 +156,7 @@ def coherent_problem(
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
     return CoherentProblem(
         energies,
+        seen,
         parameters,
         geometry,
         replace(images, coherence=np.zeros(travel.size)),

@@ -10,9 +10,11 @@ import numpy as np
 from roomfit.objective.coherent_geometry import GEOMETRY, Geometry, local_roots, times_of
 from roomfit.objective.energy_problem import (
     EnergyProblem,
+    Observation,
     noise_and_model_variance,
     predict_windows,
     tracing_variance,
+    window_variance,
 )
 from roomfit.objective.parameters import Block, Parameters, fitted_columns, physical_values
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
@@ -51,6 +53,9 @@ class CoherentProblem:
     ----------
     energies : EnergyProblem
         All paths, as energies; its parameters are not used.
+    early : tuple of Observation
+        The first windows of every observation, in which pressures add; later ones hold so many
+        reflections of so uncertain times that their energies add.
     parameters : Parameters
         Blocks "absorption", "gain" and "geometry".
     geometry : Geometry
@@ -67,6 +72,7 @@ class CoherentProblem:
     """
 
     energies: EnergyProblem
+    early: tuple[Observation, ...]
     parameters: Parameters
     geometry: Geometry
     images: ImagePaths
@@ -139,9 +145,8 @@ def with_coherence(
 
 def _predict(problem: CoherentProblem, vector: FloatArray) -> Prediction:
     values, slopes = physical_values(problem.parameters, vector)
-    energies = replace(problem.energies, parameters=Parameters(_leading(problem.parameters)))
     n_leading = vector.size - _n_geometry(problem.parameters)
-    plain = predict_windows(energies, vector[:n_leading])
+    plain = predict_windows(_plain(problem), vector[:n_leading])
     extra, by_absorption, by_times = _correction(problem, values)
     gains = np.append(values["gain"], 1.0)
     gain = gains[_gain_of_window(problem)]
@@ -168,7 +173,7 @@ def _correction(
     n_materials = absorption.size
     energy = image_energies(problem.coherent, absorption) * problem.coherent.coherence
     less, less_by_hits = [], []
-    for o, seen in enumerate(problem.energies.observations):
+    for o, seen in enumerate(problem.early):
         own = slice(problem.coherent.offsets[o], problem.coherent.offsets[o + 1])
         n_bins = seen.shares.shape[1]
         total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
@@ -182,17 +187,24 @@ def _correction(
     # d ln(1 - a) = -da / (1 - a)
     by_absorption = -by_log / np.maximum(1.0 - absorption, 1e-12)
     by_times = np.zeros((by_log.shape[0], problem.geometry.sd.size))
-    for o, windows in enumerate(_windows(problem)):
+    for o, windows in enumerate(_windows(problem.early)):
         np.add.at(
             by_times,
             (windows[:, None], problem.geometry.columns[o][None, :]),
             response.by_times[windows],
         )
     return (
-        response.energy - np.concatenate(less),
-        by_absorption,
-        by_times * problem.geometry.sd,
+        _with_late_zeros(problem, response.energy - np.concatenate(less)),
+        _with_late_zeros(problem, by_absorption),
+        _with_late_zeros(problem, by_times * problem.geometry.sd),
     )
+
+
+def _with_late_zeros(problem: CoherentProblem, early: FloatArray) -> FloatArray:
+    """Return values of early windows among zeros for the late ones, first axis windows."""
+    out: FloatArray = np.zeros((problem.measured().size, *early.shape[1:]))
+    out[_early_windows(problem)] = early
+    return out
 
 
 def _response(
@@ -207,7 +219,7 @@ def _response(
         values["absorption"],
         times_of(problem.geometry, values[GEOMETRY]),
         problem.grid,
-        tuple(o.fine_edges_s if fine else o.edges_s for o in problem.energies.observations),
+        tuple(o.fine_edges_s if fine else o.edges_s for o in problem.early),
         derivative=derivative,
     )
 
@@ -218,13 +230,23 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     With Y the energy per time of the coherent pressure and P that of what is not, the random part
     interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated over the
     window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what lone paths cannot do, since a
-    lone path has its energy whatever its phase. Without coherence this is the variance of
-    `roomfit.objective.energy_problem.window_variance`.
+    lone path has its energy whatever its phase. Without coherence, and in late windows, this is the
+    variance of `roomfit.objective.energy_problem.window_variance`.
 
     Returns
     -------
     float array, shape (n_windows,)
     """
+    early = _early_windows(problem)
+    variances = np.zeros(problem.measured().size)
+    if early.size < variances.size:
+        n_leading = vector.size - _n_geometry(problem.parameters)
+        variances = window_variance(_plain(problem), vector[:n_leading])
+    variances[early] = _early_variance(problem, vector)
+    return variances
+
+
+def _early_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArray:
     values, _ = physical_values(problem.parameters, vector)
     absorption = values["absorption"]
     coefficients, still = absorption[:, None], np.array([problem.energies.attenuation_per_m])
@@ -233,12 +255,10 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     energy = image_energies(images, absorption)
     gamma = images.coherence
     intensity = _response(problem, values, derivative=False, fine=True).energy
-    starts = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.energies.observations)])
+    starts = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
     whole = _response(problem, values, derivative=False).energy
     variances = []
-    for o, (rows, seen) in enumerate(
-        zip(problem.energies.rows, problem.energies.observations, strict=True)
-    ):
+    for o, (rows, seen) in enumerate(zip(problem.energies.rows, problem.early, strict=True)):
         gain = gains[seen.gain]
         own = slice(images.offsets[o], images.offsets[o + 1])
         bins, e, g = problem.bins[own], energy[own], gamma[own]
@@ -258,7 +278,7 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
         interference = np.add.reduceat(pieces, first)
         timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ late)
         tracing = tracing_variance(rows, seen, coefficients, still)
-        signal = gain * (seen.shares @ random + whole[_windows(problem)[o]])
+        signal = gain * (seen.shares @ random + whole[_windows(problem.early)[o]])
         variances.append(
             gain**2 * (interference + timing + tracing)
             + noise_and_model_variance(problem.energies, seen, signal)
@@ -266,10 +286,22 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     return np.concatenate(variances)
 
 
-def _windows(problem: CoherentProblem) -> list[IntArray]:
+def _windows(seen: tuple[Observation, ...]) -> list[IntArray]:
     """Return which windows belong to each observation."""
-    ends = np.cumsum([0, *(o.energy.size for o in problem.energies.observations)])
+    ends = np.cumsum([0, *(o.energy.size for o in seen)])
     return [np.arange(low, high) for low, high in pairwise(ends)]
+
+
+def _early_windows(problem: CoherentProblem) -> IntArray:
+    """Return where the early windows stand among all."""
+    every = _windows(problem.energies.observations)
+    own = [w[: o.energy.size] for w, o in zip(every, problem.early, strict=True)]
+    return np.concatenate(own)
+
+
+def _plain(problem: CoherentProblem) -> EnergyProblem:
+    """Return all paths as energies, with the unknowns that these have."""
+    return replace(problem.energies, parameters=Parameters(_leading(problem.parameters)))
 
 
 def _gain_of_window(problem: CoherentProblem) -> IntArray:

@@ -157,6 +157,22 @@ def in_air(problem: EnergyProblem) -> EnergyProblem:
     )
 
 
+def first_windows(seen: Observation, end_s: float) -> Observation:
+    """Return an observation of the windows that end by a time, one at least."""
+    n = max(int(np.searchsorted(seen.edges_s, end_s + 1e-9, side="right")) - 1, 1)
+    n_fine = int(np.searchsorted(seen.fine_edges_s, seen.edges_s[n]))
+    return replace(
+        seen,
+        edges_s=seen.edges_s[: n + 1],
+        energy=seen.energy[:n],
+        noise=seen.noise[:n],
+        shares=seen.shares[:n],
+        fine_edges_s=seen.fine_edges_s[: n_fine + 1],
+        fine_shares=seen.fine_shares[:n_fine],
+        slopes=seen.slopes[:n],
+    )
+
+
 def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
     """Return what the model expects in every window for a vector of free parameters."""
     values, slopes = physical_values(problem.parameters, vector)
