@@ -1,21 +1,29 @@
-"""Measured rooms: how well positions that were not fitted are predicted, beside the null model.
+"""Measured rooms: how well pairs that were not fitted are predicted, beside the null model.
 
-    python benchmarks/measured_rooms.py FOLDER
+    python benchmarks/measured_rooms.py FOLDER [--room ROOM ...] [--model MODEL]
 
-FOLDER holds `dechorate` (six responses S1_M1.wav ... and positions.csv, Di Carlo et al. 2021) and
-`bras_cr2` (scene9.ac and one response, Aspoeck et al. 2020). Neither comes with roomfit.
+FOLDER holds `dechorate` (six responses S1_M1.wav ... and positions.csv, Di Carlo et al. 2021),
+`tudelft_inhouse` (five loudspeakers with eight microphones each) and `bras_cr2` (scene9.ac, one
+response and measured values of five pairs, Aspoeck et al. 2020). None comes with roomfit.
 
-The null model knows nothing of the room: it takes the mean of the other microphones.
+The null model knows nothing of the room: it takes the mean of the pairs that were fitted.
+
+ROOM        dechorate    three microphones fitted, three predicted
+            dechorate-1  each microphone predicted from the five others
+            tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
+            bras         one response and ISO 3382 values of two pairs fitted, a fourth pair predicted
 """
 
 from __future__ import annotations
 
+import argparse
 import csv
-import sys
 import tempfile
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.io import loadmat
 
 from roomfit.app.identify import identify
 from roomfit.files.campaign.campaign import read_campaign
@@ -34,10 +42,31 @@ north = "walls"
 temperature_c = 24.0
 speed_of_sound_m_s = 346.98
 """
+DELFT_ROOM = """
+[room]
+shoebox = [8.1, 6.8, 3.07]
+[room.materials]
+west = "walls"
+east = "walls"
+south = "walls"
+north = "walls"
+"""
+DELFT_LOUDSPEAKERS = (1, 4, 5, 6, 7)
+# Where file and room have their corners apart: echoes tell x, nothing tells y.
+DELFT_SHIFT_M = (0.45, 0.5, 0.0)
+BRAS_PLACES_M = ((-0.993, 1.426), (0.439, -0.147), (1.361, -0.603), (-1.110, -0.256))
+# Whether an error is told relative to the measured value, and in which unit.
+JUDGED = {
+    "T20_s": ("T20", True, "%"),
+    "T30_s": ("T30", True, "%"),
+    "EDT_s": ("EDT", True, "%"),
+    "C80_dB": ("C80", False, "dB"),
+    "D50_percent": ("D50", False, "points"),
+}
 
 
-def dechorate_campaign(data: Path, left_out: str | None) -> str:
-    """Return the campaign text, one microphone kept for validation or none."""
+def dechorate_campaign(data: Path, left_out: tuple[str, ...]) -> str:
+    """Return the campaign text, some microphones kept for validation."""
     with (data / "positions.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     text = DECHORATE_ROOM
@@ -47,7 +76,24 @@ def dechorate_campaign(data: Path, left_out: str | None) -> str:
     for name in (row["name"] for row in rows if row["kind"] == "receiver"):
         text += f'[[measurements]]\nsource = "S1"\nreceiver = "{name}"\nlevel = "per-file"\n'
         text += f'file = "{(data / f"S1_{name}.wav").as_posix()}"\n'
-        text += f'use = "{"validate" if name == left_out else "fit"}"\n'
+        text += f'use = "{"validate" if name in left_out else "fit"}"\n'
+    return text
+
+
+def delft_campaign(data: Path, left_out: int, shift_m: tuple[float, float, float]) -> str:
+    """Return the campaign text, one loudspeaker kept for validation."""
+    text, files = DELFT_ROOM, {n: data / f"RIR_{n}.mat" for n in DELFT_LOUDSPEAKERS}
+    shift = np.array(shift_m)
+    for i, place in enumerate(loadmat(files[DELFT_LOUDSPEAKERS[0]])["loc_microphone"] + shift):
+        text += f"[receivers.M{i}]\nposition = {place.round(4).tolist()}\n"
+    for number, file in files.items():
+        place = loadmat(file)["loc_loudspeaker"][0] + shift
+        text += f"[sources.L{number}]\nposition = {place.round(4).tolist()}\n"
+        for i in range(8):
+            text += f'[[measurements]]\nsource = "L{number}"\nreceiver = "M{i}"\n'
+            text += f'file = "{file.as_posix()}"\nvariable = "RIR"\nchannel = {i}\n'
+            text += 'sampling_rate_variable = "Fs"\ntime_zero = "unknown"\n'
+            text += f'use = "{"validate" if number == left_out else "fit"}"\n'
     return text
 
 
@@ -72,6 +118,17 @@ file = "{(data / "scene9_RIR_LS1_MP1_Dodecahedron.wav").as_posix()}"
 """
 
 
+def bras_joint_campaign(data: Path) -> str:
+    """Return CR2 with its one response, values of MP2 and MP3, and those of MP4 kept apart."""
+    text = bras_campaign(data)
+    table = (data / "measured_LS1_per_pair_octave.csv").as_posix()
+    for i, (x, y) in enumerate(BRAS_PLACES_M[1:], start=2):
+        text += f"[receivers.MP{i}]\nposition = [{x}, {y}, 1.23]\n"
+        text += f'[[measurements]]\nparameters = "{table}"\nreceiver = "MP{i}"\n'
+        text += f'use = "{"validate" if i == len(BRAS_PLACES_M) else "fit"}"\n'
+    return text
+
+
 def answer_to(text: str) -> Answer:
     """Return what roomfit says of a campaign given as text."""
     with tempfile.TemporaryDirectory() as folder:
@@ -80,63 +137,96 @@ def answer_to(text: str) -> Answer:
         return identify(read_campaign(path))
 
 
-def errors_percent(answer: Answer, use: str, name: str) -> tuple[np.ndarray, np.ndarray]:
-    """Return relative errors of model and null model in percent, (n_pairs, n_bands) each."""
-    compared = [p.parameters[name] for p in answer.pairs if p.use == use]
-    measured = np.array([c.measured for c in compared])
-    ours = np.array([c.predicted for c in compared])
-    null = np.array([c.null for c in compared])
-    return 100.0 * np.abs(ours / measured - 1.0), 100.0 * np.abs(null / measured - 1.0)
+def errors(answer: Answer, name: str) -> tuple[np.ndarray, np.ndarray]:
+    """Return absolute errors of model and null model over pairs kept apart, (n_pairs, n_bands)."""
+    pairs = [p for p in answer.pairs if p.use == "validate" and name in p.parameters]
+    measured, ours, null = (
+        np.array([getattr(p.parameters[name], kind) for p in pairs], dtype=np.float64)
+        for kind in ("measured", "predicted", "null")
+    )
+    if not pairs:
+        return np.zeros((0, len(answer.bands))), np.zeros((0, len(answer.bands)))
+    scale = 100.0 / measured if JUDGED[name][1] else 1.0
+    return np.abs(scale * (ours - measured)), np.abs(scale * (null - measured))
 
 
-def row(label: str, values: np.ndarray, from_band: int) -> str:
-    """Return one line: the mean per band, and over the bands from 500 Hz up."""
-    means = np.nanmean(values, axis=0)
-    cells = " ".join(f"{m:7.1f}" for m in means)
-    return f"{label:<38}{cells}   {np.nanmean(means[from_band:]):7.1f}"
+def table(answers: list[Answer]) -> str:
+    """Return mean errors per band and over 500 to 4000 Hz, the null model below each."""
+    centres = answers[0].bands.centres_hz
+    judged = centres > 400.0
+    lines = [f"{'mean |error|':<24}" + " ".join(f"{f:7g}" for f in centres) + "   500-4000"]
+    for name, (short, _, unit) in JUDGED.items():
+        pairs = [errors(a, name) for a in answers]
+        for i, label in enumerate((f"{short} ({unit})", "   null model")):
+            both = np.concatenate([p[i] for p in pairs])
+            if both.size and np.isfinite(both).any():
+                means = [np.nanmean(c) if np.isfinite(c).any() else np.nan for c in both.T]
+                cells = " ".join(f"{m:7.2f}" for m in means)
+                lines.append(f"{label:<24}{cells}    {np.nanmean(both[:, judged]):7.2f}")
+    return "\n".join(lines)
 
 
-def dechorate(data: Path) -> None:
-    """Print the answer for all six microphones, then each predicted from the five others."""
-    everything = answer_to(dechorate_campaign(data, None))
-    print("dEchorate, six microphones fitted\n")
-    print(absorption_table(everything), "\n")
-    print(separable_text(everything), "\n")
-    centres = everything.bands.centres_hz
-    from_band = int(np.searchsorted(centres, 500.0))
-    print("mean absolute error, %" + " " * 16 + " ".join(f"{f:7g}" for f in centres) + "   500 up")
-    fitted = errors_percent(everything, "fit", "T20_s")
-    left_out = [answer_to(dechorate_campaign(data, f"M{i}")) for i in range(1, 7)]
-    for name in ("T20_s", "T30_s", "EDT_s"):
-        short = name.split("_")[0]
-        if name == "T20_s":
-            print(row("T20, fitted microphones", fitted[0], from_band))
-        pairs = [errors_percent(a, "validate", name) for a in left_out]
-        ours, null = (np.concatenate([p[i] for p in pairs]) for i in (0, 1))
-        print(row(f"{short}, microphone left out, predicted", ours, from_band))
-        print(row(f"{short}, mean of the five others (null)", null, from_band))
+def show(title: str, answers: list[Answer], *, whole: bool = True) -> None:
+    """Print one room: what was found, what was doubted, and what was predicted how well."""
+    first = answers[0]
+    print(f"\n{title}\n{'=' * len(title)}")
+    if whole:
+        print(f"models {', '.join(first.models)}; {first.seconds:.0f} s")
+        print("phi    " + " ".join(f"{p:.1f}" for p in first.phi), "\n")
+        print(absorption_table(first), "\n")
+        print(separable_text(first), "\n")
+        for finding in first.findings:
+            print(f"{finding.severity}: {finding.code}: {finding.sentence}")
+        print()
+    print(table(answers))
 
 
-def bras(data: Path) -> None:
-    """Print the answer for seminar room CR2 from its one response."""
-    answer = answer_to(bras_campaign(data))
-    print("\nBRAS CR2, one response fitted; there is no other measurement for a null model\n")
-    print(absorption_table(answer), "\n")
-    print(separable_text(answer), "\n")
-    pair = answer.pairs[0]
-    print("T20 (s)    " + " ".join(f"{f:7g}" for f in answer.bands.centres_hz))
-    print("measured   " + " ".join(f"{t:7.2f}" for t in pair.parameters["T20_s"].measured))
-    print("predicted  " + " ".join(f"{t:7.2f}" for t in pair.parameters["T20_s"].predicted))
+def dechorate(data: Path, ending: str) -> None:
+    """Three microphones fitted, three predicted."""
+    text = dechorate_campaign(data / "dechorate", ("M4", "M5", "M6")) + ending
+    show("dEchorate, M1 to M3 fitted, M4 to M6 predicted", [answer_to(text)])
+
+
+def dechorate_one_out(data: Path, ending: str) -> None:
+    """Each microphone predicted from the five others."""
+    texts = [dechorate_campaign(data / "dechorate", (f"M{i}",)) + ending for i in range(1, 7)]
+    show("dEchorate, each from the five others", [answer_to(t) for t in texts], whole=False)
+
+
+def delft(data: Path, ending: str) -> None:
+    """Four loudspeakers fitted, the last predicted; corners told at the wall, and of the file."""
+    for told, shift in (("x + 0.45 m, y + 0.5 m", DELFT_SHIFT_M), ("as in the files", (0, 0, 0))):
+        text = delft_campaign(data / "tudelft_inhouse", 7, shift) + ending
+        show(f"TU Delft, loudspeaker 7 predicted; positions {told}", [answer_to(text)])
+
+
+def bras(data: Path, ending: str) -> None:
+    """One response and values of two pairs fitted, a further pair predicted."""
+    text = bras_joint_campaign(data / "bras_cr2") + ending
+    show("BRAS CR2, the response of MP1 and values of MP2, MP3; MP4 predicted", [answer_to(text)])
+
+
+ROOMS: dict[str, Callable[[Path, str], None]] = {
+    "dechorate": dechorate,
+    "dechorate-1": dechorate_one_out,
+    "tudelft": delft,
+    "bras": bras,
+}
 
 
 def main() -> None:
-    """Run both rooms."""
-    if len(sys.argv) != 2:
+    """Run the rooms that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
+    parser.add_argument("folder", nargs="?", type=Path)
+    parser.add_argument("--room", nargs="+", choices=list(ROOMS), default=list(ROOMS))
+    parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="auto")
+    asked = parser.parse_args()
+    if asked.folder is None:
         print("no folder of measurements given: nothing to do")
         return
-    folder = Path(sys.argv[1])
-    dechorate(folder / "dechorate")
-    bras(folder / "bras_cr2")
+    ending = f'\n[identify]\nmodel = "{asked.model}"\n'
+    for room in asked.room:
+        ROOMS[room](asked.folder, ending)
 
 
 if __name__ == "__main__":

@@ -1,0 +1,77 @@
+"""Windows too late for pressures to add: there the partly coherent model is that of energies."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coherent_cases import CENTRE_HZ, END_S, small_geometry, small_problem
+from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
+from roomfit.objective.energy_problem import first_windows, predict_windows, window_variance
+from roomfit.objective.parameters import start_vector
+
+CUT_S = 0.03
+
+
+@pytest.fixture(scope="module")
+def whole() -> CoherentProblem:
+    """Return the small problem, pressures in every window."""
+    return with_coherence(small_problem(CENTRE_HZ), 1e-4 * np.eye(small_geometry().sd.size))
+
+
+@pytest.fixture(scope="module")
+def cut(whole: CoherentProblem) -> CoherentProblem:
+    """Return the same with pressures only in windows that end by CUT_S."""
+    seen = tuple(first_windows(o, CUT_S) for o in whole.energies.observations)
+    return replace(whole, early=seen)
+
+
+def _late(problem: CoherentProblem) -> np.ndarray:
+    each = zip(problem.energies.observations, problem.early, strict=True)
+    return np.concatenate([np.arange(o.energy.size) >= e.energy.size for o, e in each])
+
+
+def test_first_windows_end_by_the_time_asked_for(whole: CoherentProblem) -> None:
+    """All that end by then, with their pieces, and one at least."""
+    seen = whole.energies.observations[0]
+    early = first_windows(seen, CUT_S)
+    assert early.edges_s[-1] <= CUT_S < seen.edges_s[early.edges_s.size]
+    assert early.fine_edges_s[-1] == early.edges_s[-1]
+    assert early.fine_shares.shape[0] == early.fine_edges_s.size - 1
+    assert first_windows(seen, -1.0).energy.size == 1
+    assert first_windows(seen, END_S).energy.size == seen.energy.size
+
+
+def test_early_windows_do_not_see_where_pressures_end(
+    whole: CoherentProblem, cut: CoherentProblem
+) -> None:
+    """Expectation, derivative and variance of the early windows are those of the whole problem."""
+    vector, early = start_vector(whole.parameters), ~_late(cut)
+    ours, all_of_it = cut.predict(vector), whole.predict(vector)
+    assert 0 < early.sum() < early.size
+    np.testing.assert_allclose(ours.expected[early], all_of_it.expected[early], rtol=1e-12)
+    scale = np.abs(all_of_it.jacobian).max()
+    np.testing.assert_allclose(
+        ours.jacobian[early], all_of_it.jacobian[early], rtol=0, atol=1e-12 * scale
+    )
+    np.testing.assert_allclose(
+        cut.variance(vector)[early], whole.variance(vector)[early], rtol=1e-12
+    )
+
+
+def test_late_windows_are_those_of_energies(whole: CoherentProblem, cut: CoherentProblem) -> None:
+    """Beyond the cut all that depends on phase is gone, and without the cut it is not."""
+    vector, late = start_vector(cut.parameters), _late(cut)
+    n = start_vector(cut.energies.parameters).size
+    expected = predict_windows(cut.energies, vector[:n])
+    ours = cut.predict(vector)
+    np.testing.assert_array_equal(ours.expected[late], expected.expected[late])
+    np.testing.assert_array_equal(ours.jacobian[late, :n], expected.jacobian[late])
+    assert not ours.jacobian[late, n:].any()
+    np.testing.assert_array_equal(
+        cut.variance(vector)[late], window_variance(cut.energies, vector[:n])[late]
+    )
+    with_phase = whole.predict(vector).expected[late]
+    assert np.abs(with_phase / expected.expected[late] - 1.0).max() > 0.05
