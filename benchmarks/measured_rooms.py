@@ -11,7 +11,7 @@ The null model knows nothing of the room: it takes the mean of the pairs that we
 ROOM        dechorate    three microphones fitted, three predicted
             dechorate-1  each microphone predicted from the five others
             tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
-            bras         one response and ISO 3382 values of two pairs fitted, a fourth pair predicted
+            bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
 """
 
 from __future__ import annotations
