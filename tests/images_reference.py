@@ -41,7 +41,7 @@ def follow(mesh: Mesh, start: FloatArray, direction: FloatArray, length_m: float
     direction = np.array(direction, dtype=np.float64)
     left, triangles, cosines = length_m, [], []
     while True:
-        flights = np.array([_flight(c, position, direction) for c in corners])
+        flights = _flights(corners, position, direction)
         nearest = int(np.argmin(flights))
         if flights[nearest] >= left:
             return Followed(position + left * direction, direction, triangles, cosines)
@@ -134,15 +134,25 @@ def hits_of(room: Room, triangles: list[int]) -> list[int]:
     return np.bincount(owner, minlength=len(room.materials)).tolist()
 
 
-def _flight(corners: FloatArray, start: FloatArray, direction: FloatArray) -> float:
-    """Solve start + t direction = a + u (b - a) + v (c - a); infinity for a miss."""
-    a, b, c = corners
-    system = np.column_stack([-direction, b - a, c - a])
-    if abs(np.linalg.det(system)) < 1e-12:
-        return np.inf
-    t, u, v = np.linalg.solve(system, start - a)
-    inside = min(u, v, 1.0 - u - v) >= -1e-12
-    return float(t) if inside and t > 1e-9 else np.inf
+def _flights(corners: FloatArray, start: FloatArray, direction: FloatArray) -> FloatArray:
+    """Solve start + t direction = a + u (b - a) + v (c - a) for t; infinity for a miss."""
+    a, along_u, along_v = (
+        corners[:, 0],
+        corners[:, 1] - corners[:, 0],
+        corners[:, 2] - corners[:, 0],
+    )
+    away = start - a
+    across = np.cross(direction, along_v)
+    # Cramer's rule: determinants as triple products
+    determinant = np.einsum("ij,ij->i", along_u, across)
+    beside = np.cross(away, along_u)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        u = np.einsum("ij,ij->i", away, across) / determinant
+        v = beside @ direction / determinant
+        t = np.einsum("ij,ij->i", beside, along_v) / determinant
+    inside = np.minimum(np.minimum(u, v), 1.0 - u - v) >= -1e-12
+    met = inside & (np.abs(determinant) >= 1e-12) & (t > 1e-9)
+    return np.asarray(np.where(met, t, np.inf))
 
 
 def _planes(mesh: Mesh) -> list[tuple[FloatArray, float, list[int]]]:

@@ -75,3 +75,50 @@ def affordable_duration_s(
             duration_s = next_s
         affordable_s = duration_s
     return affordable_s
+
+
+def affordable_order(
+    scene: Scene,
+    most: int,
+    duration_s: float,
+    *,
+    work: float = 1e7,
+    images: float = 2e5,
+) -> int:
+    """Return the order up to which the images of any one source of a scene cost so much.
+
+    For rooms of thousands of walls, where each order costs a hundred times the one before it.
+    Counted, not timed, so that the same scene gives the same answer on any machine.
+
+    Parameters
+    ----------
+    scene : Scene
+    most : int
+        No more is tried; 0 or more.
+    duration_s : float
+        Of the trace.
+    work, images : float
+        As of `affordable_duration_s`.
+
+    Returns
+    -------
+    int
+        At least 0: the direct sound costs nothing.
+    """
+    walls, blockers = mirrors_of(scene.room)
+    length_m = duration_s * speed_of_sound_m_s(scene.air)
+    affordable = most
+    for source in np.unique(scene.pairs[:, 0]):
+        own = scene.pairs[scene.pairs[:, 0] == source, 1]
+        receivers = np.array([scene.receivers[r].position_m for r in own])
+        to_receiver_m = distances_to_m(walls, receivers)
+        start = np.array(scene.sources[source].position_m)
+        order = 0
+        while order < affordable:
+            limits = limits_of(order + 1, length_m, work, 100.0 * images)
+            found = beam_tree(walls, blockers, start, receivers, to_receiver_m, limits)
+            if found.ending != DONE or len(found.receiver) > images:
+                break
+            order += 1
+        affordable = order
+    return affordable

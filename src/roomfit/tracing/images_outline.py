@@ -197,19 +197,7 @@ def _axes(normal: FloatArray) -> FloatArray:
     return np.array([u, np.cross(normal, u)])
 
 
-def _hull(flat: FloatArray) -> list[int]:
+def _hull(flat: FloatArray) -> IntArray:
     order = np.lexsort((flat[:, 1], flat[:, 0]))
-    return _half_hull(flat, order)[:-1] + _half_hull(flat, order[::-1])[:-1]
-
-
-def _half_hull(flat: FloatArray, order: IntArray) -> list[int]:
-    chain: list[int] = []
-    for i in order:
-        while len(chain) > 1 and not _turns_left(flat[chain[-2]], flat[chain[-1]], flat[i]):
-            chain.pop()
-        chain.append(int(i))
-    return chain
-
-
-def _turns_left(a: FloatArray, b: FloatArray, c: FloatArray) -> bool:
-    return bool((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]) > 0.0)
+    hull = np.empty(2 * len(flat) + 1, dtype=np.int64)
+    return hull[: _hull_of(flat, order, len(order), hull)]
