@@ -9,6 +9,7 @@ response and measured values of five pairs, Aspoeck et al. 2020). None comes wit
 The null model knows nothing of the room: it takes the mean of the pairs that were fitted.
 
 ROOM        dechorate    three microphones fitted, three predicted
+            dechorate-aimed  the same, the loudspeaker told to aim at the fitted microphones
             dechorate-1  each microphone predicted from the five others
             tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
             bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
@@ -187,6 +188,14 @@ def dechorate(data: Path, ending: str) -> None:
     show("dEchorate, M1 to M3 fitted, M4 to M6 predicted", [answer_to(text)])
 
 
+def dechorate_aimed(data: Path, ending: str) -> None:
+    """Three microphones fitted, three predicted, with an assumed aim of the loudspeaker."""
+    text = dechorate_campaign(data / "dechorate", ("M4", "M5", "M6")) + ending
+    told = "[sources.S1]\ndirectivity = {aim = [-0.4, -1.0, -0.1], b = 0.5}\n"
+    text = text.replace("[sources.S1]\n", told)
+    show("dEchorate, loudspeaker aimed at M1 to M3, M4 to M6 predicted", [answer_to(text)])
+
+
 def dechorate_one_out(data: Path, ending: str) -> None:
     """Each microphone predicted from the five others."""
     texts = [dechorate_campaign(data / "dechorate", (f"M{i}",)) + ending for i in range(1, 7)]
@@ -208,6 +217,7 @@ def bras(data: Path, ending: str) -> None:
 
 ROOMS: dict[str, Callable[[Path, str], None]] = {
     "dechorate": dechorate,
+    "dechorate-aimed": dechorate_aimed,
     "dechorate-1": dechorate_one_out,
     "tudelft": delft,
     "bras": bras,
