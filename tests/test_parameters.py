@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.stats import gamma
 
 from roomfit.errors import InputError
 from roomfit.objective.parameters import (
@@ -18,6 +19,7 @@ from roomfit.objective.parameters import (
     to_free,
     to_physical,
 )
+from roomfit.objective.problem import gamma_log_likelihood
 from roomfit.uncertainty.gaussian import absorption_intervals, weighted_mean_interval
 
 
@@ -109,3 +111,11 @@ def test_a_tied_entry_has_its_leader_s_interval_and_counts_in_the_mean():
 def test_an_entry_that_follows_must_not_lead(leader):
     with pytest.raises(InputError, match="must not lead"):
         block("logit", fitted=np.array([True, False, False]), leader=np.array(leader))
+
+
+def test_the_gamma_density_is_scipy_s_and_bears_an_empty_window():
+    measured, mean, variance = np.array([0.3, 2.0]), np.array([0.5, 1.5]), np.array([0.1, 0.4])
+    expected = gamma.logpdf(measured, mean**2 / variance, scale=variance / mean)
+    np.testing.assert_allclose(gamma_log_likelihood(measured, mean, variance), expected)
+    empty = gamma_log_likelihood(np.array([1.0, 0.0]), np.array([1.0, 0.0]), np.array([0.1, 0.0]))
+    assert np.all(np.isfinite(empty))

@@ -142,6 +142,7 @@ def identify(
     traced = trace_campaign(campaign, gathered, knowledge, start, cache, part(progress, 0.02, 0.45))
     solved = solve(
         *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
+        traced.far_images,
         part(progress, 0.45, 0.98),
     )
     answers = solved.answers

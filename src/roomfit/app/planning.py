@@ -12,7 +12,7 @@ from roomfit.geometry.measures import volume_m3
 from roomfit.materials.knowledge import MaterialKnowledge, sampling_scattering
 from roomfit.materials.scattering import Scattering
 from roomfit.scene.scene import Scene
-from roomfit.tracing.images_budget import affordable_duration_s
+from roomfit.tracing.images_budget import affordable_duration_s, affordable_order
 from roomfit.tracing.settings import TraceSettings
 
 DEFAULT_SCATTERING = 0.1
@@ -35,6 +35,7 @@ class TracePlan:
     settings: TraceSettings
     scattering: Scattering
     findings: tuple[Finding, ...]
+    far_images: bool = False
 
 
 def plan_trace(
@@ -99,7 +100,23 @@ def plan_trace(
     until_s = _images_until_s(scene, duration_s) if coherent and not images_alone else 0.0
     if until_s > 0.0:
         settings = replace(settings, image_order=_ANY_ORDER, image_until_s=until_s)
-    return TracePlan(settings, scattering, tuple(findings))
+    elif coherent and not images_alone:
+        findings.append(_few_images())
+    if until_s == 0.0 and scene.room.shoebox_m is None:
+        order = affordable_order(scene, _IMAGE_ORDER, duration_s)
+        settings = replace(settings, image_order=order)
+    far_images = images_alone or until_s > 0.0
+    return TracePlan(settings, scattering, tuple(findings), far_images)
+
+
+def _few_images() -> Finding:
+    return Finding(
+        "few-image-sources",
+        "info",
+        "The room has too many walls to follow image sources of every order for "
+        f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
+        "pressures.",
+    )
 
 
 def _images_until_s(scene: Scene, duration_s: float) -> float:

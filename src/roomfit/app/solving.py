@@ -52,6 +52,7 @@ def solve(
     weights: FloatArray | None,
     binned: BinnedPaths,
     start: FloatArray,
+    far_images: bool,
     progress: Progress | None,
 ) -> Solved:
     """Fit every band of a campaign.
@@ -65,9 +66,11 @@ def solve(
         The same paths in bins, with these factors.
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
+    far_images : bool
+        Whether there are image sources enough to add pressures.
     """
     values = _value_problems(campaign, gathered, knowledge, binned, start)
-    if not is_coherent(campaign):
+    if not is_coherent(campaign) or not (far_images or campaign.model == "coherent"):
         problems = _joined(campaign.bands, gathered, knowledge, binned, start, values)
         return Solved(_answers(campaign, gathered, knowledge, problems, progress))
     told = campaign.temperature_sd_c

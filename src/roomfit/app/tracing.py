@@ -34,6 +34,8 @@ class TracedCampaign:
     factors : float array, shape (n_bands, n_paths), or None
         On the weight of every path in every band.
     scattering : float array, shape (n_materials, n_bands)
+    far_images : bool
+        Whether image sources of every order reach far enough to be added as pressures.
     findings : tuple of Finding
     """
 
@@ -41,6 +43,7 @@ class TracedCampaign:
     binned: BinnedPaths
     factors: FloatArray | None
     scattering: FloatArray
+    far_images: bool
     findings: tuple[Finding, ...]
 
 
@@ -94,6 +97,7 @@ def trace_campaign(
         binned,
         factors,
         scattering,
+        plan.far_images,
         (
             *plan.findings,
             *found.findings,

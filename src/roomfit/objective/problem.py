@@ -140,13 +140,17 @@ def gamma_log_likelihood(
     Parameters
     ----------
     measured, expected, variance : float arrays, shape (n,)
-        All above 0; a measured 0 counts as a millionth of what was expected.
+        A measured 0 counts as a millionth of what was expected; an expected 0, where neither a path
+        nor noise reaches, as a billionth of the largest.
 
     Returns
     -------
     float array, shape (n,)
         Log of a density per unit of energy.
     """
+    least = 1e-9 * float(expected.max(initial=0.0)) + np.finfo(np.float64).tiny
+    expected = np.maximum(expected, least)
+    variance = np.maximum(variance, (1e-3 * expected) ** 2)
     shape = expected**2 / variance
     scale = variance / expected
     seen = np.maximum(measured, 1e-6 * expected)
