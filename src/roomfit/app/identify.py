@@ -180,6 +180,9 @@ def _answer(
     scene, found = gathered.scene, solved.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
+    if any(f.code == "outline-disagrees" for f in findings):
+        # a wall stands elsewhere: what is told of any wall makes up for it
+        identifiable &= np.array([[k.known is not None] for k in knowledge])
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
     combinations = band_combinations(absorption, covariance, knowledge, areas, campaign.seed)
