@@ -123,7 +123,12 @@ def campaign_text(scene: Scene, kind: str, bands: Bands) -> str:
         lines += ["[[measurements]]", f'source = "{a}"', f'receiver = "{b}"']
         lines += [f'file = "{a}_{b}.wav"']
     centres = bands.centres_hz
-    lines += ["[identify]", f'bands = "{kind}"', f"from_hz = {centres[0]}", f"to_hz = {centres[-1]}"]
+    lines += [
+        "[identify]",
+        f'bands = "{kind}"',
+        f"from_hz = {centres[0]}",
+        f"to_hz = {centres[-1]}",
+    ]
     return "\n".join(lines) + "\n"
 
 

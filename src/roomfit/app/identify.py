@@ -143,6 +143,7 @@ def identify(
     solved = solve(
         *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
         traced.far_images,
+        traced.again,
         part(progress, 0.45, 0.98),
     )
     answers = solved.answers

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from roomfit.app.coherent import CoherentOptions, fit_coherent
+from roomfit.app.coherent import CoherentOptions, Retrace, fit_coherent
 from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.gathering import Gathered
 from roomfit.app.problems import BinnedPaths, band_problems
@@ -53,6 +53,7 @@ def solve(
     binned: BinnedPaths,
     start: FloatArray,
     far_images: bool,
+    retrace: Retrace | None,
     progress: Progress | None,
 ) -> Solved:
     """Fit every band of a campaign.
@@ -68,6 +69,8 @@ def solve(
         Uniform absorption to start from.
     far_images : bool
         Whether there are image sources enough to add pressures.
+    retrace : callable or None
+        Finds image sources anew where positions have moved, in rooms where that matters.
     """
     values = _value_problems(campaign, gathered, knowledge, binned, start)
     if not is_coherent(campaign) or not (far_images or campaign.model == "coherent"):
@@ -87,6 +90,7 @@ def solve(
         *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start),
         options=options,
         weights=weights,
+        retrace=retrace,
         extra_parts=[() if v is None else (_sharing(v),) for v in values],
         progress=part(progress, 0.0, 0.95),
     )

@@ -8,9 +8,10 @@ import numpy as np
 
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.choosing import chosen_scattering, scattering_doubts
+from roomfit.app.coherent import Retrace
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
-from roomfit.app.planning import plan_trace
+from roomfit.app.planning import TracePlan, plan_trace
 from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.progress import part
 from roomfit.app.solving import is_coherent
@@ -19,7 +20,10 @@ from roomfit.files.cache import Cache
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.tracing.paths import Paths
+from roomfit.scene.room import Room
+from roomfit.scene.scene import Scene
+from roomfit.tracing.images import trace_images
+from roomfit.tracing.paths import Paths, concatenate, select
 from roomfit.typing import FloatArray, Progress
 
 
@@ -36,6 +40,9 @@ class TracedCampaign:
     scattering : float array, shape (n_materials, n_bands)
     far_images : bool
         Whether image sources of every order reach far enough to be added as pressures.
+    again : callable or None
+        Gives paths, factors and bins with the image sources found anew where sources and receivers
+        have moved; None where all images stay, as in a box, or too few are known.
     findings : tuple of Finding
     """
 
@@ -44,7 +51,30 @@ class TracedCampaign:
     factors: FloatArray | None
     scattering: FloatArray
     far_images: bool
+    again: Retrace | None
     findings: tuple[Finding, ...]
+
+
+def _finder(
+    campaign: Campaign, room: Room, plan: TracePlan, paths: Paths, scattering: FloatArray
+) -> Retrace | None:
+    """Return what finds the image sources of moved points, with the rays of the first trace."""
+    settings = plan.settings
+    until_s = settings.image_until_s
+    if until_s is None or room.shoebox_m is not None:
+        return None
+    rays = select(paths, paths.batch >= 0)
+
+    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
+        images = trace_images(
+            *(moved, settings.image_order, until_s, plan.scattering), with_unfolding=True
+        )
+        both = concatenate([images, rays])
+        factors, _ = band_factors(campaign, moved, campaign.bands, both, scattering)
+        binned = bin_paths(moved, campaign.bands, both, settings.duration_s, factors)
+        return both, factors, binned
+
+    return again
 
 
 def told_scattering(
@@ -98,6 +128,7 @@ def trace_campaign(
         factors,
         scattering,
         plan.far_images,
+        _finder(campaign, scene.room, plan, paths, scattering),
         (
             *plan.findings,
             *found.findings,
