@@ -221,7 +221,7 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     assert result["bands_hz"] == [500, 1000]
     assert set(result) == {
         *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
-        *("findings", "fit", "posterior", "provenance"),
+        *("findings", "fit", "geometry", "posterior", "provenance"),
     }
     for material in result["materials"].values():
         for lower, value, upper in zip(

@@ -58,7 +58,19 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
     upper = np.maximum(best.upper95, other.upper95)
     mean = (best.mean[0], min(best.mean[1], other.mean[1]), max(best.mean[2], other.mean[2]))
     sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
-    return replace(best, lower95=lower, upper95=upper, mean=mean, identifiable=sure)
+    middle = _logit(best.absorption)
+    reach = np.maximum(_logit(upper) - middle, middle - _logit(lower)) / _Z95
+    sd = np.sqrt(np.diagonal(best.logit_covariance))
+    # draws of a prediction must reach as far as the intervals do
+    stretch = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
+    return replace(
+        best,
+        lower95=lower,
+        upper95=upper,
+        mean=mean,
+        identifiable=sure,
+        logit_covariance=best.logit_covariance * np.outer(stretch, stretch),
+    )
 
 
 def nothing_identifiable(answer: BandAnswer) -> BandAnswer:
