@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import OtherBox, write_other_box
-from roomfit.app.coherent import CoherentFit, CoherentOptions, fit_coherent
+from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.measuring import measure
 from roomfit.app.problems import bin_paths
 from roomfit.bands import Bands

@@ -17,7 +17,7 @@ import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.identify import identify
-from roomfit.app.predicting import predict_campaign
+from roomfit.app.predicting.predict import predict_campaign
 from roomfit.bands import bands_between
 from roomfit.files.campaign.campaign import input_files, read_campaign
 from roomfit.files.result_reader import read_result

@@ -17,7 +17,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.app.coherent import CoherentOptions, fit_coherent
+from roomfit.app.coherent.fit import CoherentOptions, fit_coherent
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.gathering import campaign_scene
 from roomfit.app.measuring import MeasuredPair, measure

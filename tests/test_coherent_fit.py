@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_problem, with_data
-from roomfit.app.coherent_answers import widened_by_neighbours
+from roomfit.app.coherent.answers import widened_by_neighbours
 from roomfit.app.fitting import BandAnswer
 from roomfit.identification.coherence_rounds import without_band
 from roomfit.identification.scoring import marginal, score_band

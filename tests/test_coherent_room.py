@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.app.coherent import CoherentFit, CoherentOptions, fit_coherent
+from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.measuring import measure
 from roomfit.app.problems import bin_paths
 from roomfit.files.campaign.campaign import read_campaign

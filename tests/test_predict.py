@@ -13,9 +13,9 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.app.changes import read_change
 from roomfit.app.duplicates import duplicate_findings, unmet_findings
 from roomfit.app.measuring import measure
-from roomfit.app.predicting import predict_campaign
-from roomfit.app.predicting_scene import prediction_scene
-from roomfit.app.predicting_trace import eyring_time_s
+from roomfit.app.predicting.predict import predict_campaign
+from roomfit.app.predicting.scene import prediction_scene
+from roomfit.app.predicting.trace import eyring_time_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import read_campaign

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from roomfit.app.exporting import export_result
     from roomfit.app.gathering import campaign_scene
     from roomfit.app.identify import identify
-    from roomfit.app.predicting import predict_campaign
+    from roomfit.app.predicting.predict import predict_campaign
     from roomfit.bands import Bands, bands_between
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
     from roomfit.files.cache import Cache, cache_of
@@ -65,7 +65,7 @@ _HOME = {
     "export_result": "app.exporting",
     "campaign_scene": "app.gathering",
     "identify": "app.identify",
-    "predict_campaign": "app.predicting",
+    "predict_campaign": "app.predicting.predict",
     "Bands": "bands",
     "bands_between": "bands",
     "CannotTell": "errors",

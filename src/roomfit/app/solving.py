@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from roomfit.app.coherent import CoherentOptions, Retrace, fit_coherent
+from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
 from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.gathering import Gathered
 from roomfit.app.problems import BinnedPaths, band_problems

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.choosing import chosen_scattering, scattering_doubts
-from roomfit.app.coherent import Retrace
+from roomfit.app.coherent.fit import Retrace
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
 from roomfit.app.planning import TracePlan, plan_trace

@@ -35,8 +35,8 @@ def predict(
 ) -> None:
     """Predict reverberation and clarity with their intervals, as the room is or with changes."""
     from roomfit.app.changes import read_change
-    from roomfit.app.predicting_files import predict_to_folder
-    from roomfit.app.predicting_scene import pair_choice
+    from roomfit.app.predicting.files import predict_to_folder
+    from roomfit.app.predicting.scene import pair_choice
     from roomfit.cli.progress import progress_bar
     from roomfit.report.predict_text import predict_text
 

@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit.app.coherent_answers import (
+from roomfit.app.coherent.answers import (
     nothing_identifiable,
     widened_by_neighbours,
     with_both_intervals,
 )
-from roomfit.app.coherent_bands import (
+from roomfit.app.coherent.bands import (
     CoherentBand,
     CoherentOptions,
     PartFactory,
@@ -25,9 +25,9 @@ from roomfit.app.coherent_bands import (
     once_more,
     upwards,
 )
-from roomfit.app.coherent_findings import delay_findings, geometry_findings
-from roomfit.app.coherent_prepared import CoherentTask, energy_answers, prepared_bands
-from roomfit.app.coherent_problems import (
+from roomfit.app.coherent.findings import delay_findings, geometry_findings
+from roomfit.app.coherent.prepared import CoherentTask, energy_answers, prepared_bands
+from roomfit.app.coherent.problems import (
     cut_at,
     moved_scene,
 )

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from roomfit.app.changes import Change
-from roomfit.app.predicting import predict_campaign
-from roomfit.app.predicting_scene import PairChoice
+from roomfit.app.predicting.predict import predict_campaign
+from roomfit.app.predicting.scene import PairChoice
 from roomfit.app.progress import part
 from roomfit.files.cache import cache_of
 from roomfit.files.campaign.campaign import input_files, read_campaign

@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.air import attenuation_per_m
-from roomfit.app.coherent_bands import CoherentBand, CoherentOptions, PartFactory, joined
-from roomfit.app.coherent_problems import (
+from roomfit.app.coherent.bands import CoherentBand, CoherentOptions, PartFactory, joined
+from roomfit.app.coherent.problems import (
     campaign_geometry,
     coherent_problem,
 )
-from roomfit.app.coherent_spoiled import spoiled_files
+from roomfit.app.coherent.spoiled import spoiled_files
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, band_problems, paths_at, tells_of_band

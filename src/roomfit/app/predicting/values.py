@@ -8,8 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.special import ndtri
 
-from roomfit.app.predicting_pair import RELATIVE, PairNumbers
-from roomfit.app.predicting_scene import Seen
+from roomfit.app.predicting.pair import RELATIVE, PairNumbers
+from roomfit.app.predicting.scene import Seen
 from roomfit.app.values import MODEL_ERROR_JND
 from roomfit.bands import Bands
 from roomfit.scene.scene import Scene

@@ -8,8 +8,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.app.changes import Change, change_text, changed_draws
-from roomfit.app.predicting_pair import PairNumbers, pair_numbers
-from roomfit.app.predicting_scene import (
+from roomfit.app.predicting.pair import PairNumbers, pair_numbers
+from roomfit.app.predicting.scene import (
     PairChoice,
     Seen,
     predicted_bands,
@@ -17,8 +17,8 @@ from roomfit.app.predicting_scene import (
     room_posterior,
     seen_pairs,
 )
-from roomfit.app.predicting_trace import follow_decay
-from roomfit.app.predicting_values import predicted_means, predicted_pairs
+from roomfit.app.predicting.trace import follow_decay
+from roomfit.app.predicting.values import predicted_means, predicted_pairs
 from roomfit.app.progress import part
 from roomfit.files.cache import Cache, cached
 from roomfit.files.campaign.campaign import Campaign

@@ -8,7 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.app.coherent_problems import (
+from roomfit.app.coherent.problems import (
     SPEED_SD,
 )
 from roomfit.identification.coherence_rounds import (

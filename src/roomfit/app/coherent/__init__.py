@@ -1,0 +1,1 @@
+"""Partly coherent image sources and positions, fitted together over all bands."""

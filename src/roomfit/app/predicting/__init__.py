@@ -1,0 +1,1 @@
+"""Decays and room parameters of any pair, for absorptions fitted or assumed."""
