@@ -8,7 +8,6 @@ from scipy.optimize import least_squares
 
 from roomfit.app.combinations import band_combinations, inseparable_findings
 from roomfit.errors import InputError
-from roomfit.materials.knowledge import unknown_material
 from roomfit.uncertainty.combinations import Combination, find_combinations
 from roomfit.uncertainty.straight_draws import draw_along_data
 
@@ -138,12 +137,12 @@ def test_tied_materials_move_together():
 def test_a_room_whose_mean_alone_is_known_is_told_so():
     """Five materials, one combination within 10 %: said in words."""
     names = ("a", "b", "c", "d", "e")
-    knowledge = tuple(unknown_material(n, 1) for n in names)
+    prior = np.array([np.full((5, 1), PRIOR_MEAN), np.full((5, 1), PRIOR_SD)])
     areas, a = np.array([50.0, 40.0, 30.0, 20.0, 60.0]), np.full(5, 0.05)
     # a decay known within 1 %: its rate is the sum of -log(1 - a) by area
     slope = areas * a / (areas @ -np.log(1.0 - a))
     covariance = np.linalg.inv(np.outer(slope, slope) / 0.01**2 + np.eye(5) / PRIOR_SD**2)
-    found = band_combinations(a[:, None], covariance[None], knowledge, areas, 1)
+    found = band_combinations(a[:, None], covariance[None], prior, areas, 1)
     told = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
 
     assert [f.code for f in told] == ["materials-not-separable"]

@@ -30,10 +30,10 @@ from roomfit.scene.scene import Point, Scene
 from roomfit.testproblems.pressure_box import add_noise
 from roomfit.tracing.join import trace
 from roomfit.tracing.settings import TraceSettings
-from roomfit.uncertainty.posterior_draws import (
+from roomfit.uncertainty.draws import draw_absorption
+from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
     covariance_from_intervals,
-    draw_absorption,
     logit,
     plain_logit_covariance,
 )
@@ -341,6 +341,22 @@ def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, cap
     first = content["pairs"][0]["parameters"][rows[0]["parameter"]]
     assert float(rows[0]["predicted"]) == pytest.approx(first["predicted"][0], abs=1e-4)
     assert len(list(out.glob("predicted_*.png"))) == 2
+    assert told.prior_logit_sd is not None
+    np.testing.assert_allclose(told.prior_logit_sd, 1.5)
+    np.testing.assert_allclose(told.scattering, 0.0)
+    # another room, where nothing was measured, with the materials of this one
+    other = tmp_path / "other" / "campaign.toml"
+    other.parent.mkdir()
+    text = campaign.read_text()
+    text = text[: text.index("[[measurements]]")].replace("[3.9, 3.1, 2.5]", "[5.1, 4.2, 2.8]")
+    assert "5.1" in text
+    other.write_text(text + "[identify]\nfrom_hz = 500\nto_hz = 1000\n")
+    arguments = ("predict", other, "--absorption", fit / "result.json", "--out", tmp_path / "o")
+    assert run_command(monkeypatch, *arguments) == 0
+    there = json.loads((tmp_path / "o" / "predicted.json").read_text())
+    assert [p["parameters"]["T20_s"]["measured"] for p in there["pairs"]] == [[None, None]] * 2
+    assert there["mean"]["T20_s"]["predicted"][1] > content["mean"]["T20_s"]["predicted"][1]
+    capsys.readouterr()
     # without pairs of other sources, and from the table of absorption alone
     arguments = ("predict", campaign, "--absorption", fit / "absorption.csv", "--out", out)
     assert run_command(monkeypatch, *arguments) == 2

@@ -49,7 +49,7 @@ if TYPE_CHECKING:
     from roomfit.tracing.paths import Paths
     from roomfit.tracing.settings import TraceSettings
     from roomfit.uncertainty.answer import Answer
-    from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
+    from roomfit.uncertainty.posterior import AbsorptionPosterior
     from roomfit.uncertainty.prediction import Predicted
     from roomfit.uncertainty.smoothing import smooth_over_bands
 
@@ -104,7 +104,7 @@ _HOME = {
     "Paths": "tracing.paths",
     "TraceSettings": "tracing.settings",
     "Answer": "uncertainty.answer",
-    "AbsorptionPosterior": "uncertainty.posterior_draws",
+    "AbsorptionPosterior": "uncertainty.posterior",
     "Predicted": "uncertainty.prediction",
     "smooth_over_bands": "uncertainty.smoothing",
 }

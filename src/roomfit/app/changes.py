@@ -16,7 +16,7 @@ from roomfit.findings import Finding
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.knowledge import logit_prior
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 _NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
 _NUMBER = r"(\d+\.?\d*|\.\d+)"

@@ -13,7 +13,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
-from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.materials.knowledge import MaterialKnowledge, in_bands
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.tracing.settings import TraceSettings
 from roomfit.typing import FloatArray, Progress
@@ -94,16 +94,6 @@ def _quick(settings: TraceSettings) -> TraceSettings:
     return replace(settings, n_rays=_N_RAYS, duration_s=until_s, keep_unfolding=False)
 
 
-def _in_bands(knowledge: MaterialKnowledge, chosen: slice) -> MaterialKnowledge:
-    return replace(
-        knowledge,
-        prior_logit_mean=knowledge.prior_logit_mean[chosen],
-        prior_logit_sd=knowledge.prior_logit_sd[chosen],
-        scattering=None if knowledge.scattering is None else knowledge.scattering[chosen],
-        known=None if knowledge.known is None else knowledge.known[chosen],
-    )
-
-
 def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
     return NoiseEstimate(*(getattr(noise, f.name)[chosen] for f in fields(NoiseEstimate)))
 
@@ -130,7 +120,7 @@ def scattering_doubts(
     first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
     chosen = slice(first, min(first + _TRIAL_BANDS, len(bands)))
     middle = Bands(bands.kind, bands.centres_hz[chosen])
-    known = tuple(_in_bands(k, chosen) for k in knowledge)
+    known = in_bands(knowledge, np.arange(chosen.start, chosen.stop))
     responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in heard)
     scene = gathered.scene
     few = replace(_quick(settings), n_rays=_TRIAL_RAYS)

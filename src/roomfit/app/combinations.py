@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.findings import Finding
-from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import WITHIN, Combination, find_combinations
 
@@ -15,7 +14,7 @@ from roomfit.uncertainty.combinations import WITHIN, Combination, find_combinati
 def band_combinations(
     absorption: FloatArray,
     logit_covariance: FloatArray,
-    knowledge: tuple[MaterialKnowledge, ...],
+    logit_prior: FloatArray,
     areas_m2: FloatArray,
     seed: int,
 ) -> tuple[tuple[Combination, ...], ...]:
@@ -26,8 +25,9 @@ def band_combinations(
     absorption : float array, shape (n_materials, n_bands)
     logit_covariance : float array, shape (n_bands, n_materials, n_materials)
         Of logit absorption between 0 and 1, whatever the bounds of the fit; see
-        `roomfit.uncertainty.posterior_draws.plain_logit_covariance`.
-    knowledge : tuple of MaterialKnowledge
+        `roomfit.uncertainty.posterior.plain_logit_covariance`.
+    logit_prior : float array, shape (2, n_materials, n_bands)
+        Mean and standard deviation of logit absorption beforehand.
     areas_m2 : float array, shape (n_materials,)
     seed : int
     """
@@ -36,8 +36,8 @@ def band_combinations(
             areas_m2,
             absorption[:, band],
             covariance,
-            np.array([k.prior_logit_mean[band] for k in knowledge]),
-            np.array([k.prior_logit_sd[band] for k in knowledge]),
+            logit_prior[0, :, band],
+            logit_prior[1, :, band],
             np.random.default_rng(seed),
         )
         for band, covariance in enumerate(logit_covariance)

@@ -41,7 +41,7 @@ from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
-from roomfit.uncertainty.posterior_draws import plain_logit_covariance
+from roomfit.uncertainty.posterior import plain_logit_covariance
 
 INTERVAL_KIND = "Gaussian, local"
 # The report shows the decays of all pairs; as files of their own they would take minutes.
@@ -186,7 +186,8 @@ def _answer(
         identifiable &= np.array([[k.known is not None] for k in knowledge])
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
-    combinations = band_combinations(absorption, covariance, knowledge, areas, campaign.seed)
+    prior = _logit_prior(knowledge)
+    combinations = band_combinations(absorption, covariance, prior, areas, campaign.seed)
     models = tuple(b.model for b in found)
     inseparable = inseparable_findings(
         scene.room.materials, campaign.bands.centres_hz, identifiable, combinations
@@ -199,7 +200,10 @@ def _answer(
         lower95=np.stack([b.lower95 for b in found], axis=1),
         upper95=np.stack([b.upper95 for b in found], axis=1),
         identifiable=identifiable,
-        mean_absorption=np.array([b.mean for b in found]).T,
+        # the first combination of a band is the mean over the whole room
+        mean_absorption=np.array(
+            [(c[0].value, c[0].lower95, c[0].upper95) for c in combinations]
+        ).T,
         phi=np.array([b.phi for b in found]),
         cost=float(sum(b.cost for b in found)),
         evaluations=sum(b.evaluations for b in found),
@@ -213,6 +217,7 @@ def _answer(
         seed=campaign.seed,
         seconds=time.perf_counter() - began,
         logit_covariance=covariance,
+        logit_prior=prior,
         combinations=combinations,
         models=models,
         scattering=traced.scattering,
@@ -223,6 +228,13 @@ def _answer(
 def _model_of(models: tuple[str, ...]) -> str:
     """Return the most that any band's model knew."""
     return next((m for m in ("coherent", "energy", "values") if m in models), "prior")
+
+
+def _logit_prior(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+    """Return mean and spread of logit absorption beforehand, of its leader where one is tied."""
+    by_name = {k.name: k for k in knowledge}
+    leaders = [by_name[k.tied_to or k.name] for k in knowledge]
+    return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
 
 
 def _logit_covariance(

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.choosing import chosen_scattering, scattering_doubts
 from roomfit.app.coherent.fit import Retrace
@@ -15,7 +13,7 @@ from roomfit.app.planning import TracePlan, plan_trace
 from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.progress import part
 from roomfit.app.solving import is_coherent
-from roomfit.app.weighting import band_factors
+from roomfit.app.weighting import band_factors, told_scattering
 from roomfit.files.cache import Cache
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
@@ -75,17 +73,6 @@ def _finder(
         return both, factors, binned
 
     return again
-
-
-def told_scattering(
-    knowledge: tuple[MaterialKnowledge, ...], traced: FloatArray, n_bands: int
-) -> FloatArray:
-    """Return what each wall scatters in each band; where nothing is told, as it was traced."""
-    rows = [
-        np.full(n_bands, s0) if k.scattering is None else k.scattering
-        for k, s0 in zip(knowledge, traced, strict=True)
-    ]
-    return np.stack(rows)
 
 
 def trace_campaign(

@@ -8,6 +8,7 @@ from roomfit.bands import Bands
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.files.campaign.directivity import campaign_directivities
 from roomfit.findings import Finding
+from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.materials.scattering import Scattering
 from roomfit.response.directivity import directivity_factors
 from roomfit.response.scattering import (
@@ -18,6 +19,17 @@ from roomfit.response.scattering import (
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
+
+
+def told_scattering(
+    knowledge: tuple[MaterialKnowledge, ...], traced: FloatArray, n_bands: int
+) -> FloatArray:
+    """Return what each wall scatters in each band; where nothing is told, as it was traced."""
+    rows = [
+        np.full(n_bands, s0) if k.scattering is None else k.scattering
+        for k, s0 in zip(knowledge, traced, strict=True)
+    ]
+    return np.stack(rows)
 
 
 def band_factors(

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from roomfit.errors import InputError, located
 from roomfit.files.exports.table import read_material_table
-from roomfit.uncertainty.posterior_draws import AbsorptionPosterior, covariance_from_intervals
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 
 def read_result(path: Path) -> AbsorptionPosterior:
@@ -25,22 +27,45 @@ def read_result(path: Path) -> AbsorptionPosterior:
     """
     path = Path(path)
     table = read_material_table(path)
-    told = None
-    if path.suffix.lower() != ".csv":
-        told = json.loads(path.read_text(encoding="utf-8")).get("posterior")
+    content = {} if path.suffix.lower() == ".csv" else json.loads(path.read_text(encoding="utf-8"))
+    told = content.get("posterior")
     with located(str(path)):
         if told is None:
             covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
         else:
-            try:
-                covariance = np.array(told["logit_covariance"], dtype=np.float64)
-            except (KeyError, TypeError, ValueError) as error:
-                raise InputError(
-                    "the posterior of the result is incomplete",
-                    where="posterior",
-                    found=f"{type(error).__name__}: {error}",
-                    needed="logit_covariance: for each band a matrix over the materials",
-                ) from error
+            covariance = _table(told, "logit_covariance")
+        knows_prior = told is not None and "prior_logit_mean" in told
         return AbsorptionPosterior(
-            table.names, table.bands, table.absorption, table.lower95, table.upper95, covariance
+            *(table.names, table.bands, table.absorption, table.lower95, table.upper95),
+            logit_covariance=covariance,
+            prior_logit_mean=_table(told, "prior_logit_mean").T if knows_prior else None,
+            prior_logit_sd=_table(told, "prior_logit_sd").T if knows_prior else None,
+            scattering=_scattering(content, table.names),
         )
+
+
+def _table(posterior: Any, name: str) -> FloatArray:
+    try:
+        return np.array(posterior[name], dtype=np.float64)
+    except (KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "the posterior of the result is incomplete",
+            where="posterior",
+            found=f"{type(error).__name__}: {error}",
+            needed="logit_covariance: for each band a matrix over the materials",
+        ) from error
+
+
+def _scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatArray | None:
+    """Return what the walls scattered in that fit, None where the file does not tell all of it."""
+    rows = [content.get("materials", {}).get(name, {}).get("scattering") for name in names]
+    if not rows or any(row is None for row in rows):
+        return None
+    try:
+        return np.array(rows, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            "the scattering of the result is no table of numbers",
+            where="materials",
+            needed="one number per band",
+        ) from error

@@ -17,7 +17,7 @@ from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Answer, ComparedPair, FittedGeometry
-from roomfit.uncertainty.posterior_draws import logit
+from roomfit.uncertainty.posterior import logit
 
 
 def write_result(folder: Path, answer: Answer, inputs: Iterable[Path]) -> None:
@@ -85,6 +85,10 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "logit_mean": [numbers(band) for band in logit(answer.absorption).T],
             "logit_covariance": [[numbers(r) for r in band] for band in answer.logit_covariance],
         }
+        if answer.logit_prior is not None:
+            mean, sd = answer.logit_prior
+            content["posterior"]["prior_logit_mean"] = [numbers(band) for band in mean.T]
+            content["posterior"]["prior_logit_sd"] = [numbers(band) for band in sd.T]
     return content
 
 

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.checks import float_array
 from roomfit.errors import InputError
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
 DEFAULT_MEAN = 0.15
@@ -85,6 +85,28 @@ def sampling_scattering(knowledge: MaterialKnowledge) -> float | None:
     Paths traced with it are weighed for the coefficients of each band afterwards.
     """
     return None if knowledge.scattering is None else float(np.mean(knowledge.scattering))
+
+
+def in_bands(
+    knowledge: tuple[MaterialKnowledge, ...], chosen: IntArray
+) -> tuple[MaterialKnowledge, ...]:
+    """Return what is known in some of the bands only.
+
+    Parameters
+    ----------
+    chosen : int array
+        Places among the bands that `knowledge` is told for.
+    """
+    return tuple(
+        replace(
+            k,
+            prior_logit_mean=k.prior_logit_mean[chosen],
+            prior_logit_sd=k.prior_logit_sd[chosen],
+            scattering=None if k.scattering is None else k.scattering[chosen],
+            known=None if k.known is None else k.known[chosen],
+        )
+        for k in knowledge
+    )
 
 
 def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:

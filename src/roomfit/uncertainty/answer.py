@@ -129,6 +129,8 @@ class Answer:
     logit_covariance : float array, shape (n_bands, n_materials, n_materials), or None
         Covariance of logit absorption, misfit included; zeros for what is held. None where only
         the intervals are known.
+    logit_prior : float array, shape (2, n_materials, n_bands), or None
+        Mean and standard deviation of logit absorption before anything was measured.
     combinations : tuple of tuples of Combination, one a band
         Means over groups of materials that the data determine, that of the whole room first.
     models : tuple of str, one a band
@@ -160,6 +162,7 @@ class Answer:
     seed: int
     seconds: float
     logit_covariance: FloatArray | None = None
+    logit_prior: FloatArray | None = None
     combinations: tuple[tuple[Combination, ...], ...] = ()
     models: tuple[str, ...] = ()
     scattering: FloatArray | None = None

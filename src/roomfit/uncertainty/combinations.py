@@ -9,8 +9,8 @@ import numpy as np
 
 from roomfit.checks import float_array
 from roomfit.errors import InputError
-from roomfit.typing import BoolArray, FloatArray, IntArray
-from roomfit.uncertainty.straight_draws import draw_along_data
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.draws import band_draws, prior_draws
 
 # A combination counts as determined where its 95 % interval reaches this far to either side ...
 WITHIN = 0.1
@@ -88,7 +88,7 @@ def find_combinations(
 
     Notes
     -----
-    Intervals are quantiles of `roomfit.uncertainty.straight_draws.draw_along_data`.
+    Intervals are quantiles of `roomfit.uncertainty.draws.band_draws`.
     """
     n = len(areas_m2)
     areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
@@ -99,16 +99,8 @@ def find_combinations(
     if not (within > 0.0 and areas.sum() > 0.0):
         raise InputError("combinations need areas and a width above zero", found=f"{within:g}")
     held = np.diag(covariance) <= 0.0
-    own, twin = _own(a, covariance, held)
-    draws, beforehand = np.tile(a, (2, _DRAWS, 1))
-    free = np.ix_(own, own)
-    if own.size:
-        drawn = draw_along_data(
-            a[own], covariance[free], prior_mean[own], prior_sd[own], _DRAWS, rng
-        )
-        noise = prior_mean[own] + prior_sd[own] * rng.standard_normal((_DRAWS, own.size))
-        draws[:, ~held] = drawn[:, twin]
-        beforehand[:, ~held] = (0.5 * (1.0 + np.tanh(0.5 * noise)))[:, twin]
+    posterior = (a, covariance, prior_mean, prior_sd, _DRAWS, rng)
+    draws, beforehand = band_draws(*posterior), prior_draws(*posterior)
 
     def told(group: tuple[int, ...]) -> tuple[Combination, bool]:
         weights = np.zeros(n)
@@ -137,22 +129,3 @@ def find_combinations(
             loose.append((*one, *other))
     # a group that is nearly the whole room says the same a second time
     return (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
-
-
-def _own(
-    absorption: FloatArray, covariance: FloatArray, held: BoolArray
-) -> tuple[IntArray, IntArray]:
-    """Return which materials vary by themselves, and for each that varies which of them it is."""
-    varying = np.flatnonzero(~held)
-    own: list[int] = []
-    twin: list[int] = []
-    for i in varying:
-        same = [
-            k
-            for k, j in enumerate(own)
-            if absorption[j] == absorption[i] and np.allclose(covariance[j], covariance[i])
-        ]
-        if not same:
-            own.append(int(i))
-        twin.append(same[0] if same else len(own) - 1)
-    return np.array(own, dtype=np.int64), np.array(twin, dtype=np.int64)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior_draws import logit
+from roomfit.uncertainty.posterior import logit
 
 _STEPS = 30
 _LONGEST_STEP = 2.0
@@ -59,9 +59,18 @@ def draw_along_data(
     # at the maximum the data pull as much as the prior does
     pull = prior * (x - prior_logit_mean) / slope
     seen = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
-    seen = seen + rng.standard_normal((n_draws, seen.size))
-    centres = prior_logit_mean + prior_logit_sd * rng.standard_normal((n_draws, n))
+    seen = seen + mirrored_noise(n_draws, seen.size, rng)
+    centres = prior_logit_mean + prior_logit_sd * mirrored_noise(n_draws, n, rng)
     return _absorption(_most_likely(x, R, seen, centres, 1.0 / prior_logit_sd))
+
+
+def mirrored_noise(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return standard normal numbers, shape (n_draws, n), the second half minus the first.
+
+    Mirrored draws take the linear part of their scatter out of every mean over them.
+    """
+    half = rng.standard_normal(((n_draws + 1) // 2, n))
+    return np.concatenate((half, -half))[:n_draws]
 
 
 def _most_likely(

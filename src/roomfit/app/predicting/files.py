@@ -49,7 +49,7 @@ def predict_to_folder(
     from roomfit.report.predict_pictures import predicted_decay_figure
 
     check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file)
+    campaign = read_campaign(campaign_file, to_fit=False)
     predicted = predict_campaign(
         campaign,
         read_result(absorption_file),

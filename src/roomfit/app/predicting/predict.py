@@ -15,6 +15,7 @@ from roomfit.app.predicting.scene import (
     predicted_bands,
     prediction_scene,
     room_posterior,
+    scattering_known,
     seen_pairs,
 )
 from roomfit.app.predicting.trace import follow_decay
@@ -25,9 +26,11 @@ from roomfit.files.campaign.campaign import Campaign
 from roomfit.files.campaign.materials import material_knowledge
 from roomfit.files.rooms.read import read_room
 from roomfit.findings import Finding
+from roomfit.materials.knowledge import in_bands
 from roomfit.signals.parameter_gradients import VALUE_NAMES
 from roomfit.typing import FloatArray, Progress
-from roomfit.uncertainty.posterior_draws import AbsorptionPosterior, draw_absorption
+from roomfit.uncertainty.draws import draw_absorption
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 from roomfit.uncertainty.prediction import Predicted
 
 N_DRAWS = 128
@@ -74,8 +77,10 @@ def predict_campaign(
     """
     began = time.perf_counter()
     room, findings = read_room(campaign.room)
-    knowledge = material_knowledge(campaign, room.materials)
     bands, doubts = predicted_bands(campaign, absorption.bands)
+    places = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
+    told = in_bands(material_knowledge(campaign, room.materials), places)
+    knowledge = scattering_known(told, bands, absorption)
     replaced = [c.material for c in changes if c.kind != "factor"]
     posterior = room_posterior(campaign, knowledge, bands, absorption, replaced)
     rng = np.random.default_rng(campaign.seed)
@@ -84,8 +89,8 @@ def predict_campaign(
     scene = prediction_scene(campaign, room, pairs)
     seen, measured_findings = seen_pairs(campaign, bands, scene)
     followed = follow_decay(
-        *(scene, bands, knowledge, expected, _longest_s(seen)),
-        *(campaign.seed, cache, part(progress, 0.02, 0.5)),
+        *(campaign, scene, bands, knowledge, expected, _longest_s(seen)),
+        *(cache, part(progress, 0.02, 0.5)),
     )
     numbers: list[PairNumbers] = []
     cache_findings: list[Finding] = []
@@ -93,7 +98,7 @@ def predict_campaign(
         one = cached(
             cache,
             "pair",
-            (scene, followed.settings, followed.scattering, bands, i, expected, drawn),
+            (scene, followed.settings, followed.weighing, bands, i, expected, drawn),
             lambda i=i: pair_numbers(scene, bands, followed.binned, i, expected, drawn),  # type: ignore[misc]
             (PairNumbers,),
         )

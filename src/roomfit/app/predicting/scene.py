@@ -23,7 +23,7 @@ from roomfit.scene.scene import Scene
 from roomfit.signals.decay import DecayCurve
 from roomfit.signals.parameter_gradients import VALUE_NAMES
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 PairChoice = Literal["all", "campaign"]
 
@@ -157,20 +157,58 @@ def room_posterior(
     own = [names.index(n) for n in absorption.materials if n in names]
     theirs = [i for i, n in enumerate(absorption.materials) if n in names]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
-    places = [int(np.flatnonzero(campaign.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     shape = (len(names), len(bands))
     told = np.full(shape, 0.5)
     for i, k in enumerate(knowledge):
         if k.known is not None:
-            told[i] = k.known[places]
-    value, lower, upper = told.copy(), told.copy(), told.copy()
-    value[own] = absorption.absorption[np.ix_(theirs, at)]
-    lower[own] = absorption.lower95[np.ix_(theirs, at)]
-    upper[own] = absorption.upper95[np.ix_(theirs, at)]
+            told[i] = k.known
+
+    def matched(theirs_: FloatArray | None, otherwise: FloatArray) -> FloatArray:
+        values = otherwise.copy()
+        if theirs_ is not None:
+            values[own] = theirs_[np.ix_(theirs, at)]
+        return values
+
     covariance = np.zeros((len(bands), len(names), len(names)))
     for j, band in enumerate(at):
         covariance[j][np.ix_(own, own)] = absorption.logit_covariance[band][np.ix_(theirs, theirs)]
-    return AbsorptionPosterior(tuple(names), bands, value, lower, upper, covariance)
+    plain = absorption.prior_logit_mean is None or absorption.prior_logit_sd is None
+    return AbsorptionPosterior(
+        tuple(names),
+        bands,
+        matched(absorption.absorption, told),
+        matched(absorption.lower95, told),
+        matched(absorption.upper95, told),
+        covariance,
+        None if plain else matched(absorption.prior_logit_mean, np.zeros(shape)),
+        None if plain else matched(absorption.prior_logit_sd, np.ones(shape)),
+    )
+
+
+def scattering_known(
+    knowledge: tuple[MaterialKnowledge, ...], bands: Bands, absorption: AbsorptionPosterior
+) -> tuple[MaterialKnowledge, ...]:
+    """Return what is known of each material, with the scattering of the fit where none is told.
+
+    What a fit found or assumed of scattering belongs to the absorption it found.
+
+    Parameters
+    ----------
+    knowledge : tuple of MaterialKnowledge
+        In these bands.
+    bands : Bands
+    absorption : AbsorptionPosterior
+    """
+    if absorption.scattering is None:
+        return knowledge
+    at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
+    found = dict(zip(absorption.materials, absorption.scattering[:, at], strict=True))
+    return tuple(
+        replace(k, scattering=found[k.name])
+        if k.name in found and (k.scattering is None or k.fit_scattering)
+        else k
+        for k in knowledge
+    )
 
 
 def seen_pairs(

@@ -13,14 +13,17 @@ from roomfit.app.comparing import predicted_curve
 from roomfit.app.planning import plan_trace
 from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.progress import part
+from roomfit.app.weighting import band_factors, told_scattering
 from roomfit.bands import Bands
 from roomfit.files.cache import Cache
+from roomfit.files.campaign.campaign import Campaign
+from roomfit.files.campaign.directivity import campaign_directivities
 from roomfit.findings import Finding
 from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.response.directivity import Directivity
 from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene, distances_m
-from roomfit.tracing.paths import Paths
 from roomfit.tracing.settings import TraceSettings
 from roomfit.typing import FloatArray, Progress
 
@@ -33,22 +36,30 @@ _LONGEST_S = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FollowedDecay:
-    """Paths in bins, with what they were traced by and what to know about them."""
+    """Paths in bins, with what they were traced and weighed by and what to know about them.
 
-    paths: Paths
+    Attributes
+    ----------
+    binned : BinnedPaths
+    settings : TraceSettings
+    weighing : tuple
+        Scattering of each material in each band, and the directivity of each source.
+    findings : tuple of Finding
+    """
+
     binned: BinnedPaths
     settings: TraceSettings
-    scattering: FloatArray
+    weighing: tuple[FloatArray, tuple[Directivity | None, ...]]
     findings: tuple[Finding, ...]
 
 
 def follow_decay(
+    campaign: Campaign,
     scene: Scene,
     bands: Bands,
     knowledge: tuple[MaterialKnowledge, ...],
     absorption: FloatArray,
     measured_decay_s: float,
-    seed: int,
     cache: Cache | None,
     progress: Progress | None,
 ) -> FollowedDecay:
@@ -59,6 +70,10 @@ def follow_decay(
 
     Parameters
     ----------
+    campaign : Campaign
+        Tells the directivity of sources, and the seed.
+    knowledge : tuple of MaterialKnowledge
+        In these bands; tells how walls scatter.
     absorption : float array, shape (n_materials, n_bands)
     measured_decay_s : float
         Longest measured reverberation time, 0 where none is known.
@@ -66,11 +81,14 @@ def follow_decay(
     longest_s = max(measured_decay_s, float(eyring_time_s(scene, bands, absorption).max()))
     found: list[Finding] = []
     for attempt in range(_ATTEMPTS):
-        plan = plan_trace(scene, knowledge, min(longest_s, _LONGEST_S), 0.0, seed)
+        plan = plan_trace(scene, knowledge, min(longest_s, _LONGEST_S), 0.0, campaign.seed)
         done = part(progress, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
         traced = cached_trace(scene, plan.settings, plan.scattering, cache, done)
         found += traced.findings
-        binned = bin_paths(scene, bands, traced.value.paths, plan.settings.duration_s)
+        paths = traced.value.paths
+        scattering = told_scattering(knowledge, plan.scattering.coefficients, len(bands))
+        factors, worn = band_factors(campaign, scene, bands, paths, scattering)
+        binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
         short = _not_followed(scene, bands, binned, absorption)
         if not short or longest_s >= _LONGEST_S:
             break
@@ -78,11 +96,10 @@ def follow_decay(
     if progress is not None:
         progress(1.0)
     return FollowedDecay(
-        traced.value.paths,
         binned,
         plan.settings,
-        plan.scattering.coefficients,
-        (*plan.findings, *traced.value.findings, *found, *_short_finding(bands, short)),
+        (scattering, campaign_directivities(campaign, scene, bands)),
+        (*plan.findings, *traced.value.findings, *found, *worn, *_short_finding(bands, short)),
     )
 
 

@@ -116,8 +116,14 @@ class Campaign:
     )
 
 
-def read_campaign(path: Path) -> Campaign:
+def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     """Read a campaign file.
+
+    Parameters
+    ----------
+    path : Path
+    to_fit : bool
+        Whether there must be a measurement to fit; a prediction needs none.
 
     Raises
     ------
@@ -126,7 +132,7 @@ def read_campaign(path: Path) -> Campaign:
         refused rather than ignored.
     """
     path = Path(path)
-    table = read_campaign_table(path)
+    table = read_campaign_table(path, to_fit=to_fit)
     _refuse_what_is_not_built(path, table)
     settings = table.identify
     return Campaign(

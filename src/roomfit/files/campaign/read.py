@@ -15,8 +15,14 @@ from roomfit.errors import InputError
 from roomfit.files.campaign.schema import CampaignTable
 
 
-def read_campaign_table(path: Path) -> CampaignTable:
+def read_campaign_table(path: Path, *, to_fit: bool = True) -> CampaignTable:
     """Return the checked contents of a campaign file.
+
+    Parameters
+    ----------
+    path : Path
+    to_fit : bool
+        Whether there must be a measurement to fit; a prediction needs none.
 
     Raises
     ------
@@ -29,6 +35,8 @@ def read_campaign_table(path: Path) -> CampaignTable:
         campaign = CampaignTable.model_validate(table)
     except ValidationError as error:
         raise _explained(path, error) from None
+    if to_fit:
+        _check_data(path, campaign)
     _check_names(path, campaign)
     _check_pairs(path, campaign)
     return campaign
@@ -158,13 +166,23 @@ def _models_within(annotation: Any) -> list[type[BaseModel]]:
     return []
 
 
-def _check_names(path: Path, campaign: CampaignTable) -> None:
+def _check_data(path: Path, campaign: CampaignTable) -> None:
+    """Refuse a campaign that leaves nothing to fit."""
     if not campaign.measurements:
         raise InputError(
             "the campaign has no measurement",
             where=str(path),
             needed="at least one [[measurements]] table",
         )
+    if all(row.use == "validate" for row in campaign.measurements):
+        raise InputError(
+            "every measurement is for validation and none is left to fit",
+            where=str(path),
+            needed='at least one measurement with use = "fit"',
+        )
+
+
+def _check_names(path: Path, campaign: CampaignTable) -> None:
     for number, row in enumerate(campaign.measurements, start=1):
         where = f"{path}, measurements[{number}]"
         kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
@@ -210,9 +228,3 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
                 found=data,
                 hint="remove one of them" if same else "name each pair's own file or channel",
             )
-    if all(row.use == "validate" for row in campaign.measurements):
-        raise InputError(
-            "every measurement is for validation and none is left to fit",
-            where=str(path),
-            needed='at least one measurement with use = "fit"',
-        )

@@ -1,4 +1,4 @@
-"""Absorption as it is known after a fit, and random draws of it."""
+"""Absorption as it is known after a fit."""
 
 from __future__ import annotations
 
@@ -29,6 +29,10 @@ class AbsorptionPosterior:
         0 to 1.
     logit_covariance : float array, shape (n_bands, n_materials, n_materials)
         Of logit absorption. A material with a variance of 0 is held at its absorption.
+    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials, n_bands), or None
+        What was known of logit absorption beforehand; it tells the data's part of the covariance.
+    scattering : float array, shape (n_materials, n_bands), or None
+        What the walls were taken to scatter when the absorption was found.
     """
 
     materials: tuple[str, ...]
@@ -37,6 +41,9 @@ class AbsorptionPosterior:
     lower95: FloatArray
     upper95: FloatArray
     logit_covariance: FloatArray
+    prior_logit_mean: FloatArray | None = None
+    prior_logit_sd: FloatArray | None = None
+    scattering: FloatArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -44,6 +51,12 @@ class AbsorptionPosterior:
         for name in ("absorption", "lower95", "upper95"):
             values = float_array(name, getattr(self, name), (n, m), low=0.0, high=1.0)
             object.__setattr__(self, name, values)
+        limits = {"prior_logit_mean": -50.0, "prior_logit_sd": 0.0, "scattering": 0.0}
+        for name, low in limits.items():
+            told = getattr(self, name)
+            if told is not None:
+                high = 1.0 if name == "scattering" else 50.0
+                object.__setattr__(self, name, float_array(name, told, (n, m), low=low, high=high))
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -85,42 +98,6 @@ def covariance_from_intervals(
     sd = np.where(count > 0, np.maximum(mean, 0.0), DEFAULT_LOGIT_SD)
     sd = np.where(lower95 == upper95, 0.0, sd)
     return np.asarray(np.stack([np.diag(column**2) for column in sd.T]))
-
-
-def draw_absorption(
-    posterior: AbsorptionPosterior, n_draws: int, rng: np.random.Generator
-) -> FloatArray:
-    """Return draws of absorption: Gaussian in logit, each band by itself.
-
-    Draws come in pairs, mirrored at the mean, which takes the linear part of their scatter out of
-    every mean over them.
-
-    Parameters
-    ----------
-    posterior : AbsorptionPosterior
-    n_draws : int
-        2 or more; an odd number is raised by one.
-    rng : numpy Generator
-
-    Returns
-    -------
-    float array, shape (n_draws, n_materials, n_bands)
-        0 to 1; a held material keeps its absorption exactly.
-    """
-    n_pairs = (max(n_draws, 2) + 1) // 2
-    draws = np.empty((2 * n_pairs, *posterior.absorption.shape))
-    middle = logit(posterior.absorption)
-    for band, covariance in enumerate(posterior.logit_covariance):
-        size, direction = np.linalg.eigh(covariance)
-        step = rng.standard_normal((n_pairs, size.size)) * np.sqrt(np.maximum(size, 0.0))
-        step = step @ direction.T
-        free = middle[:, band] + np.concatenate((step, -step))
-        # exp of a negative number only: no overflow on either side
-        tail = np.exp(-np.abs(free))
-        share = np.where(free >= 0.0, 1.0, tail) / (1.0 + tail)
-        held = np.diag(covariance) == 0.0
-        draws[:, :, band] = np.where(held, posterior.absorption[:, band], share)
-    return draws
 
 
 def logit(absorption: FloatArray) -> FloatArray:
