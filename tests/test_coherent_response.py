@@ -73,6 +73,16 @@ def test_a_windows_energy_is_the_integral_of_the_squared_pressure() -> None:
         assert found[w] == pytest.approx(expected, rel=0.01)
 
 
+def test_energies_without_derivatives_are_the_same_and_pieces_add_up_to_windows() -> None:
+    """The spikes alone, cut finer: the same pressure squared, to the rounding of the transform."""
+    paths, a, grid = two_paths(), np.array([0.2, 0.4]), band_grid(BANK, 0.0, 0.1)
+    edges = (np.array([0.0, 0.012, 0.02]),)
+    pieces = (np.array([0.0, 0.007, 0.0115, 0.012, 0.0133, 0.02]),)
+    whole = coherent_response(paths, a, times(), grid, edges).energy
+    parts = coherent_response(paths, a, times(), grid, pieces, derivative=False).energy
+    np.testing.assert_allclose(np.add.reduceat(parts, [0, 3]), whole, rtol=1e-10)
+
+
 def test_every_column_of_the_jacobian_is_the_slope_of_the_prediction() -> None:
     """Central differences by every absorption, gain, coordinate, ln c, latency and delay."""
     problem = with_coherence(small_problem(), 0.04 * whole_covariance(small_geometry()))

@@ -9,7 +9,7 @@ import pytest
 
 from roomfit.errors import InputError
 from roomfit.materials.scattering import Scattering
-from roomfit.response.rows import energy_rows
+from roomfit.response.rows import energy_rows, first_rows
 from roomfit.response.scattering import (
     effective_sample_size,
     scattering_weights,
@@ -57,6 +57,20 @@ def test_every_path_of_the_pair_stands_in_the_window_of_its_time() -> None:
         )
         np.testing.assert_array_equal(rows.batch[own], paths.batch[expected])
     assert rows.n_batches == 4
+
+
+def test_first_rows_are_those_of_shorter_windows() -> None:
+    """Leaving out the last windows equals never having asked for them."""
+    paths = random_paths(3)
+    edges = np.linspace(0.0, 0.15, 31)
+    whole, short = (energy_rows(paths, 2, edges[: n + 1], 340.0) for n in (30, 11))
+    cut = first_rows(whole, 11)
+    assert cut.path is not None and short.path is not None
+    np.testing.assert_array_equal(cut.offsets, short.offsets)
+    np.testing.assert_array_equal(cut.path, short.path)
+    np.testing.assert_array_equal(cut.hits, short.hits)
+    np.testing.assert_array_equal(cut.weight_per_m2, short.weight_per_m2)
+    assert len(first_rows(whole, 99)) == len(whole)
 
 
 def test_a_time_on_an_edge_belongs_to_the_later_window() -> None:

@@ -24,13 +24,15 @@ from roomfit.objective.energy_problem import (
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, energy_rows, grouped_rows
+from roomfit.response.rows import EnergyRows, energy_rows, first_rows, grouped_rows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import (
     FilterBank,
+    SmearingKernel,
     energy_bandwidth_hz,
     energy_share,
     share_matrix,
+    share_reach_s,
     share_slopes_per_s,
     smearing_kernel,
     statistical_bandwidth_hz,
@@ -188,6 +190,7 @@ def band_problems(
     noise would say nothing of the walls, and its gain nothing at all.
     """
     attenuation = attenuation_per_m(scene.air, bands)
+    kernel = smearing_kernel(FilterBank(bands))
     for band in range(len(bands)):
         fitted = tuple(m for m in measured if tells_of_band(m, band))
         coarse = in_band(binned, float(bands.centres_hz[band]))
@@ -195,7 +198,7 @@ def band_problems(
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
             _observation(
-                bank,
+                (bank, kernel),
                 band,
                 m,
                 coarse.edges_s,
@@ -209,16 +212,18 @@ def band_problems(
             yield None
             continue
         absorption = absorption_block(knowledge, band, float(start[band]))
-        gain = _gain_block(
-            gain_labels, observations, coarse, fitted, absorption, float(attenuation[band])
+        # what no window hears would be weighed for nothing
+        rows = tuple(
+            first_rows(coarse.rows[m.pair], seen.shares.shape[1])
+            for m, seen in zip(fitted, observations, strict=True)
         )
-        lone = {m.pair: lone_rows(coarse.rows[m.pair]) for m in fitted}
+        gain = _gain_block(gain_labels, observations, rows, absorption, float(attenuation[band]))
         problem = EnergyProblem(
             float(bands.centres_hz[band]),
             float(statistical_bandwidth_hz(bank)[0]),
             float(attenuation[band]),
-            tuple(coarse.rows[m.pair] for m in fitted),
-            tuple(lone[m.pair] for m in fitted),
+            rows,
+            tuple(lone_rows(r) for r in rows),
             observations,
             Parameters((absorption, gain)),
         )
@@ -298,7 +303,7 @@ def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
 
 
 def _observation(
-    bank: FilterBank,
+    reduction: tuple[FilterBank, SmearingKernel],
     band: int,
     m: MeasuredPair,
     bin_edges_s: FloatArray,
@@ -306,6 +311,7 @@ def _observation(
     gain: int,
     periods: float,
 ) -> Observation:
+    bank, kernel = reduction
     clear_s = (
         m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
     )
@@ -318,16 +324,16 @@ def _observation(
     rate_hz = m.response.sampling_rate_hz
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
-    kernel = smearing_kernel(bank)
+    heard = centres[: int(np.searchsorted(centres, edges[-1] + share_reach_s(kernel, band)))]
     return Observation(
         m.pair,
         edges,
         unit * window_energies(bank, m.response, edges)[0],
         unit * per_second * np.diff(edges),
-        share_matrix(kernel, 0, centres, edges),
+        share_matrix(kernel, band, heard, edges),
         fine,
-        share_matrix(kernel, 0, centres, fine),
-        share_slopes_per_s(kernel, 0, centres, edges),
+        share_matrix(kernel, band, heard, fine),
+        share_slopes_per_s(kernel, band, heard, edges),
         timing_sd_s,
         gain,
     )
@@ -406,18 +412,17 @@ def absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start:
 def _gain_block(
     labels: tuple[str, ...],
     observations: tuple[Observation, ...],
-    binned: BinnedPaths,
-    fitted: tuple[MeasuredPair, ...],
+    rows: tuple[EnergyRows, ...],
     absorption: Block,
     attenuation: float,
 ) -> Block:
     """Unknown levels, starting where measured and predicted energy agree as a whole."""
     sums = np.zeros((2, len(labels)))
-    for m, seen in zip(fitted, observations, strict=True):
+    for own, seen in zip(rows, observations, strict=True):
         if seen.gain < 0:
             continue
         energy = weigh(
-            binned.rows[m.pair],
+            own,
             absorption.start[:, None],
             np.array([attenuation]),
             derivative=False,

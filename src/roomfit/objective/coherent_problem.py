@@ -11,10 +11,11 @@ from roomfit.objective.coherent_geometry import GEOMETRY, Geometry, local_roots,
 from roomfit.objective.energy_problem import (
     EnergyProblem,
     Observation,
+    Weighed,
     noise_and_model_variance,
+    observation_variance,
     predict_windows,
-    tracing_variance,
-    window_variance,
+    weighed,
 )
 from roomfit.objective.parameters import Block, Parameters, fitted_columns, physical_values
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
@@ -27,7 +28,6 @@ from roomfit.response.coherent import (
     image_energies,
 )
 from roomfit.response.coherent_kernels import binned_energies, spread_squared
-from roomfit.response.energy import weigh
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A path less coherent than this is left to the energies.
@@ -208,18 +208,15 @@ def _with_late_zeros(problem: CoherentProblem, early: FloatArray) -> FloatArray:
 
 
 def _response(
-    problem: CoherentProblem,
-    values: dict[str, FloatArray],
-    *,
-    derivative: bool,
-    fine: bool = False,
+    problem: CoherentProblem, values: dict[str, FloatArray], *, derivative: bool = False
 ) -> CoherentResponse:
+    """Return the coherent energy, with derivatives in windows or without in their pieces."""
     return coherent_response(
         problem.coherent,
         values["absorption"],
         times_of(problem.geometry, values[GEOMETRY]),
         problem.grid,
-        tuple(o.fine_edges_s if fine else o.edges_s for o in problem.early),
+        tuple(o.edges_s if derivative else o.fine_edges_s for o in problem.early),
         derivative=derivative,
     )
 
@@ -237,53 +234,58 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     -------
     float array, shape (n_windows,)
     """
-    early = _early_windows(problem)
-    variances = np.zeros(problem.measured().size)
-    if early.size < variances.size:
-        n_leading = vector.size - _n_geometry(problem.parameters)
-        variances = window_variance(_plain(problem), vector[:n_leading])
-    variances[early] = _early_variance(problem, vector)
-    return variances
-
-
-def _early_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArray:
     values, _ = physical_values(problem.parameters, vector)
-    absorption = values["absorption"]
-    coefficients, still = absorption[:, None], np.array([problem.energies.attenuation_per_m])
     gains = np.append(values["gain"], 1.0)
-    images = problem.images
-    energy = image_energies(images, absorption)
-    gamma = images.coherence
-    intensity = _response(problem, values, derivative=False, fine=True).energy
-    starts = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
-    whole = _response(problem, values, derivative=False).energy
+    paths = weighed(problem.energies, values["absorption"])
+    intensity = _response(problem, values).energy
+    ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
+    energy = image_energies(problem.images, values["absorption"])
     variances = []
-    for o, (rows, seen) in enumerate(zip(problem.energies.rows, problem.early, strict=True)):
-        gain = gains[seen.gain]
-        own = slice(images.offsets[o], images.offsets[o + 1])
-        bins, e, g = problem.bins[own], energy[own], gamma[own]
-        inside = bins >= 0
-        bins, e, g = bins[inside], e[inside], g[inside]
-        n_bins = seen.shares.shape[1]
-        all_paths = weigh(rows, coefficients, still, derivative=False).energy[0]
-        random = np.maximum(all_paths - np.bincount(bins, g * e, n_bins), 0.0)
-        lone = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
-        late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
-        coherent = intensity[starts[o] : starts[o + 1]]
-        spread = seen.fine_shares @ random
-        pieces = spread**2 + 2.0 * spread * coherent - seen.fine_shares.power(2) @ lone
-        pieces = np.maximum(pieces, 0.0)
-        pieces /= problem.energies.bandwidth_hz * np.diff(seen.fine_edges_s)
-        first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
-        interference = np.add.reduceat(pieces, first)
-        timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ late)
-        tracing = tracing_variance(rows, seen, coefficients, still)
-        signal = gain * (seen.shares @ random + whole[_windows(problem.early)[o]])
-        variances.append(
-            gain**2 * (interference + timing + tracing)
-            + noise_and_model_variance(problem.energies, seen, signal)
-        )
+    for o, (early, seen) in enumerate(
+        zip(problem.early, problem.energies.observations, strict=True)
+    ):
+        gain = float(gains[seen.gain])
+        coherent = intensity[ends[o] : ends[o + 1]]
+        own = _early_variance(problem, o, paths[o], energy, coherent, gain)
+        if early.energy.size < seen.energy.size:
+            late = observation_variance(problem.energies, o, paths[o], gain)
+            own = np.concatenate((own, late[own.size :]))
+        variances.append(own)
     return np.concatenate(variances)
+
+
+def _early_variance(
+    problem: CoherentProblem,
+    observation: int,
+    paths: Weighed,
+    energy: FloatArray,
+    coherent: FloatArray,
+    gain: float,
+) -> FloatArray:
+    """Return the variance of an observation's early windows.
+
+    `energy` is that of all `problem.images`, `coherent` that of the coherent pressure in each of
+    the windows' pieces.
+    """
+    seen, images = problem.early[observation], problem.images
+    own = slice(images.offsets[observation], images.offsets[observation + 1])
+    inside = problem.bins[own] >= 0
+    bins, e, g = (x[own][inside] for x in (problem.bins, energy, images.coherence))
+    n_bins = seen.shares.shape[1]
+    random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
+    lone = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
+    late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
+    spread = seen.fine_shares @ random
+    pieces = spread**2 + 2.0 * spread * coherent - seen.fine_shares.power(2) @ lone
+    pieces = np.maximum(pieces, 0.0)
+    pieces /= problem.energies.bandwidth_hz * np.diff(seen.fine_edges_s)
+    first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+    interference = np.add.reduceat(pieces, first)
+    timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ late)
+    tracing = paths.tracing[: seen.energy.size]
+    signal = gain * (seen.shares @ random + np.add.reduceat(coherent, first))
+    rest = noise_and_model_variance(problem.energies, seen, signal)
+    return np.asarray(gain**2 * (interference + timing + tracing) + rest)
 
 
 def _windows(seen: tuple[Observation, ...]) -> list[IntArray]:

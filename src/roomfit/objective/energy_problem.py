@@ -217,21 +217,59 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
     float array, shape (n_windows,)
     """
     values, _ = physical_values(problem.parameters, vector)
-    coefficients = values["absorption"][:, None]
-    attenuation = np.array([problem.attenuation_per_m])
     gains = np.append(values["gain"], 1.0)
-    variances = []
-    for rows, lone, seen in zip(problem.rows, problem.lone_rows, problem.observations, strict=True):
-        gain = gains[seen.gain]
-        energy = weigh(rows, coefficients, attenuation, derivative=False).energy[0]
-        signal = gain * (seen.shares @ energy)
-        squares = weigh(lone, coefficients, attenuation, derivative=False).energy[0]
-        timing = (gain * seen.timing_sd_s) ** 2 * (seen.slopes.power(2) @ squares)
-        tracing = gain**2 * tracing_variance(rows, seen, coefficients, attenuation)
-        interference = gain**2 * _interference(problem.bandwidth_hz, seen, energy, squares)
-        rest = noise_and_model_variance(problem, seen, signal)
-        variances.append(interference + timing + tracing + rest)
-    return np.concatenate(variances)
+    return np.concatenate(
+        [
+            observation_variance(problem, o, w, float(gains[seen.gain]))
+            for o, (w, seen) in enumerate(
+                zip(weighed(problem, values["absorption"]), problem.observations, strict=True)
+            )
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """What the paths of one observation bring for a gain of 1.
+
+    Attributes
+    ----------
+    energy, squares : float arrays, shape (n_bins,)
+        Of all paths, and of the squares of the single image paths.
+    tracing : float array, shape (n_windows,)
+        Monte-Carlo variance of each window's energy.
+    """
+
+    energy: FloatArray
+    squares: FloatArray
+    tracing: FloatArray
+
+
+def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ...]:
+    """Return what the variance of each observation is made of, absorption (n_materials,)."""
+    coefficients = absorption[:, None]
+    attenuation = np.array([problem.attenuation_per_m])
+    return tuple(
+        Weighed(
+            weigh(rows, coefficients, attenuation, derivative=False).energy[0],
+            weigh(lone, coefficients, attenuation, derivative=False).energy[0],
+            tracing_variance(rows, seen, coefficients, attenuation),
+        )
+        for rows, lone, seen in zip(
+            problem.rows, problem.lone_rows, problem.observations, strict=True
+        )
+    )
+
+
+def observation_variance(
+    problem: EnergyProblem, observation: int, paths: Weighed, gain: float
+) -> FloatArray:
+    """Return `window_variance` of one observation, shape (n_windows,)."""
+    seen = problem.observations[observation]
+    timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ paths.squares)
+    interference = _interference(problem.bandwidth_hz, seen, paths.energy, paths.squares)
+    rest = noise_and_model_variance(problem, seen, gain * (seen.shares @ paths.energy))
+    return np.asarray(gain**2 * (interference + timing + paths.tracing) + rest)
 
 
 def noise_and_model_variance(

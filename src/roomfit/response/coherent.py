@@ -240,7 +240,8 @@ def coherent_response(
     derivative : bool
         False leaves the derivatives zero.
     """
-    trains = np.zeros((len(edges_s), grid.n, 8 + len(paths.materials)))
+    n_columns = 8 + len(paths.materials) if derivative else 1
+    trains = np.zeros((len(edges_s), grid.n, n_columns))
     lay_trains(
         paths.offsets,
         paths.away_m,
@@ -256,8 +257,7 @@ def coherent_response(
         grid.table,
         trains,
     )
-    used = trains if derivative else trains[:, :, :1]
-    spikes = np.ascontiguousarray(np.swapaxes(used, 1, 2))
+    spikes = np.ascontiguousarray(np.swapaxes(trains, 1, 2))
     return _filtered(spikes, len(paths.materials), grid, edges_s, derivative=derivative)
 
 

@@ -58,12 +58,12 @@ def lay_trains(
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
         By how much source and receiver stand elsewhere, m.
-    trains : shape (n_observations, n_grid, 8 + n_materials)
+    trains : shape (n_observations, n_grid, 8 + n_materials), or (n_observations, n_grid, 1)
         Zeros; filled with spikes of height s; hits s of every material; -dt/dsource s (3),
-        dt/dreceiver s (3), and -dt/dln c s (1).
+        dt/dreceiver s (3), and -dt/dln c s (1). A single column holds the first of them.
     """
     n_materials = hits.shape[1]
-    n_grid = trains.shape[1]
+    n_grid, n_columns = trains.shape[1], trains.shape[2]
     half = TAPS // 2
     for o in numba.prange(len(offsets) - 1):
         values = np.empty(8 + n_materials)
@@ -85,15 +85,16 @@ def lay_trains(
                 h = hits[i, m]
                 t += h * delays[m]
                 values[1 + m] = h * s
-            k = 1 + n_materials
-            u = s / (speed * d)
-            values[k] = u * (a[0] * v0 + a[3] * v1 + a[6] * v2)
-            values[k + 1] = u * (a[1] * v0 + a[4] * v1 + a[7] * v2)
-            values[k + 2] = u * (a[2] * v0 + a[5] * v1 + a[8] * v2)
-            values[k + 3] = u * v0
-            values[k + 4] = u * v1
-            values[k + 5] = u * v2
-            values[k + 6] = s * d / speed
+            if n_columns > 1:
+                k = 1 + n_materials
+                u = s / (speed * d)
+                values[k] = u * (a[0] * v0 + a[3] * v1 + a[6] * v2)
+                values[k + 1] = u * (a[1] * v0 + a[4] * v1 + a[7] * v2)
+                values[k + 2] = u * (a[2] * v0 + a[5] * v1 + a[8] * v2)
+                values[k + 3] = u * v0
+                values[k + 4] = u * v1
+                values[k + 5] = u * v2
+                values[k + 6] = s * d / speed
             place = (t - first_s) * rate_hz
             low = math.floor(place) - half + 1
             for tap in range(TAPS):
@@ -102,7 +103,7 @@ def lay_trains(
                 share = distance - step
                 height = table[step] + share * (table[step + 1] - table[step])
                 g = int(low + tap) % n_grid
-                for j in range(8 + n_materials):
+                for j in range(n_columns):
                     own[g, j] += height * values[j]
 
 

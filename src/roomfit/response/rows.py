@@ -222,6 +222,22 @@ def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
     )
 
 
+def first_rows(rows: EnergyRows, n_windows: int) -> EnergyRows:
+    """Return the rows of the first so many windows; what comes later is left out."""
+    n = min(n_windows, rows.n_windows)
+    last = int(rows.offsets[n])
+    return replace(
+        rows,
+        n_windows=n,
+        offsets=rows.offsets[: n + 1],
+        weight_per_m2=rows.weight_per_m2[:last],
+        hits=rows.hits[:last],
+        length_m=rows.length_m[:last],
+        batch=rows.batch[:last],
+        path=None if rows.path is None else rows.path[:last],
+    )
+
+
 def window_of_rows(rows: EnergyRows) -> IntArray:
     """Return the window of every row, shape (n_rows,)."""
     return np.repeat(np.arange(rows.n_windows), np.diff(rows.offsets))

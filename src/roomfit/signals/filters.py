@@ -28,6 +28,7 @@ from scipy.sparse import csr_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.signals.impulse_response import ImpulseResponse, padded
+from roomfit.signals.share_kernels import differences_over_windows
 from roomfit.typing import FloatArray
 
 # Ringing beyond this many periods of the centre frequency, times the number of bands per octave,
@@ -260,6 +261,12 @@ def energy_share(
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
 
 
+def share_reach_s(kernel: SmearingKernel, band: int) -> float:
+    """Return how far from a window's edges `share_matrix` looks for impulses that reach it."""
+    reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
+    return -float(reached) / float(kernel.centres_hz[band])
+
+
 def share_matrix(
     kernel: SmearingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
 ) -> csr_array:
@@ -296,21 +303,16 @@ def _banded(
     """Return the difference of a tabulated function between both edges of every window."""
     edges = _rising(edges_s)
     centre = float(kernel.centres_hz[band])
-    reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
-    span_s = -float(reached) / centre
+    span_s = share_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
-    values, columns = [np.zeros(0)], [np.zeros(0, dtype=np.int64)]
-    for low, high, a, b in zip(edges[:-1], edges[1:], first, last, strict=True):
-        near = delays_s[a:b]
-        until, before = (
-            np.interp((edge - near) * centre, kernel.periods, table) for edge in (high, low)
-        )
-        values.append(until - before)
-        columns.append(np.arange(a, b))
     pointers = np.concatenate(([0], np.cumsum(last - first)))
-    shape = (len(edges) - 1, len(delays_s))
-    return csr_array((np.concatenate(values), np.concatenate(columns), pointers), shape=shape)
+    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int64)
+    differences_over_windows(
+        *(edges, np.array(delays_s), first, pointers, np.array(table)),
+        *(centre * _STEPS_PER_PERIOD, values, columns),
+    )
+    return csr_array((values, columns, pointers), shape=(len(edges) - 1, len(delays_s)))
 
 
 def _rising(edges_s: ArrayLike) -> FloatArray:

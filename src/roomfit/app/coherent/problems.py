@@ -16,7 +16,7 @@ from roomfit.objective.coherent_problem import CoherentProblem
 from roomfit.objective.energy_problem import EnergyProblem, first_windows
 from roomfit.objective.parameters import JointPrior, Parameters
 from roomfit.response.coherent import band_grid, chosen_paths, image_paths
-from roomfit.response.rows import EnergyRows
+from roomfit.response.rows import first_rows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.tracing.paths import Paths
@@ -33,21 +33,7 @@ def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
     n = max(int(np.searchsorted(binned.edges_s, end_s + 1e-9, side="right")) - 1, 1)
     if n >= binned.edges_s.size - 1:
         return binned
-
-    def cut(r: EnergyRows) -> EnergyRows:
-        last = int(r.offsets[n])
-        return EnergyRows(
-            r.materials,
-            n,
-            r.offsets[: n + 1],
-            r.weight_per_m2[:last],
-            r.hits[:last],
-            r.length_m[:last],
-            r.batch[:last],
-            r.n_batches,
-        )
-
-    return regrouped(binned, binned.edges_s[: n + 1], cut)
+    return regrouped(binned, binned.edges_s[: n + 1], lambda rows: first_rows(rows, n))
 
 
 def campaign_geometry(
@@ -151,7 +137,8 @@ def coherent_problem(
     travel = np.linalg.norm(images.away_m, axis=1) / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
-    bins[bins >= bin_edges_s.size - 1] = -1
+    heard = [o.shares.shape[1] for o in seen]
+    bins[bins >= np.repeat(heard, np.diff(images.offsets))] = -1
     parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)), joint)
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
     return CoherentProblem(
