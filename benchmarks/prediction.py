@@ -24,7 +24,7 @@ from roomfit.files.result_reader import read_result
 from roomfit.files.results import write_result
 from roomfit.signals.parameter_gradients import ValueName
 from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
-from roomfit.uncertainty.posterior_draws import AbsorptionPosterior
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 from roomfit.uncertainty.prediction import PredictedPair
 
 LENGTHS_M = (3.9, 3.1, 2.5)
