@@ -13,6 +13,7 @@ from roomfit.app.combinations import band_combinations, inseparable_findings
 from roomfit.app.comparing import compare_all
 from roomfit.app.fitting import BandAnswer, fit_findings, schroeder_findings
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
+from roomfit.app.mirrors import mirror_findings
 from roomfit.app.problems import (
     left_out_findings,
     untold_band_findings,
@@ -184,6 +185,13 @@ def _answer(
     if any(f.code == "outline-disagrees" for f in findings):
         # a wall stands elsewhere: what is told of any wall makes up for it
         identifiable &= np.array([[k.known is not None] for k in knowledge])
+    lower, upper = (
+        np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
+    )
+    ambiguous, mirrors = mirror_findings(
+        gathered, campaign.bands, knowledge, absorption, lower, upper
+    )
+    identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
     prior = _logit_prior(knowledge)
@@ -197,8 +205,8 @@ def _answer(
         materials=scene.room.materials,
         areas_m2=areas,
         absorption=absorption,
-        lower95=np.stack([b.lower95 for b in found], axis=1),
-        upper95=np.stack([b.upper95 for b in found], axis=1),
+        lower95=lower,
+        upper95=upper,
         identifiable=identifiable,
         # the first combination of a band is the mean over the whole room
         mean_absorption=np.array(
@@ -209,7 +217,7 @@ def _answer(
         evaluations=sum(b.evaluations for b in found),
         converged=np.array([b.converged for b in found]),
         pairs=compare_all(campaign, gathered, traced.binned, absorption),
-        findings=(*findings, *inseparable),
+        findings=(*findings, *mirrors, *inseparable),
         method="least-squares" if campaign.method == "auto" else campaign.method,
         model=_model_of(models),
         interval_kind=INTERVAL_KIND,

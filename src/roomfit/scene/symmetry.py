@@ -1,0 +1,185 @@
+"""Symmetries of a room: reflections and turns that carry its surface, wall by wall, into itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+
+import numpy as np
+
+from roomfit.geometry.inside import nearest_triangles
+from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.scene.room import Room, triangle_material
+from roomfit.scene.scene import Scene
+from roomfit.typing import FloatArray, IntArray
+
+# A wall counts as carried into another where it lies this close to it.
+TOLERANCE_M = 0.02
+_FEW_SAMPLES, _SAMPLES = 40, 600
+_MOST_NORMALS = 40
+_MOST_SYMMETRIES = 48
+_SAME_DIRECTION = 1e-3
+# Samples next to the seam of two materials may fall on either.
+_WHOLE_SHARE = 0.98
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Symmetry:
+    """A motion ``x -> centre + matrix (x - centre)`` that the room's surface does not notice.
+
+    Attributes
+    ----------
+    matrix : float array, shape (3, 3)
+        Orthogonal: a reflection, or several one after the other.
+    centre_m : float array, shape (3,)
+    exchange : int array, shape (n_materials,)
+        Material that each material is carried to.
+    """
+
+    matrix: FloatArray
+    centre_m: FloatArray
+    exchange: IntArray
+
+
+def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symmetry, ...]:
+    """Return every symmetry that mirror planes make, the identity left out.
+
+    Candidates are the planes through the middle of the surface that reflect one wall's direction
+    into itself or another's, or that stand on a principal axis. Each is tried on points of the
+    surface; what is found is combined until nothing new comes.
+
+    Parameters
+    ----------
+    room : Room
+    tolerance_m : float
+        How far from the surface the image of a wall may lie.
+    """
+    points, material = _surface_points(room, _SAMPLES)
+    middle = _middle_m(room)
+    found: list[Symmetry] = []
+    for normal in _candidate_normals(room):
+        matrix = np.eye(3) - 2.0 * np.outer(normal, normal)
+        exchange = _exchange(room, points, material, matrix, middle, tolerance_m)
+        if exchange is not None:
+            found.append(Symmetry(matrix, middle, exchange))
+    return _closed(found)
+
+
+def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
+    """Return how far each pair is from being carried into itself, shape (n_pairs,).
+
+    The larger distance of source and receiver from where the symmetry takes them; or, if that is
+    less, from where it takes each other, since source and receiver can be exchanged.
+    """
+    sources = np.array([s.position_m for s in scene.sources])[scene.pairs[:, 0]]
+    receivers = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
+    carried = [
+        symmetry.centre_m + (x - symmetry.centre_m) @ symmetry.matrix.T
+        for x in (sources, receivers)
+    ]
+    kept = np.maximum(_apart(carried[0], sources), _apart(carried[1], receivers))
+    swapped = np.maximum(_apart(carried[0], receivers), _apart(carried[1], sources))
+    # a point that is off a plane by d has its image 2 d away
+    return np.asarray(0.5 * np.minimum(kept, swapped))
+
+
+def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+def _middle_m(room: Room) -> FloatArray:
+    """Return the centroid of the surface, which every symmetry leaves where it is."""
+    areas = np.linalg.norm(area_vectors_m2(room.mesh), axis=1)
+    return np.asarray(areas @ corners_m(room.mesh).mean(axis=1) / areas.sum())
+
+
+def _surface_points(room: Room, n: int) -> tuple[FloatArray, IntArray]:
+    """Return points spread over the surface by area, and the material of each."""
+    rng = np.random.default_rng(0)
+    corners = corners_m(room.mesh)
+    areas = np.linalg.norm(area_vectors_m2(room.mesh), axis=1)
+    owner = rng.choice(len(areas), n, p=areas / areas.sum())
+    share = np.sort(rng.random((n, 2)), axis=1)
+    weights = np.stack((share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]), axis=1)
+    points = np.einsum("nk,nkj->nj", weights, corners[owner])
+    # every material is met, however small
+    middles = corners.mean(axis=1)
+    largest = [
+        int(np.flatnonzero(triangle_material(room) == m)[np.argmax(own)])
+        for m in range(len(room.materials))
+        if (own := areas[triangle_material(room) == m]).size
+    ]
+    owner = np.concatenate((owner, largest))
+    return np.concatenate((points, middles[largest])), triangle_material(room)[owner]
+
+
+def _candidate_normals(room: Room) -> list[FloatArray]:
+    vectors = area_vectors_m2(room.mesh)
+    areas = np.linalg.norm(vectors, axis=1)
+    order = np.argsort(-areas)
+    directions: list[FloatArray] = []
+    for i in order[areas[order] > 0.0]:
+        _add(directions, vectors[i] / areas[i])
+        if len(directions) == _MOST_NORMALS:
+            break
+    spread = corners_m(room.mesh).mean(axis=1) - _middle_m(room)
+    found = list(np.linalg.eigh((spread.T * areas) @ spread)[1].T)
+    for direction in directions:
+        _add(found, direction)
+    for one, other in combinations(directions, 2):
+        for between in (one - other, one + other):
+            length = float(np.linalg.norm(between))
+            if length > _SAME_DIRECTION:
+                _add(found, between / length)
+    return found
+
+
+def _add(directions: list[FloatArray], new: FloatArray) -> None:
+    """Append a direction unless it, or its opposite, is there."""
+    known = np.array(directions).reshape(-1, 3)
+    if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
+        directions.append(new)
+
+
+def _exchange(
+    room: Room,
+    points: FloatArray,
+    material: IntArray,
+    matrix: FloatArray,
+    middle: FloatArray,
+    tolerance_m: float,
+) -> IntArray | None:
+    """Return where a motion carries each material; None where it does not keep the surface."""
+    moved = middle + (points - middle) @ matrix.T
+    if np.any(nearest_triangles(room.mesh, moved[:_FEW_SAMPLES])[0] > tolerance_m):
+        return None
+    distance, triangle = nearest_triangles(room.mesh, moved)
+    if np.any(distance > tolerance_m):
+        return None
+    met = triangle_material(room)[triangle]
+    n = len(room.materials)
+    counts = np.zeros((n, n))
+    np.add.at(counts, (material, met), 1.0)
+    total = counts.sum(axis=1)
+    exchange = np.where(total > 0.0, counts.argmax(axis=1), np.arange(n))
+    whole = counts[np.arange(n), exchange] >= _WHOLE_SHARE * total
+    if not np.all(whole) or np.unique(exchange).size < n:
+        return None
+    return np.asarray(exchange, dtype=np.int64)
+
+
+def _closed(found: list[Symmetry]) -> tuple[Symmetry, ...]:
+    """Return all combinations of symmetries but the identity."""
+    group = list(found)
+    grew = True
+    while grew and len(group) < _MOST_SYMMETRIES:
+        grew = False
+        for one in found:
+            for other in list(group):
+                matrix = one.matrix @ other.matrix
+                known = [np.eye(3), *(g.matrix for g in group)]
+                if any(np.allclose(matrix, k, atol=1e-3) for k in known):
+                    continue
+                group.append(Symmetry(matrix, one.centre_m, one.exchange[other.exchange]))
+                grew = True
+    return tuple(group)

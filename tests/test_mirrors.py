@@ -1,0 +1,72 @@
+"""Answers that a symmetric room makes as good as the one found: told, and not called sure."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from roomfit.air import Air
+from roomfit.app.gathering import Gathered
+from roomfit.app.mirrors import mirror_findings
+from roomfit.bands import Bands
+from roomfit.geometry.shoebox import shoebox_mesh
+from roomfit.materials.knowledge import unknown_material
+from roomfit.scene.room import Room
+from roomfit.scene.scene import Point, Scene
+from roomfit.signals.measured_values import MeasuredValues
+
+LENGTHS = (5.0, 4.0, 3.0)
+NAMES = ("walls", "floor", "ceiling")
+OWNERS = (0, 0, 0, 0, 1, 2)
+BANDS = Bands("octave", [500.0, 1000.0])
+KNOWN = tuple(unknown_material(n, 2) for n in NAMES)
+ABSORPTION = np.array([[0.1, 0.1], [0.3, 0.3], [0.6, 0.35]])
+
+
+def gathered(*heights_m: float, sd_m: float = 0.01) -> Gathered:
+    """One source at half height, receivers at the given ones; room parameters only."""
+    places = [(1.0 + 0.7 * i, 2.9, z) for i, z in enumerate(heights_m)]
+    receivers = tuple(Point(f"R{i}", np.array(p), sd_m) for i, p in enumerate(places))
+    scene = Scene(
+        Room(shoebox_mesh(LENGTHS), NAMES, np.array(OWNERS), LENGTHS),
+        (Point("S", np.array([3.9, 1.3, 1.5]), sd_m),),
+        receivers,
+        np.array([(0, i) for i in range(len(receivers))]),
+        Air(),
+    )
+    values = tuple(MeasuredValues("S", r.name, BANDS.centres_hz, {}, {}) for r in receivers)
+    return Gathered(scene, (), values, (), ())
+
+
+def found(data: Gathered, knowledge=KNOWN):
+    return mirror_findings(data, BANDS, knowledge, ABSORPTION, ABSORPTION - 0.1, ABSORPTION + 0.1)
+
+
+def test_floor_and_ceiling_can_be_exchanged_where_everything_stands_at_half_height():
+    ambiguous, (finding,) = found(gathered(1.5, 1.51))
+    # at 1 kHz both answers lie within the intervals
+    assert ambiguous.tolist() == [[False, False], [True, False], [True, False]]
+    assert finding.code == "mirror-images"
+    assert finding.evidence["materials"] == ["floor", "ceiling"]
+    assert finding.evidence["other_answer"]["floor"] == [0.6, 0.35]
+    assert finding.evidence["bands_hz"] == [500.0]
+    assert finding.evidence["apart_m"] == pytest.approx(0.01)
+    assert "floor 0.60 instead of 0.30" in finding.sentence
+
+
+def test_one_pair_off_the_plane_is_enough():
+    for heights in ((1.5, 1.6), (1.2,)):
+        ambiguous, findings = found(gathered(*heights))
+        assert not ambiguous.any()
+        assert findings == ()
+    # places that are known to 4 cm only may be symmetric after all
+    assert len(found(gathered(1.5, 1.6, sd_m=0.04))[1]) == 1
+
+
+def test_what_is_known_of_one_wall_tells_it_from_the_other():
+    known = replace(KNOWN[1], known=np.array([0.3, 0.3]))
+    assert found(gathered(1.5), (KNOWN[0], known, KNOWN[2]))[1] == ()
+    prior = replace(KNOWN[1], prior_logit_sd=np.full(2, 0.2), prior_logit_mean=np.full(2, -0.8))
+    assert found(gathered(1.5), (KNOWN[0], prior, KNOWN[2]))[1] == ()
