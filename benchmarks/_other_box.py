@@ -33,6 +33,15 @@ class OtherBox:
     speed_of_sound_m_s: float
     delays_s: np.ndarray  # (6,), what each wall adds at every reflection
 
+    def absorption_at(self, centres_hz: np.ndarray) -> np.ndarray:
+        """Return the absorption at the centres of bands, (6, n_bands).
+
+        Between the octaves' centres linear in the logarithm of frequency, as a reading of what the
+        simulators do there: their band filters overlap by a half octave.
+        """
+        octaves = np.log(bands_between("octave", 125, 8000).centres_hz)
+        return np.array([np.interp(np.log(centres_hz), octaves, row) for row in self.absorption])
+
 
 def write_other_box(
     seed: int,

@@ -6,11 +6,28 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.sparse import csr_array
 
-from coherent_cases import CENTRE_HZ, END_S, small_geometry, small_problem
+from coherent_cases import (
+    CENTRE_HZ,
+    END_S,
+    MATERIALS,
+    small_geometry,
+    small_problem,
+    small_scene,
+)
+from roomfit.app.problems import bin_paths, in_band
+from roomfit.bands import Bands
+from roomfit.materials.scattering import uniform_scattering
 from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
 from roomfit.objective.energy_problem import first_windows, predict_windows, window_variance
 from roomfit.objective.parameters import start_vector
+from roomfit.objective.window_kernels import in_windows
+from roomfit.objective.windows import window_edges_s
+from roomfit.response.energy import weigh
+from roomfit.signals.filters import FilterBank, share_matrix, smearing_kernel
+from roomfit.tracing.join import trace
+from roomfit.tracing.settings import TraceSettings
 
 CUT_S = 0.03
 
@@ -75,3 +92,34 @@ def test_late_windows_are_those_of_energies(whole: CoherentProblem, cut: Coheren
     )
     with_phase = whole.predict(vector).expected[late]
     assert np.abs(with_phase / expected.expected[late] - 1.0).max() > 0.05
+
+
+def test_bins_that_grow_late_hold_the_same_rows_and_expect_the_same_energies() -> None:
+    """A trace of rays in a box: windows from growing bins against windows from the finest ones."""
+    scene = small_scene()
+    paths = trace(scene, TraceSettings(0.9, 4000, 1), uniform_scattering(MATERIALS, 0.3)).paths
+    bands = Bands("octave", np.array([4000.0]))
+    fine = bin_paths(scene, bands, paths, 0.9)
+    grown = in_band(fine, 4000.0)
+    assert grown.edges_s.size < 0.25 * fine.edges_s.size
+    assert len(grown.rows[0]) == len(fine.rows[0])
+    edges = window_edges_s(0.01, 0.85, 2800.0)
+    a, still = np.full((3, 1), 0.2), np.zeros(1)
+    kernel = smearing_kernel(FilterBank(bands))
+    found = []
+    for binned in (fine, grown):
+        middles = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])
+        energy = weigh(binned.rows[0], a, still, derivative=False).energy[0]
+        found.append(share_matrix(kernel, 0, middles, edges) @ energy)
+    # a bin is a fortieth of a window at most: an edge moves less than half of that, 1.25 % of what
+    # stands there, and the Poisson noise of some hundred rays a bin is no more
+    np.testing.assert_allclose(found[1], found[0], rtol=0.02)
+
+
+def test_rows_of_bins_are_carried_into_windows_as_a_matrix_product_would() -> None:
+    """Against scipy's own product, some windows empty."""
+    rng = np.random.default_rng(4)
+    dense = rng.random((7, 50)) * (rng.random((7, 50)) < 0.2)
+    dense[3] = 0.0
+    rows = rng.random((5, 50))
+    np.testing.assert_allclose(in_windows(csr_array(dense), rows), dense @ rows.T, rtol=1e-13)

@@ -144,6 +144,7 @@ def identify(
     solved = solve(
         *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
         traced.far_images,
+        traced.fit_until_s,
         traced.again,
         part(progress, 0.45, 0.98),
     )

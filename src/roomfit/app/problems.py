@@ -24,7 +24,7 @@ from roomfit.objective.energy_problem import (
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, energy_rows, first_rows, grouped_rows
+from roomfit.response.rows import EnergyRows, energy_rows, first_rows, regrouped_rows
 from roomfit.scene.scene import Scene
 from roomfit.signals.filters import (
     FilterBank,
@@ -39,9 +39,10 @@ from roomfit.signals.filters import (
     window_energies,
 )
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 
 BIN_S = 0.1e-3
+_BINS_PER_TIME = 400.0
 # Positions are taken with a tape, unless the campaign says how well they are known.
 UNTOLD_POSITION_SD_M = 0.02
 # A window is used down to where the decay stands 4 dB above the noise.
@@ -151,15 +152,25 @@ def paths_at(paths: Paths, factors: FloatArray | None, band: int) -> Paths:
 
 
 def in_band(binned: BinnedPaths, centre_hz: float) -> BinnedPaths:
-    """Return the same paths in bins as coarse as a band permits: a sixteenth of a period.
+    """Return the same paths in bins as coarse as a band permits.
 
-    A band of a filter does not resolve time finer than several periods.
+    A sixteenth of a period, since a band of a filter does not resolve time finer than several
+    periods, or a 400th of the time after emission, where windows have grown to 40 times that.
     """
-    together = max(int(1.0 / (16.0 * centre_hz * BIN_S)), 1)
-    first = np.arange(0, binned.edges_s.size - 1, together)
+    first = _bin_starts(binned.edges_s, centre_hz)
     edges_s = binned.edges_s[np.append(first, binned.edges_s.size - 1)]
-    rows = tuple(grouped_rows(rows, together) for rows in rows_at(binned, centre_hz))
+    rows = tuple(regrouped_rows(rows, first) for rows in rows_at(binned, centre_hz))
     return BinnedPaths(edges_s, rows)
+
+
+def _bin_starts(edges_s: FloatArray, centre_hz: float) -> IntArray:
+    least = max(int(1.0 / (16.0 * centre_hz * BIN_S)), 1)
+    starts = []
+    at = 0
+    while at < edges_s.size - 1:
+        starts.append(at)
+        at += max(least, int(edges_s[at] / (_BINS_PER_TIME * BIN_S)))
+    return np.array(starts)
 
 
 def band_problems(

@@ -53,6 +53,7 @@ def solve(
     binned: BinnedPaths,
     start: FloatArray,
     far_images: bool,
+    fit_until_s: float,
     retrace: Retrace | None,
     progress: Progress | None,
 ) -> Solved:
@@ -69,6 +70,8 @@ def solve(
         Uniform absorption to start from.
     far_images : bool
         Whether there are image sources enough to add pressures.
+    fit_until_s : float
+        No window of a partly coherent fit ends later.
     retrace : callable or None
         Finds image sources anew where positions have moved, in rooms where that matters.
     """
@@ -81,6 +84,7 @@ def solve(
         positions="fixed" if campaign.positions == "fixed" else "fit",
         delays=campaign.wall_delays,
         model="coherent" if campaign.model == "coherent" else "auto",
+        late_end_s=fit_until_s,
     )
     if told is not None:
         # the speed of sound grows as the root of the absolute temperature

@@ -38,6 +38,8 @@ class TracedCampaign:
     scattering : float array, shape (n_materials, n_bands)
     far_images : bool
         Whether image sources of every order reach far enough to be added as pressures.
+    fit_until_s : float
+        No window of a partly coherent fit ends later.
     again : callable or None
         Gives paths, factors and bins with the image sources found anew where sources and receivers
         have moved; None where all images stay, as in a box, or too few are known.
@@ -49,6 +51,7 @@ class TracedCampaign:
     factors: FloatArray | None
     scattering: FloatArray
     far_images: bool
+    fit_until_s: float
     again: Retrace | None
     findings: tuple[Finding, ...]
 
@@ -115,6 +118,7 @@ def trace_campaign(
         factors,
         scattering,
         plan.far_images,
+        plan.fit_until_s,
         _finder(campaign, scene.room, plan, paths, scattering),
         (
             *plan.findings,

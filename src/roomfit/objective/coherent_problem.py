@@ -19,6 +19,7 @@ from roomfit.objective.energy_problem import (
 )
 from roomfit.objective.parameters import Block, Parameters, fitted_columns, physical_values
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.objective.window_kernels import in_windows
 from roomfit.response.coherent import (
     BandGrid,
     CoherentResponse,
@@ -182,7 +183,7 @@ def _correction(
             *(total, by_hits),
         )
         less.append(seen.shares @ total)
-        less_by_hits.append(seen.shares @ by_hits.T)
+        less_by_hits.append(in_windows(seen.shares, by_hits))
     by_log = response.by_log_reflected - np.concatenate(less_by_hits)
     # d ln(1 - a) = -da / (1 - a)
     by_absorption = -by_log / np.maximum(1.0 - absorption, 1e-12)

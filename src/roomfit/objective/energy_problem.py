@@ -16,6 +16,7 @@ from roomfit.objective.parameters import (
     physical_values,
 )
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.objective.window_kernels import in_windows
 from roomfit.response.energy import batch_energies, weigh
 from roomfit.response.rows import EnergyRows, rows_in_air
 from roomfit.typing import BoolArray, FloatArray
@@ -187,7 +188,7 @@ def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
         signals.append(signal)
         noises.append(observation.noise)
         derivative = cast(FloatArray, response.derivative)
-        by_absorption.append(gain * (observation.shares @ derivative[:, 0, :].T))
+        by_absorption.append(gain * in_windows(observation.shares, derivative[:, 0, :]))
         columns = np.zeros((signal.size, values["gain"].size))
         if observation.gain >= 0:
             columns[:, observation.gain] = signal / gain
@@ -351,5 +352,5 @@ def tracing_variance(
     if rows.n_batches < 2:
         return np.zeros(seen.energy.size)
     batches = batch_energies(rows, coefficients, attenuation)[:, 0, :]
-    windows = np.stack([seen.shares @ energies for energies in batches])
-    return np.asarray(len(windows) * np.var(windows, axis=0, ddof=1))
+    windows = in_windows(seen.shares, batches)
+    return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))

@@ -216,7 +216,17 @@ def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
 
     The last one holds what is left. No row is copied or moved.
     """
-    first = np.arange(0, rows.n_windows, n_together)
+    return regrouped_rows(rows, np.arange(0, rows.n_windows, n_together))
+
+
+def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
+    """Return the same rows in coarser windows, each from one of the old ones up to the next.
+
+    Parameters
+    ----------
+    first : int array, shape (n_new,)
+        Rising, from 0: the old window at which each new one begins. No row is copied or moved.
+    """
     return replace(
         rows, n_windows=first.size, offsets=rows.offsets[np.append(first, rows.n_windows)]
     )
