@@ -11,7 +11,13 @@ from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band
-from roomfit.identification.solvers import Solver, annealing_solver, gauss_newton, simplex_solver
+from roomfit.identification.solvers import (
+    Solver,
+    annealing_solver,
+    few_gauss_newton_steps,
+    gauss_newton,
+    simplex_solver,
+)
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.parameters import Parameters, leaders, position_of, to_free
 from roomfit.objective.problem import BandProblem
@@ -223,4 +229,4 @@ def _solvers(
         return annealing_solver(parameters, rng), simplex_solver(parameters)
     if method == "simplex":
         return simplex_solver(parameters), simplex_solver(parameters)
-    return gauss_newton, gauss_newton
+    return gauss_newton, few_gauss_newton_steps

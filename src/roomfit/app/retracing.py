@@ -11,7 +11,7 @@ from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, band_problems, bin_paths
 from roomfit.bands import Bands
 from roomfit.identification.reweighted import BandFit, fit_band
-from roomfit.identification.solvers import gauss_newton
+from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.materials.scattering import Scattering
 from roomfit.response.scattering import LEAST_SAMPLE_SHARE, rows_for_band, with_scattering
@@ -117,7 +117,7 @@ def energy_fits(
         problems = band_problems(scene, bands, knowledge, measured, binned, start)
         for band, problem in enumerate(problems):
             if problem is not None and own.reshape(-1)[band] == number:
-                fits[band] = fit_band(problem, gauss_newton, gauss_newton)
+                fits[band] = fit_band(problem, gauss_newton, few_gauss_newton_steps)
     return tuple(fits)
 
 

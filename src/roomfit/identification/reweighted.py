@@ -14,6 +14,8 @@ from roomfit.objective.problem import BandProblem, Prediction
 from roomfit.typing import FloatArray, Progress
 
 MOST_ROUNDS = 12
+# From this round on weights go only half of the way: two answers may each lead to the other's.
+_HALF_WAY_FROM = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -91,9 +93,11 @@ def fit_band(
         vector = refiner(_weighted_squares(counter, measured, spread), vector)
         sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, spread, vector))))
         converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
-        variance = problem.variance(vector)
+        renewed = problem.variance(vector)
+        variance = np.sqrt(variance * renewed) if number >= _HALF_WAY_FROM else renewed
         if progress is not None:
             progress((number + 1) / MOST_ROUNDS)
+    variance = problem.variance(vector)
     if progress is not None:
         progress(1.0)
     prediction = counter.predict(vector)

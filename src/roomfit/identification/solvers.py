@@ -21,12 +21,15 @@ _LOG_REACH = 3.0
 _FIRST_EDGE = 0.1
 _FIRST_DAMPING, _MOST_DAMPING = 1e-3, 1e10
 _MOST_STEPS = 40
+_FEW_STEPS = 15
 _NEAR = 0.01
 # of the sum of squares: a thousandth of what one standard deviation would cost
 _LEAST_GAIN = 1e-3
 
 
-def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
+def gauss_newton(
+    residuals: ResidualFunction, start: FloatArray, *, most_steps: int = _MOST_STEPS
+) -> FloatArray:
     """Solve by damped Gauss-Newton steps with the exact derivative.
 
     Marquardt's damping [1]_, lowered after a step that helps and raised after one that does not.
@@ -44,7 +47,7 @@ def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
         return x
     values, jacobian = residuals(x)
     damping = _FIRST_DAMPING
-    for _ in range(_MOST_STEPS):
+    for _ in range(most_steps):
         gradient, hessian = jacobian.T @ values, jacobian.T @ jacobian
         scale = np.diag(hessian)
         step = -np.linalg.solve(hessian + damping * np.diag(scale), gradient)
@@ -60,6 +63,11 @@ def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
         if step @ hessian @ step < _NEAR**2 or gain < _LEAST_GAIN:
             break
     return x
+
+
+def few_gauss_newton_steps(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
+    """Take steps of `gauss_newton` towards squares whose weights will be renewed anyway."""
+    return gauss_newton(residuals, start, most_steps=_FEW_STEPS)
 
 
 def simplex_solver(parameters: Parameters) -> Solver:

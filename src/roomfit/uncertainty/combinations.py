@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -102,6 +103,8 @@ def find_combinations(
     posterior = (a, covariance, prior_mean, prior_sd, _DRAWS, rng)
     draws, beforehand = band_draws(*posterior), prior_draws(*posterior)
 
+    # the same pairs of groups come up again while others are put together
+    @functools.cache
     def told(group: tuple[int, ...]) -> tuple[Combination, bool]:
         weights = np.zeros(n)
         weights[list(group)] = areas[list(group)] / areas[list(group)].sum()

@@ -20,7 +20,7 @@ from roomfit.app.problems import BinnedPaths, band_problems, paths_at, tells_of_
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band
-from roomfit.identification.solvers import gauss_newton
+from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.scene.scene import Scene
@@ -95,7 +95,7 @@ def _fit_energies(
 ) -> BandFit | None:
     if problem is None:
         return None
-    return fit_band(joined(problem, factor, parts), gauss_newton, gauss_newton)
+    return fit_band(joined(problem, factor, parts), gauss_newton, few_gauss_newton_steps)
 
 
 def energy_answers(
@@ -117,6 +117,6 @@ def energy_answers(
             first = np.cumsum([0, *fine[:-1]])
             sizes = [o.energy.size for o in problem.observations]
             factor = np.repeat(band.factor[first], sizes)
-        fit = fit_band(joined(problem, factor, own), gauss_newton, gauss_newton)
+        fit = fit_band(joined(problem, factor, own), gauss_newton, few_gauss_newton_steps)
         out.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
     return tuple(out)
