@@ -284,11 +284,11 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
     told = {
         "results.md": [
             f"(φ at most {LARGEST_PHI:g}), the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
-            f"the campaign told no scattering; {DEFAULT_SCATTERING:g} was taken",
+            f"explains the responses best, and {DEFAULT_SCATTERING:g} where there are only room",
             f"more than {100 * LEAK_LIMIT:g} % of hits escape",
         ],
         "campaign-file.md": [
-            f"Left out: {DEFAULT_SCATTERING:g}, with a finding",
+            f"({DEFAULT_SCATTERING:g} where there are only room parameters), with a finding",
             f"Left out: {UNTOLD_POSITION_SD_M:g}",
             f"lies between {low:.2f} and {high:.2f}",
         ],

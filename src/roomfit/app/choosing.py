@@ -7,8 +7,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from roomfit.app.gathering import Gathered
+from roomfit.app.planning import DEFAULT_SCATTERING
 from roomfit.app.retracing import energy_fits, log_likelihoods, scene_retracer
-from roomfit.app.scattering import choose_scattering, suspected_scattering
+from roomfit.app.scattering import ScatteringFit, choose_scattering, suspected_scattering
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign
@@ -24,6 +25,7 @@ _LONGEST_S = 0.3
 # Beyond so many unknown coefficients they get one value in common.
 _MOST_APART = 3
 _TRIAL = (0.15,)
+_ASSUMED = (0.05, 0.2, 0.4)
 _TRIAL_BANDS = 2
 _TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
 
@@ -65,7 +67,10 @@ def chosen_scattering(
     scene, bands = gathered.scene, campaign.bands
     retracer = scene_retracer(scene, bands, _quick(settings))
     told = np.stack(
-        [np.full(len(bands), 0.1) if k.scattering is None else k.scattering for k in knowledge]
+        [
+            np.full(len(bands), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
+            for k in knowledge
+        ]
     )
 
     def fit(coefficients: FloatArray) -> FloatArray:
@@ -98,6 +103,46 @@ def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
     return NoiseEstimate(*(getattr(noise, f.name)[chosen] for f in fields(NoiseEstimate)))
 
 
+def assumed_scattering(
+    gathered: Gathered,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    settings: TraceSettings,
+    start: FloatArray,
+) -> tuple[tuple[MaterialKnowledge, ...], tuple[Finding, ...]]:
+    """Return the knowledge with a scattering for the walls of which none is told.
+
+    One coefficient for all of them: the likeliest of five where there are responses, else 0.1.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+    """
+    untold = np.array([k.scattering is None and not k.fit_scattering for k in knowledge])
+    if not untold.any():
+        return knowledge, ()
+    names = ", ".join(k.name for k in knowledge if k.scattering is None)
+    sentence = f"No scattering is told for {names}; {DEFAULT_SCATTERING:g} was assumed."
+    value = DEFAULT_SCATTERING
+    trial = _trial(gathered, bands, knowledge, settings, start)
+    if trial is not None:
+        fit, told = trial
+        grid = (0.0, *sorted({*_ASSUMED, DEFAULT_SCATTERING}))
+        choice = choose_scattering(fit, told, untold, grid=grid)
+        value = float(choice.coefficients[untold][0, 0])
+        low, high = (float(x[untold][0, 0]) for x in (choice.lower, choice.upper))
+        sentence = (
+            f"No scattering is told for {names}; {value:g} was assumed, which explains the "
+            f"responses best ({low:g} to {high:g} explain them as well)."
+        )
+    known = tuple(
+        replace(k, scattering=np.full(len(bands), value)) if missing else k
+        for k, missing in zip(knowledge, untold, strict=True)
+    )
+    evidence = {"materials": names.split(", "), "scattering": value}
+    return known, (Finding("scattering-assumed", "info", sentence, evidence),)
+
+
 def scattering_doubts(
     gathered: Gathered,
     bands: Bands,
@@ -114,9 +159,27 @@ def scattering_doubts(
     start : float array, shape (n_bands,)
     """
     smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in knowledge]
-    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
-    if not (any(smooth) and heard):
+    trial = _trial(gathered, bands, knowledge, settings, start) if any(smooth) else None
+    if trial is None:
         return ()
+    fit, told = trial
+    return suspected_scattering(fit, gathered.scene.room.materials, told, fit(told), trials=_TRIAL)
+
+
+def _trial(
+    gathered: Gathered,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    settings: TraceSettings,
+    start: FloatArray,
+) -> tuple[ScatteringFit, FloatArray] | None:
+    """Return a quick fit of the energies in the two middle bands, and what is told for these.
+
+    None where there are no responses to fit.
+    """
+    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
+    if not heard:
+        return None
     first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
     chosen = slice(first, min(first + _TRIAL_BANDS, len(bands)))
     middle = Bands(bands.kind, bands.centres_hz[chosen])
@@ -127,7 +190,10 @@ def scattering_doubts(
     few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
     retracer = scene_retracer(scene, middle, few)
     told = np.stack(
-        [np.full(len(middle), 0.1) if k.scattering is None else k.scattering for k in known]
+        [
+            np.full(len(middle), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
+            for k in known
+        ]
     )
 
     def fit(coefficients: FloatArray) -> FloatArray:
@@ -135,4 +201,4 @@ def scattering_doubts(
             energy_fits(scene, middle, known, responses, retracer, start[chosen], coefficients)
         )
 
-    return suspected_scattering(fit, scene.room.materials, told, fit(told), trials=_TRIAL)
+    return fit, told

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from roomfit.app.cached_trace import cached_trace
-from roomfit.app.choosing import chosen_scattering, scattering_doubts
+from roomfit.app.choosing import assumed_scattering, chosen_scattering, scattering_doubts
 from roomfit.app.coherent.fit import Retrace
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
@@ -97,11 +97,14 @@ def trace_campaign(
     slowest_s, latest_s = time_scales(gathered)
     coherent = is_coherent(campaign)
     plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
+    knowledge, assumed = assumed_scattering(
+        gathered, campaign.bands, knowledge, plan.settings, start
+    )
     knowledge, chosen = chosen_scattering(
         *(campaign, gathered, knowledge, plan.settings, start), part(progress, 0.0, 0.5)
     )
     doubts: tuple[Finding, ...] = ()
-    if chosen:
+    if assumed or chosen:
         plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
     else:
         doubts = scattering_doubts(gathered, campaign.bands, knowledge, plan.settings, start)
@@ -126,6 +129,7 @@ def trace_campaign(
             *found.value.findings,
             *unmet_findings(paths, unknown),
             *worn,
+            *assumed,
             *chosen,
             *doubts,
         ),
