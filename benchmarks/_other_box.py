@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -32,6 +33,7 @@ class OtherBox:
     positions_m: dict[str, np.ndarray]  # true ones
     speed_of_sound_m_s: float
     delays_s: np.ndarray  # (6,), what each wall adds at every reflection
+    b: dict[str, np.ndarray]  # of each source: amplitude 1 + b . u in direction u
 
     def absorption_at(self, centres_hz: np.ndarray) -> np.ndarray:
         """Return the absorption at the centres of bands, (6, n_bands).
@@ -52,10 +54,19 @@ def write_other_box(
     c_error: float = 0.0,
     delay_s: float = 0.0,
     top_hz: float = 4000.0,
+    strength: float = 0.0,
+    told: str = "omni",
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
     The room, the places and the materials of a seed are the same for any position error.
+
+    Parameters
+    ----------
+    strength : float
+        Length of b of every source, each with an aim of its own; the other program's cardioids.
+    told : str
+        What the campaign says of the directivity: "omni" or "fit".
     """
     import soundfile
 
@@ -66,25 +77,45 @@ def write_other_box(
     absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
     n_sources, n_receivers = {1: (1, 1), 2: (1, 2), 4: (2, 2), 8: (2, 4), 16: (4, 4)}[n_pairs]
     places = _places(rng, lengths)
-    told = {f"LS{i + 1}": places[i] for i in range(n_sources)}
-    told |= {f"MP{i + 1}": places[4 + i] for i in range(n_receivers)}
+    at = {f"LS{i + 1}": places[i] for i in range(n_sources)}
+    at |= {f"MP{i + 1}": places[4 + i] for i in range(n_receivers)}
     errors = rng.standard_normal((8, 3))
     noise_db = rng.uniform(-60.0, -45.0)
-    true = {n: p + position_error_m * errors[_place(n)] for n, p in told.items()}
+    true = {n: p + position_error_m * errors[_place(n)] for n, p in at.items()}
     c = speed_of_sound_m_s(Air()) * (1.0 + c_error)
-    pairs = [(s, r) for s in told if s[0] == "L" for r in told if r[0] == "M"]
+    pairs = [(s, r) for s in at if s[0] == "L" for r in at if r[0] == "M"]
+    b = _aims(seed, lengths, [s for s in at if s[0] == "L"], at, strength)
     delays = np.where(absorption[:, 2] > 0.5, delay_s, 0.0)
     if delay_s:
         responses = _delayed(lengths, absorption, true, pairs, c, delays)
     else:
-        responses = _simulated(lengths, absorption, true, pairs, c)
+        responses = _simulated(lengths, absorption, true, pairs, c, b)
     for (s, r), pressure in zip(pairs, responses, strict=True):
         noisy = add_noise(pressure, noise_db, rng).astype(np.float32)
         soundfile.write(folder / f"{s}_{r}.wav", noisy, RATE_HZ, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
-    campaign.write_text(_campaign_text(lengths, materials, told, pairs, position_error_m, top_hz))
-    return OtherBox(campaign, lengths, materials, absorption, true, c, delays)
+    text = _campaign_text(lengths, materials, at, pairs, position_error_m, top_hz, told)
+    campaign.write_text(text)
+    return OtherBox(campaign, lengths, materials, absorption, true, c, delays, b)
+
+
+def _aims(
+    seed: int,
+    lengths: np.ndarray,
+    sources: list[str],
+    at: dict[str, np.ndarray],
+    strength: float,
+) -> dict[str, np.ndarray]:
+    """Return b of every source: towards the middle of the room, as people do, 30 degrees off."""
+    rng = np.random.default_rng([seed, 5])
+    out = {}
+    for name in sources:
+        toward = 0.5 * lengths - at[name]
+        toward /= np.linalg.norm(toward)
+        aim = toward + np.tan(np.pi / 6.0) * np.cross(toward, rng.standard_normal(3))
+        out[name] = strength * aim / np.linalg.norm(aim)
+    return out
 
 
 def _place(name: str) -> int:
@@ -112,6 +143,7 @@ def _simulated(
     places: dict[str, np.ndarray],
     pairs: list[tuple[str, str]],
     c: float,
+    b: dict[str, np.ndarray],
 ) -> list[np.ndarray]:
     """Return the other program's responses of all pairs, time 0 at the emission."""
     import pyroomacoustics as pra
@@ -132,7 +164,7 @@ def _simulated(
     room.set_sound_speed(c)
     room.air_absorption = attenuation_per_m(Air(), octaves)
     for s in sources:
-        room.add_source(list(places[s]))
+        room.add_source(list(places[s]), directivity=_cardioid(b[s]))
     room.add_microphone_array(np.array([places[r] for r in receivers]).T)
     room.compute_rir()
     out = []
@@ -141,6 +173,18 @@ def _simulated(
         rir = np.asarray(room.rir[receivers.index(r)][sources.index(s)], dtype=np.float64)
         out.append(rir[LATE_SAMPLES : LATE_SAMPLES + n])
     return out
+
+
+def _cardioid(b: np.ndarray) -> Any:
+    """Return the other program's source of amplitude 1 + b . u over 1 + |b|; None for b = 0."""
+    from pyroomacoustics.directivities import CardioidFamily, DirectionVector
+
+    length = float(np.linalg.norm(b))
+    if length == 0.0:
+        return None
+    x, y, z = b / length
+    axis = DirectionVector(np.arctan2(y, x), np.arccos(z), degrees=False)
+    return CardioidFamily(axis, p=1.0 / (1.0 + length))
 
 
 def _delayed(
@@ -166,20 +210,23 @@ def _delayed(
 def _campaign_text(
     lengths: np.ndarray,
     materials: tuple[str, ...],
-    told: dict[str, np.ndarray],
+    at: dict[str, np.ndarray],
     pairs: list[tuple[str, str]],
     position_error_m: float,
     top_hz: float,
+    directivity: str,
 ) -> str:
     lines = ["[room]", f"shoebox = {lengths.tolist()}", "[room.materials]"]
     lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, materials, strict=True)]
     lines += ["[air]", "temperature_c = 20.0", "humidity_percent = 50.0"]
     for name in materials:
         lines += [f"[materials.{name}]", "scattering = 0.0"]
-    for name, position in told.items():
+    for name, position in at.items():
         kind = "sources" if name[0] == "L" else "receivers"
         lines += [f"[{kind}.{name}]", f"position = {position.tolist()}"]
         lines += [f"position_sd = {position_error_m}"]
+        if kind == "sources":
+            lines += [f'directivity = "{directivity}"']
     for s, r in pairs:
         lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
         lines += [f'file = "{s}_{r}.wav"']

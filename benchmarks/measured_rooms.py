@@ -10,6 +10,7 @@ The null model knows nothing of the room: it takes the mean of the pairs that we
 
 ROOM        dechorate    three microphones fitted, three predicted
             dechorate-aimed  the same, the loudspeaker told to aim at the fitted microphones
+            dechorate-fitted  the same, the loudspeaker's directivity fitted
             dechorate-1  each microphone predicted from the five others
             tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
             bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
@@ -28,7 +29,7 @@ from scipy.io import loadmat
 
 from roomfit.app.identify import identify
 from roomfit.files.campaign.campaign import read_campaign
-from roomfit.report.answer_text import absorption_table, separable_text
+from roomfit.report.answer_text import absorption_table, directivity_text, separable_text
 from roomfit.uncertainty.answer import Answer
 
 DECHORATE_ROOM = """
@@ -196,6 +197,15 @@ def dechorate_aimed(data: Path, ending: str) -> None:
     show("dEchorate, loudspeaker aimed at M1 to M3, M4 to M6 predicted", [answer_to(text)])
 
 
+def dechorate_fitted(data: Path, ending: str) -> None:
+    """Three microphones fitted, three predicted, with the loudspeaker's directivity fitted."""
+    text = dechorate_campaign(data / "dechorate", ("M4", "M5", "M6")) + ending
+    text = text.replace("[sources.S1]\n", '[sources.S1]\ndirectivity = "fit"\n')
+    answer = answer_to(text)
+    show("dEchorate, directivity fitted, M4 to M6 predicted", [answer])
+    print(f"\n{directivity_text(answer)}")
+
+
 def dechorate_one_out(data: Path, ending: str) -> None:
     """Each microphone predicted from the five others."""
     texts = [dechorate_campaign(data / "dechorate", (f"M{i}",)) + ending for i in range(1, 7)]
@@ -218,6 +228,7 @@ def bras(data: Path, ending: str) -> None:
 ROOMS: dict[str, Callable[[Path, str], None]] = {
     "dechorate": dechorate,
     "dechorate-aimed": dechorate_aimed,
+    "dechorate-fitted": dechorate_fitted,
     "dechorate-1": dechorate_one_out,
     "tudelft": delft,
     "bras": bras,

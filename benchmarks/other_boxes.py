@@ -2,14 +2,16 @@
 
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
-        [--third-octaves]
+        [--third-octaves] [--strength 0] [--directivity omni]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
 Boxes of 4.5-9 x 3.6-7 x 2.4-3.8 m, no two sides alike, six materials from 0.01 to 0.97, positions
 0.6 m clear of the walls and told with an error, noise 45 to 60 dB below the peak. --delay-ms lets
 the walls that absorb more than a half delay what they reflect; the other program cannot, so those
-data are made by `roomfit.testproblems.pressure_box`'s images. The null model gives all walls of a
+data are made by `roomfit.testproblems.pressure_box`'s images. --strength gives every source the
+other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
+what the campaign tells of it. The null model gives all walls of a
 room the area mean of the fitted answer.
 """
 
@@ -100,11 +102,26 @@ def _show_means(done: list[Outcome]) -> None:
         f"area mean |error| median {np.median(errors):.4f}  90 % {np.quantile(errors, 0.9):.4f}"
         f"  intervals hold {np.mean(held):.2f}"
     )
+    _show_directivity(done)
     if c_errors:
         print(f"speed of sound, largest relative error {max(c_errors):.5f}")
     print(
         f"seconds a room {np.mean([o.seconds for o in done]):.1f}, of the processor "
         f"{np.mean([o.cpu_seconds for o in done]):.1f}"
+    )
+
+
+def _show_directivity(done: list[Outcome]) -> None:
+    """Print how far fitted b are off, component by component, and how often intervals hold."""
+    pairs = [(o.box.b[d.source], d) for o in done for d in o.answer.directivities]
+    if not pairs:
+        return
+    errors = np.abs(np.concatenate([(d.b - true).ravel() for true, d in pairs]))
+    sd = np.concatenate([d.sd.ravel() for _, d in pairs])
+    print(
+        f"b: |error| of a component median {np.median(errors):.3f}, 90 % "
+        f"{np.quantile(errors, 0.9):.3f}, largest {errors.max():.2f}, "
+        f"intervals hold {np.mean(errors <= 1.96 * sd):.3f}"
     )
 
 
@@ -124,6 +141,8 @@ def main() -> None:
     parser.add_argument("--delay-ms", type=float, default=0.0)
     parser.add_argument("--top-hz", type=float, default=4000.0)
     parser.add_argument("--unfitted", action="store_true", help="positions and c as told")
+    parser.add_argument("--strength", type=float, default=0.0, help="|b| of every source")
+    parser.add_argument("--directivity", choices=("omni", "fit"), default="omni", help="told")
     parser.add_argument("--energy", action="store_true", help="energies alone")
     parser.add_argument("--no-delays", action="store_true", help="walls that do not delay")
     parser.add_argument("--third-octaves", action="store_true")
@@ -142,6 +161,8 @@ def main() -> None:
                 c_error=told.c_error,
                 delay_s=1e-3 * told.delay_ms,
                 top_hz=told.top_hz,
+                strength=told.strength,
+                told=told.directivity,
             )
             done.append(outcome(box, told.third_octaves, more))
         answer = done[-1].answer

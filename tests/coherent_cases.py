@@ -54,11 +54,12 @@ def small_scene() -> Scene:
     )
 
 
-def small_problem(centre_hz: float = CENTRE_HZ) -> CoherentProblem:
+def small_problem(centre_hz: float = CENTRE_HZ, paths: Paths | None = None) -> CoherentProblem:
     """Return the problem without any coherence, its data all one."""
     scene = small_scene()
     bands = Bands("octave", np.array([centre_hz]))
-    paths = trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
+    if paths is None:
+        paths = trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
     binned = bin_paths(scene, bands, paths, END_S)
     energies = energy_problem(bands, scene, in_band(binned, centre_hz))
     return coherent_problem(bands, 0, energies, 0.0, paths, binned, small_geometry(), None)

@@ -236,7 +236,6 @@ file = "a.wav"
 REFUSED = {
     "certified": '[identify]\nmethod = "certified"',
     "posterior": '[identify]\nmethod = "posterior"',
-    'directivity = "fit"': '[sources.c]\nposition = [2, 2, 1]\ndirectivity = "fit"',
     "spectrum": '[[measurements]]\nsource = "a"\nreceiver = "b"\nspectrum = "p.npz"',
 }
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -19,6 +19,7 @@ from roomfit.identification.solvers import (
     simplex_solver,
 )
 from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.objective.directed_problem import DIRECTIVITY
 from roomfit.objective.parameters import Parameters, leaders, position_of, to_free
 from roomfit.objective.problem import BandProblem
 from roomfit.typing import BoolArray, FloatArray, Progress
@@ -49,6 +50,8 @@ class BandAnswer:
     converged : bool
     model : str
         "energy", "coherent", "values", or "prior" where nothing was fitted.
+    directivity : tuple of float arrays (n,) and (n, n), or None
+        Free numbers of the sources' unknown directivity and their covariance, misfit included.
     """
 
     absorption: FloatArray
@@ -63,6 +66,7 @@ class BandAnswer:
     evaluations: int
     converged: bool
     model: str
+    directivity: tuple[FloatArray, FloatArray] | None = None
 
 
 def fit_bands(
@@ -72,6 +76,8 @@ def fit_bands(
     method: str,
     seed: int,
     progress: Progress | None,
+    *,
+    watch: Callable[[int, BandProblem, BandFit], None] | None = None,
 ) -> tuple[BandAnswer, ...]:
     """Fit one band after the other; where there is no problem, what was known is the answer.
 
@@ -82,6 +88,8 @@ def fit_bands(
     method : {"auto", "least-squares", "simplex", "annealing"}
         "auto" is least squares. The paper's two methods search with the same squares; after
         annealing's first round the simplex refines.
+    watch : callable, optional
+        Called with every band that was fitted, its problem and its fit.
     """
     n_bands = knowledge[0].prior_logit_mean.size
     answers: list[BandAnswer] = []
@@ -92,6 +100,8 @@ def fit_bands(
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
         fit = fit_band(problem, solver, refiner, progress=done)
+        if watch is not None:
+            watch(band, problem, fit)
         model = "energy" if problem.are_energies().any() else "values"
         answers.append(band_answer(problem.parameters, fit, areas_m2, model))
     return tuple(answers)
@@ -126,7 +136,19 @@ def band_answer(
         fit.evaluations,
         fit.converged,
         model,
+        _directivity(parameters, fit.vector, found.covariance),
     )
+
+
+def _directivity(
+    parameters: Parameters, vector: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    block = next((b for b in parameters.blocks if b.name == DIRECTIVITY), None)
+    if block is None:
+        return None
+    first = position_of(parameters, DIRECTIVITY)
+    own = slice(first, first + len(block.labels))
+    return vector[own], covariance[own, own]
 
 
 def untold_band(

@@ -11,6 +11,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.combinations import band_combinations, inseparable_findings
 from roomfit.app.comparing import compare_all
+from roomfit.app.directing.bands import fitted_directivities
 from roomfit.app.fitting import BandAnswer, fit_findings, schroeder_findings
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
 from roomfit.app.mirrors import mirror_findings
@@ -22,7 +23,7 @@ from roomfit.app.problems import (
 from roomfit.app.progress import part
 from roomfit.app.smoothing import smoothed
 from roomfit.app.solving import Solved, solve
-from roomfit.app.tracing import TracedCampaign, trace_campaign
+from roomfit.app.tracing import TracedCampaign, redirected, trace_campaign
 from roomfit.files.cache import Cache, cache_of
 from roomfit.files.campaign.campaign import Campaign, input_files, read_campaign
 from roomfit.files.campaign.materials import material_knowledge
@@ -148,6 +149,8 @@ def identify(
         traced.again,
         part(progress, 0.45, 0.98),
     )
+    if solved.directivities:
+        traced = redirected(campaign, gathered.scene, traced, solved.directivities)
     answers = solved.answers
     if campaign.smoothness_per_octave is not None:
         answers = smoothed(
@@ -231,6 +234,7 @@ def _answer(
         models=models,
         scattering=traced.scattering,
         geometry=solved.geometry,
+        directivities=fitted_directivities(solved.directivities),
     )
 
 

@@ -5,15 +5,25 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from roomfit.app.coherent.answers import nothing_identifiable
 from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
+from roomfit.app.directing.bands import FoundDirectivities, band_directivities
+from roomfit.app.directing.doubts import DirectivityDoubt, source_findings
+from roomfit.app.directing.energies import (
+    EnergyTask,
+    directed_energies,
+    doubting,
+    energy_problems,
+)
+from roomfit.app.directing.unknown import Directing, campaign_directing, omnidirectional
 from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.gathering import Gathered
-from roomfit.app.problems import BinnedPaths, band_problems
+from roomfit.app.problems import BinnedPaths
 from roomfit.app.progress import part
 from roomfit.app.values import value_problems
-from roomfit.bands import Bands
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
+from roomfit.identification.reweighted import BandFit
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import BandProblem, JointProblem
@@ -28,11 +38,15 @@ _COHERENT_METHODS = ("auto", "least-squares")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solved:
-    """The answer of every band, and what was found of arrival times on the way."""
+    """The answer of every band, and what was found of arrival times and sources on the way.
+
+    `directivities`, one a band, are empty where no source's was to be found.
+    """
 
     answers: tuple[BandAnswer, ...]
     geometry: FittedGeometry | None = None
     findings: tuple[Finding, ...] = ()
+    directivities: tuple[FoundDirectivities, ...] = ()
 
 
 def is_coherent(campaign: Campaign) -> bool:
@@ -75,10 +89,14 @@ def solve(
     retrace : callable or None
         Finds image sources anew where positions have moved, in rooms where that matters.
     """
+    directing = campaign_directing(campaign, gathered.scene)
+    suspects = omnidirectional(campaign, gathered.scene) if directing is None else None
     values = _value_problems(campaign, gathered, knowledge, binned, start)
     if not is_coherent(campaign) or not (far_images or campaign.model == "coherent"):
-        problems = _joined(campaign.bands, gathered, knowledge, binned, start, values)
-        return Solved(_answers(campaign, gathered, knowledge, problems, progress))
+        task = EnergyTask(
+            *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start)
+        )
+        return _energies_alone(campaign, gathered, task, values, directing, suspects, progress)
     told = campaign.temperature_sd_c
     options = CoherentOptions(
         positions="fixed" if campaign.positions == "fixed" else "fit",
@@ -96,12 +114,38 @@ def solve(
         weights=weights,
         retrace=retrace,
         extra_parts=[() if v is None else (_sharing(v),) for v in values],
+        directing=directing,
+        suspects=suspects,
         progress=part(progress, 0.0, 0.95),
     )
     untold = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
     rest = _answers(campaign, gathered, knowledge, untold, part(progress, 0.95, 1.0))
     answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
-    return Solved(answers, fit.geometry, fit.findings)
+    found = band_directivities(directing, fit.directed, answers)
+    return Solved(answers, fit.geometry, fit.findings, found)
+
+
+def _energies_alone(
+    campaign: Campaign,
+    gathered: Gathered,
+    task: EnergyTask,
+    values: tuple[RoomValuesProblem | None, ...],
+    directing: Directing | None,
+    suspects: Directing | None,
+    progress: Progress | None,
+) -> Solved:
+    """Fit window energies and room parameters, no pressures."""
+    hows = directed_energies(task, directing)
+    doubts: dict[int, DirectivityDoubt] = {}
+    answers = _answers(
+        *(campaign, gathered, task.knowledge, _joined(energy_problems(task, hows), values)),
+        progress,
+        None if suspects is None else doubting(task, suspects, doubts),
+    )
+    findings = source_findings(suspects, doubts)
+    if findings:
+        answers = tuple(nothing_identifiable(a) for a in answers)
+    return Solved(answers, None, findings, band_directivities(directing, hows, answers))
 
 
 def _value_problems(
@@ -122,15 +166,9 @@ def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:
 
 
 def _joined(
-    bands: Bands,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
-    binned: BinnedPaths,
-    start: FloatArray,
-    values: tuple[RoomValuesProblem | None, ...],
+    windows: Iterator[BandProblem | None], values: tuple[RoomValuesProblem | None, ...]
 ) -> Iterator[BandProblem | None]:
     """Make one problem after the other from window energies, room parameters, or both."""
-    windows = band_problems(gathered.scene, bands, knowledge, gathered.responses, binned, start)
     for heard, told in zip(windows, values, strict=True):
         if heard is None or told is None:
             yield heard or told
@@ -144,6 +182,9 @@ def _answers(
     knowledge: tuple[MaterialKnowledge, ...],
     problems: Iterator[BandProblem | None] | list[RoomValuesProblem | None],
     progress: Progress | None,
+    watch: Callable[[int, BandProblem, BandFit], None] | None = None,
 ) -> tuple[BandAnswer, ...]:
     areas = material_areas_m2(gathered.scene.room)
-    return fit_bands(problems, knowledge, areas, campaign.method, campaign.seed, progress)
+    return fit_bands(
+        *(problems, knowledge, areas, campaign.method, campaign.seed, progress), watch=watch
+    )

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.choosing import assumed_scattering, chosen_scattering, scattering_doubts
 from roomfit.app.coherent.fit import Retrace
+from roomfit.app.directing.bands import FoundDirectivities, fitted_directivities
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
 from roomfit.app.planning import TracePlan, plan_trace
@@ -18,6 +22,7 @@ from roomfit.files.cache import Cache
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
 from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.response.directivity import FirstOrderBands, directivity_factors
 from roomfit.scene.room import Room
 from roomfit.scene.scene import Scene
 from roomfit.tracing.images import trace_images
@@ -33,6 +38,8 @@ class TracedCampaign:
     ----------
     paths : Paths
     binned : BinnedPaths
+    duration_s : float
+        How long sound was followed.
     factors : float array, shape (n_bands, n_paths), or None
         On the weight of every path in every band.
     scattering : float array, shape (n_materials, n_bands)
@@ -48,12 +55,36 @@ class TracedCampaign:
 
     paths: Paths
     binned: BinnedPaths
+    duration_s: float
     factors: FloatArray | None
     scattering: FloatArray
     far_images: bool
     fit_until_s: float
     again: Retrace | None
     findings: tuple[Finding, ...]
+
+
+def redirected(
+    campaign: Campaign,
+    scene: Scene,
+    traced: TracedCampaign,
+    found: Sequence[FoundDirectivities],
+) -> TracedCampaign:
+    """Return the same paths with the weights that fitted directivities give them.
+
+    Parameters
+    ----------
+    found : sequence of FoundDirectivities, one a band
+    """
+    paths, bands = traced.paths, campaign.bands
+    factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
+    source_of_pair = scene.pairs[:, 0].tolist()
+    known = {d.source: FirstOrderBands(d.b) for d in fitted_directivities(found)}
+    sources = [known.get(s.name) for s in scene.sources]
+    for band in range(len(bands)):
+        factors[band] *= directivity_factors(paths, sources, source_of_pair, band)
+    binned = bin_paths(scene, bands, paths, traced.duration_s, factors)
+    return replace(traced, factors=factors, binned=binned)
 
 
 def _finder(
@@ -118,6 +149,7 @@ def trace_campaign(
     return TracedCampaign(
         paths,
         binned,
+        plan.settings.duration_s,
         factors,
         scattering,
         plan.far_images,

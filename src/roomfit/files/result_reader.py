@@ -41,6 +41,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_logit_mean=_table(told, "prior_logit_mean").T if knows_prior else None,
             prior_logit_sd=_table(told, "prior_logit_sd").T if knows_prior else None,
             scattering=_scattering(content, table.names),
+            directivities=_directivities(content),
         )
 
 
@@ -53,6 +54,20 @@ def _table(posterior: Any, name: str) -> FloatArray:
             where="posterior",
             found=f"{type(error).__name__}: {error}",
             needed="logit_covariance: for each band a matrix over the materials",
+        ) from error
+
+
+def _directivities(content: dict[str, Any]) -> dict[str, FloatArray]:
+    """Return b of every source whose directivity was fitted."""
+    try:
+        told = content.get("directivity", {})
+        return {name: np.array(one["b"], dtype=np.float64) for name, one in told.items()}
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise InputError(
+            "the directivity of the result is no table of numbers",
+            where="directivity",
+            found=f"{type(error).__name__}: {error}",
+            needed="by source: b, three numbers for each band",
         ) from error
 
 

@@ -77,6 +77,11 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    if answer.directivities:
+        content["directivity"] = {
+            d.source: {"b": [numbers(r) for r in d.b], "sd": [numbers(r) for r in d.sd]}
+            for d in answer.directivities
+        }
     if answer.geometry is not None:
         content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:

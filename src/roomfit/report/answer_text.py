@@ -19,6 +19,7 @@ def answer_text(answer: Answer) -> str:
     parts = [
         absorption_table(answer),
         separable_text(answer),
+        directivity_text(answer),
         pairs_table(answer),
         findings_text(answer.findings),
     ]
@@ -65,6 +66,20 @@ def separable_text(answer: Answer) -> str:
             f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
             f"({lower:.2f} to {upper:.2f}){fit}"
         )
+    return "\n".join(lines)
+
+
+def directivity_text(answer: Answer) -> str:
+    """Return strength and axis of every source whose directivity was fitted, band by band."""
+    lines = []
+    for found in answer.directivities:
+        lines.append(f"{found.source} sends with the amplitude 1 + b cos of the angle to its axis")
+        for centre, b, sd in zip(answer.bands.centres_hz, found.b, found.sd, strict=True):
+            length = float(np.linalg.norm(b))
+            axis = b / length if length > 0.0 else b
+            along = float(np.sqrt(axis**2 @ sd**2))
+            towards = ", ".join(f"{x:.2f}" for x in axis)
+            lines.append(f"{centre:>6g} Hz  b {length:.2f} +- {along:.2f} towards ({towards})")
     return "\n".join(lines)
 
 

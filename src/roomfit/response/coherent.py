@@ -55,6 +55,8 @@ class ImagePaths:
         by A x.
     coherence : float array, shape (n_paths,)
         gamma, 0 to 1.
+    sign : float array, shape (n_paths,), or None
+        -1 where the source sends with the opposite sign, else 1; None where it nowhere does.
     """
 
     materials: tuple[str, ...]
@@ -64,6 +66,7 @@ class ImagePaths:
     away_m: FloatArray
     unfolding: FloatArray
     coherence: FloatArray
+    sign: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -177,6 +180,7 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
         away_m=paths.away_m[keep],
         unfolding=paths.unfolding[keep],
         coherence=paths.coherence[keep],
+        sign=None if paths.sign is None else paths.sign[keep],
     )
 
 
@@ -307,7 +311,8 @@ def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
     a = float_array("absorption", absorption, (len(paths.materials),), low=0.0, high=1.0)
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    return root_energies(paths.weight * paths.coherence, paths.hits, np.asarray(powers))
+    roots = root_energies(paths.weight * paths.coherence, paths.hits, np.asarray(powers))
+    return roots if paths.sign is None else roots * paths.sign
 
 
 def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:

@@ -40,6 +40,22 @@ class FirstOrder:
         object.__setattr__(self, "b", b)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FirstOrderBands:
+    """A first-order source with a vector b of its own in every band, as a fit finds it.
+
+    Attributes
+    ----------
+    b : float array, shape (n_bands, 3)
+    """
+
+    b: FloatArray
+
+    def __post_init__(self) -> None:
+        b = float_array("first-order directivity", self.b, (None, 3), low=-1e3, high=1e3)
+        object.__setattr__(self, "b", b)
+
+
 def aimed(aim: ArrayLike, b: float) -> FirstOrder:
     """Return the first-order directivity with an axis and a strength.
 
@@ -89,7 +105,7 @@ def first_order_slope(source: FirstOrder, departure: FloatArray) -> FloatArray:
     return np.asarray(direct - ((amplitude / power) ** 2)[:, None] * (2.0 / 3.0) * source.b)
 
 
-Directivity = FirstOrder | MeasuredDirectivity
+Directivity = FirstOrder | FirstOrderBands | MeasuredDirectivity
 
 
 def directivity_factors(
@@ -99,12 +115,12 @@ def directivity_factors(
 
     Parameters
     ----------
-    sources : sequence of FirstOrder, MeasuredDirectivity or None
+    sources : sequence of Directivity or None
         Of each source of the scene; None is omnidirectional.
     source_of_pair : sequence of int
         First column of the scene's pairs.
     band : int
-        Of `MeasuredDirectivity.centres_hz`.
+        Of `FirstOrderBands.b` and `MeasuredDirectivity.centres_hz`.
     """
     factors = np.ones(len(paths))
     source_of_path = np.asarray(source_of_pair)[paths.pair]
@@ -113,8 +129,9 @@ def directivity_factors(
             continue
         own = np.flatnonzero(source_of_path == number)
         departure = paths.departure[own].astype(np.float64)
-        if isinstance(source, FirstOrder):
-            factors[own] = first_order_factor(source, departure)
+        if isinstance(source, FirstOrder | FirstOrderBands):
+            one = source if isinstance(source, FirstOrder) else FirstOrder(source.b[band])
+            factors[own] = first_order_factor(one, departure)
         else:
             factors[own] = measured_factor(source, departure, band)
     return factors

@@ -12,7 +12,7 @@ from typing import Protocol
 
 import numpy as np
 
-from roomfit.typing import ComplexArray, FloatArray
+from roomfit.typing import BoolArray, ComplexArray, FloatArray
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
@@ -55,6 +55,7 @@ def pressure_response(
     duration_s: float,
     sampling_rate_hz: float,
     level_db: FloatArray,
+    b: FloatArray | None = None,
 ) -> FloatArray:
     """Return the sound pressure at the receiver after an impulse at the source at time 0.
 
@@ -69,6 +70,8 @@ def pressure_response(
     duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
         Level of the loudspeaker at each octave's centre.
+    b : float array, shape (3,), optional
+        The loudspeaker sends with the amplitude ``1 + b . u`` in direction u; left out: alike.
 
     Returns
     -------
@@ -76,7 +79,10 @@ def pressure_response(
         In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
     """
     images = box_images(truth, source_m, receiver_m, duration_s)
-    return pressure_of_images(images, truth, duration_s, sampling_rate_hz, level_db)
+    sent = None
+    if b is not None:
+        sent = 1.0 + box_departures(truth, source_m, receiver_m, duration_s) @ b
+    return pressure_of_images(images, truth, duration_s, sampling_rate_hz, level_db, sent)
 
 
 class WallTruth(Protocol):
@@ -100,6 +106,7 @@ def pressure_of_images(
     duration_s: float,
     sampling_rate_hz: float,
     level_db: FloatArray,
+    sent: FloatArray | None = None,
 ) -> FloatArray:
     """Return the sound pressure that images of one pair make together, see `pressure_response`.
 
@@ -110,8 +117,11 @@ def pressure_of_images(
     truth : WallTruth
     duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
+    sent : float array, shape (n_images,), optional
+        Amplitude, of either sign, with which the loudspeaker feeds each image; left out: 1.
     """
     lengths, hits = images
+    factor = np.ones(lengths.size) if sent is None else sent
     n_samples = round(duration_s * sampling_rate_hz)
     fine_rate_hz = sampling_rate_hz * _OVERSAMPLING
     # padded to twice the length, so that the tails of the band-limited impulses do not wrap around
@@ -123,7 +133,7 @@ def pressure_of_images(
     for band, share in enumerate(octave_shares(truth.centres_hz, frequencies)):
         reflected = np.prod(np.sqrt(1.0 - truth.absorption[:, band]) ** hits, axis=1)
         air = np.exp(-0.5 * truth.attenuation_per_m[band] * lengths)
-        amplitude = reflected * air / (4.0 * np.pi * lengths)
+        amplitude = factor * reflected * air / (4.0 * np.pi * lengths)
         train = np.bincount(index, amplitude, n_fine)
         spectrum += share * np.fft.rfft(train)[: frequencies.size]
     spectrum *= loudspeaker(truth.centres_hz, level_db, frequencies)
@@ -139,13 +149,34 @@ def box_images(
     J. Acoust. Soc. Am. 65, 943-950 (1979): along each axis the images lie at 2 n L + s with |n|
     hits on either wall, and at 2 n L - s with |n - 1| on the wall at 0 and |n| on the other.
     """
+    steps, hits, _ = _box_lattice(truth, source_m, receiver_m, duration_s)
+    return np.asarray(np.linalg.norm(steps, axis=0)), hits
+
+
+def box_departures(
+    truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
+) -> FloatArray:
+    """Return where the sound of each of `box_images` leaves the source, unit vectors (n_images, 3).
+
+    From image to receiver, mirrored along the axes along which the image is.
+    """
+    steps, _, mirrored = _box_lattice(truth, source_m, receiver_m, duration_s)
+    away = -steps / np.linalg.norm(steps, axis=0)
+    return np.asarray(np.where(mirrored, -away, away).T)
+
+
+def _box_lattice(
+    truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return steps to all images in time (3, n), their hits (n, 6), and where mirrored (3, n)."""
     reach_m = truth.speed_of_sound_m_s * duration_s
-    offsets, low_hits, high_hits = [], [], []
+    offsets, low_hits, high_hits, turned = [], [], [], []
     for length, s, r in zip(truth.lengths_m, source_m, receiver_m, strict=True):
         n = np.arange(-int(reach_m / (2 * length)) - 2, int(reach_m / (2 * length)) + 3)
         offsets.append(np.concatenate((2 * n * length + s - r, 2 * n * length - s - r)))
         low_hits.append(np.concatenate((np.abs(n), np.abs(n - 1))))
         high_hits.append(np.concatenate((np.abs(n), np.abs(n))))
+        turned.append(np.repeat([False, True], n.size))
     grid = np.meshgrid(*(np.arange(o.size) for o in offsets), indexing="ij")
     chosen = [g.ravel() for g in grid]
     steps = np.stack([offsets[axis][chosen[axis]] for axis in range(3)])
@@ -153,7 +184,8 @@ def box_images(
     near = lengths < reach_m * (1.0 - 1e-9)
     chosen = [c[near] for c in chosen]
     hits = [h[chosen[axis]] for axis in range(3) for h in (low_hits[axis], high_hits[axis])]
-    return np.asarray(lengths[near]), np.stack(hits, axis=1)
+    mirrored = np.stack([turned[axis][chosen[axis]] for axis in range(3)])
+    return steps[:, near], np.stack(hits, axis=1), mirrored
 
 
 def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -> FloatArray:

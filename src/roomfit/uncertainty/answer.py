@@ -99,6 +99,23 @@ class FittedGeometry:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class FittedDirectivity:
+    """What was found of how one source radiates, as a first-order pattern.
+
+    Attributes
+    ----------
+    source : str
+    b, sd : float arrays, shape (n_bands, 3)
+        Amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where the source is
+        omnidirectional; and the standard deviation of each component, misfit included.
+    """
+
+    source: str
+    b: FloatArray
+    sd: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Answer:
     """What an identification found.
 
@@ -139,6 +156,8 @@ class Answer:
         What the walls were taken to scatter, told, assumed or fitted.
     geometry : FittedGeometry or None
         None where arrival times were not fitted.
+    directivities : tuple of FittedDirectivity
+        Of the sources whose directivity was fitted.
     """
 
     bands: Bands
@@ -167,3 +186,4 @@ class Answer:
     models: tuple[str, ...] = ()
     scattering: FloatArray | None = None
     geometry: FittedGeometry | None = None
+    directivities: tuple[FittedDirectivity, ...] = ()

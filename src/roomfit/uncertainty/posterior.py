@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
+from types import MappingProxyType
 
 import numpy as np
 
@@ -33,6 +35,8 @@ class AbsorptionPosterior:
         What was known of logit absorption beforehand; it tells the data's part of the covariance.
     scattering : float array, shape (n_materials, n_bands), or None
         What the walls were taken to scatter when the absorption was found.
+    directivities : mapping of source to float array, shape (n_bands, 3), or None
+        Vectors b of the sources whose first-order directivity was found along with it.
     """
 
     materials: tuple[str, ...]
@@ -44,6 +48,7 @@ class AbsorptionPosterior:
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
     scattering: FloatArray | None = None
+    directivities: Mapping[str, FloatArray] | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -70,6 +75,11 @@ class AbsorptionPosterior:
                 needed="a symmetric matrix per band without negative eigenvalues",
             )
         object.__setattr__(self, "logit_covariance", covariance)
+        found = {
+            name: float_array(f"directivity of {name}", b, (m, 3), low=-1e3, high=1e3)
+            for name, b in (self.directivities or {}).items()
+        }
+        object.__setattr__(self, "directivities", MappingProxyType(found))
 
 
 def covariance_from_intervals(

@@ -11,6 +11,7 @@ import numpy as np
 from roomfit.app.coherent.problems import (
     SPEED_SD,
 )
+from roomfit.app.directing.unknown import Directed, made_directed
 from roomfit.identification.coherence_rounds import (
     CoherentBandFit,
     fit_in_rounds,
@@ -73,6 +74,7 @@ class CoherentBand:
     factor: FloatArray
     problem: CoherentProblem
     parts: tuple[PartFactory, ...]
+    directed: Directed | None = None
 
     def with_noise(self, model: float, ringing: float) -> CoherentBand:
         changed = replace(self.problem.energies, model_error=model, ringing_error=ringing)
@@ -90,7 +92,7 @@ class CoherentBand:
         own = with_coherence(
             self.problem, whole_covariance(self.problem.geometry, covariance), phase_sd
         )
-        return joined(own, self.factor, self.parts)
+        return joined(made_directed(own, self.directed), self.factor, self.parts)
 
 
 def joined(problem: BandProblem, factor: FloatArray, parts: Sequence[PartFactory]) -> BandProblem:

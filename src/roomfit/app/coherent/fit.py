@@ -26,11 +26,18 @@ from roomfit.app.coherent.bands import (
     upwards,
 )
 from roomfit.app.coherent.findings import delay_findings, geometry_findings
-from roomfit.app.coherent.prepared import CoherentTask, energy_answers, prepared_bands
+from roomfit.app.coherent.prepared import (
+    CoherentTask,
+    energy_answers,
+    files_of_band,
+    prepared_bands,
+)
 from roomfit.app.coherent.problems import (
     cut_at,
     moved_scene,
 )
+from roomfit.app.directing.doubts import directivity_doubt, source_findings
+from roomfit.app.directing.unknown import Directed, Directing, directed_band
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, band_problems
@@ -69,12 +76,15 @@ class CoherentFit:
     geometry : FittedGeometry or None
         None where no band was coherent.
     findings : tuple of Finding
+    directed : tuple of Directed or None, one a band
+        What the free numbers of an answer's directivity mean; None where there are none.
     """
 
     answers: tuple[BandAnswer | None, ...]
     log_likelihoods: FloatArray
     geometry: FittedGeometry | None
     findings: tuple[Finding, ...]
+    directed: tuple[Directed | None, ...] = ()
 
 
 Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
@@ -94,6 +104,8 @@ def fit_coherent(
     extra_parts: Sequence[tuple[PartFactory, ...]] = (),
     weights: FloatArray | None = None,
     retrace: Retrace | None = None,
+    directing: Directing | None = None,
+    suspects: Directing | None = None,
     progress: Progress | None = None,
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
@@ -116,10 +128,16 @@ def fit_coherent(
         depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
         images are found anew at the positions they tell, and everything is fitted again from what
         was told.
+    directing : Directing, optional
+        Sources whose directivity is fitted.
+    suspects : Directing, optional
+        Sources taken for omnidirectional, of which to ask whether the data agree.
     """
     settings = CoherentOptions() if options is None else options
     parts = tuple(extra_parts) or ((),) * len(bands)
-    task = CoherentTask(scene, bands, knowledge, measured, start, settings, parts)
+    task = CoherentTask(
+        *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects)
+    )
     binned = cut_at(binned, settings.late_end_s)
     origin: FloatArray | None = None
     prepared, findings = prepared_bands(task, paths, weights, binned, origin)
@@ -138,16 +156,33 @@ def fit_coherent(
         findings = (*findings, *delay_findings(_gain(fits, others)))
     fits, final = once_more(prepared, fits, chosen_noise, settings)
     likelihoods = band_likelihoods(prepared, fits)
-    answers = _answers(task, binned, prepared, fits, likelihoods)
-    if any(f.code == "walls-delay" for f in findings):
+    answers = _answers(task, paths, binned, prepared, fits, likelihoods)
+    findings = (*findings, *_source_findings(task, prepared, paths))
+    if any(f.code in ("walls-delay", "source-directs") for f in findings):
         answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
     geometry = next((b.problem.geometry for b in prepared if b is not None), None)
     told = None if geometry is None or final is None else _fitted_geometry(geometry, final)
-    return CoherentFit(answers, likelihoods, told, (*findings, *geometry_findings(told)))
+    findings = (*findings, *geometry_findings(told))
+    directed = tuple(None if b is None else b.directed for b in prepared)
+    return CoherentFit(answers, likelihoods, told, findings, directed)
+
+
+def _source_findings(
+    task: CoherentTask, prepared: tuple[CoherentBand | None, ...], paths: Paths
+) -> tuple[Finding, ...]:
+    """Return a finding where a source taken for omnidirectional is none."""
+    doubts = {}
+    for i, band in enumerate(prepared):
+        if band is not None and task.suspects is not None:
+            heard = files_of_band(task, i)
+            how = directed_band(task.suspects, task.scene, paths, band.energies, heard)
+            doubts[i] = directivity_doubt(band.energies, band.energy_fit, how, band.factor)
+    return source_findings(task.suspects, doubts)
 
 
 def _answers(
     task: CoherentTask,
+    paths: Paths,
     binned: BinnedPaths,
     prepared: tuple[CoherentBand | None, ...],
     fits: Sequence[CoherentBandFit | None],
@@ -164,7 +199,7 @@ def _answers(
         coarse = band_problems(
             *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start)
         )
-        energy = energy_answers(coarse, prepared, task.parts, areas)
+        energy = energy_answers(task, paths, coarse, prepared, areas)
     return tuple(
         _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
     )

@@ -14,15 +14,20 @@ from roomfit.app.coherent.problems import (
     coherent_problem,
 )
 from roomfit.app.coherent.spoiled import spoiled_files
+from roomfit.app.directing.bands import hows_after_others, moved_start
+from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, band_problems, paths_at, tells_of_band
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band
+from roomfit.identification.scoring import score_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.objective.directed_problem import with_unknown
 from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.problem import BandProblem
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
@@ -33,7 +38,11 @@ _WINDOW_PERIODS = 0.75
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentTask:
-    """What stays the same while paths are traced anew."""
+    """What stays the same while paths are traced anew.
+
+    `directing` are the sources whose directivity is fitted, `suspects` those that are taken for
+    omnidirectional.
+    """
 
     scene: Scene
     bands: Bands
@@ -42,6 +51,8 @@ class CoherentTask:
     start: FloatArray
     settings: CoherentOptions
     parts: Sequence[tuple[PartFactory, ...]]
+    directing: Directing | None = None
+    suspects: Directing | None = None
 
 
 def prepared_bands(
@@ -52,17 +63,19 @@ def prepared_bands(
     origin: FloatArray | None,
 ) -> tuple[tuple[CoherentBand | None, ...], tuple[Finding, ...]]:
     """Fit the energies of every band, find spoiled files, and make the coherent problems."""
-    scene, bands, parts = task.scene, task.bands, task.parts
-    problems = tuple(
-        band_problems(
-            *(scene, bands, task.knowledge, task.measured, binned, task.start),
-            periods=_WINDOW_PERIODS,
-        )
+    scene, bands = task.scene, task.bands
+    files = [files_of_band(task, b) for b in range(len(bands))]
+    energies = _energies_alone(task, paths, binned, files)
+    factors, findings = spoiled_files(
+        [None if e is None else e.problem for e in energies],
+        [None if e is None else e.fit for e in energies],
+        files,
     )
-    files = [tuple(m for m in task.measured if tells_of_band(m, b)) for b in range(len(bands))]
-    nothing = [np.ones(0 if p is None else p.measured().size) for p in problems]
-    fits = [_fit_energies(*each) for each in zip(problems, nothing, parts, strict=True)]
-    factors, findings = spoiled_files(problems, fits, files)
+    energies = [
+        e if e is None or np.all(factor == 1.0) else _fitted(replace(e, factor=factor))
+        for e, factor in zip(energies, factors, strict=True)
+    ]
+    energies = _after_others(task, energies)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
     told = tuple(m for m in task.measured if m.file.use == "fit")
@@ -74,39 +87,104 @@ def prepared_bands(
     )
     whole = replace(whole, origin=origin)
     out: list[CoherentBand | None] = []
-    for b, (problem, fit) in enumerate(zip(problems, fits, strict=True)):
-        if problem is None or fit is None:
+    for b, own in enumerate(energies):
+        if own is None:
             out.append(None)
             continue
-        if np.any(factors[b] != 1.0):
-            fit = _fit_energies(problem, factors[b], parts[b]) or fit
         rows = [i for i, m in enumerate(told) if m in files[b]]
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
-            *(bands, b, problem, float(attenuation[b]), paths_at(paths, weights, b)),
+            *(bands, b, own.problem, float(attenuation[b]), paths_at(paths, weights, b)),
             *(binned, geometry, None, task.settings.end_s),
         )
-        out.append(CoherentBand(problem, fit, factors[b], coherent, parts[b]))
+        out.append(
+            CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
+        )
     return tuple(out), findings
 
 
-def _fit_energies(
-    problem: EnergyProblem | None, factor: FloatArray, parts: tuple[PartFactory, ...]
-) -> BandFit | None:
-    if problem is None:
-        return None
-    return fit_band(joined(problem, factor, parts), gauss_newton, few_gauss_newton_steps)
+@dataclass(frozen=True, slots=True, eq=False)
+class _Energies:
+    """The energies of one band and their fit."""
+
+    problem: EnergyProblem
+    factor: FloatArray
+    parts: tuple[PartFactory, ...]
+    directed: Directed | None
+    fit: BandFit
+
+    def whole(self) -> BandProblem:
+        return joined(made_directed(self.problem, self.directed), self.factor, self.parts)
+
+
+def files_of_band(task: CoherentTask, band: int) -> tuple[MeasuredPair, ...]:
+    """Return the measurements of a band's observations, in their order."""
+    return tuple(m for m in task.measured if tells_of_band(m, band))
+
+
+def _energies_alone(
+    task: CoherentTask,
+    paths: Paths,
+    binned: BinnedPaths,
+    files: Sequence[tuple[MeasuredPair, ...]],
+) -> list[_Energies | None]:
+    """Fit the energies of every band by themselves, in the windows that pressures need."""
+    problems = band_problems(
+        *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start),
+        periods=_WINDOW_PERIODS,
+    )
+    out: list[_Energies | None] = []
+    for problem, parts, heard in zip(problems, task.parts, files, strict=True):
+        if problem is None:
+            out.append(None)
+            continue
+        how = None
+        if task.directing is not None:
+            how = directed_band(task.directing, task.scene, paths, problem, heard)
+            problem = with_unknown(problem, how.unknown)
+        factor = np.ones(problem.measured().size)
+        whole = joined(made_directed(problem, how), factor, parts)
+        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        out.append(_Energies(problem, factor, parts, how, fit))
+    return out
+
+
+def _fitted(own: _Energies) -> _Energies:
+    return replace(own, fit=fit_band(own.whole(), gauss_newton, few_gauss_newton_steps))
+
+
+def _after_others(task: CoherentTask, energies: list[_Energies | None]) -> list[_Energies | None]:
+    """Fit the energies again under what other bands say of the directivity, where it is unknown."""
+    if task.directing is None:
+        return energies
+    hows = hows_after_others(
+        *(task.directing, task.bands, [None if e is None else e.directed for e in energies]),
+        [None if e is None else e.fit for e in energies],
+        [None if e is None else e.problem.parameters for e in energies],
+    )
+    out: list[_Energies | None] = []
+    for own, how in zip(energies, hows, strict=True):
+        if own is None or own.directed is None or how is None:
+            out.append(own)
+            continue
+        start = moved_start(own.fit, own.directed.unknown, how.unknown)
+        problem = with_unknown(own.problem, how.unknown)
+        own = replace(own, problem=problem, directed=how)
+        out.append(replace(own, fit=score_band(own.whole(), start)))
+    return out
 
 
 def energy_answers(
+    task: CoherentTask,
+    paths: Paths,
     problems: Iterable[EnergyProblem | None],
     prepared: tuple[CoherentBand | None, ...],
-    parts: Sequence[tuple[PartFactory, ...]],
     areas_m2: FloatArray,
 ) -> tuple[BandAnswer | None, ...]:
     """Return what energies alone say, in the windows whose noise is known to suit them."""
     out: list[BandAnswer | None] = []
-    for problem, band, own in zip(problems, prepared, parts, strict=True):
+    bands = zip(problems, prepared, task.parts, strict=True)
+    for number, (problem, band, own) in enumerate(bands):
         if problem is None:
             out.append(None)
             continue
@@ -117,6 +195,14 @@ def energy_answers(
             first = np.cumsum([0, *fine[:-1]])
             sizes = [o.energy.size for o in problem.observations]
             factor = np.repeat(band.factor[first], sizes)
-        fit = fit_band(joined(problem, factor, own), gauss_newton, few_gauss_newton_steps)
+        how = None if band is None else band.directed
+        if how is not None and task.directing is not None:
+            # other windows may hear other rows
+            heard = files_of_band(task, number)
+            rows = directed_band(task.directing, task.scene, paths, problem, heard)
+            how = replace(rows, unknown=how.unknown)
+            problem = with_unknown(problem, how.unknown)
+        whole = joined(made_directed(problem, how), factor, own)
+        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         out.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
     return tuple(out)

@@ -18,6 +18,7 @@ from roomfit.app.predicting.scene import (
     scattering_known,
     seen_pairs,
 )
+from roomfit.app.predicting.sources import directed_as_found
 from roomfit.app.predicting.trace import follow_decay
 from roomfit.app.predicting.values import predicted_means, predicted_pairs
 from roomfit.app.progress import part
@@ -78,6 +79,7 @@ def predict_campaign(
     began = time.perf_counter()
     room, findings = read_room(campaign.room)
     bands, doubts = predicted_bands(campaign, absorption.bands)
+    campaign, sources = directed_as_found(campaign, bands, absorption)
     places = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
     told = in_bands(material_knowledge(campaign, room.materials), places)
     knowledge = scattering_known(told, bands, absorption)
@@ -118,7 +120,7 @@ def predict_campaign(
         predicted_pairs(scene, bands, numbers, seen),
         predicted_means(scene, bands, numbers, seen),
         (
-            *(*findings, *doubts, *clipped, *measured_findings, *followed.findings),
+            *(*findings, *doubts, *sources, *clipped, *measured_findings, *followed.findings),
             *(*cache_findings, *_what_if(changes, seen)),
         ),
         len(drawn),

@@ -26,6 +26,7 @@ from roomfit.files.campaign.schema import (
 )
 from roomfit.files.responses.spec import ResponseSpec
 from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
+from roomfit.response.directivity import FirstOrderBands
 from roomfit.scene.scene import Point
 
 Level = Literal["per-source", "per-file", "absolute"]
@@ -92,7 +93,7 @@ class Campaign:
         Standard deviation by which logit absorption changes from octave to octave.
     temperature_sd_c : float or None
     directivities : mapping of source name to what the file says of its directivity
-        For `roomfit.files.campaign.directivity.campaign_directivities`.
+        For `roomfit.files.campaign.directivity.campaign_directivities`; or what a fit found.
     """
 
     path: Path
@@ -111,7 +112,7 @@ class Campaign:
     wall_delays: bool = True
     smoothness_per_octave: float | None = None
     temperature_sd_c: float | None = None
-    directivities: Mapping[str, str | Directivity | MeasuredDirectivity] = field(
+    directivities: Mapping[str, str | Directivity | MeasuredDirectivity | FirstOrderBands] = field(
         default_factory=dict
     )
 
@@ -202,11 +203,9 @@ def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
 
 
 def _directivity_files(campaign: Campaign) -> list[Path]:
-    named = [
-        told if isinstance(told, str) else told.file
-        for told in campaign.directivities.values()
-        if told != "omni" and not isinstance(told, Directivity)
-    ]
+    told = campaign.directivities.values()
+    named = [t for t in told if isinstance(t, str) and t not in ("omni", "fit")]
+    named += [t.file for t in told if isinstance(t, MeasuredDirectivity)]
     return [campaign.path.parent / name for name in named]
 
 
@@ -273,10 +272,6 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
     refusals: list[tuple[str, object, bool]] = [
         ("identify.method", table.identify.method, table.identify.method in _LATER_METHODS),
     ]
-    for name, source in table.sources.items():
-        refusals.append(
-            (f"sources.{name}.directivity", source.directivity, source.directivity == "fit")
-        )
     for number, row in enumerate(table.measurements, start=1):
         spectrum = row.spectrum
         refusals.append((f"measurements[{number}].spectrum", spectrum, spectrum is not None))

@@ -82,6 +82,7 @@ class Directivity(Table):
     aim: Position
     order: Literal[1] = 1
     b: float = Field(ge=0.0, le=10.0)
+    b_sd: float = Field(default=0.0, ge=0.0, le=10.0)
 
 
 class MeasuredDirectivity(Table):

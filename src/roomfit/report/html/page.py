@@ -19,6 +19,7 @@ from roomfit.report.html.pair_tables import overview_table, pair_sections
 from roomfit.report.html.plots import page_json
 from roomfit.report.html.room_picture import material_table, position_table, room_plot
 from roomfit.report.html.room_plan import room_plan
+from roomfit.report.html.source_tables import source_tables
 from roomfit.report.html.summary import finding_groups, summary_sentences
 from roomfit.report.html.wording import area, number
 from roomfit.scene.scene import Scene
@@ -71,7 +72,7 @@ def report_html(
         positions=position_table(scene),
         absorption=absorption,
         absorption_tables=absorption_tables(answer),
-        fit_tables=fit_tables(answer),
+        fit_tables=(*fit_tables(answer), *source_tables(answer)),
         area_tables=area_tables(answer, scene),
         error_tables=error_tables(answer),
         overview=overview_table(answer),

@@ -1,0 +1,1 @@
+"""Sources whose directivity is fitted, or asked about."""

@@ -1,0 +1,214 @@
+"""Directivity as an unknown: derivatives, signs, and what bands say of each other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coherent_cases import small_geometry, small_paths, small_problem
+from roomfit.app.directing.bands import moved_start
+from roomfit.identification.across_bands import Told, others_say, told_by
+from roomfit.identification.reweighted import BandFit
+from roomfit.objective.coherent_geometry import whole_covariance
+from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
+from roomfit.objective.directed_problem import (
+    DirectedProblem,
+    UnknownDirectivities,
+    directed,
+    directivity_block,
+    with_unknown,
+)
+from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.parameters import Parameters, position_of, start_vector
+from roomfit.response.directed import amplitude_and_slope
+from roomfit.response.directivity import FirstOrder, with_directivity
+
+B = np.array([0.5, -0.4, 0.3])
+
+
+def unknown_source() -> UnknownDirectivities:
+    """Return a source with a correlated spread about a mean that is not zero."""
+    root = np.array([[0.5, 0.0, 0.0], [0.1, 0.4, 0.0], [-0.1, 0.2, 0.3]])
+    return UnknownDirectivities(("S",), np.array([0.1, 0.0, -0.1]), root)
+
+
+def directed_case(*, coherent: bool) -> DirectedProblem:
+    """Return the small room with its one source's directivity unknown."""
+    whole = small_problem()
+    unknown = unknown_source()
+    energies = with_unknown(whole.energies, unknown)
+    _, paths = small_paths()
+    departure = tuple(paths.departure[rows.path] for rows in energies.rows)
+    problem: EnergyProblem | CoherentProblem = energies
+    if coherent:
+        geometry = whole.parameters.blocks[-1]
+        parameters = Parameters((*energies.parameters.blocks, geometry))
+        problem = replace(whole, energies=energies, parameters=parameters)
+        problem = with_coherence(problem, 0.09 * whole_covariance(small_geometry()))
+    return directed(problem, unknown, np.zeros(2, dtype=np.int64), departure)
+
+
+def at_b(case: DirectedProblem, b: np.ndarray) -> np.ndarray:
+    """Return a vector at which the source has a given b."""
+    vector = start_vector(case.parameters)
+    first = position_of(case.parameters, "directivity")
+    vector[first : first + 3] = np.linalg.solve(case.unknown.root, b - case.unknown.mean)
+    rest = vector[first + 3 :]
+    rest[:] = 0.3 * np.random.default_rng(4).standard_normal(rest.size)
+    return vector
+
+
+@pytest.mark.parametrize("coherent", [False, True])
+@pytest.mark.parametrize("b", [B, 2.0 * B])
+def test_the_whole_jacobian_is_that_of_finite_differences(coherent: bool, b: np.ndarray) -> None:
+    """Absorption, gain, directivity and geometry; at |b| = 1.4 some pressures change sign.
+
+    Central differences of 1e-5 of smooth functions: 1e-9 relative. Times are off by the spreading
+    kernel, 1e-5 of an amplitude: its slope by some 1e-3.
+    """
+    case = directed_case(coherent=coherent)
+    vector = at_b(case, b)
+    jacobian = case.predict(vector).jacobian
+    first_time = position_of(case.parameters, "geometry")
+    for k in range(vector.size):
+        step = 1e-5 * np.eye(vector.size)[k]
+        high, low = (case.predict(vector + s * step).expected for s in (1.0, -1.0))
+        near = 2e-3 if k >= first_time else 1e-7
+        np.testing.assert_allclose(
+            jacobian[:, k],
+            (high - low) / 2e-5,
+            rtol=0,
+            atol=near * np.abs(jacobian[:, k]).max(),
+            err_msg=str(k),
+        )
+
+
+def test_the_case_has_pressures_of_both_signs() -> None:
+    """At |b| = 1.4 what is sent backwards is turned over; the sign is what the slopes rely on."""
+    case = directed_case(coherent=True)
+    amplitude, _ = amplitude_and_slope(2.0 * B, case.coherent_departure)
+    assert amplitude.min() < -0.1
+    assert amplitude.max() > 0.5
+
+
+@pytest.mark.parametrize("coherent", [False, True])
+def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
+    """Means and variances equal those of paths weighed beforehand, where no sign turns.
+
+    Directions of rows are those of the trace, those of images come from their unfolding, both in
+    single precision: 1e-6.
+    """
+    case, b = directed_case(coherent=coherent), B
+    scene, paths = small_paths()
+    told = with_directivity(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    whole = small_problem(paths=told)
+    plain: EnergyProblem | CoherentProblem = whole.energies
+    if coherent:
+        plain = with_coherence(whole, 0.09 * whole_covariance(small_geometry()))
+    vector = at_b(case, b)
+    first = position_of(case.parameters, "directivity")
+    without = np.delete(vector, np.arange(first, first + 3))
+    ours, theirs = case.predict(vector), plain.predict(without)
+    scale = np.abs(theirs.expected).max()
+    np.testing.assert_allclose(ours.expected, theirs.expected, rtol=1e-5, atol=1e-6 * scale)
+    np.testing.assert_allclose(
+        case.variance(vector), plain.variance(without), rtol=1e-4, atol=1e-6 * scale**2
+    )
+
+
+def test_an_unknown_source_elsewhere_changes_nothing() -> None:
+    """Observations of known sources keep their prediction and have no slope."""
+    case = directed_case(coherent=True)
+    other = replace(case, source=np.array([-1, -1]))
+    vector = at_b(case, B)
+    first = position_of(case.parameters, "directivity")
+    found = other.predict(vector)
+    np.testing.assert_array_equal(found.expected, case.problem.predict(vector).expected)
+    np.testing.assert_array_equal(found.jacobian[:, first : first + 3], 0.0)
+
+
+def test_the_block_has_a_unit_normal_prior() -> None:
+    """Three entries a source, in the order x, y, z."""
+    block = directivity_block(unknown_source())
+    assert block.labels == ("directivity S x", "directivity S y", "directivity S z")
+    assert block.fitted.all()
+    np.testing.assert_array_equal(block.prior_sd, 1.0)
+
+
+def linear_told(rng: np.random.Generator, n: int, rank: int) -> Told:
+    """Return what a linear band with unit noise says of n unknowns, in so many directions."""
+    matrix = rng.standard_normal((rank, n))
+    return Told(matrix.T @ matrix, matrix.T @ rng.standard_normal(rank))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_what_other_bands_say_is_the_posterior_without_the_own_data(seed: int) -> None:
+    """Bayes by conditioning, term by term: the own data put back give the posterior of all.
+
+    The information form inside against the covariance form here, one band after the other.
+    """
+    rng = np.random.default_rng(seed)
+    octaves, n = np.array([0.0, 1.0, 2.0, 3.5]), 3
+    told = [linear_told(rng, n, 5), linear_told(rng, n, 2), None, linear_told(rng, n, 1)]
+    said = others_say(told, octaves, 0.8, n)
+    prior = np.kron(0.8 ** np.abs(octaves[:, None] - octaves), np.eye(n))
+    for band, (mean, covariance) in enumerate(said):
+        m, c = np.zeros(len(prior)), prior
+        for other, one in enumerate(told):
+            if other == band or one is None:
+                continue
+            pick = np.eye(len(prior))[n * other : n * (other + 1)]
+            value, vectors = np.linalg.eigh(one.information)
+            seen = value > 1e-9
+            rows = np.sqrt(value[seen])[:, None] * vectors.T[seen] @ pick
+            data = (vectors.T[seen] @ one.weighed) / np.sqrt(value[seen])
+            gain = c @ rows.T @ np.linalg.inv(rows @ c @ rows.T + np.eye(int(seen.sum())))
+            m, c = m + gain @ (data - rows @ m), c - gain @ rows @ c
+        own = slice(n * band, n * (band + 1))
+        np.testing.assert_allclose(mean, m[own], atol=1e-9)
+        np.testing.assert_allclose(covariance, c[own, own], atol=1e-9)
+
+
+def test_bands_without_data_say_nothing() -> None:
+    """The prior comes back."""
+    for mean, covariance in others_say([None, None], np.array([0.0, 1.0]), 0.8, 3):
+        np.testing.assert_allclose(mean, 0.0, atol=1e-12)
+        np.testing.assert_allclose(covariance, np.eye(3), atol=1e-12)
+
+
+def test_a_band_says_what_is_left_when_its_other_unknowns_are_free() -> None:
+    """A linear band: its likelihood with the first two unknowns minimised out, prior taken out."""
+    rng = np.random.default_rng(5)
+    matrix, data = rng.standard_normal((40, 5)), 0.1 * rng.standard_normal(40)
+    prior = np.diag([0.0, 0.0, 1.0, 1.0, 1.0])
+    information = matrix.T @ matrix + prior
+    vector = np.linalg.solve(information, matrix.T @ data)
+    nothing = np.zeros(40)
+    fit = BandFit(
+        *(vector, 0.0, 0.5, information, nothing, nothing + 1.0, data, 0.0, 1, True),
+    )
+    told = told_by(fit, 2)
+    free = matrix[:, :2]
+    left = matrix[:, 2:] - free @ np.linalg.lstsq(free, matrix[:, 2:], rcond=None)[0]
+    np.testing.assert_allclose(told.information, left.T @ left, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(told.weighed, left.T @ data, atol=1e-9)
+    poor = told_by(replace(fit, phi=4.0), 2)
+    np.testing.assert_allclose(poor.information, told.information / 4.0)
+    np.testing.assert_allclose(poor.weighed, told.weighed / 4.0)
+
+
+def test_a_start_keeps_its_b_under_another_prior() -> None:
+    """Free numbers change, b does not."""
+    old = unknown_source()
+    new = UnknownDirectivities(("S",), np.array([0.4, 0.1, 0.0]), 0.3 * np.eye(3))
+    fit = BandFit(
+        *(np.array([0.1, 0.2, 1.0, -0.5, 0.7]), 0.0, 1.0, np.eye(5), np.zeros(1), np.ones(1)),
+        *(np.zeros(1), 0.0, 1, True),
+    )
+    moved = moved_start(fit, old, new)
+    np.testing.assert_array_equal(moved[:2], fit.vector[:2])
+    np.testing.assert_allclose(
+        new.mean + new.root @ moved[2:], old.mean + old.root @ fit.vector[2:]
+    )
