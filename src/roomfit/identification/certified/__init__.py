@@ -1,0 +1,1 @@
+"""Certified search: branch and bound over boxes, with bounds that hold in floating point."""
