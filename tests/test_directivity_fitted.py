@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from report_cases import answer_of, scene_of
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.directing.bands import FoundDirectivities, band_directivities
@@ -39,6 +40,8 @@ from roomfit.files.result_reader import read_result
 from roomfit.files.rooms.read import read_room
 from roomfit.findings import Finding
 from roomfit.materials.scattering import uniform_scattering
+from roomfit.report.answer_text import directivity_text
+from roomfit.report.html.source_tables import source_tables
 from roomfit.response.directivity import FirstOrderBands
 from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene
@@ -51,6 +54,7 @@ from roomfit.testproblems.pressure_box import (
 )
 from roomfit.tracing.images import trace_images
 from roomfit.tracing.paths import Paths
+from roomfit.uncertainty.answer import FittedDirectivity
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, LENGTHS_M, SMALL, SOURCE_M, write_wav
 
@@ -357,3 +361,21 @@ def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Pa
 def _kept_apart(text: str) -> str:
     """Return a campaign whose last pair is predicted only."""
     return text.replace('file = "MP4.wav"\n', 'file = "MP4.wav"\nuse = "validate"\n')
+
+
+def test_text_and_report_tell_strength_and_axis() -> None:
+    """A vector of length 0.5 whose axis can be worked out in the head, and no axis at all."""
+    scene = scene_of()
+    answer = answer_of(scene, low=500, high=1000)
+    b = np.array([[0.0, 0.3, 0.4], [0.0, 0.0, 0.0]])
+    found = FittedDirectivity("S1", b, np.full((2, 3), 0.1))
+    answer = replace(answer, directivities=(found,))
+    lines = directivity_text(answer).split("\n")
+    assert lines[0].startswith("S1 sends")
+    assert lines[1].strip() == "500 Hz  b 0.50 +- 0.10 towards (0.00, 0.60, 0.80)"
+    assert lines[2].strip() == "1000 Hz  b 0.00 +- 0.10 towards (0.00, 0.00, 0.00)"
+    (table,) = source_tables(answer)
+    assert table.caption.startswith("Directivity of S1")
+    assert [cell.text for cell in table.rows[0].cells] == ["0.50", "0.00"]
+    assert [row.cells[0].text for row in table.rows[2:]] == ["+0.30", "+0.40"]
+    assert source_tables(answer_of(scene)) == ()

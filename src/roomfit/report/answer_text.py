@@ -77,7 +77,7 @@ def directivity_text(answer: Answer) -> str:
         for centre, b, sd in zip(answer.bands.centres_hz, found.b, found.sd, strict=True):
             length = float(np.linalg.norm(b))
             axis = b / length if length > 0.0 else b
-            along = float(np.sqrt(axis**2 @ sd**2))
+            along = float(np.sqrt(axis**2 @ sd**2)) if length > 0.0 else float(sd.max())
             towards = ", ".join(f"{x:.2f}" for x in axis)
             lines.append(f"{centre:>6g} Hz  b {length:.2f} +- {along:.2f} towards ({towards})")
     return "\n".join(lines)
