@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.signals.silence import TAIL_SHARE, before_rise, evidence_of_noise, level_before
 from roomfit.typing import BoolArray, FloatArray
 
-_TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from
-_RISE = 4.0  # an end that is 6 dB louder than the quietest tenth is no noise floor
-_FAIR_VALUES = 16.0
 _MOST_ROUNDS = 8
+# Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.
+_CLEAR, _CLEAR_ALONE = 4.0, 2.0
+_FALLS = 4.0  # quarters of a file that differ so much do not hold the same noise
 _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
 
 
@@ -24,7 +25,8 @@ class NoiseEstimate:
     Attributes
     ----------
     floor : float array, shape (n_bands,)
-        Mean square pressure of the noise; 0 where the file ends before noise is reached.
+        Mean square pressure of the noise. Where the file ends before noise is reached, that of what
+        comes before the direct sound, or 0 where this is too short to tell.
     reached : bool array, shape (n_bands,)
         Whether the file runs on until the decay has drowned.
     usable_end_s : float array, shape (n_bands,)
@@ -64,12 +66,13 @@ def estimate_noise(
     Notes
     -----
     Lundeby's iteration [1]_: noise from the end of the file, a straight line through the levels
-    above it, their crossing, noise again from behind the crossing, until it rests. Four things
+    above it, their crossing, noise again from behind the crossing, until it rests. Five things
     differ. The noise is subtracted before the line is drawn. The height of the line is set by its
     energy, since the mean of levels lies below the level of the mean. And a crossing within the
     last tenth of the file counts as not reached: there the "noise" is the decay itself, and
-    subtracting it would bend the curve. And an end of the file that is louder than what comes
-    before it is left out.
+    subtracting it would bend the curve. Neither is it reached where what comes behind the crossing
+    goes on falling or is too short to tell, by all bands together: many files are cut while the
+    room still rings. And an end of the file that is louder than what comes before it is left out.
 
     References
     ----------
@@ -80,10 +83,18 @@ def estimate_noise(
     start = max(0, round((onset_s + response.time_zero_s) * rate_hz))
     sounding = np.flatnonzero(response.pressure)  # a file padded with zeros ends before them
     end = int(sounding[-1]) + 1 if sounding.size else 0
-    found = [
-        _judged(pressure[start:end] ** 2, rate_hz, bandwidth)
+    heard = [
+        _heard(
+            pressure[start:end] ** 2,
+            rate_hz,
+            bandwidth,
+            level_before(pressure[:start] ** 2, rate_hz, bandwidth),
+        )
         for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bank), strict=True)
     ]
+    # bands that cannot tell follow the others: one file is cut in all of them, or in none
+    evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in heard)
+    found = [_judged(h, evidence) for h in heard]
     start_s = start / rate_hz - response.time_zero_s
     return NoiseEstimate(
         floor=np.array([band.floor for band in found]),
@@ -107,30 +118,96 @@ class _BandNoise:
     peak_to_noise_db: float = 0.0
 
 
-def _judged(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> _BandNoise:
-    energy = _before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
+@dataclass(frozen=True, slots=True, eq=False)
+class _Heard:
+    """What one band of a response shows before it is judged.
+
+    `line` holds height and time constant of the decay; None where none stands above the floor.
+    """
+
+    floor: float
+    before: float
+    smear_s: float = 0.0
+    length_s: float = 0.0
+    times: FloatArray = field(default_factory=lambda: np.zeros(0))
+    blocks: FloatArray = field(default_factory=lambda: np.zeros(0))
+    line: tuple[float, float] | None = None
+    crossing_s: float = 0.0
+    levels_out: bool = False
+    evidence: float = 0.0
+
+
+def _heard(energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: float) -> _Heard:
+    energy = before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
     # a block holds four independent values, so that its level scatters by 2 dB; in a short file
     # down to one and a half, for a line through less than eight blocks says nothing
     block_s = max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
     if block_s < 1.5 / bandwidth_hz or length_s < 8.0 * block_s:
-        return _BandNoise(floor=0.0, reached=False)
+        return _Heard(0.0, before)
     times, blocks = _blocks(energy, rate_hz, block_s)
     floor, line = _settled(energy, rate_hz, times, blocks)
+    if line is None and _goes_on_falling(energy):
+        line = _line(times, blocks, _LEAST_ENERGY, span_db=np.inf)
     if line is None:
-        return _BandNoise(floor, reached=True)
-    height, constant_s = line
-    peak_to_noise_db = float(10.0 * np.log10(blocks.max() / floor))
-    end_s = _crossing_s(height, constant_s, floor, length_s)
-    reached = end_s < (1.0 - _TAIL_SHARE) * length_s
-    if not reached and _stopped_falling(energy, constant_s, length_s):
+        return _Heard(floor, before, length_s=length_s)
+    crossing_s = _crossing_s(*line, floor, length_s)
+    # noise alone begins where the decay lies 10 dB below it
+    rest = energy[round((crossing_s + np.log(10.0) * line[1]) * rate_hz) :]
+    return _Heard(
+        floor,
+        before,
+        2.0 / bandwidth_hz,  # the filter smears the end of the file over two of its own lengths
+        length_s,
+        times,
+        blocks,
+        line,
+        crossing_s,
+        _stopped_falling(energy, line[1], length_s),
+        evidence_of_noise(rest, rate_hz, bandwidth_hz, line[1]),
+    )
+
+
+def _judged(heard: _Heard, evidence: float) -> _BandNoise:
+    """Return noise and decay of a band under the evidence that the file's end is noise."""
+    line, floor, end_s = heard.line, heard.floor, heard.crossing_s
+    if line is None:
+        return _BandNoise(floor, reached=heard.length_s > 0.0)
+    crosses = end_s < (1.0 - TAIL_SHARE) * heard.length_s
+    clear = abs(heard.evidence) > _CLEAR_ALONE
+    reached = crosses and (heard.evidence > 0.0 if clear else evidence > _CLEAR)
+    if not crosses and heard.levels_out:
         # a flutter that outlasts the diffuse decay bends the line: the noise itself says more
-        reached, end_s = True, _drowned_s(times, blocks, floor)
-    if not reached:
-        # the filter smears the end of the file over two of its own lengths
-        floor, end_s = 0.0, length_s - 2.0 / bandwidth_hz
+        reached, end_s = True, _drowned_s(heard.times, heard.blocks, floor)
+    elif crosses and not reached:
+        line, end_s = _cut(heard.times, heard.blocks, line, end_s)
+    elif not crosses:
+        end_s = heard.length_s - heard.smear_s
+    height, constant_s = line
     tail = float(height * constant_s * np.exp(-end_s / constant_s))
+    peak_to_noise_db = float(10.0 * np.log10(heard.blocks.max() / floor))
+    if not reached:
+        floor = min(floor, heard.before)
     return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
+
+
+def _cut(
+    times: FloatArray, blocks: FloatArray, line: tuple[float, float], crossing_s: float
+) -> tuple[tuple[float, float], float]:
+    """Return line and end of a decay whose last part may be noise or still the decay.
+
+    It ends where it stands twice as high as what may be noise, and nothing is subtracted.
+    """
+    end_s = max(crossing_s - np.log(2.0) * line[1], float(times[0]))
+    used = times <= end_s
+    again = _line(times[used], blocks[used], _LEAST_ENERGY, span_db=np.inf) if used.any() else None
+    return (line if again is None else again), end_s
+
+
+def _goes_on_falling(energy: FloatArray) -> bool:
+    """Whether the last quarter is 6 dB quieter than the third: no noise is reached there."""
+    third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
+    return bool(third > _FALLS * max(last, _LEAST_ENERGY))
 
 
 def _stopped_falling(energy: FloatArray, constant_s: float, length_s: float) -> bool:
@@ -154,7 +231,7 @@ def _settled(
     Noise and line are drawn in turn, each from the other, until they rest.
     """
     length_s = len(energy) / rate_hz
-    latest_s = (1.0 - _TAIL_SHARE) * length_s
+    latest_s = (1.0 - TAIL_SHARE) * length_s
     floor = _mean_from(energy, latest_s * rate_hz)
     line = _line(times, blocks, floor, span_db=np.inf)
     if line is None:
@@ -171,22 +248,6 @@ def _settled(
         if abs(_crossing_s(*line, floor, length_s) - crossing_s) < times[1] - times[0]:
             break
     return floor, line
-
-
-def _before_rise(energy: FloatArray, independent: float) -> FloatArray:
-    """Return the energy without a louder end: what circular deconvolution wraps to there.
-
-    A tenth of the file is compared with another, or more where it would hold fewer independent
-    values than a fair comparison needs.
-    """
-    n = len(energy)
-    size = int(n * max(_TAIL_SHARE, min(1.0, _FAIR_VALUES / independent)))
-    if size == 0:
-        return energy
-    cumulative = np.concatenate(([0.0], np.cumsum(energy)))
-    held = cumulative[size:] - cumulative[:-size]
-    quietest = int(np.argmin(held))
-    return energy[: quietest + size] if held[-1] > _RISE * held[quietest] else energy
 
 
 def _blocks(energy: FloatArray, rate_hz: float, block_s: float) -> tuple[FloatArray, FloatArray]:

@@ -126,6 +126,7 @@ def write_measured_polyhedron(
     plane_error_m: float = 0.0,
     delays_s: tuple[float, ...] | None = None,
     noise_db: float = -60.0,
+    loudspeaker_db: float = 3.0,
     progress: Progress | None = None,
 ) -> MeasuredPolyhedron:
     """Simulate measured responses of every pair in a room and write them as a campaign.
@@ -146,6 +147,8 @@ def write_measured_polyhedron(
         What each material adds to the travel time at every reflection.
     noise_db : float
         Level of the noise relative to the peak of each response.
+    loudspeaker_db : float
+        Standard deviation of each source's level from octave to octave.
     progress : callable, optional
 
     Raises
@@ -172,7 +175,7 @@ def write_measured_polyhedron(
     }
     receivers = np.array([true_at[r] for r in plan.receivers_m])
     for number, s in enumerate(plan.sources_m):
-        level_db = rng.normal(0.0, 3.0, len(bands))
+        level_db = rng.normal(0.0, loudspeaker_db, len(bands))
         pressures = pressure_responses(
             truth, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
         )

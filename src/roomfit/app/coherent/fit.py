@@ -26,10 +26,12 @@ from roomfit.app.coherent.bands import (
     upwards,
 )
 from roomfit.app.coherent.findings import delay_findings, geometry_findings
+from roomfit.app.coherent.loudspeaker import without_loudspeakers
 from roomfit.app.coherent.prepared import (
     CoherentTask,
     energy_answers,
     files_of_band,
+    first_absorption,
     prepared_bands,
 )
 from roomfit.app.coherent.problems import (
@@ -141,6 +143,11 @@ def fit_coherent(
     binned = cut_at(binned, settings.late_end_s)
     origin: FloatArray | None = None
     prepared, findings = prepared_bands(task, paths, weights, binned, origin)
+    if settings.model != "energy" and directing is None:
+        guess = first_absorption(task, prepared)
+        measured = without_loudspeakers(scene, bands, measured, paths, guess)
+        task = replace(task, measured=measured)
+        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
     if retrace is not None and settings.positions == "fit" and settings.model != "energy":
         moved = _moved(task, prepared)
         if moved is not None:

@@ -27,6 +27,7 @@ from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.directed_problem import with_unknown
 from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import BandProblem
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
@@ -171,6 +172,17 @@ def _after_others(task: CoherentTask, energies: list[_Energies | None]) -> list[
         problem = with_unknown(own.problem, how.unknown)
         own = replace(own, problem=problem, directed=how)
         out.append(replace(own, fit=score_band(own.whole(), start)))
+    return out
+
+
+def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ...]) -> FloatArray:
+    """Return absorption by energies alone, or else the start, shape (n_materials, n_bands)."""
+    out = np.tile(task.start, (len(task.knowledge), 1))
+    for i, band in enumerate(prepared):
+        if band is not None:
+            parameters = band.energies.parameters
+            values, _ = physical_values(parameters, band.energy_fit.vector)
+            out[:, i] = values["absorption"]
     return out
 
 
