@@ -13,6 +13,7 @@ ROOM        dechorate    three microphones fitted, three predicted
             dechorate-fitted  the same, the loudspeaker's directivity fitted
             dechorate-1  each microphone predicted from the five others
             tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
+            tudelft-null the null model alone, each loudspeaker in turn: nothing is fitted
             bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
 """
 
@@ -27,8 +28,10 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+from roomfit.app.gathering import gather
 from roomfit.app.identify import identify
 from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.rooms.read import read_room
 from roomfit.report.answer_text import absorption_table, directivity_text, separable_text
 from roomfit.uncertainty.answer import Answer
 
@@ -219,6 +222,31 @@ def delft(data: Path, ending: str) -> None:
         show(f"TU Delft, loudspeaker 7 predicted; positions {told}", [answer_to(text)])
 
 
+def delft_null(data: Path, ending: str) -> None:
+    """How well the mean of four loudspeakers tells the T20 of each fifth; nothing is fitted."""
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "campaign.toml"
+        path.write_text(delft_campaign(data / "tudelft_inhouse", 7, DELFT_SHIFT_M) + ending)
+        campaign = read_campaign(path)
+        responses = gather(campaign, read_room(campaign.room)[0]).responses
+    of = {
+        n: np.array([m.parameters.of("T20_s") for m in responses if m.file.source == f"L{n}"])
+        for n in DELFT_LOUDSPEAKERS
+    }
+    judged = campaign.bands.centres_hz > 400.0
+    print("\nTU Delft, null model: T20, 500 to 4000 Hz, mean |error| of")
+    print("loudspeaker   each microphone   the microphones' mean")
+    every = []
+    for left_out, own in of.items():
+        null = np.mean(np.concatenate([x for n, x in of.items() if n != left_out]), axis=0)
+        each = 100.0 * np.abs(null / own - 1.0)[:, judged].mean()
+        mean = 100.0 * np.abs(null / own.mean(axis=0) - 1.0)[judged].mean()
+        every.append((each, mean))
+        print(f"{left_out:>11} {each:15.1f} % {mean:21.1f} %")
+    each, mean = np.mean(every, axis=0)
+    print(f"{'all':>11} {each:15.1f} % {mean:21.1f} %")
+
+
 def bras(data: Path, ending: str) -> None:
     """One response and values of two pairs fitted, a further pair predicted."""
     text = bras_joint_campaign(data / "bras_cr2") + ending
@@ -231,6 +259,7 @@ ROOMS: dict[str, Callable[[Path, str], None]] = {
     "dechorate-fitted": dechorate_fitted,
     "dechorate-1": dechorate_one_out,
     "tudelft": delft,
+    "tudelft-null": delft_null,
     "bras": bras,
 }
 
