@@ -6,10 +6,11 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from roomfit.errors import InputError
+from roomfit.geometry.mesh import area_vectors_m2
 from roomfit.scene.room import Room, triangle_material
 from roomfit.tracing.beam_found import TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits
 from roomfit.tracing.beam_tree import beam_tree
-from roomfit.tracing.images_set import ImageSet, reflections_in_order
+from roomfit.tracing.images_set import ImageSet, reflections_in_order, unfolded_normals
 from roomfit.tracing.images_walls import Blockers, Walls, mirrors_of
 from roomfit.tracing.paths import Reflections
 from roomfit.typing import FloatArray, IntArray
@@ -49,7 +50,8 @@ def polyhedron_images(
         Most hits of a path, 0 or more.
     max_length_m : float
     with_reflections, with_unfolding : bool
-        Return the ordered hits, and the product of the reflections, as well.
+        Return the ordered hits with the normals of their walls, and the product of the
+        reflections, as well.
     mirrors : tuple of Walls and Blockers, optional
         From `mirrors_of`, where several sources share a room of thousands of walls.
     memory_limit_bytes : float
@@ -157,7 +159,11 @@ def _image_set(
     n_materials = len(room.materials)
     hits = np.bincount(path * n_materials + material, minlength=len(own) * n_materials)
     reflections: Reflections | None = None
+    normals: FloatArray | None = None
     if with_reflections:
+        vectors = area_vectors_m2(room.mesh)[found.triangle[entry]]
+        unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+        normals = unfolded_normals(unit, np.concatenate(([0], np.cumsum(counts))))
         cosine = found.cosine[entry]
         reflections = reflections_in_order(
             path, place.astype(np.float64), material, cosine, len(own)
@@ -169,4 +175,5 @@ def _image_set(
         arrival,
         reflections,
         matrix if with_unfolding else None,
+        normals,
     )

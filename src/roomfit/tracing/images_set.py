@@ -24,6 +24,10 @@ class ImageSet:
         Every path's hits in order, where they were asked for.
     unfolding : float array, shape (n_paths, 3, 3), or None
         Product of the reflections, see `Paths`, where it was asked for.
+    normals : float array, shape (n_hits, 3), or None
+        Normal of the wall of each hit as the receiver sees it, mirrored by all later hits, in the
+        order of `reflections`: its product with `arrival` is the cosine of incidence, for moved
+        sources and receivers, too. Only of rooms that are no boxes.
     """
 
     length_m: FloatArray
@@ -32,6 +36,29 @@ class ImageSet:
     arrival: FloatArray
     reflections: Reflections | None = None
     unfolding: FloatArray | None = None
+    normals: FloatArray | None = None
+
+
+def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
+    """Return the normals of walls as the receiver sees them, mirrored by all later hits.
+
+    Parameters
+    ----------
+    normal : float array, shape (n_hits, 3)
+        Unit normal of each hit's wall, either side, first hit of a path first.
+    first : int array, shape (n_paths + 1,)
+        Path i owns the hits ``first[i]:first[i + 1]``.
+    """
+    unfolded = np.empty_like(normal)
+    later = np.tile(np.eye(3), (len(first) - 1, 1, 1))
+    for back in range(1, int(np.max(np.diff(first), initial=0)) + 1):
+        path = np.flatnonzero(np.diff(first) >= back)
+        hit = first[path + 1] - back
+        own = np.einsum("pij,pj->pi", later[path], normal[hit])
+        unfolded[hit] = own
+        # A (1 - 2 n n^T) = A - 2 (A n) n^T
+        later[path] -= 2.0 * own[:, :, None] * normal[hit][:, None, :]
+    return unfolded
 
 
 def reflections_in_order(

@@ -45,8 +45,8 @@ def shoebox_images(
            acoustics", J. Acoust. Soc. Am. 65, 943-950 (1979).
     """
     lengths = np.array(room.shoebox_m, dtype=np.float64)
-    index = _lattice(lengths, source_m, receiver_m, order, max_length_m)
-    to_receiver = receiver_m - _positions(index, lengths, source_m)
+    index = lattice_indices(lengths, source_m, receiver_m, order, max_length_m)
+    to_receiver = receiver_m - image_positions_m(index, lengths, source_m)
     distance = np.linalg.norm(to_receiver, axis=1)
     near = np.argsort(distance, kind="stable")
     index, to_receiver, distance = index[near], to_receiver[near], distance[near]
@@ -56,7 +56,7 @@ def shoebox_images(
     departure = arrival * turned
     hits = np.zeros((len(index), len(room.materials)), dtype=np.uint16)
     for wall in range(6):
-        hits[:, room.surface_material[wall]] += _wall_hits(index, wall).astype(np.uint16)
+        hits[:, room.surface_material[wall]] += wall_hits(index, wall).astype(np.uint16)
     reflections = _reflections(room, index, receiver_m, to_receiver) if with_reflections else None
     unfolding = turned[:, :, None] * np.eye(3) if with_unfolding else None
     return ImageSet(distance, hits, departure, arrival, reflections, unfolding)
@@ -72,10 +72,13 @@ def count_of_shoebox_images(
     return min(octahedron, 4.0 / 3.0 * math.pi * reach**3 / math.prod(lengths_m))
 
 
-def _lattice(
+def lattice_indices(
     lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
 ) -> IntArray:
-    """Return the indices (n, 3) of the images within order and distance, slice by slice in x."""
+    """Return the indices (n, 3) of the images within order and distance, slice by slice in x.
+
+    See `shoebox_images` for what an index means.
+    """
     # image i is at least |i| - 1 lengths away
     last = np.minimum(order, np.floor(max_length_m / lengths).astype(np.int64) + 1)
     y, z = (np.arange(-n, n + 1) for n in last[1:])
@@ -84,17 +87,18 @@ def _lattice(
         j, k = (g.ravel() for g in np.meshgrid(y, z, indexing="ij"))
         low = abs(i) + np.abs(j) + np.abs(k) <= order
         index = np.column_stack([np.full(int(low.sum()), i), j[low], k[low]])
-        away = np.linalg.norm(_positions(index, lengths, source) - receiver, axis=1)
+        away = np.linalg.norm(image_positions_m(index, lengths, source) - receiver, axis=1)
         slices.append(index[away <= max_length_m])
     return np.concatenate(slices)
 
 
-def _positions(index: IntArray, lengths: FloatArray, source: FloatArray) -> FloatArray:
+def image_positions_m(index: IntArray, lengths: FloatArray, source: FloatArray) -> FloatArray:
+    """Return where the images of these indices stand, (n, 3)."""
     mirrored = np.where(index % 2 == 0, source, lengths - source)
     return np.asarray(index * lengths + mirrored)
 
 
-def _wall_hits(index: IntArray, wall: int) -> IntArray:
+def wall_hits(index: IntArray, wall: int) -> IntArray:
     """Return how often each path hits a wall: 2 axis for the one at 0, 2 axis + 1 for the other."""
     i = index[:, wall // 2]
     # of |i| hits the wall on the image's side has the odd one

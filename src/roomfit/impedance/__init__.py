@@ -1,0 +1,1 @@
+"""Acoustic impedance of walls from complex pressures: image sources that carry phase."""

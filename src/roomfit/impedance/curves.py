@@ -1,0 +1,289 @@
+"""How the reflection coefficient of a material may run over frequency: splines and laws."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Protocol
+
+import numpy as np
+from scipy.interpolate import BSpline
+from scipy.special import expit
+
+from roomfit.errors import InputError
+from roomfit.materials.impedance_laws import miki_layer, panel, r0_of_impedance, resonator
+from roomfit.typing import ComplexArray, FloatArray, IntArray
+
+_KNOTS_PER_OCTAVE = 4
+_CLOSEST_KNOTS_HZ = 25.0
+# Of a step in the logarithm of a law's parameter; the error of the slope is its fourth power.
+_STEP = 1e-3
+
+
+class Curve(Protocol):
+    """R0 over frequency as a function of real numbers x."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the curve in a campaign."""
+
+    @property
+    def start(self) -> FloatArray:
+        """Where to begin, shape (n,)."""
+
+    @property
+    def roughness(self) -> FloatArray:
+        """Rows whose products with x are wanted small, shape (n_rows, n)."""
+
+    @property
+    def prior_sd(self) -> float:
+        """Standard deviation of each x about its start, infinite where nothing is known."""
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        """Return R0, shape (n_frequencies,)."""
+
+    def slope(self, x: FloatArray) -> ComplexArray:
+        """Return the derivative of R0 by x, shape (n_frequencies, n)."""
+
+    def at(self, chosen: IntArray) -> Curve:
+        """Return the curve at some of its frequencies."""
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return R0 and slope where it must be held passive, between the frequencies as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spline:
+    """R0 as a combination of real functions of frequency: x holds real, then imaginary parts.
+
+    Attributes
+    ----------
+    kind : str
+        "spline", or "constant" where the one function is 1.
+    basis : float array, shape (n_frequencies, n_functions)
+    dense : float array, shape (n_places, n_functions)
+        The functions on a finer grid, where R0 is held passive.
+    start_r0 : complex
+    """
+
+    kind: str
+    basis: FloatArray
+    dense: FloatArray
+    start_r0: complex = 0.8
+
+    @property
+    def start(self) -> FloatArray:
+        n = self.basis.shape[1]
+        return np.repeat(np.array([self.start_r0.real, self.start_r0.imag], np.float64), n)
+
+    @property
+    def roughness(self) -> FloatArray:
+        n = self.basis.shape[1]
+        if n < 3:
+            return np.zeros((0, 2 * n))
+        return np.asarray(np.kron(np.eye(2), np.diff(np.eye(n), 2, axis=0)), dtype=np.float64)
+
+    @property
+    def prior_sd(self) -> float:
+        return math.inf
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        return _complex(self.basis, x)
+
+    def slope(self, x: FloatArray) -> ComplexArray:  # noqa: ARG002 -- the same everywhere
+        return np.hstack([self.basis, 1j * self.basis])
+
+    def at(self, chosen: IntArray) -> Spline:
+        return replace(self, basis=self.basis[chosen])
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        return _complex(self.dense, x), np.hstack([self.dense, 1j * self.dense])
+
+
+def _complex(basis: FloatArray, x: FloatArray) -> ComplexArray:
+    n = basis.shape[1]
+    return np.asarray(basis @ (x[:n] + 1j * x[n:]))
+
+
+def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
+    """Return a cubic B-spline over the logarithm of frequency.
+
+    Knots every quarter octave, but at least 25 Hz apart; for a single frequency a constant.
+
+    Raises
+    ------
+    InputError
+        A start that is not passive.
+    """
+    _check_passive(start_r0)
+    if len(frequency_hz) < 4:
+        eye = np.eye(len(frequency_hz))
+        return Spline("spline", eye, eye, start_r0)
+    knots = _knots_hz(float(frequency_hz[0]), float(frequency_hz[-1]))
+    t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
+    n = len(t) - 4
+    fine = np.exp(np.linspace(t[0], t[-1], 8 * len(knots)))
+    dense = np.concatenate([frequency_hz, fine])
+
+    def at(f: FloatArray) -> FloatArray:
+        inside = np.clip(np.log(f), t[0], t[-1])
+        return np.asarray(BSpline.design_matrix(inside, t, 3).toarray())
+
+    if n > len(frequency_hz):
+        raise InputError(
+            "too few frequencies for a smooth curve",
+            found=f"{len(frequency_hz)} frequencies, {n} functions",
+            needed="about one frequency every 10 Hz",
+        )
+    return Spline("spline", at(frequency_hz), at(dense), start_r0)
+
+
+def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
+    """Return a reflection coefficient that does not change with frequency."""
+    _check_passive(start_r0)
+    return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
+
+
+def _check_passive(r0: complex) -> None:
+    if not abs(r0) <= 1.0:
+        raise InputError(
+            "a wall cannot give back more than it gets",
+            found=f"a start of |R0| = {abs(r0):.4g}",
+            needed="|R0| <= 1",
+        )
+
+
+def _knots_hz(low: float, high: float) -> FloatArray:
+    """Return knots from low to high, a quarter octave and at least 25 Hz apart."""
+    knots = [low]
+    while knots[-1] < high:
+        knots.append(max(knots[-1] * 2.0 ** (1 / _KNOTS_PER_OCTAVE), knots[-1] + _CLOSEST_KNOTS_HZ))
+    # drawn together, so that the last one ends where the data do
+    shrink = math.log(high / low) / math.log(knots[-1] / low)
+    return np.asarray(low * (np.array(knots) / low) ** shrink)
+
+
+Law = Callable[..., ComplexArray]
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """One number of a law: where it starts, and the range that is searched (both above 0)."""
+
+    name: str
+    unit: str
+    start: float
+    low: float
+    high: float
+
+
+LAWS: Mapping[str, tuple[Law, tuple[Parameter, ...]]] = MappingProxyType(
+    {
+        "miki": (
+            miki_layer,
+            (
+                Parameter("flow_resistivity", "Pa s/m2", 1.5e4, 5e2, 5e5),
+                Parameter("thickness_m", "m", 0.05, 0.003, 0.5),
+                Parameter("air_gap_m", "m", 0.01, 1e-4, 0.6),
+            ),
+        ),
+        "resonator": (
+            resonator,
+            (
+                Parameter("resistance", "rho c", 0.3, 0.003, 30.0),
+                Parameter("mass_m", "m", 0.3, 0.003, 10.0),
+                Parameter("depth_m", "m", 0.1, 0.005, 1.0),
+                Parameter("flow_resistivity", "Pa s/m2", 1e3, 1.0, 1e5),
+            ),
+        ),
+        "panel": (
+            panel,
+            (
+                Parameter("resistance", "rho c", 0.5, 0.003, 30.0),
+                Parameter("mass_m", "m", 5.0, 0.3, 200.0),
+                Parameter("depth_m", "m", 0.1, 0.003, 1.0),
+            ),
+        ),
+    }
+)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LawCurve:
+    """R0 by a physical law; x are its parameters through a logistic curve between their bounds.
+
+    Attributes
+    ----------
+    kind : str
+        A key of `LAWS`.
+    frequency_hz : complex array, shape (n_frequencies,)
+        At the window, see `roomfit.impedance.observed.complex_frequency_hz`.
+    speed_m_s : float
+    parameters : tuple of Parameter
+    """
+
+    kind: str
+    frequency_hz: ComplexArray
+    speed_m_s: float
+    parameters: tuple[Parameter, ...]
+
+    @property
+    def start(self) -> FloatArray:
+        return self.x_of(np.array([p.start for p in self.parameters]))
+
+    @property
+    def roughness(self) -> FloatArray:
+        return np.zeros((0, len(self.parameters)))
+
+    @property
+    def prior_sd(self) -> float:
+        # nearly even over the range on a scale of logarithms, and never stuck at its ends
+        return 3.0
+
+    def values(self, x: FloatArray) -> FloatArray:
+        """Return the law's parameters in their units, shape (..., n)."""
+        low = np.log([p.low for p in self.parameters])
+        high = np.log([p.high for p in self.parameters])
+        return np.asarray(np.exp(low + (high - low) * expit(x)))
+
+    def x_of(self, values: FloatArray) -> FloatArray:
+        """Return the x of parameters within their bounds, kept a little off the ends."""
+        low = np.log([p.low for p in self.parameters])
+        high = np.log([p.high for p in self.parameters])
+        share = np.clip((np.log(values) - low) / (high - low), 0.01, 0.99)
+        return np.asarray(np.log(share / (1.0 - share)))
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        law, _ = LAWS[self.kind]
+        return r0_of_impedance(law(self.frequency_hz, *self.values(x), self.speed_m_s))
+
+    def slope(self, x: FloatArray) -> ComplexArray:
+        columns = []
+        for i in range(len(x)):
+            step = _STEP * np.eye(len(x))[i]
+            near = self.r0(x + step) - self.r0(x - step)
+            far = self.r0(x + 2.0 * step) - self.r0(x - 2.0 * step)
+            columns.append((8.0 * near - far) / (12.0 * _STEP))
+        return np.column_stack(columns)
+
+    def at(self, chosen: IntArray) -> LawCurve:
+        return replace(self, frequency_hz=self.frequency_hz[chosen])
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        # passive by its parameters
+        return np.zeros(0, dtype=np.complex128), np.zeros((0, len(x)), dtype=np.complex128)
+
+
+def law_curve(
+    kind: str,
+    frequency_hz: ComplexArray,
+    speed_m_s: float,
+    told: Mapping[str, Parameter] | None = None,
+) -> LawCurve:
+    """Return a law with its usual starts and bounds, or those that were told."""
+    _, usual = LAWS[kind]
+    return LawCurve(
+        kind, frequency_hz, speed_m_s, tuple((told or {}).get(p.name, p) for p in usual)
+    )

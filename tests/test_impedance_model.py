@@ -1,0 +1,277 @@
+"""Pressures of image sources that carry phase: against exact waves, closed forms, differences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.special import wofz
+
+from impedance_cases import (
+    LENGTHS_M,
+    PAIRS,
+    RECEIVERS_M,
+    SOURCES_M,
+    SURFACES,
+    box_scene,
+    exact,
+    true_r0,
+)
+from roomfit.air import Air
+from roomfit.errors import InputError
+from roomfit.impedance.curves import constant, law_curve, spline
+from roomfit.impedance.model import (
+    Nuisances,
+    State,
+    at_rest,
+    predicted_pressure,
+    wave_model,
+    wavenumber_per_m,
+)
+from roomfit.impedance.observed import Observed, complex_frequency_hz, standard_deviation
+from roomfit.impedance.problem import (
+    Problem,
+    data_rows,
+    layout_of,
+    prior_rows,
+    start_of,
+)
+from roomfit.impedance.reflection import boundary_loss, plane_reflection, spherical_reflection
+from roomfit.materials.impedance_laws import (
+    absorption_random,
+    impedance_of_r0,
+    miki_layer,
+    panel,
+    r0_of_impedance,
+    resonator,
+)
+from roomfit.scene.scene import Point, Scene
+from roomfit.testproblems.exact_box import damped_wavenumber_per_m, exact_box_pressure
+from roomfit.testproblems.polyhedral_rooms import room_of, slanted_cells
+from roomfit.testproblems.wave_images import image_pressure, locally_reacting
+
+
+def test_a_passive_wall_gives_back_no_more_than_it_gets_at_any_angle():
+    rng = np.random.default_rng(1)
+    radius, phase, cosine = rng.random((3, 100_000))  # as many as it takes to meet grazing ones
+    r0 = np.sqrt(radius) * np.exp(2j * np.pi * phase)
+    sizes = [abs(plane_reflection(complex(r), c)[0]) for r, c in zip(r0, cosine, strict=True)]
+    # two divisions and two products of numbers of size 1
+    assert max(sizes) <= 1.0 + 1e-14
+
+
+def test_reflection_in_r0_is_that_of_the_impedance():
+    z = np.array([0.3 + 2j, 70 - 30j, 1.0, 5 - 1j])
+    for cosine in (0.0, 0.2, 1.0):
+        expected = (z * cosine - 1.0) / (z * cosine + 1.0)
+        found = [plane_reflection(complex(r), cosine)[0] for r in r0_of_impedance(z)]
+        np.testing.assert_allclose(found, expected, atol=1e-14)
+    np.testing.assert_allclose(impedance_of_r0(r0_of_impedance(z)), z, rtol=1e-12)
+
+
+def test_the_boundary_loss_is_that_of_the_error_function():
+    rng = np.random.default_rng(2)
+    w = 5.0 * (rng.normal(size=4000) + 1j * rng.normal(size=4000))
+    w = w[w.imag > -2.0]  # below, the surface wave grows past any use
+    expected = 1.0 + 1j * np.sqrt(np.pi) * w * wofz(w)
+    found = np.array([boundary_loss(complex(x)) for x in w])
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_absorption_at_random_incidence_is_the_closed_form_of_a_real_impedance():
+    """Paris's integral for a resistance r: 8/r (1 + 1/(1+r) - 2/r log(1+r))."""
+    r = np.array([1.6, 3.0, 20.0])
+    expected = 8.0 / r * (1.0 + 1.0 / (1.0 + r) - 2.0 / r * np.log(1.0 + r))
+    np.testing.assert_allclose(absorption_random(r0_of_impedance(r)), expected, rtol=1e-9)
+    assert expected[0] == pytest.approx(0.951, abs=1e-3)  # the known maximum
+
+
+def test_layers_become_what_they_are_made_of():
+    f = np.array([200.0, 500.0, 1500.0]) - 10j
+    c = 343.0
+    k = 2.0 * np.pi * f / c
+    # a layer of nearly air is air before a wall; so is a panel without mass and losses
+    np.testing.assert_allclose(miki_layer(f, 1e-9, 0.1, 0.0, c), -1j / np.tan(k * 0.1), rtol=1e-4)
+    np.testing.assert_allclose(panel(f, 0.0, 0.0, 0.1, c), -1j / np.tan(k * 0.1), rtol=1e-12)
+    whole = miki_layer(f, 1e-9, 0.04, 0.06, c)
+    np.testing.assert_allclose(whole, -1j / np.tan(k * 0.1), rtol=1e-4)
+    neck = resonator(f, 0.2, 0.3, 0.1, 5e3, c) - miki_layer(f, 5e3, 0.1, 0.0, c)
+    np.testing.assert_allclose(neck, 0.2 + 0.3j * k, rtol=1e-12)
+
+
+def band_errors(model, observed, p):
+    f = observed.frequency_hz
+    edges = ((100, 200), (200, 400), (400, 700), (700, 1001))
+    error = []
+    for low, high in edges:
+        own = (f >= low) & (f < high)
+        off, whole = (p - observed.pressure)[:, own], observed.pressure[:, own]
+        error.append(np.sqrt(np.mean(np.abs(off) ** 2) / np.mean(np.abs(whole) ** 2)))
+    return np.array(error)
+
+
+@pytest.mark.parametrize("name", ["exact_M3", "exact_M2"])
+def test_image_sources_with_spherical_reflection_come_near_the_exact_field(real_data, name):
+    """Measured: 1.4, 1.2, 0.6, 0.4 %; plane waves 12, 9, 2.6, 1.3 %."""
+    observed = exact(real_data, name)
+    walls = {"ceiling": "wool"} if name == "exact_M2" else None
+    scene = box_scene(walls)
+    model = wave_model(scene, observed.frequency_hz, observed.tau_s)
+    r0 = true_r0(observed, scene.room.materials)
+    spherical = predicted_pressure(model, r0, at_rest(model))
+    assert np.all(band_errors(model, observed, spherical) <= [0.025, 0.016, 0.009, 0.006])
+    plane = predicted_pressure(model, r0, at_rest(model), spherical=False)
+    assert np.all(band_errors(model, observed, plane) > [0.05, 0.04, 0.015, 0.008])
+
+
+def test_the_exact_solver_gives_the_fields_of_another_one(real_data):
+    observed = exact(real_data)
+    chosen = [0, 15, 40, 90]
+    few = Observed(observed.frequency_hz[chosen], observed.tau_s, observed.pressure[:, chosen])
+    r0 = true_r0(few, ("slots", *["plaster"] * 4, "wool"))
+    k = damped_wavenumber_per_m(few.frequency_hz, few.tau_s, 343.0)
+    ends = np.array(PAIRS)
+    found = exact_box_pressure(
+        LENGTHS_M, (1 - r0) / (1 + r0), k,
+        np.array(SOURCES_M)[ends[:, 0]], np.array(RECEIVERS_M)[ends[:, 1]],
+    )  # fmt: skip
+    rms = np.sqrt(np.mean(np.abs(observed.pressure) ** 2))
+    assert np.abs(found - few.pressure).max() <= 1e-4 * rms
+    spots = [
+        0.0115314 + 0.0077796j,
+        -0.0088679 - 0.0411527j,
+        0.0001364 + 0.0083390j,
+        0.0218192 - 0.0151983j,
+    ]
+    assert np.abs(found[0] - spots).max() <= 1e-4 * rms
+
+
+def hexahedron_scene(move=None):
+    room = room_of(slanted_cells())
+    low, high = room.mesh.vertices_m.min(axis=0), room.mesh.vertices_m.max(axis=0)
+    at = [low + np.array(s) * (high - low) for s in ((0.3, 0.35, 0.4), (0.6, 0.55, 0.5))]
+    if move is not None:
+        at = [at[0] + move[0], at[1] + move[1]]
+    air = Air(speed_of_sound_m_s=343.0, attenuation="none")
+    return Scene(room, (Point("s", at[0]),), (Point("r", at[1]),), np.array([[0, 0]]), air)
+
+
+def test_moved_paths_are_those_found_at_the_moved_places():
+    """In a slanted room, by unfolded normals; plane against spherical in numpy and scipy."""
+    f = np.array([150.0, 400.0])
+    move = np.array([[1e-3, -2e-3, 1.5e-3], [-1e-3, 2e-3, 1e-3]])
+    model = wave_model(hexahedron_scene(), f, 0.004)
+    moved = wave_model(hexahedron_scene(move), f, 0.004)
+    z = np.array([5 + 3j, 4 - 2j])
+    r0 = np.tile(r0_of_impedance(z), (len(model.scene.room.materials), 1))
+    state = State(move[:1], move[1:], 0.0)
+    found = predicted_pressure(model, r0, state)
+    walls = {
+        m: locally_reacting(z, wavenumber_per_m(model, state)) for m in model.scene.room.materials
+    }
+    there = image_pressure(moved, walls, at_rest(moved))
+    here = predicted_pressure(model, r0, at_rest(model))
+    # few paths come and go with the walls' edges; they are far and weak
+    assert np.abs(found - there).max() < 0.02 * np.abs(there - here).max()
+
+
+@pytest.mark.parametrize("kind", ["pair", "spectrum", "levels"])
+def test_derivatives_are_those_of_central_differences(kind):
+    rng = np.random.default_rng(3)
+    f, tau = np.array([120.0, 330.0, 620.0, 910.0]), 0.005
+    scene = box_scene(n_pairs=4)
+    model = wave_model(scene, f, tau)
+    p = rng.normal(size=(4, 4)) + 1j * rng.normal(size=(4, 4))
+    observed = Observed(f, tau, 0.01 * p, has_phase=kind != "levels")
+    at = complex_frequency_hz(observed)
+    curves = (
+        law_curve("resonator", at, 343.0),
+        constant(f, 0.9 - 0.1j),
+        law_curve("miki", at, 343.0),
+    )
+    gain = "spectrum" if kind == "spectrum" else "pair"
+    told = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
+    problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, told)
+    layout = layout_of(problem)
+    x = start_of(problem) + 0.3 * rng.normal(size=layout.size) * (np.arange(layout.size) > 5)
+    correction = 1e-3 * p
+
+    def rows(at):
+        return data_rows(problem, layout, at, correction)
+
+    def half_squares(at):
+        return 0.5 * np.sum(rows(at).residual ** 2)
+
+    here, h = rows(x), 1e-5
+    for i, step in enumerate(h * np.eye(layout.size)):
+        if kind == "spectrum":
+            # Kaufman's Jacobian has the exact slope of the cost, not of each row
+            numeric = (half_squares(x + step) - half_squares(x - step)) / (2 * h)
+            exact_slope = here.jacobian[:, i] @ here.residual
+            scale = np.abs(here.jacobian.T @ here.residual).max()
+        else:
+            numeric = (rows(x + step).residual - rows(x - step).residual) / (2 * h)
+            exact_slope, scale = here.jacobian[:, i], np.abs(here.jacobian[:, i]).max()
+        # levels do not depend on a phase: nothing but rounding is left there
+        scale = max(scale, 1e-3 * np.abs(here.jacobian).max())
+        np.testing.assert_allclose(numeric, exact_slope, rtol=0, atol=1e-6 * scale)
+
+
+def test_prior_rows_have_the_slope_of_central_differences():
+    f = np.arange(100.0, 501.0, 10.0)
+    observed = Observed(f, 0.005, np.ones((2, len(f))))
+    scene = box_scene(n_pairs=2)
+    model = wave_model(scene, f, 0.005)
+    curves = (
+        spline(f),
+        spline(f, 0.999),
+        law_curve("panel", complex_frequency_hz(observed), 343.0),
+    )
+    problem = Problem(model, observed, np.ones((2, len(f))), curves, Nuisances(gain="common"))
+    layout = layout_of(problem)
+    x = start_of(problem) + 0.02 * np.random.default_rng(5).normal(size=layout.size)
+    rough = np.array([0.1, 0.01, 1.0])
+    h, here = 1e-6, prior_rows(problem, layout, x, rough)
+    numeric = np.column_stack(
+        [
+            (prior_rows(problem, layout, x + h * e, rough).residual
+             - prior_rows(problem, layout, x - h * e, rough).residual) / (2 * h)
+            for e in np.eye(layout.size)
+        ]
+    )  # fmt: skip
+    scale = np.abs(here.jacobian).max(axis=1, keepdims=True)
+    np.testing.assert_array_less(np.abs(numeric - here.jacobian) / scale, 1e-5)
+
+
+def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
+    """Of a box with six walls, springy and stiff, spherical waves and plane ones."""
+    f = np.array([90.0, 300.0, 800.0])
+    model = wave_model(box_scene({s: s for s in SURFACES}, n_pairs=2), f, 0.006)
+    k = wavenumber_per_m(model, at_rest(model))
+    z = np.random.default_rng(4).uniform(-3.0, 3.0, size=(6, 3)) * 1j
+    z += np.array([0.1, 0.5, 1.0, 5.0, 20.0, 90.0])[:, None]
+    for wave in (k, None):
+        walls = {s: locally_reacting(own, wave) for s, own in zip(SURFACES, z, strict=True)}
+        expected = image_pressure(model, walls, at_rest(model))
+        r0 = r0_of_impedance(z)
+        found = predicted_pressure(model, r0, at_rest(model), spherical=wave is not None)
+        np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
+    one = spherical_reflection(complex(r0_of_impedance(z)[0, 0]), 0.3, complex(2.5 * k[0]))
+    there = locally_reacting(z[0], k)(np.array([0.3]), np.array([2.5]))[0, 0]
+    assert one == pytest.approx(there, rel=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: Observed(np.array([2.0, 1.0]), 0.01, np.ones((1, 2))), "out of order"),
+        (lambda: Observed(np.array([1.0, 2.0]), 0.01, np.ones((1, 3))), "disagree"),
+        (lambda: Observed(np.array([1.0, 2.0]), 0.0, np.ones((1, 2))), "time constant"),
+        (lambda: Observed(np.array([1.0]), 0.01, np.array([[np.nan]])), "disagree"),
+        (lambda: spline(np.arange(100.0, 300.0, 10.0), 1.2), "more than it gets"),
+        (lambda: Nuisances(gain="loud"), "unknown kind of gain"),
+        (lambda: Nuisances(position_sd_m=2.0), "out of range"),
+    ],
+)
+def test_what_cannot_be_is_refused(make, words):
+    with pytest.raises(InputError, match=words):
+        make()
