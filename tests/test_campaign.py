@@ -66,7 +66,7 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
         ('source = "LS1"', 'source = "LS2"', r"not defined(?s:.*)did you mean 'LS1'"),
         ('receiver = "MP1"', "", "without a receiver"),
         ('file = "a.wav"', "", "exactly one kind of data"),
-        ('file = "a.wav"', 'spectrum = "a.npz"', "cannot do that yet"),
+        ('file = "a.wav"', 'file = "a.wav"\nspectrum = "a.npz"', "exactly one kind of data"),
         ('file = "a.wav"', 'file = "a.wav"\nuse = "validate"', "none is left to fit"),
         ('file = "a.wav"', 'file = "a.wav"\nlevel = "loud"', r"level"),
         ("shoebox = [5.0, 4.0, 3.0]", "", r"exactly one description(?s:.*)none"),

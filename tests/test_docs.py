@@ -236,7 +236,6 @@ file = "a.wav"
 REFUSED = {
     "certified": '[identify]\nmethod = "certified"',
     "posterior": '[identify]\nmethod = "posterior"',
-    "spectrum": '[[measurements]]\nsource = "a"\nreceiver = "b"\nspectrum = "p.npz"',
 }
 
 

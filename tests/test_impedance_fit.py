@@ -5,13 +5,20 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from impedance_cases import box_scene, exact, noisy, rms_by_material, true_r0
+from impedance_cases import exact
 from roomfit.errors import InputError
 from roomfit.impedance.choose import WallModel
 from roomfit.impedance.identify import identify_impedance
 from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
 from roomfit.impedance.observed import Observed, complex_frequency_hz
 from roomfit.materials.impedance_laws import absorption_normal, impedance_of_r0
+from roomfit.testproblems.impedance_box import (
+    WALLS,
+    box_scene,
+    noisy,
+    rms_by_material,
+    true_r0,
+)
 from roomfit.testproblems.wave_images import bulk_reacting, image_pressure, locally_reacting
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
@@ -54,16 +61,16 @@ def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_pl
     assert off.max() > 0.012 and absorbed.max() > 0.015
 
 
-def image_data(rng, *, walls=None, snr_db=40.0, move_m=0.0, speed=343.0, n_pairs=6):
+def image_data(rng, *, walls=WALLS, snr_db=40.0, move_m=0.0, speed_m_s=343.0, n_pairs=6):
     """Damped spectra of the same box made by the model itself at other places, and the truth."""
-    scene = box_scene(walls, move_m=move_m, speed=speed, rng=rng, n_pairs=n_pairs)
+    scene = box_scene(walls, move_m=move_m, speed_m_s=speed_m_s, rng=rng, n_pairs=n_pairs)
     model = wave_model(scene, F_HZ, TAU_S)
     empty = Observed(F_HZ, TAU_S, np.ones((n_pairs, len(F_HZ))))
     r0 = true_r0(empty, scene.room.materials)
     return noisy(F_HZ, TAU_S, predicted_pressure(model, r0, at_rest(model)), snr_db, rng), r0
 
 
-def identified(observed, *, walls=None, n_pairs=6, **more):
+def identified(observed, *, walls=WALLS, n_pairs=6, **more):
     return identify_impedance(
         box_scene(walls, n_pairs=n_pairs), observed, rng=np.random.default_rng(2),
         n_random_starts=more.pop("n_random_starts", 1), model_error=0.02, **more,
@@ -72,7 +79,7 @@ def identified(observed, *, walls=None, n_pairs=6, **more):
 
 def test_positions_and_speed_of_sound_are_found_with_the_walls():
     rng = np.random.default_rng(11)
-    observed, r0 = image_data(rng, move_m=0.01, speed=344.0)
+    observed, r0 = image_data(rng, move_m=0.01, speed_m_s=344.0)
     answer = identified(observed)
     assert answer.verdict.word == "identified"
     assert rms_by_material(found_r0(answer) - r0, F_HZ).max() <= 0.015
@@ -82,7 +89,7 @@ def test_positions_and_speed_of_sound_are_found_with_the_walls():
 
 
 def test_positions_that_are_wrong_and_not_estimated_do_not_fit():
-    observed, _ = image_data(np.random.default_rng(11), move_m=0.01, speed=344.0)
+    observed, _ = image_data(np.random.default_rng(11), move_m=0.01, speed_m_s=344.0)
     answer = identified(observed, nuisances=EXACT)
     assert answer.verdict.word == "does not fit"
     assert answer.verdict.cause.startswith("positions")

@@ -6,16 +6,7 @@ import numpy as np
 import pytest
 from scipy.special import wofz
 
-from impedance_cases import (
-    LENGTHS_M,
-    PAIRS,
-    RECEIVERS_M,
-    SOURCES_M,
-    SURFACES,
-    box_scene,
-    exact,
-    true_r0,
-)
+from impedance_cases import exact
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.curves import constant, law_curve, spline
@@ -46,6 +37,16 @@ from roomfit.materials.impedance_laws import (
 )
 from roomfit.scene.scene import Point, Scene
 from roomfit.testproblems.exact_box import damped_wavenumber_per_m, exact_box_pressure
+from roomfit.testproblems.impedance_box import (
+    LENGTHS_M,
+    PAIRS,
+    RECEIVERS_M,
+    SOURCES_M,
+    SURFACES,
+    WALLS,
+    box_scene,
+    true_r0,
+)
 from roomfit.testproblems.polyhedral_rooms import room_of, slanted_cells
 from roomfit.testproblems.wave_images import image_pressure, locally_reacting
 
@@ -113,7 +114,7 @@ def band_errors(model, observed, p):
 def test_image_sources_with_spherical_reflection_come_near_the_exact_field(real_data, name):
     """Measured: 1.4, 1.2, 0.6, 0.4 %; plane waves 12, 9, 2.6, 1.3 %."""
     observed = exact(real_data, name)
-    walls = {"ceiling": "wool"} if name == "exact_M2" else None
+    walls = {"ceiling": "wool"} if name == "exact_M2" else WALLS
     scene = box_scene(walls)
     model = wave_model(scene, observed.frequency_hz, observed.tau_s)
     r0 = true_r0(observed, scene.room.materials)

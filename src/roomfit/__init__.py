@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from roomfit.app.exporting import export_result
     from roomfit.app.gathering import campaign_scene
     from roomfit.app.identify import identify
+    from roomfit.app.impedance.campaign import identify_campaign_impedance
     from roomfit.app.predicting.predict import predict_campaign
     from roomfit.bands import Bands, bands_between
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
@@ -34,6 +35,11 @@ if TYPE_CHECKING:
     from roomfit.files.rooms.read import read_room
     from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
     from roomfit.findings import Finding
+    from roomfit.impedance.answer import ImpedanceAnswer
+    from roomfit.impedance.choose import WallModel
+    from roomfit.impedance.identify import identify_impedance
+    from roomfit.impedance.model import Nuisances
+    from roomfit.impedance.observed import Observed
     from roomfit.materials.absorption import Absorption
     from roomfit.materials.catalogue import catalogue, find_material
     from roomfit.materials.scattering import Scattering, uniform_scattering
@@ -65,6 +71,7 @@ _HOME = {
     "export_result": "app.exporting",
     "campaign_scene": "app.gathering",
     "identify": "app.identify",
+    "identify_campaign_impedance": "app.impedance.campaign",
     "predict_campaign": "app.predicting.predict",
     "Bands": "bands",
     "bands_between": "bands",
@@ -86,6 +93,11 @@ _HOME = {
     "PolygonSpec": "files.rooms.spec",
     "RoomSpec": "files.rooms.spec",
     "Finding": "findings",
+    "ImpedanceAnswer": "impedance.answer",
+    "WallModel": "impedance.choose",
+    "identify_impedance": "impedance.identify",
+    "Nuisances": "impedance.model",
+    "Observed": "impedance.observed",
     "Absorption": "materials.absorption",
     "catalogue": "materials.catalogue",
     "find_material": "materials.catalogue",

@@ -55,7 +55,8 @@ def float_array(
         ) from error
     _check_shape(name, array, shape)
     bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
-    if bad.size:
+    # not `size`: a single number has no axis to tell an index of
+    if len(bad):
         index = tuple(int(i) for i in bad[0])
         place = f" at index {list(index)}" if index else ""
         raise InputError(

@@ -56,6 +56,7 @@ def gather(campaign: Campaign, room: Room) -> Gathered:
         A file is missing, broken or empty, a position is impossible, or a table names a source or
         a receiver that the campaign does not define.
     """
+    _refuse_spectra(campaign)
     fitted, doubts = _values(campaign, "fit")
     kept, more_doubts = _values(campaign, "validate")
     scene = _scene(campaign, room, (*fitted, *kept))
@@ -76,6 +77,17 @@ def gather(campaign: Campaign, room: Room) -> Gathered:
     )
 
 
+def _refuse_spectra(campaign: Campaign) -> None:
+    if campaign.spectra:
+        raise InputError(
+            "damped spectra tell impedances, not absorption in bands",
+            where=str(campaign.path),
+            found=str(campaign.spectra[0].path.name),
+            needed="impulse responses (file) or room parameters",
+            hint="roomfit impedance reads this campaign",
+        )
+
+
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:
     """Return the scene of all measured pairs, each once.
 
@@ -92,6 +104,7 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
 def _scene(campaign: Campaign, room: Room, tabulated: Sequence[MeasuredValues]) -> Scene:
     pairs = [(m.source, m.receiver) for m in campaign.measurements]
     pairs += [(v.source, v.receiver) for v in tabulated]
+    pairs += [(s.source, s.receiver) for s in campaign.spectra]
     wanted = list(dict.fromkeys(pairs))
     used_sources, used_receivers = ({pair[i] for pair in wanted} for i in (0, 1))
     sources = tuple(s for s in campaign.sources if s.name in used_sources)

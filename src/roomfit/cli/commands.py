@@ -12,6 +12,7 @@ from roomfit.cli.check import check
 from roomfit.cli.demo import demo
 from roomfit.cli.export import export
 from roomfit.cli.identify import identify
+from roomfit.cli.impedance import impedance
 from roomfit.cli.paper import paper
 from roomfit.cli.predict import predict
 
@@ -45,5 +46,6 @@ app.command()(check)
 app.command()(demo)
 app.command()(export)
 app.command()(identify)
+app.command()(impedance)
 app.command()(paper)
 app.command()(predict)

@@ -93,10 +93,9 @@ def identify_impedance(
     """
     began = time.perf_counter()
     told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
-    _check_names(scene, walls or {})
-    usual = MODEL_ERROR if spherical else PLANE_MODEL_ERROR
-    factor = usual if model_error is None else model_error
-    problem = _problem(scene, observed, told, nuisances or Nuisances(), spherical, factor)
+    problem = wave_problem(
+        scene, observed, walls, nuisances, spherical=spherical, model_error=model_error
+    )
     findings = data_findings(problem, told)
     if findings:
         return _without_fit(problem, findings, time.perf_counter() - began)
@@ -127,18 +126,30 @@ def _part(progress: Progress | None, low: float, high: float) -> Progress | None
     return lambda share: progress(low + (high - low) * min(share, 1.0))
 
 
-def _problem(
+def wave_problem(
     scene: Scene,
     observed: Observed,
-    walls: dict[str, WallModel],
-    nuisances: Nuisances,
-    spherical: bool,
-    factor: float,
+    walls: Mapping[str, WallModel] | None = None,
+    nuisances: Nuisances | None = None,
+    *,
+    spherical: bool = True,
+    model_error: float | None = None,
 ) -> Problem:
+    """Return what `identify_impedance` solves first; arguments as there.
+
+    Raises
+    ------
+    InputError
+        Data, walls and scene do not belong together.
+    """
+    told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
+    _check_names(scene, walls or {})
+    usual = MODEL_ERROR if spherical else PLANE_MODEL_ERROR
+    factor = usual if model_error is None else model_error
     model = wave_model(scene, observed.frequency_hz, observed.tau_s)
     sd = _deviation(model, observed, factor)
-    curves = tuple(first_curves(walls, observed.frequency_hz))
-    return Problem(model, observed, sd, curves, nuisances, spherical, factor)
+    curves = tuple(first_curves(told, observed.frequency_hz))
+    return Problem(model, observed, sd, curves, nuisances or Nuisances(), spherical, factor)
 
 
 def _deviation(model: WaveModel, observed: Observed, factor: float) -> FloatArray:

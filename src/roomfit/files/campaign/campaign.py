@@ -18,6 +18,7 @@ from roomfit.files.campaign.schema import (
     CampaignTable,
     Directivity,
     IdentifyTable,
+    ImpedanceTable,
     MaterialTable,
     MeasuredDirectivity,
     MeasurementTable,
@@ -66,6 +67,17 @@ class MeasuredTable:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MeasuredSpectrum:
+    """One file of damped pressures, for impedances; `level` is None where none was told."""
+
+    source: str
+    receiver: str
+    path: Path
+    level: Level | None
+    use: Use
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
     """Everything that a campaign file says.
 
@@ -94,6 +106,8 @@ class Campaign:
     temperature_sd_c : float or None
     directivities : mapping of source name to what the file says of its directivity
         For `roomfit.files.campaign.directivity.campaign_directivities`; or what a fit found.
+    spectra : tuple of MeasuredSpectrum
+    impedance : ImpedanceTable
     """
 
     path: Path
@@ -115,6 +129,8 @@ class Campaign:
     directivities: Mapping[str, str | Directivity | MeasuredDirectivity | FirstOrderBands] = field(
         default_factory=dict
     )
+    spectra: tuple[MeasuredSpectrum, ...] = ()
+    impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -154,6 +170,8 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         settings.smoothness_per_octave,
         table.air.temperature_sd_c,
         {name: source.directivity for name, source in table.sources.items()},
+        tuple(_measured_spectrum(path, m) for m in table.measurements if m.spectrum is not None),
+        table.impedance,
     )
 
 
@@ -168,6 +186,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     files += [m.response.path for m in campaign.measurements]
     files += [m.response.excitation for m in campaign.measurements if m.response.excitation]
     files += [t.path for t in campaign.tables]
+    files += [s.path for s in campaign.spectra]
     files += _directivity_files(campaign)
     return tuple(dict.fromkeys(files))
 
@@ -215,6 +234,12 @@ def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, .
 
 def _measured_table(path: Path, row: MeasurementTable) -> MeasuredTable:
     return MeasuredTable(path.parent / str(row.parameters), row.source, row.receiver, row.use)
+
+
+def _measured_spectrum(path: Path, row: MeasurementTable) -> MeasuredSpectrum:
+    told = row.level if "level" in row.model_fields_set else None
+    spectrum = path.parent / str(row.spectrum)
+    return MeasuredSpectrum(str(row.source), str(row.receiver), spectrum, told, row.use)
 
 
 def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
@@ -272,9 +297,6 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
     refusals: list[tuple[str, object, bool]] = [
         ("identify.method", table.identify.method, table.identify.method in _LATER_METHODS),
     ]
-    for number, row in enumerate(table.measurements, start=1):
-        spectrum = row.spectrum
-        refusals.append((f"measurements[{number}].spectrum", spectrum, spectrum is not None))
     for where, found, refused in refusals:
         if refused:
             raise InputError(

@@ -147,6 +147,19 @@ class IdentifyTable(Table):
     seed: int = Field(default=1, ge=0, lt=2**63)
 
 
+class ImpedanceTable(Table):
+    """``[impedance]``: what ``roomfit impedance`` fits, and how."""
+
+    from_hz: float = Field(default=100.0, gt=0.0)
+    to_hz: float = Field(default=1000.0, gt=0.0)
+    step_hz: float = Field(default=10.0, gt=0.0)
+    tau_s: float = Field(default=0.015, gt=0.0, le=1.0)
+    gain: Literal["auto", "known", "common", "source", "pair", "spectrum"] = "auto"
+    positions: Literal["fit", "fixed"] = "fit"
+    speed_of_sound: Literal["fit", "fixed"] = "fit"
+    random_starts: int = Field(default=3, ge=0, le=100)
+
+
 class CampaignTable(Table):
     """The whole file."""
 
@@ -158,3 +171,4 @@ class CampaignTable(Table):
     receivers: dict[str, ReceiverTable] = {}
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
+    impedance: ImpedanceTable = ImpedanceTable()

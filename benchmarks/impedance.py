@@ -1,0 +1,352 @@
+"""Impedances found again: the table A1 to A10 of docs/impedance.md.
+
+``scripts/bench impedance`` runs all, half an hour on one core; ``scripts/bench impedance A3 A9``
+some. Fields are exact waves of a box (`roomfit.testproblems.exact_box`) but in A6 and A10.
+"""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.air import Air
+from roomfit.identification.annealing import AnnealingSettings, anneal
+from roomfit.identification.simplex import SimplexSettings, downhill_simplex, random_simplex
+from roomfit.impedance.answer import ImpedanceAnswer
+from roomfit.impedance.fit import refined, relaxed
+from roomfit.impedance.identify import identify_impedance, wave_problem
+from roomfit.impedance.model import (
+    Nuisances,
+    State,
+    at_frequencies,
+    at_rest,
+    predicted_pressure,
+    wave_model,
+    wavenumber_per_m,
+)
+from roomfit.impedance.observed import Observed, complex_frequency_hz
+from roomfit.impedance.problem import layout_of, start_of
+from roomfit.impedance.problem import r0_of as r0_matrix
+from roomfit.impedance.starts import distance, looked_around
+from roomfit.materials.impedance_laws import (
+    absorption_normal,
+    impedance_of_r0,
+    miki_layer,
+    r0_of_impedance,
+    resonator,
+)
+from roomfit.scene.scene import Point, Scene
+from roomfit.testproblems.impedance_box import (
+    SURFACES,
+    WALLS,
+    box_scene,
+    exact_pressure,
+    noisy,
+    rms_by_material,
+    true_r0,
+)
+from roomfit.testproblems.polyhedral_rooms import room_of, slanted_cells
+from roomfit.testproblems.wave_images import bulk_reacting, image_pressure, locally_reacting
+from roomfit.typing import ComplexArray, FloatArray
+
+F_HZ = np.arange(100.0, 1001.0, 10.0)
+TAU_S = 0.015
+EXACT = Nuisances(0.0, 0.0)
+NOTHING = Observed(F_HZ, TAU_S, np.ones((6, len(F_HZ))))
+NAMES = box_scene().room.materials  # slots, plaster, wool
+TRUE = true_r0(NOTHING, NAMES)
+
+
+def exact() -> ComplexArray:
+    walls = {s: TRUE[NAMES.index(WALLS.get(s, "plaster"))] for s in SURFACES}
+    return exact_pressure(F_HZ, TAU_S, walls)
+
+
+FIELD = exact()
+
+
+def found(answer: ImpedanceAnswer) -> ComplexArray:
+    return np.array([m.r0 for m in answer.materials])
+
+
+def fit(
+    observed: Observed, scene: Scene, nuisances: Nuisances, starts: int = 0, **more: object
+) -> ImpedanceAnswer:
+    return identify_impedance(
+        scene, observed, None, nuisances,
+        rng=np.random.default_rng(1), n_random_starts=starts, **more,  # type: ignore[arg-type]
+    )  # fmt: skip
+
+
+def told(values: FloatArray, digits: int = 4) -> str:
+    return " / ".join(f"{v:.{digits}f}" for v in np.atleast_1d(values))
+
+
+def errors(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) -> str:
+    r0 = found(answer)
+    absorbed = rms_by_material(absorption_normal(r0) - absorption_normal(true), f)
+    z = impedance_of_r0(true)
+    off = np.median(np.abs(impedance_of_r0(r0) / z - 1.0)[:, f >= 200.0], axis=1)
+    return (
+        f"dR0 {told(rms_by_material(r0 - true, f))}, absorption {told(absorbed)}, "
+        f"Z {told(100 * off, 1)} %, {answer.verdict.word}, {answer.seconds:.0f} s"
+    )
+
+
+def a1() -> None:
+    scene = box_scene()
+    model = wave_model(scene, F_HZ, TAU_S)
+    for spherical in (True, False):
+        p = predicted_pressure(model, TRUE, at_rest(model), spherical=spherical)
+        rms = []
+        for low, high in ((100, 200), (200, 400), (400, 700), (700, 1001)):
+            own = (low <= F_HZ) & (high > F_HZ)
+            square = np.sum(np.abs(p - FIELD)[:, own] ** 2) / np.sum(np.abs(FIELD[:, own]) ** 2)
+            rms.append(100 * np.sqrt(square))
+        print("A1", "spherical" if spherical else "plane", told(np.array(rms), 2), "%")
+
+
+def a2() -> None:
+    observed = Observed(F_HZ, TAU_S, FIELD, np.zeros(FIELD.shape))
+    for spherical in (True, False):
+        answer = fit(observed, box_scene(), EXACT, spherical=spherical)
+        print("A2", "spherical" if spherical else "plane", errors(answer, TRUE))
+
+
+def inside(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) -> FloatArray:
+    """Share of frequencies above 200 Hz whose intervals hold the truth: real, imaginary, alpha."""
+    own = f > 200.0
+    rows = []
+    for m, r0 in zip(answer.materials, true, strict=True):
+        alpha = absorption_normal(r0)
+        rows.append(
+            [
+                np.mean((a <= v)[own] & (v <= b)[own])
+                for a, v, b in (
+                    (m.r0_lower95.real, r0.real, m.r0_upper95.real),
+                    (m.r0_lower95.imag, r0.imag, m.r0_upper95.imag),
+                    (m.absorption_normal_lower95, alpha, m.absorption_normal_upper95),
+                )
+            ]
+        )
+    return np.array(rows)
+
+
+def a3(seeds: int = 10) -> None:
+    for snr_db in (40.0, 20.0):
+        rows = []
+        for seed in range(seeds):
+            observed = noisy(F_HZ, TAU_S, FIELD, snr_db, np.random.default_rng(seed))
+            answer = fit(observed, box_scene(), EXACT)
+            r0 = found(answer)
+            absorbed = rms_by_material(absorption_normal(r0) - absorption_normal(TRUE), F_HZ)
+            low = rms_by_material(r0 - TRUE, F_HZ, 100.0, 190.0)
+            rows.append([rms_by_material(r0 - TRUE, F_HZ), absorbed, low])
+        worst = np.max(rows, axis=0)
+        print(
+            f"A3 {snr_db:g} dB, worst of {seeds} seeds: dR0 {told(worst[0])}, absorption "
+            f"{told(worst[1])}, below 200 Hz {told(worst[2], 3)}"
+        )
+
+
+def a4(seeds: int = 5) -> None:
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        scene = box_scene(move_m=0.01, speed_m_s=343.0 * 1.003, rng=rng)
+        observed = noisy(F_HZ, TAU_S, FIELD, 40.0, rng)
+        answer = fit(observed, scene, Nuisances())
+        speed = next(n for n in answer.nuisances if n.name == "speed of sound").value
+        print(f"A4 seed {seed}: {errors(answer, TRUE)}, c off by {100 * (speed / 343 - 1):+.4f} %")
+        if seed == 0:
+            wrong = fit(observed, scene, EXACT)
+            print("A4 not estimated:", wrong.verdict.word, "|", wrong.verdict.cause)
+
+
+def a5() -> None:
+    rng = np.random.default_rng(7)
+    scene = box_scene(move_m=0.01, speed_m_s=343.0 * 1.003, rng=rng)
+    observed = noisy(F_HZ, TAU_S, FIELD, 40.0, rng)
+    problem = wave_problem(scene, observed, None, Nuisances())
+    ends, seconds = [], []
+    starts = looked_around(problem, 20, np.random.default_rng(8))
+    for start in starts:
+        began = time.perf_counter()
+        ends.append(refined(problem, start.x))
+        seconds.append(time.perf_counter() - began)
+    best = min(ends, key=lambda e: float(e.residual @ e.residual))
+    same = np.mean([distance(e.r0, best.r0) <= 0.01 for e in ends])
+    print(f"A5 {100 * same:.0f} % of {len(ends)} starts in one minimum; {max(seconds):.0f} s each")
+
+
+def a6() -> None:
+    scene = box_scene()
+    model = wave_model(scene, F_HZ, TAU_S)
+    k = wavenumber_per_m(model, at_rest(model))
+    rng = np.random.default_rng(2)
+    p = predicted_pressure(model, TRUE, at_rest(model))
+    observed = noisy(F_HZ, TAU_S, p, 40.0, rng)
+    for name, pairs, phase in (("one pair", 1, True), ("levels", 6, False)):
+        one = Observed(
+            F_HZ[40:41], TAU_S,
+            observed.pressure[:pairs, 40:41] if phase else np.abs(observed.pressure[:, 40:41]),
+            observed.noise[:pairs, 40:41], phase,
+        )  # fmt: skip
+        answer = fit(one, box_scene(n_pairs=pairs), EXACT)
+        print("A6 one frequency,", name, "|", answer.verdict.word, "|", answer.findings[0].code)
+    f = complex_frequency_hz(NOTHING)
+    z = impedance_of_r0(TRUE)
+    for sigma, depth in ((5e3, 0.1), (20e3, 0.04)):
+        walls = {m: locally_reacting(own, k) for m, own in zip(NAMES, z, strict=True)}
+        walls["wool"] = bulk_reacting(f, sigma, depth, 343.0, k)
+        data = noisy(F_HZ, TAU_S, image_pressure(model, walls, at_rest(model)), 40.0, rng)
+        answer = fit(data, scene, EXACT)
+        print(f"A6 extended reaction {sigma:g} Pa s/m2, {depth} m:", answer.verdict.word,
+              f"chi2 {answer.chi2:.2f} |", answer.verdict.cause)  # fmt: skip
+    levels = Observed(F_HZ, TAU_S, np.abs(observed.pressure), observed.noise, has_phase=False)
+    answer = fit(levels, scene, EXACT, 3)
+    print("A6 levels:", errors(answer, TRUE), "weaker" if answer.verdict.weaker else "NOT weaker")
+
+
+def a8(seeds: int = 40) -> None:
+    shares = []
+    for seed in range(seeds):
+        observed = noisy(F_HZ, TAU_S, FIELD, 40.0, np.random.default_rng(100 + seed))
+        shares.append(inside(fit(observed, box_scene(), EXACT), TRUE))
+    mean = np.mean(shares, axis=0)
+    for name, row in zip(NAMES, mean, strict=True):
+        print(f"A8 {name}: real, imaginary, absorption {told(100 * row, 0)} % within")
+    print(f"A8 all: {100 * mean.mean():.1f} % over {seeds} seeds")
+
+
+def six_walls() -> dict[str, ComplexArray]:
+    f = complex_frequency_hz(NOTHING)
+    z = {
+        "west": resonator(f, 0.3, 0.3, 0.08, 8e3, 343.0),
+        "east": 70.0 - 30j * 200.0 / f,
+        "south": miki_layer(f, 2e4, 0.025, 0.05, 343.0),
+        "north": 20.0 + 5j * f / 500.0,
+        "floor": miki_layer(f, 6e4, 0.01, 0.0, 343.0),
+        "ceiling": miki_layer(f, 2e4, 0.04, 0.0, 343.0),
+    }
+    return {s: r0_of_impedance(v) for s, v in z.items()}
+
+
+def a9(seeds: int = 3) -> None:
+    walls = six_walls()
+    true = np.array([walls[s] for s in SURFACES])
+    p = exact_pressure(F_HZ, TAU_S, walls)
+    for seed in range(seeds):
+        observed = noisy(F_HZ, TAU_S, p, 40.0, np.random.default_rng(seed))
+        answer = fit(observed, box_scene({s: s for s in SURFACES}), EXACT)
+        within = 100 * inside(answer, true).mean()
+        print(f"A9 seed {seed}: {errors(answer, true)}, {within:.0f} % within")
+
+
+def hexahedron(places: FloatArray) -> Scene:
+    room = room_of(slanted_cells())
+    two = np.array([0, 0, 0, 0, 0, 1])  # the last wall, of wool
+    room = replace(room, materials=("plaster", "wool"), surface_material=two)
+    low = room.mesh.vertices_m.min(axis=0)
+    size = np.ptp(room.mesh.vertices_m, axis=0)
+    at = low + places * size
+    sources = tuple(Point(f"S{i}", p) for i, p in enumerate(at[:2]))
+    receivers = tuple(Point(f"R{i}", p) for i, p in enumerate(at[2:]))
+    pairs = np.array([(0, 0), (1, 1), (0, 2), (1, 0), (0, 1), (1, 2)])
+    return Scene(room, sources, receivers, pairs, Air(speed_of_sound_m_s=343.0, attenuation="none"))
+
+
+def a10(seeds: int = 2) -> None:
+    shares = np.array(
+        [[0.35, 0.4, 0.4], [0.6, 0.35, 0.55], [0.6, 0.6, 0.6], [0.4, 0.6, 0.35], [0.5, 0.45, 0.7]]
+    )
+    f, tau_s = np.arange(200.0, 801.0, 12.5), 0.010
+    scene = hexahedron(shares)
+    empty = Observed(f, tau_s, np.ones((6, len(f))))
+    true = true_r0(empty, scene.room.materials)
+    for seed in range(seeds):
+        rng = np.random.default_rng(seed)
+        size = np.ptp(scene.room.mesh.vertices_m, axis=0)
+        moved = hexahedron(shares + 0.01 * rng.normal(size=shares.shape) / size)
+        # another order than the fit takes: all paths of twice the length
+        model = wave_model(moved, f, tau_s * 1.4)
+        model = replace(model, tau_s=tau_s)
+        walls = {
+            m: locally_reacting(z, wavenumber_per_m(model, at_rest(model)))
+            for m, z in zip(scene.room.materials, impedance_of_r0(true), strict=True)
+        }
+        p = image_pressure(model, walls, State(np.zeros((2, 3)), np.zeros((3, 3)), 0.002))
+        answer = fit(noisy(f, tau_s, p, 40.0, rng), scene, Nuisances(), 1)
+        print(f"A10 seed {seed}: {errors(answer, true, f)}")
+
+
+def the_papers_way(seeds: int = 15) -> None:
+    """Simplex and annealing over Re Z and Im Z, and least squares over R0: the model's own data.
+
+    One frequency, six pairs, three materials, no noise: as easy as it gets.
+    """
+    at = 40
+    model = at_frequencies(wave_model(box_scene(), F_HZ, TAU_S), np.array([at]))
+    true = TRUE[:, [at]]
+    data = predicted_pressure(model, true, at_rest(model), spherical=False)
+    scale = np.sum(np.abs(data) ** 2)
+    model = replace(model, whole=model.short)
+    data = predicted_pressure(model, true, at_rest(model), spherical=False)
+
+    def r0_of(x: FloatArray) -> ComplexArray:
+        return r0_of_impedance(200.0 * x[:3] + 1j * (400.0 * x[3:] - 200.0))[:, None]
+
+    def error(x: FloatArray) -> float:
+        off = predicted_pressure(model, r0_of(x), at_rest(model), spherical=False) - data
+        return float(np.sum(np.abs(off) ** 2) / scale)
+
+    ways = {
+        "simplex": lambda rng: downhill_simplex(
+            error, random_simplex(6, rng), SimplexSettings(max_evaluations=4000)
+        ),
+        "annealing + simplex": lambda rng: anneal(
+            error, 6, rng, AnnealingSettings(levels=40, trials_per_unknown=10)
+        ),
+    }
+    for name, way in ways.items():
+        right, evaluations, seconds = 0, [], []
+        runs = seeds if name == "simplex" else 4
+        for seed in range(runs):
+            began = time.perf_counter()
+            end = way(np.random.default_rng(seed))
+            seconds.append(time.perf_counter() - began)
+            evaluations.append(end.evaluations)
+            right += int(np.abs(r0_of(end.x) - true).max() <= 0.01)
+        print(
+            f"paper, {name}: {right} of {runs} right, {np.median(evaluations):.0f} evaluations, "
+            f"{np.median(seconds):.1f} s a run"
+        )
+    observed = Observed(F_HZ[[at]], TAU_S, data, np.full(data.shape, 1e-4 * np.sqrt(scale / 6)))
+    began = time.perf_counter()
+    x = wave_problem(box_scene(), observed, None, EXACT, spherical=False, model_error=0.0)
+    x = replace(x, model=model)
+    start, _, evaluations = relaxed(x, start_of(x))
+    off = np.abs(r0_matrix(x, layout_of(x), start) - true).max()
+    print(f"paper, least squares over R0: off by {off:.1e}, {evaluations} evaluations, "
+          f"{time.perf_counter() - began:.2f} s")  # fmt: skip
+
+
+ALL: dict[str, Callable[[], None]] = {
+    "A1": a1, "A2": a2, "A3": a3, "A4": a4, "A5": a5, "A6": a6, "A8": a8, "A9": a9, "A10": a10,
+    "paper": the_papers_way
+}  # fmt: skip
+
+
+def main() -> None:
+    print("materials in order:", ", ".join(NAMES))
+    for name in sys.argv[1:] or list(ALL):
+        began = time.perf_counter()
+        ALL[name]()
+        print(f"   {name} took {time.perf_counter() - began:.0f} s", flush=True)
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Impedances of walls, from a campaign to files."""

@@ -1,0 +1,26 @@
+"""``roomfit impedance``: complex impedances of walls."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+
+def impedance(
+    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
+    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
+    overwrite: Annotated[
+        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
+    ] = False,
+) -> None:
+    """Find the acoustic impedance of a measured room's walls over frequency, with intervals."""
+    from roomfit.app.impedance.campaign import impedance_to_folder
+    from roomfit.cli.progress import progress_bar
+    from roomfit.report.impedance_text import impedance_text
+
+    with progress_bar("identifying impedances") as progress:
+        answer = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)
+    typer.echo(impedance_text(answer))
+    typer.echo(f"\nresult.json, impedance.csv and pictures are in {out}")
