@@ -234,7 +234,6 @@ receiver = "b"
 file = "a.wav"
 """
 REFUSED = {
-    "certified": '[identify]\nmethod = "certified"',
     "posterior": '[identify]\nmethod = "posterior"',
 }
 

@@ -218,3 +218,20 @@ def test_a_row_of_repeats_is_its_statistics_written_out() -> None:
     assert row.rms_error == pytest.approx((0.14 / 4.0) ** 0.5)
     assert (row.median_largest_error, row.worst_error) == pytest.approx((0.25, 0.3))
     assert (row.repeats, row.median_paths) == (2, 85.0)
+
+
+@pytest.mark.slow
+def test_every_problem_of_the_paper_is_certified(content: dict[str, Any]) -> None:
+    """The truth lies in a cluster of each; case 1 with its walls apart has exactly two."""
+    proven = content["certified"]
+    assert set(proven) == {*SPECIFICATIONS, "walls_apart"}
+    for name, wanted in SPECIFICATIONS.items():
+        found = proven[name]
+        assert found["status"] == "certified"
+        truth = np.array(wanted.truth)
+        held = [
+            np.all((np.array(c["lower"]) <= truth) & (truth <= np.array(c["upper"])))
+            for c in found["clusters"]
+        ]
+        assert any(held)
+    assert len(proven["walls_apart"]["clusters"]) == 2

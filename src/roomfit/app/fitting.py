@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomfit.app.certifying import certified_fit
 from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
+from roomfit.identification.certified.certificate import Certificate
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import (
     Solver,
@@ -67,6 +69,7 @@ class BandAnswer:
     converged: bool
     model: str
     directivity: tuple[FloatArray, FloatArray] | None = None
+    certificate: Certificate | None = None
 
 
 def fit_bands(
@@ -85,9 +88,9 @@ def fit_bands(
     ----------
     problems : iterable of BandProblem or None
         Taken one at a time, so that they may be made when they are needed.
-    method : {"auto", "least-squares", "simplex", "annealing"}
+    method : {"auto", "least-squares", "simplex", "annealing", "certified"}
         "auto" is least squares. The paper's two methods search with the same squares; after
-        annealing's first round the simplex refines.
+        annealing's first round the simplex refines. "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
     """
@@ -98,6 +101,11 @@ def fit_bands(
             answers.append(untold_band(knowledge, band, areas_m2))
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
+        if method == "certified":
+            fit, proof = certified_fit(problem, progress=done)
+            own = band_answer(problem.parameters, fit, areas_m2, "energy")
+            answers.append(replace(own, certificate=proof))
+            continue
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
         fit = fit_band(problem, solver, refiner, progress=done)
         if watch is not None:

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.certifying import certificate_findings, check_certifiable
 from roomfit.app.combinations import band_combinations, inseparable_findings
 from roomfit.app.comparing import compare_all
 from roomfit.app.directing.bands import fitted_directivities
@@ -136,6 +137,7 @@ def identify(
         See `identify_to_folder`.
     """
     began = time.perf_counter()
+    check_certifiable(campaign)
     room, room_findings = read_room(campaign.room)
     knowledge = material_knowledge(campaign, room.materials)
     gathered = gather(campaign, room)
@@ -166,6 +168,7 @@ def identify(
         *untold_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
         *solved.findings,
         *fit_findings(campaign.bands, answers),
+        *certificate_findings(campaign.bands, [a.certificate for a in answers]),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
     return _answer(
@@ -235,7 +238,12 @@ def _answer(
         scattering=traced.scattering,
         geometry=solved.geometry,
         directivities=fitted_directivities(solved.directivities),
+        certificates=tuple(b.certificate for b in found) if _asks_for_proof(campaign) else (),
     )
+
+
+def _asks_for_proof(campaign: Campaign) -> bool:
+    return campaign.method == "certified"
 
 
 def _model_of(models: tuple[str, ...]) -> str:

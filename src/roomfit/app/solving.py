@@ -73,6 +73,11 @@ def solve(
 ) -> Solved:
     """Fit every band of a campaign.
 
+    Raises
+    ------
+    InputError
+        A certificate is asked for where other data than energies are compared.
+
     Parameters
     ----------
     paths : Paths

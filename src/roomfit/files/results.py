@@ -15,6 +15,7 @@ import numpy as np
 from roomfit.errors import StoreError
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
+from roomfit.identification.certified.certificate import Certificate
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Answer, ComparedPair, FittedGeometry
 from roomfit.uncertainty.posterior import logit
@@ -66,7 +67,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "evaluations": answer.evaluations,
             "converged": [bool(b) for b in answer.converged],
             "seconds": round(answer.seconds, 3),
-            "certified": None,
+            "certified": _certified(answer),
             "seed": answer.seed,
             "intervals": answer.interval_kind,
         },
@@ -95,6 +96,42 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             content["posterior"]["prior_logit_mean"] = [numbers(band) for band in mean.T]
             content["posterior"]["prior_logit_sd"] = [numbers(band) for band in sd.T]
     return content
+
+
+def _certified(answer: Answer) -> list[dict[str, Any]] | None:
+    """What was proven in each band of the cost of energies, their weights held."""
+    if not answer.certificates:
+        return None
+    return [
+        {"band_hz": float(centre), **certificate_content(certificate)}
+        for centre, certificate in zip(answer.bands.centres_hz, answer.certificates, strict=True)
+        if certificate is not None
+    ]
+
+
+def certificate_content(certificate: Certificate) -> dict[str, Any]:
+    """Return a certificate as JSON holds it; absorptions and gains in the order of the names."""
+    return {
+        "status": certificate.status,
+        "sentence": certificate.sentence,
+        "unknowns": list(certificate.coordinates),
+        "value": certificate.value,
+        "lower_bound": certificate.lower_bound,
+        "delta": certificate.delta,
+        "clusters": [
+            {
+                "lower": numbers(c.lower),
+                "upper": numbers(c.upper),
+                "minimiser": numbers(c.minimiser),
+                "value": c.value,
+                "unique": c.unique,
+            }
+            for c in certificate.clusters
+        ],
+        "open": certificate.n_open,
+        "boxes": certificate.boxes,
+        "seconds": round(certificate.seconds, 3),
+    }
 
 
 def _scattering(answer: Answer, material: int) -> dict[str, list[float]]:

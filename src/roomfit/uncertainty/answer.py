@@ -8,6 +8,7 @@ from typing import Literal
 
 from roomfit.bands import Bands
 from roomfit.findings import Finding
+from roomfit.identification.certified.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
 
@@ -158,6 +159,9 @@ class Answer:
         None where arrival times were not fitted.
     directivities : tuple of FittedDirectivity
         Of the sources whose directivity was fitted.
+    certificates : tuple of Certificate or None, one a band
+        What was proven of the lowest cost of energies with their weights held; empty where nobody
+        asked.
     """
 
     bands: Bands
@@ -187,3 +191,4 @@ class Answer:
     scattering: FloatArray | None = None
     geometry: FittedGeometry | None = None
     directivities: tuple[FittedDirectivity, ...] = ()
+    certificates: tuple[Certificate | None, ...] = ()

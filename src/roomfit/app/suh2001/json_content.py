@@ -8,6 +8,7 @@ from typing import Any
 import roomfit
 from roomfit.app.suh2001.repeat import PaperResult
 from roomfit.app.suh2001.searches import FOUND_WITHIN, Record
+from roomfit.files.results import certificate_content
 from roomfit.identification.landscape import Landscape
 from roomfit.testproblems.paper_problems import SPECIFICATIONS
 from roomfit.testproblems.paper_room import (
@@ -49,6 +50,7 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
         },
         "identified": [_identified(record) for record in result.records],
         "walls_apart": _walls_apart(result),
+        "certified": {name: certificate_content(c) for name, c in result.certificates.items()},
         "independent_rays": _independent_rays(result),
     }
 

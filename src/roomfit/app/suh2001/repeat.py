@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 
 from roomfit.app.progress import part
+from roomfit.app.suh2001.certified import certificates_of
 from roomfit.app.suh2001.independent import (
     IndependentFit,
     IndependentRow,
@@ -33,10 +34,11 @@ from roomfit.app.suh2001.room import (
 from roomfit.app.suh2001.searches import METHODS, Record, record, search_seeds, searches_of_table2
 from roomfit.app.workers import in_pool, worker_pool
 from roomfit.checks import int_array
+from roomfit.identification.certified.certificate import Certificate
 from roomfit.identification.fit import Fit
 from roomfit.identification.landscape import Landscape, grid_errors, unit_grid
 from roomfit.objective.squares import error
-from roomfit.testproblems.paper_problems import PaperProblem
+from roomfit.testproblems.paper_problems import PaperProblem, walls_apart_problem
 from roomfit.typing import FloatArray, Progress
 
 _SEEDS_PER_TASK = 10
@@ -81,6 +83,8 @@ class PaperResult:
         One search of case 1 by each method, from where Table 2 begins.
     records : tuple of Record
     walls_apart : WallsApart
+    certificates : mapping of problem name to Certificate
+        Of every problem, and of "walls_apart".
     independent_settings : IndependentSettings
     independent : tuple of IndependentRow
     """
@@ -93,6 +97,7 @@ class PaperResult:
     case1_searches: Mapping[str, Fit]
     records: tuple[Record, ...]
     walls_apart: WallsApart
+    certificates: Mapping[str, Certificate]
     independent_settings: IndependentSettings
     independent: tuple[IndependentRow, ...]
 
@@ -111,7 +116,9 @@ def repeat_paper(
     with worker_pool(settings.workers) as pool:
         fits = _independent(pool, settings.independent, part(progress, 0.0, 0.4))
         landscapes = _landscapes(pool, problems, part(progress, 0.4, 0.45))
-        records = _records(pool, settings.seeds, problems, part(progress, 0.45, 1.0))
+        records = _records(pool, settings.seeds, problems, part(progress, 0.45, 0.95))
+    mirrored = walls_apart_problem(paths["paper"], mirrored=True)
+    certificates = certificates_of(problems, mirrored, part(progress, 0.95, 1.0))
     return PaperResult(
         settings.seeds,
         case_responses(paths["paper"]),
@@ -121,6 +128,7 @@ def repeat_paper(
         searches_of_table2(problems["case1"]),
         records,
         walls_apart(paths["paper"], np.random.default_rng(0)),
+        certificates,
         settings.independent,
         summarise(fits),
     )

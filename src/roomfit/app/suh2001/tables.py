@@ -27,6 +27,7 @@ def paper_tables(result: PaperResult) -> dict[str, str]:
         "minima.csv": _minima(result),
         "search_paths.csv": _search_paths(result),
         "identified.csv": _identified(result),
+        "certified.csv": _certified(result),
         "independent_rays.csv": _independent_rays(result),
     }
 
@@ -107,6 +108,20 @@ def _identified(result: PaperResult) -> str:
     ]
     heading = ("problem", "method", "materials", "successes", "seeds", "largest_error")
     return _csv((*heading, "median_evaluations", "median_seconds"), rows)
+
+
+def _certified(result: PaperResult) -> str:
+    """What is proven of each problem: how low, in how many places, and with how much work."""
+    rows = [
+        (
+            *(name, len(c.coordinates), c.status, len(c.clusters)),
+            sum(cluster.unique for cluster in c.clusters),
+            *(c.value, c.lower_bound, c.delta, c.boxes, c.seconds),
+        )
+        for name, c in result.certificates.items()
+    ]
+    heading = ("problem", "materials", "status", "clusters", "proven_single", "value")
+    return _csv((*heading, "lower_bound", "delta", "boxes", "seconds"), rows)
 
 
 def _independent_rays(result: PaperResult) -> str:

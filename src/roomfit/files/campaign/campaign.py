@@ -308,4 +308,4 @@ def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
             )
 
 
-_LATER_METHODS = ("certified", "posterior")
+_LATER_METHODS = ("posterior",)

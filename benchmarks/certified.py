@@ -1,0 +1,137 @@
+"""What a certificate of the paper's room costs: boxes and seconds of processor time, one thread.
+
+``python benchmarks/certified.py`` prints the table of docs/certificate.md.
+``python benchmarks/certified.py --picture FILE`` draws the boxes left over in two dimensions.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.identification.certified.boxes import tools_for
+from roomfit.identification.certified.certificate import certify
+from roomfit.identification.certified.question import Misfit
+from roomfit.identification.certified.questions import squares_question
+from roomfit.identification.certified.search import SearchSettings, first_guess, search
+from roomfit.objective.squares import SquaresProblem, error, squares_problem, window_energies
+from roomfit.testproblems.paper_problems import division_rows
+from roomfit.testproblems.paper_room import (
+    DIVISIONS,
+    N_RAYS,
+    Division,
+    arrivals_ms,
+    ill_defined_edges_s,
+    paper_edges_s,
+    paper_scene,
+    trace_paper_room,
+)
+from roomfit.tracing.paths import Paths
+
+_CASE = 2  # the only pair off the room's plane of symmetry
+# Gamma noise of this relative spread, as 25 independent squares have.
+_SPREAD = 0.2
+
+
+def problem_of(
+    own: Paths, other: Paths, division: Division, window_ms: int, case: int = _CASE
+) -> SquaresProblem:
+    """Return the model of one trace with the data of another."""
+    edges = ill_defined_edges_s(0)
+    if window_ms == 5:
+        edges = paper_edges_s(arrivals_ms(own, case)[1])
+    truth = np.array(division.truth)
+    measured = window_energies(division_rows(other, case, edges, division), truth)
+    return squares_problem(division_rows(own, case, edges, division), measured)
+
+
+def row(
+    name: str, problem: SquaresProblem, misfit: Misfit, share: float | None, seconds: float
+) -> None:
+    """Certify once and print a line; `share` of the lowest misfit is delta, or 1e-8."""
+    precision = None
+    if misfit != "squares":
+        precision = np.full(problem.measured.size, 0.5 / _SPREAD**2)
+    question = squares_question(problem, misfit, precision=precision)
+    guess = first_guess(question, tools_for(question)).value
+    delta = 1e-8 if share is None else share * guess
+    begun = time.process_time()
+    found = certify(question, SearchSettings(delta, width=0.05, max_seconds=seconds))
+    spent = time.process_time() - begun
+    single = sum(c.unique for c in found.clusters)
+    gap = found.value - found.lower_bound
+    print(
+        f"| {name} | {found.boxes:,} | {spent:.2f} | {found.status} | {len(found.clusters)} "
+        f"({single}) | {found.value:.3g} | {gap:.2g} | "
+        f"{'yes' if guess <= found.value + delta else 'no'} |",
+        flush=True,
+    )
+
+
+def main() -> None:
+    """Print the table, or draw the picture."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--picture", type=Path)
+    parser.add_argument("--seconds", type=float, default=60.0)
+    arguments = parser.parse_args()
+    own = trace_paper_room(paper_scene())
+    if arguments.picture is not None:
+        picture(own, arguments.picture)
+        return
+    other = trace_paper_room(paper_scene(), N_RAYS, "sobol", 1)
+    rng = np.random.default_rng(1)
+    warm = problem_of(own, own, DIVISIONS[2], 5)
+    certify(squares_question(warm), SearchSettings(1e-8))
+    print("| problem | boxes | s | status | clusters (single) | lowest | gap | descents |")
+    print("|---|---|---|---|---|---|---|---|")
+    for window_ms, numbers in ((5, (2, 3, 4, 5, 6, 7)), (50, (2, 3, 4, 5))):
+        for data, paths, share in (("exact", own, None), ("other rays", other, 0.01)):
+            for n in numbers:
+                name = f"{n} materials, {window_ms} ms, {data}"
+                problem = problem_of(own, paths, DIVISIONS[n], window_ms)
+                row(name, problem, "squares", share, arguments.seconds)
+    for misfit, short in (("gamma", "Gamma deviance"), ("logarithms", "log residuals")):
+        for n in (2, 3, 4):
+            problem = problem_of(own, own, DIVISIONS[n], 5)
+            loud = problem.measured * rng.gamma(_SPREAD**-2, _SPREAD**2, problem.measured.size)
+            heard = _heard(replace(problem, measured=loud))
+            row(f"{n} materials, 5 ms, noise, {short}", heard, misfit, 0.01, arguments.seconds)
+
+
+def _heard(problem: SquaresProblem) -> SquaresProblem:
+    """Return the problem without windows that no path reaches, which have no logarithm."""
+    rows = problem.rows
+    kept = np.flatnonzero(np.diff(rows.offsets) > 0)
+    offsets = np.concatenate(([0], rows.offsets[kept + 1]))
+    return SquaresProblem(
+        replace(rows, n_windows=kept.size, offsets=offsets), problem.measured[kept]
+    )
+
+
+def picture(own: Paths, file: Path) -> None:
+    """Draw the boxes left over for the narrow valley of Figure 5 at three values of delta."""
+    from roomfit.report.certificate_picture import boxes_figure
+    from roomfit.report.pictures import png
+
+    problem = problem_of(own, own, DIVISIONS[2], 50, case=0)
+    question = squares_question(problem)
+    covers, deltas = {}, (30.0, 10.0, 3.0)
+    for delta in deltas:
+        found = search(question, SearchSettings(delta, width=0.01))
+        covers[f"error up to {delta:g}"] = 1.0 - np.exp(found.boxes)[:, ::-1]
+    first = next(iter(covers.values()))
+    low, high = first[:, 0].min(axis=0) - 0.05, first[:, 1].max(axis=0) + 0.05
+    x, y = np.meshgrid(*np.clip(np.linspace(low, high, 81), 0.0, 1.0).T)
+    errors = [error(problem, np.array(at)) for at in zip(x.ravel(), y.ravel(), strict=True)]
+    grids = (x, y, np.reshape(errors, x.shape))
+    truth = np.array(DIVISIONS[2].truth)
+    figure = boxes_figure(covers, question.coordinates, truth, grids, sorted(deltas))
+    file.write_bytes(png(figure))
+
+
+if __name__ == "__main__":
+    main()

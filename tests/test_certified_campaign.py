@@ -1,0 +1,164 @@
+"""``method = "certified"`` in a campaign: what is proven, told and refused."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import roomfit
+from roomfit.app import fitting
+from roomfit.app.certifying import (
+    CertifyLimits,
+    certificate_findings,
+    certified_fit,
+    tracing_delta,
+)
+from roomfit.bands import Bands
+from roomfit.identification.certified.boxes import tools_for
+from roomfit.identification.certified.certificate import Certificate
+from roomfit.identification.certified.descent import total_misfit
+from roomfit.identification.certified.questions import energy_question, free_vector
+from roomfit.identification.reweighted import fit_band
+from roomfit.identification.solvers import gauss_newton
+from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.parameters import physical_values, prior_residuals
+from small_campaign import write_campaign
+
+# one band, and one material known, so that two absorptions and a gain are left
+CHANGES = (
+    ("to_hz = 1000", 'to_hz = 500\nmethod = "certified"'),
+    ("[materials.tiles]\n", "[materials.tiles]\nabsorption = 0.3\n"),
+)
+
+
+@pytest.fixture(scope="module")
+def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer, list[Any]]:
+    """The small campaign certified in one band, with its problem."""
+    problems: list[Any] = []
+
+    def watched(problem: Any, *args: Any, **more: Any) -> Any:
+        problems.append(problem)
+        return certified_fit(problem, *args, **more)
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(fitting, "certified_fit", watched)
+        path = write_campaign(tmp_path_factory.mktemp("certified"), *CHANGES)
+        answer = roomfit.identify(roomfit.read_campaign(path))
+    return answer, problems
+
+
+def test_a_campaign_is_certified(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+    """The answer is the certified minimiser, within a fifth of its interval."""
+    answer, _ = certified
+    assert answer.method == "certified"
+    assert answer.model == "energy"
+    (proof,) = answer.certificates
+    assert isinstance(proof, Certificate)
+    assert proof.status == "certified"
+    assert proof.coordinates == ("walls", "carpet", "gain of LS1")
+    best = proof.clusters[0].minimiser[:2]
+    width = (answer.upper95 - answer.lower95)[:2, 0]
+    assert np.all(np.abs(best - answer.absorption[:2, 0]) < 0.2 * width)
+    assert proof.lower_bound <= answer.cost <= proof.value + proof.delta
+
+
+def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+    """Its rows merged and smeared, against residuals and priors by the fit's own prediction."""
+    (problem,) = certified[1]
+    fit = fit_band(problem, gauss_newton, gauss_newton)
+    question = energy_question(problem, fit.vector)
+    tools = tools_for(question)
+    spread = problem.variance(fit.vector) * problem.counted_as_one()
+    rng = np.random.default_rng(3)
+    for _ in range(20):
+        vector = fit.vector + rng.normal(0.0, 0.7, fit.vector.size)
+        values, _ = physical_values(problem.parameters, vector)
+        g = np.concatenate((np.log1p(-values["absorption"][:2]), np.log(values["gain"])))
+        off = problem.predict(vector).expected - problem.measured()
+        prior, _ = prior_residuals(problem.parameters, vector)
+        expected = 0.5 * float(np.sum(off**2 / spread) + prior @ prior)
+        # shares below the rounding of their table, 1e-16 of one, are cut at 0
+        assert total_misfit(tools.kind, tools.data, g, tools.most) == pytest.approx(
+            expected, rel=1e-9
+        )
+        place = np.concatenate((values["absorption"][:2], values["gain"]))
+        np.testing.assert_allclose(free_vector(problem, place), vector, atol=1e-8)
+
+
+def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+    """Louder rays have louder noise; image sources alone have none, and the least delta is left."""
+    (problem,) = certified[1]
+    fit = fit_band(problem, gauss_newton, gauss_newton)
+    precision = 0.5 / (problem.variance(fit.vector) * problem.counted_as_one())
+    louder = tuple(
+        replace(rows, weight_per_m2=np.where(rows.batch >= 0, 30.0, 1.0) * rows.weight_per_m2)
+        for rows in problem.rows
+    )
+    noisy = replace(problem, rows=louder)
+    before = tracing_delta(problem, fit.vector, precision)
+    after = tracing_delta(noisy, fit.vector, precision)
+    silent = tuple(replace(rows, n_batches=0) for rows in problem.rows)
+    assert tracing_delta(replace(problem, rows=silent), fit.vector, precision) == 0.02
+    assert after > before >= 0.02
+
+
+def test_a_certificate_stands_in_the_result_file(
+    certified: tuple[roomfit.Answer, list[Any]], tmp_path: Path
+) -> None:
+    """Every key of the contract, and numbers that JSON can hold."""
+    answer, _ = certified
+    campaign = write_campaign(tmp_path / "in", *CHANGES)
+    roomfit.write_result(tmp_path, answer, (campaign,))
+    content = json.loads((tmp_path / "result.json").read_text())
+    (proof,) = content["fit"]["certified"]
+    assert proof["band_hz"] == 500.0
+    wanted = {"status", "value", "lower_bound", "delta", "clusters", "boxes", "seconds"}
+    assert wanted <= set(proof)
+    for cluster in proof["clusters"]:
+        assert set(cluster) == {"lower", "upper", "minimiser", "value", "unique"}
+        assert np.all(np.array(cluster["lower"]) <= np.array(cluster["upper"]))
+
+
+def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Path) -> None:
+    """Told at once, before anything is traced."""
+    change = ("to_hz = 1000", 'to_hz = 500\nmethod = "certified"\nmodel = "coherent"')
+    campaign = roomfit.read_campaign(write_campaign(tmp_path, change))
+    with pytest.raises(roomfit.InputError, match="no certificate but for energies"):
+        roomfit.identify(campaign)
+
+
+def test_what_is_too_large_or_no_energy_is_refused(
+    certified: tuple[roomfit.Answer, list[Any]],
+) -> None:
+    """Rows above the limit; a problem of another kind."""
+    (problem,) = certified[1]
+    with pytest.raises(roomfit.InputError, match="too many rows"):
+        certified_fit(problem, CertifyLimits(max_rows=5))
+    with pytest.raises(roomfit.InputError, match="only energies"):
+        certified_fit(object())  # type: ignore[arg-type]
+    with pytest.raises(roomfit.InputError, match="stand in the rows"):
+        fit = fit_band(problem, gauss_newton, gauss_newton)
+        energy_question(replace(problem, attenuation_per_m=0.01), fit.vector)
+    assert isinstance(problem, EnergyProblem)
+
+
+def test_open_searches_and_several_answers_are_findings(
+    certified: tuple[roomfit.Answer, list[Any]],
+) -> None:
+    """One code each, with the band; nothing where all is proven."""
+    (proof,) = certified[0].certificates
+    assert proof is not None
+    bands = Bands("octave", np.array([500.0]))
+    (cluster, *_) = proof.clusters
+    clean = replace(proof, clusters=(cluster,))
+    assert certificate_findings(bands, [clean]) == ()
+    assert certificate_findings(bands, [None]) == ()
+    stopped = replace(clean, status="stopped", lower_bound=clean.value - 1.0)
+    assert [f.code for f in certificate_findings(bands, [stopped])] == ["not-certified"]
+    two = replace(proof, clusters=(cluster, cluster))
+    assert [f.code for f in certificate_findings(bands, [two])] == ["several-answers"]
