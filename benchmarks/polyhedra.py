@@ -1,13 +1,14 @@
 """Rooms that are no boxes: errors and intervals of the partly coherent fit, energies beside it.
 
     python benchmarks/polyhedra.py [--rooms paper slanted l-shaped] [--seeds 1 2 3]
-        [--position-error 0.01] [--plane-error 0] [--no-energy]
+        [--position-error 0.01] [--plane-error 0] [--loudspeaker-db 3] [--no-energy]
 
 Responses come from `roomfit.testproblems.pressure_polyhedron`, which follows pressures from cell to
 cell, shares no code with the search for image sources, and goes on for longer than any fit; files
 are written as a campaign and read back as anybody's. Sources and receivers stand some
 --position-error away from where they are told, in each coordinate, and the planes of the drawing
---plane-error along their normals (rooms of one cell). The null model gives all walls of a room the
+--plane-error along their normals (rooms of one cell). Loudspeakers differ by --loudspeaker-db from
+octave to octave. The null model gives all walls of a room the
 area mean of the fitted answer.
 """
 
@@ -107,6 +108,7 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[1, 2, 3])
     parser.add_argument("--position-error", type=float, default=0.01)
     parser.add_argument("--plane-error", type=float, default=0.0)
+    parser.add_argument("--loudspeaker-db", type=float, default=3.0)
     parser.add_argument("--no-energy", action="store_true", help="leave out energies alone")
     told = parser.parse_args()
     for shape in told.rooms:
@@ -119,6 +121,7 @@ def main() -> None:
                     np.random.default_rng([seed, 8]),
                     position_error_m=told.position_error,
                     plane_error_m=told.plane_error,
+                    loudspeaker_db=told.loudspeaker_db,
                 )
                 campaign = read_campaign(measured.campaign)
                 done["partly coherent"].append(outcome(measured, campaign))
