@@ -24,9 +24,19 @@ from roomfit.identification.certified.rows import powers
 from roomfit.identification.certified.sandwich import planes_over
 from roomfit.identification.certified.search import Searched, SearchSettings, search
 from roomfit.identification.least_squares import fit_least_squares
-from roomfit.objective.squares import SquaresProblem, residuals
-from roomfit.testproblems.paper_problems import paper_problem, walls_apart_problem
-from roomfit.testproblems.paper_room import paper_scene, trace_paper_room
+from roomfit.objective.squares import (
+    SquaresProblem,
+    residuals,
+    squares_problem,
+    window_energies,
+)
+from roomfit.testproblems.paper_problems import division_rows, paper_problem, walls_apart_problem
+from roomfit.testproblems.paper_room import (
+    DIVISIONS,
+    ill_defined_edges_s,
+    paper_scene,
+    trace_paper_room,
+)
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
@@ -344,6 +354,30 @@ def test_case_1_with_its_walls_apart_has_exactly_two_minimisers(paths: Paths) ->
     for expected in (problem.truth, mirrored):
         off = min(np.abs(c.minimiser - expected).max() for c in found.clusters)
         assert off < 1e-6
+
+
+def test_answers_far_apart_are_two_clusters(paths: Paths) -> None:
+    """Four materials, 50 ms, other rays: one answer near the truth, one far off, no third."""
+    truth = np.array([0.20, 0.65, 0.35, 0.50])
+    other = trace_paper_room(paper_scene(), 18_000, "sobol", 5)
+    own_rows, other_rows = (
+        division_rows(p, 1, ill_defined_edges_s(0), DIVISIONS[4]) for p in (paths, other)
+    )
+    problem = squares_problem(own_rows, window_energies(other_rows, truth))
+    found = certify(squares_question(problem), SearchSettings(1e-6, width=0.05))
+    assert found.status == "certified"
+    assert len(found.clusters) == 2
+    far, near = sorted(found.clusters, key=lambda c: -abs(c.minimiser[0] - truth[0]))
+    assert np.abs(near.minimiser - truth).max() < 0.05
+    assert np.abs(far.minimiser - truth).max() > 0.3
+    # both are what descents from random points end in
+    rng = np.random.default_rng(0)
+    ends = [fit_least_squares(partial(residuals, problem), x[None]) for x in rng.random((40, 4))]
+    low = np.array([e.x for e in ends if e.cost < 1e-6])
+    for cluster in found.clusters:
+        assert np.abs(low - cluster.minimiser).max(axis=1).min() < 0.01
+    inside = [any(np.all((c.lower <= x) & (x <= c.upper)) for c in found.clusters) for x in low]
+    assert all(inside)
 
 
 def test_seven_materials_of_the_paper_room_are_certified(paths: Paths) -> None:

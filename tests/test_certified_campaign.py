@@ -27,6 +27,7 @@ from roomfit.identification.reweighted import fit_band
 from roomfit.identification.solvers import gauss_newton
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
+from roomfit.report.answer_text import certificate_text
 from small_campaign import write_campaign
 
 # one band, and one material known, so that two absorptions and a gain are left
@@ -161,4 +162,7 @@ def test_open_searches_and_several_answers_are_findings(
     stopped = replace(clean, status="stopped", lower_bound=clean.value - 1.0)
     assert [f.code for f in certificate_findings(bands, [stopped])] == ["not-certified"]
     two = replace(proof, clusters=(cluster, cluster))
+    told = certificate_text(replace(certified[0], certificates=(two,)))
+    assert proof.sentence in told
+    assert told.count("gain of LS1") == 2
     assert [f.code for f in certificate_findings(bands, [two])] == ["several-answers"]

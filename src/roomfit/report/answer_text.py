@@ -20,6 +20,7 @@ def answer_text(answer: Answer) -> str:
         absorption_table(answer),
         separable_text(answer),
         directivity_text(answer),
+        certificate_text(answer),
         pairs_table(answer),
         findings_text(answer.findings),
     ]
@@ -81,6 +82,23 @@ def directivity_text(answer: Answer) -> str:
             towards = ", ".join(f"{x:.2f}" for x in axis)
             lines.append(f"{centre:>6g} Hz  b {length:.2f} +- {along:.2f} towards ({towards})")
     return "\n".join(lines)
+
+
+def certificate_text(answer: Answer) -> str:
+    """Return what was proven of the cost in each band, and the places that come near the lowest."""
+    lines = []
+    for centre, proof in zip(answer.bands.centres_hz, answer.certificates, strict=False):
+        if proof is None:
+            continue
+        lines.append(f"{centre:>6g} Hz  {proof.sentence}")
+        for cluster in proof.clusters if len(proof.clusters) > 1 else ():
+            at = ", ".join(
+                f"{name} {value:.2f}"
+                for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
+            )
+            lines.append(f"           {cluster.value:.4g} at {at}")
+    head = ["Cost of the energies with their weights held:"] if lines else []
+    return "\n".join(head + lines)
 
 
 def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:

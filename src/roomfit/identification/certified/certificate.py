@@ -12,13 +12,15 @@ from roomfit.identification.certified.boxes import Tools, tools_for
 from roomfit.identification.certified.convexity import is_convex
 from roomfit.identification.certified.descent import descend, total_misfit
 from roomfit.identification.certified.question import Question, to_absorption
-from roomfit.identification.certified.search import Searched, SearchSettings, search
+from roomfit.identification.certified.search import Searched, SearchSettings, proven_empty, search
 from roomfit.typing import FloatArray, IntArray, Progress
 
 Status = Literal["certified", "stopped", "unresolved"]
 
 # Descents within a cluster: from its boxes of lowest bounds.
 _DESCENTS = 24
+# To show that a cluster in which nothing comes near the lowest misfit is empty.
+_MORE_BOXES = 2000
 _ALMOST_BLACK = math.log(1e-6)
 # In g: far above the rounding of faces that were computed twice, far below any width.
 _TOUCHING = 1e-9
@@ -104,10 +106,15 @@ def certificate_of(question: Question, found: Searched) -> Certificate:
     """Return what a search has proven, its boxes joined to clusters."""
     tools = tools_for(question)
     label = touching(found.boxes)
-    clusters = [
-        _cluster(question, tools, found, np.flatnonzero(label == number))
-        for number in range(int(label.max(initial=-1)) + 1)
-    ]
+    clusters = []
+    for number in range(int(label.max(initial=-1)) + 1):
+        own = np.flatnonzero(label == number)
+        cluster = _cluster(question, tools, found, own)
+        empty = cluster.value > found.value + found.delta and proven_empty(
+            question, found, found.boxes[own], found.bounds[own], _MORE_BOXES
+        )
+        if not empty:
+            clusters.append(cluster)
     clusters.sort(key=lambda c: c.value)
     value = min([found.value, *(c.value for c in clusters)])
     bound = min(found.lower_bound, value)
@@ -200,8 +207,8 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
             f"Not resolved: the misfit found, {value:.6g}, could be {better} within boxes too "
             "narrow to be cut."
         )
-    where = "one place" if n == 1 else f"{n} places"
+    where = "one place comes" if n == 1 else f"{n} places come"
     return (
         f"Certified: no absorption has a misfit below {bound:.6g}, {value:.6g} was found, and only "
-        f"{where} come within {found.delta:.3g} of it."
+        f"{where} within {found.delta:.3g} of it."
     )

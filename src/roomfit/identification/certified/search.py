@@ -23,6 +23,7 @@ from roomfit.typing import FloatArray, Progress
 
 _TOGETHER = 64
 _STARTS = 12
+_NARROW = 1e-4
 _EVEN = (0.05, 0.2, 0.5, 0.8)
 # Where a descent may go in place of minus infinity: an absorption of 1 - 1e-6.
 _ALMOST_BLACK = math.log(1e-6)
@@ -155,6 +156,31 @@ def _work_on(
         elif fate is Fate.CUT:
             queue.add(halves(box, where), max(bound, before))
     return len(chosen)
+
+
+def proven_empty(
+    question: Question, found: Searched, boxes: FloatArray, bounds: FloatArray, max_boxes: int
+) -> bool:
+    """Whether narrower boxes prove that no misfit within delta of the lowest lies in these boxes.
+
+    For boxes that a search has kept as narrow enough, and in which no descent comes so low.
+
+    Parameters
+    ----------
+    boxes, bounds : float arrays, shapes (n_boxes, 2, n) and (n_boxes,)
+    max_boxes : int
+        How many may be examined.
+    """
+    tools = tools_for(question)
+    lowest = Lowest(found.value, found.minimiser)
+    settings = SearchSettings(found.delta, width=_NARROW, narrowest=_NARROW)
+    queue, kept = _Boxes(boxes.shape[2]), _Boxes(boxes.shape[2])
+    for box, bound in zip(boxes, bounds, strict=True):
+        queue.add(box[None], float(bound))
+    examined = 0
+    while queue.n and not kept.n and examined < max_boxes:
+        examined += _work_on(tools, queue, kept, lowest, settings)
+    return not queue.n and not kept.n
 
 
 def first_guess(question: Question, tools: Tools, seed: int = 0) -> Lowest:
