@@ -9,7 +9,9 @@ from scipy.special import wofz
 from impedance_cases import exact
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.impedance.curves import constant, law_curve, spline
+from roomfit.impedance.curves import constant, spline
+from roomfit.impedance.laws import law_curve
+from roomfit.impedance.layout import layout_of, start_of
 from roomfit.impedance.model import (
     Nuisances,
     State,
@@ -19,14 +21,9 @@ from roomfit.impedance.model import (
     wavenumber_per_m,
 )
 from roomfit.impedance.observed import Observed, complex_frequency_hz, standard_deviation
-from roomfit.impedance.problem import (
-    Problem,
-    data_rows,
-    layout_of,
-    prior_rows,
-    start_of,
-)
+from roomfit.impedance.problem import Problem
 from roomfit.impedance.reflection import boundary_loss, plane_reflection, spherical_reflection
+from roomfit.impedance.rows import data_rows, prior_rows
 from roomfit.materials.impedance_laws import (
     absorption_random,
     impedance_of_r0,

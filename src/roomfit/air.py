@@ -109,3 +109,21 @@ def attenuation_per_m(air: Air, bands: Bands) -> FloatArray:
         air.temperature_c, frequencies, air.humidity_percent / 100.0, air.pressure_kpa * 1000.0
     )
     return np.real(np.asarray(m.freq)).reshape(-1).astype(np.float64)
+
+
+def pressure_decay_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
+    """Return by how much pressures fall in the air, ISO 9613-1 at any frequencies, 1/m.
+
+    Half of what energies fall by, see `attenuation_per_m`; zeros where `air.attenuation` is "none".
+    """
+    if air.attenuation == "none":
+        return np.zeros(len(frequency_hz))
+    from pyfar.constants import air_attenuation
+
+    _, m, _ = air_attenuation(
+        air.temperature_c,
+        np.maximum(frequency_hz, 50.0),
+        air.humidity_percent / 100.0,
+        air.pressure_kpa * 1000.0,
+    )
+    return 0.5 * np.real(np.asarray(m.freq)).reshape(-1).astype(np.float64)

@@ -11,19 +11,13 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.impedance.curves import (
-    LAWS,
-    Curve,
-    LawCurve,
-    Parameter,
-    constant,
-    law_curve,
-    spline,
-)
+from roomfit.impedance.curves import Curve, constant, spline
 from roomfit.impedance.fit import ImpedanceFit, refined
 from roomfit.impedance.intervals import covariance_of
+from roomfit.impedance.laws import LAWS, LawCurve, Parameter, law_curve
+from roomfit.impedance.layout import layout_of
 from roomfit.impedance.observed import complex_frequency_hz
-from roomfit.impedance.problem import Linear, layout_of
+from roomfit.impedance.rows import Linear
 from roomfit.impedance.solve import levenberg_marquardt
 from roomfit.typing import ComplexArray, FloatArray
 

@@ -6,8 +6,9 @@ import numpy as np
 
 from roomfit.findings import Finding
 from roomfit.impedance.choose import WallModel
-from roomfit.impedance.curves import LAWS
-from roomfit.impedance.problem import Problem, layout_of
+from roomfit.impedance.laws import LAWS
+from roomfit.impedance.layout import layout_of
+from roomfit.impedance.problem import Problem
 
 # Frequencies from which a curve couples them, so that phases can be done without.
 _COUPLED = 4

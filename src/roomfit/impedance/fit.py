@@ -13,17 +13,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.impedance.layout import Layout, layout_of, r0_of, state_of
 from roomfit.impedance.model import State, frozen_correction
-from roomfit.impedance.problem import (
-    Layout,
-    Linear,
-    Problem,
-    data_rows,
-    layout_of,
-    prior_rows,
-    r0_of,
-    state_of,
-)
+from roomfit.impedance.problem import Problem
+from roomfit.impedance.rows import Linear, data_rows, prior_rows
 from roomfit.impedance.solve import Minimum, levenberg_marquardt
 from roomfit.typing import ComplexArray, FloatArray, Progress
 

@@ -9,15 +9,14 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding
 from roomfit.geometry.measures import mean_free_path_m
 from roomfit.impedance.answer import ImpedanceAnswer
 from roomfit.impedance.choose import WallModel, first_curves, with_laws
 from roomfit.impedance.enough import data_findings
 from roomfit.impedance.fit import ImpedanceFit, reduced_chi2, refined, relaxed
-from roomfit.impedance.intervals import material_answers, unknown_answer
+from roomfit.impedance.judged import answer_without_fit, judged_answer
+from roomfit.impedance.layout import start_of
 from roomfit.impedance.model import Nuisances, WaveModel, wave_model
-from roomfit.impedance.nuisances import found_nuisances, predicted_pairs, wall_condition
 from roomfit.impedance.observed import (
     MODEL_ERROR,
     PLANE_MODEL_ERROR,
@@ -25,23 +24,14 @@ from roomfit.impedance.observed import (
     level_at,
     standard_deviation,
 )
-from roomfit.impedance.problem import Problem, start_of
+from roomfit.impedance.problem import Problem
 from roomfit.impedance.starts import (
     SAME_WITHIN,
     Start,
     distance,
     distinct,
     looked_around,
-    share_in_best,
     thinned,
-)
-from roomfit.impedance.verdict import (
-    ENOUGH_FREQUENCIES,
-    LOUDEST_ESTIMATED_NOISE,
-    Verdict,
-    enough_identified,
-    fits,
-    likely_cause,
 )
 from roomfit.scene.scene import Scene
 from roomfit.typing import FloatArray, Progress
@@ -98,7 +88,7 @@ def identify_impedance(
     )
     findings = data_findings(problem, told)
     if findings:
-        return _without_fit(problem, findings, time.perf_counter() - began)
+        return answer_without_fit(problem, findings, time.perf_counter() - began)
     starts = looked_around(problem, n_random_starts, rng, _part(progress, 0.0, 0.3))
     fit = refined(problem, starts[0].x, progress=_part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
@@ -107,7 +97,7 @@ def identify_impedance(
     fit = with_laws(fit, told, rng).fit
     if progress is not None:
         progress(0.9)
-    return _answer(fit, starts, rivals, observed, time.perf_counter() - began)
+    return judged_answer(fit, starts, rivals, observed, time.perf_counter() - began, _again)
 
 
 def _check_names(scene: Scene, walls: Mapping[str, WallModel]) -> None:
@@ -192,150 +182,3 @@ def _again(problem: Problem) -> ImpedanceFit:
     thin = thinned(problem)
     x, _, _ = relaxed(thin, start_of(thin))
     return refined(problem, x)
-
-
-def _answer(
-    fit: ImpedanceFit,
-    starts: tuple[Start, ...],
-    rivals: tuple[ImpedanceFit, ...],
-    observed: Observed,
-    seconds: float,
-) -> ImpedanceAnswer:
-    problem = fit.problem
-    materials = material_answers(fit)
-    findings: list[Finding] = []
-    weaker = _weaker_findings(problem, observed)
-    findings += weaker
-    verdict, doubts = _verdict(fit, rivals, observed, enough_identified(materials), bool(weaker))
-    findings += doubts
-    return ImpedanceAnswer(
-        problem.observed.frequency_hz,
-        problem.observed.tau_s,
-        materials,
-        verdict,
-        tuple(findings),
-        found_nuisances(fit),
-        reduced_chi2(fit),
-        wall_condition(fit),
-        round(share_in_best(starts) * len(starts)),
-        len(starts),
-        _pair_names(problem.model.scene),
-        problem.observed.pressure,
-        predicted_pairs(fit),
-        problem.sd,
-        "nothing moved any more" if fit.settled else "the most rounds were used up",
-        fit.evaluations,
-        fit.rounds,
-        seconds,
-    )
-
-
-def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
-    findings = []
-    if observed.noise is None and problem.observed.noise is not None:
-        level = float(np.mean(level_at(problem.observed)))
-        share = float(problem.observed.noise.mean()) / level
-        findings.append(
-            Finding(
-                "noise-estimated",
-                "warning",
-                f"The noise was not told; what the fit leaves ({share:.1%} of the level) was taken "
-                "for it. A model that does not fit cannot be told from noise then.",
-                {"noise_over_level": share},
-            )
-        )
-    if not observed.has_phase:
-        findings.append(
-            Finding(
-                "levels-only",
-                "warning",
-                "Only levels were given. Other walls than those found may explain them; phases "
-                "would tell.",
-                {},
-            )
-        )
-    return findings
-
-
-def _verdict(
-    fit: ImpedanceFit,
-    rivals: tuple[ImpedanceFit, ...],
-    observed: Observed,
-    identified: FloatArray,
-    weaker: bool,
-) -> tuple[Verdict, list[Finding]]:
-    noise = fit.problem.observed.noise
-    level = float(np.mean(level_at(fit.problem.observed)))
-    estimated = observed.noise is None and noise is not None
-    loud = estimated and float(np.mean(noise if noise is not None else 0.0)) > (
-        LOUDEST_ESTIMATED_NOISE * level
-    )
-    if loud or not fits(fit):
-        cause = (
-            "what the fit leaves is larger than any noise should be"
-            if loud
-            else likely_cause(fit, _again)
-        )
-        sentence = (
-            f"The model does not fit: it leaves {reduced_chi2(fit):.1f} times the expected squares."
-            f" Likely cause: {cause}."
-        )
-        finding = Finding(
-            "impedance-does-not-fit",
-            "serious",
-            sentence + " Do not use the walls found.",
-            {"chi2": reduced_chi2(fit), "cause": cause},
-        )
-        return Verdict("does not fit", cause, sentence, weaker), [finding]
-    names = fit.problem.model.scene.room.materials
-    unsure = [n for n, share in zip(names, identified, strict=True) if share < ENOUGH_FREQUENCIES]
-    if rivals or unsure:
-        cause = (
-            "other walls explain the data as well"
-            if rivals
-            else f"the data hardly depend on {', '.join(unsure)}"
-        )
-        sentence = f"Not identifiable: {cause}."
-        finding = Finding(
-            "impedance-not-identifiable",
-            "serious",
-            sentence + " More pairs, or pairs nearer to the walls concerned, would tell.",
-            {"rivals": len(rivals), "materials": unsure},
-        )
-        return Verdict("not identifiable", cause, sentence, weaker), [finding]
-    sentence = (
-        f"Identified: the residual is {reduced_chi2(fit):.2f} of what noise and model error allow."
-    )
-    return Verdict("identified", "", sentence, weaker), []
-
-
-def _pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
-    return tuple((scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs)
-
-
-def _without_fit(
-    problem: Problem, findings: tuple[Finding, ...], seconds: float
-) -> ImpedanceAnswer:
-    observed = problem.observed
-    names = problem.model.scene.room.materials
-    cause = "too few data"
-    return ImpedanceAnswer(
-        observed.frequency_hz,
-        observed.tau_s,
-        tuple(unknown_answer(name, "none", len(observed.frequency_hz)) for name in names),
-        Verdict("not identifiable", cause, f"Not identifiable: {cause}.", False),
-        findings,
-        (),
-        float("nan"),
-        float("nan"),
-        0,
-        0,
-        _pair_names(problem.model.scene),
-        observed.pressure,
-        np.zeros_like(observed.pressure),
-        problem.sd,
-        "nothing was fitted",
-        0,
-        0,
-        seconds,
-    )

@@ -8,8 +8,8 @@ import numpy as np
 
 from roomfit.checks import read_only
 from roomfit.geometry.measures import mean_free_path_m
-from roomfit.impedance.curves import LawCurve
 from roomfit.impedance.fit import ImpedanceFit, reduced_chi2
+from roomfit.impedance.laws import LawCurve
 from roomfit.impedance.observed import model_error
 from roomfit.materials.impedance_laws import absorption_normal, absorption_random, impedance_of_r0
 from roomfit.typing import BoolArray, ComplexArray, FloatArray

@@ -7,7 +7,7 @@ from typing import Literal, NamedTuple
 
 import numpy as np
 
-from roomfit.air import Air, speed_of_sound_m_s
+from roomfit.air import pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.impedance.response_kernels import pressure_gradients, pressures
 from roomfit.scene.scene import Scene
@@ -123,26 +123,10 @@ def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveMode
         np.asarray(frequency_hz, dtype=np.float64),
         float(tau_s),
         speed,
-        air_decay_per_m(scene.air, np.asarray(frequency_hz)),
+        pressure_decay_per_m(scene.air, np.asarray(frequency_hz)),
         whole,
         shortened(whole, _SHORT * speed * tau_s),
     )
-
-
-def air_decay_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
-    """Return by how much pressures fall in the air, ISO 9613-1 at the very frequencies, 1/m."""
-    if air.attenuation == "none":
-        return np.zeros(len(frequency_hz))
-    from pyfar.constants import air_attenuation
-
-    _, m, _ = air_attenuation(
-        air.temperature_c,
-        np.maximum(frequency_hz, 50.0),
-        air.humidity_percent / 100.0,
-        air.pressure_kpa * 1000.0,
-    )
-    # m is of energy
-    return 0.5 * np.real(np.asarray(m.freq)).reshape(-1).astype(np.float64)
 
 
 def at_frequencies(model: WaveModel, chosen: IntArray) -> WaveModel:

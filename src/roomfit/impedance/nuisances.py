@@ -7,8 +7,9 @@ import numpy as np
 from roomfit.impedance.answer import FoundNuisance
 from roomfit.impedance.fit import ImpedanceFit
 from roomfit.impedance.intervals import covariance_of
+from roomfit.impedance.layout import factor_of
 from roomfit.impedance.model import gradients
-from roomfit.impedance.problem import data_rows, factor_of, source_spectra
+from roomfit.impedance.rows import data_rows, source_spectra
 from roomfit.typing import ComplexArray, FloatArray
 
 _REACH = 1.959964

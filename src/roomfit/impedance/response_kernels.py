@@ -134,70 +134,36 @@ def pressure_gradients(
     most = 0
     for path in range(len(bounce_first) - 1):
         most = max(most, bounce_first[path + 1] - bounce_first[path])
-    cosines, signs = np.empty(most), np.empty(most)
-    # of each bounce over frequency: all its hits, their derivatives by R0 and by the cosine
-    whole = np.empty((most, n_f), dtype=np.complex128)
-    slope_r0 = np.empty((most, n_f), dtype=np.complex128)
-    slope_cosine = np.empty((most, n_f), dtype=np.complex128)
+    # of each bounce over frequency: all its hits, and their derivatives by R0 and by the cosine
+    slopes = np.empty((3, most, n_f), dtype=np.complex128)
     before = np.empty((most + 1, n_f), dtype=np.complex128)
-    after = np.empty(n_f, dtype=np.complex128)
-    along = np.empty(n_f, dtype=np.complex128)
-    g = np.empty((3, n_f), dtype=np.complex128)
+    # products of later bounces, derivative along the path, derivative by the three coordinates
+    back = np.empty((5, n_f), dtype=np.complex128)
+    cosines = np.empty(most)
     for pair in range(n_pairs):
         for path in range(pair_first[pair], pair_first[pair + 1]):
             x, y, z = vector_m[path, 0], vector_m[path, 1], vector_m[path, 2]
             r = math.sqrt(x * x + y * y + z * z)
             x, y, z = x / r, y / r, z / r
-            first = bounce_first[path]
-            m = bounce_first[path + 1] - first
+            own = slice(bounce_first[path], bounce_first[path + 1])
+            m = bounce_first[path + 1] - bounce_first[path]
+            for i in range(m):
+                n = normal[own][i]
+                cosines[i] = x * n[0] + y * n[1] + z * n[2]
             for f in range(n_f):
                 before[0, f] = _spread(wavenumber[f], r)
-            for i in range(m):
-                n = normal[first + i]
-                c = x * n[0] + y * n[1] + z * n[2]
-                signs[i] = 1.0 if c >= 0.0 else -1.0
-                cosines[i] = min(abs(c), 1.0)
-                _bounce(
-                    r0[material[first + i]],
-                    cosines[i],
-                    hits[first + i],
-                    whole[i],
-                    slope_r0[i],
-                    slope_cosine[i],
-                )
-                for f in range(n_f):
-                    before[i + 1, f] = before[i, f] * whole[i, f]
+            _forward(r0, material[own], hits[own], cosines, slopes, before)
             for f in range(n_f):
                 out[pair, f] += before[m, f]
-                after[f] = 1.0
-                along[f] = (-1j * wavenumber[f] - 1.0 / r) * before[m, f]
-            g[:] = 0.0
-            for i in range(m - 1, -1, -1):
-                own = by_r0[pair, material[first + i]]
-                for f in range(n_f):
-                    others = before[i, f] * after[f]
-                    after[f] *= whole[i, f]
-                    own[f] += others * slope_r0[i, f]
-                    # the cosine turns with the direction: (n - cos u) / r
-                    slope_cosine[i, f] *= others
-                if with_geometry:
-                    n = normal[first + i]
-                    nx, ny, nz = signs[i] * n[0] / r, signs[i] * n[1] / r, signs[i] * n[2] / r
-                    back = cosines[i] / r
-                    for f in range(n_f):
-                        turn = slope_cosine[i, f]
-                        g[0, f] += turn * nx
-                        g[1, f] += turn * ny
-                        g[2, f] += turn * nz
-                        along[f] -= turn * back
+                back[0, f] = 1.0
+                back[1, f] = (-1j * wavenumber[f] - 1.0 / r) * before[m, f]
+            _backward(material[own], slopes, before, back, by_r0[pair])
             if with_geometry:
+                _turned(normal[own], cosines, r, slopes, back)
                 a = unfolding[path]
                 for f in range(n_f):
-                    gx, gy, gz = (
-                        g[0, f] + along[f] * x,
-                        g[1, f] + along[f] * y,
-                        g[2, f] + along[f] * z,
-                    )
+                    gx, gy, gz = back[2, f], back[3, f], back[4, f]
+                    gx, gy, gz = gx + back[1, f] * x, gy + back[1, f] * y, gz + back[1, f] * z
                     by_receiver[pair, 0, f] += gx
                     by_receiver[pair, 1, f] += gy
                     by_receiver[pair, 2, f] += gz
@@ -205,6 +171,59 @@ def pressure_gradients(
                         by_source[pair, i, f] -= a[0, i] * gx + a[1, i] * gy + a[2, i] * gz
                     by_wavenumber[pair, f] += -1j * r * before[m, f]
     return out, by_r0, by_source, by_receiver, by_wavenumber
+
+
+@kernel(allocates=False)
+def _forward(
+    r0: ComplexArray,
+    material: IntArray,
+    hits: IntArray,
+    cosines: FloatArray,
+    slopes: ComplexArray,
+    before: ComplexArray,
+) -> None:
+    """Write every bounce of a path with its slopes, and the product of all before each."""
+    for i in range(len(material)):
+        cosine = min(abs(cosines[i]), 1.0)
+        _bounce(r0[material[i]], cosine, hits[i], slopes[0, i], slopes[1, i], slopes[2, i])
+        for f in range(r0.shape[1]):
+            before[i + 1, f] = before[i, f] * slopes[0, i, f]
+
+
+@kernel(allocates=False)
+def _backward(
+    material: IntArray,
+    slopes: ComplexArray,
+    before: ComplexArray,
+    back: ComplexArray,
+    by_r0: ComplexArray,
+) -> None:
+    """Add the derivative by each R0, and weigh the slopes by the cosine with all other bounces."""
+    for i in range(len(material) - 1, -1, -1):
+        own = by_r0[material[i]]
+        for f in range(before.shape[1]):
+            others = before[i, f] * back[0, f]
+            back[0, f] *= slopes[0, i, f]
+            own[f] += others * slopes[1, i, f]
+            slopes[2, i, f] *= others
+
+
+@kernel(allocates=False)
+def _turned(
+    normal: FloatArray, cosines: FloatArray, r: float, slopes: ComplexArray, back: ComplexArray
+) -> None:
+    """Write what the path's turning does to its cosines: each moves by ``(n - cos u) / r``."""
+    back[2:] = 0.0
+    for i in range(len(normal)):
+        sign = 1.0 if cosines[i] >= 0.0 else -1.0
+        nx, ny, nz = sign * normal[i, 0] / r, sign * normal[i, 1] / r, sign * normal[i, 2] / r
+        along = abs(cosines[i]) / r
+        for f in range(slopes.shape[2]):
+            turn = slopes[2, i, f]
+            back[1, f] -= turn * along
+            back[2, f] += turn * nx
+            back[3, f] += turn * ny
+            back[4, f] += turn * nz
 
 
 @kernel(allocates=False)

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
-from roomfit.impedance.problem import Linear
+from roomfit.impedance.rows import Linear
 from roomfit.typing import FloatArray
 
 Rows = Callable[[FloatArray], Linear]

@@ -9,9 +9,10 @@ import numpy as np
 
 from roomfit.impedance.curves import Spline
 from roomfit.impedance.fit import relaxed
+from roomfit.impedance.layout import layout_of, r0_of, start_of
 from roomfit.impedance.model import at_frequencies
 from roomfit.impedance.observed import Observed
-from roomfit.impedance.problem import Problem, layout_of, r0_of, start_of
+from roomfit.impedance.problem import Problem
 from roomfit.typing import ComplexArray, FloatArray, Progress
 
 # Frequencies that a first look keeps for each function of the smoothest curve, about.

@@ -7,7 +7,7 @@ from roomfit.errors import InputError, located
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.files.campaign.schema import MaterialTable
 from roomfit.impedance.choose import WallModel
-from roomfit.impedance.curves import LAWS, Parameter
+from roomfit.impedance.laws import LAWS, Parameter
 
 
 def wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallModel]:
