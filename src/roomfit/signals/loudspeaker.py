@@ -22,6 +22,9 @@ _FEWEST = 3
 _DOUBT = 2.0  # times the variance of chance, before anything counts as colour
 _HIGHEST = 0.45  # of the sampling rate
 _MOST_DB = 30.0
+# Less colour than this, in the mean over frequency, is what a first guess of the walls makes of
+# a source without any (0.3 dB in boxes of another program), and does no harm where it is real.
+_LEAST_DB = 1.0
 # Equalised sound may begin a little before and ring a little after: padded against wrapping round.
 _PADDING = 4
 
@@ -58,7 +61,8 @@ def source_colour(
 
     Power is summed over the responses and over an octave about each frequency, half an octave
     apart, and then divided: what the room does to both is gone. The level is drawn towards none by
-    as much as the responses disagree on it; of fewer than three nothing is told.
+    as much as the responses disagree on it; of fewer than three nothing is told, and neither is a
+    colour of less than 1 dB.
 
     Parameters
     ----------
@@ -98,7 +102,9 @@ def source_colour(
     # colour is what exceeds chance: where responses contradict each other, there is less of it
     colour = max(float(np.mean(level**2 - _DOUBT * spread)), 0.0)
     trust = 1.0 / (1.0 + (modal_hz / nodes) ** 4)
-    return Colour(nodes, level * trust * colour / np.maximum(colour + spread, 1e-6))
+    level = level * trust * colour / np.maximum(colour + spread, 1e-6)
+    heard_db = float(np.sqrt(np.mean(level**2)))
+    return Colour(nodes, level if heard_db >= _LEAST_DB else np.zeros(nodes.size))
 
 
 def _powers(

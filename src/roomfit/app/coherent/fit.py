@@ -145,9 +145,10 @@ def fit_coherent(
     prepared, findings = prepared_bands(task, paths, weights, binned, origin)
     if settings.model != "energy" and directing is None:
         guess = first_absorption(task, prepared)
-        measured = without_loudspeakers(scene, bands, measured, paths, guess)
-        task = replace(task, measured=measured)
-        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
+        even = without_loudspeakers(scene, bands, measured, paths, guess)
+        if any(new is not old for new, old in zip(even, measured, strict=True)):
+            task = replace(task, measured=even)
+            prepared, findings = prepared_bands(task, paths, weights, binned, origin)
     if retrace is not None and settings.positions == "fit" and settings.model != "energy":
         moved = _moved(task, prepared)
         if moved is not None:
