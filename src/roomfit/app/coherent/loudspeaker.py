@@ -35,8 +35,8 @@ def without_loudspeakers(
     Pressures that add depend on how each reflection's pulse looks within the band, and a
     loudspeaker that is 4 dB louder at one end of an octave than at the other changes that for all
     of them. Its colour is what all fitted files of the source have in common beyond what the image
-    sources say; where that is nothing a measurement is returned as it is. Measurements of absolute level stay as they are: their loudspeaker is known, and
-    taken out already.
+    sources say; where that is nothing a measurement is returned as it is. Measurements of absolute
+    level stay as they are: their loudspeaker is known, and taken out already.
 
     Parameters
     ----------
