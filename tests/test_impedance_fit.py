@@ -8,6 +8,7 @@ import pytest
 from impedance_cases import exact
 from roomfit.errors import InputError
 from roomfit.impedance.choose import WallModel
+from roomfit.impedance.curves import spline
 from roomfit.impedance.identify import identify_impedance
 from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
 from roomfit.impedance.observed import Observed, complex_frequency_hz
@@ -195,6 +196,30 @@ def test_the_same_seed_gives_the_same_bits():
     observed, _ = image_data(np.random.default_rng(18), n_pairs=4)
     first, second = (identified(observed, n_pairs=4) for _ in range(2))
     np.testing.assert_array_equal(found_r0(first), found_r0(second))
+
+
+@pytest.mark.parametrize("n_f", [2, 4, 7, 12])
+def test_a_curve_has_no_more_functions_than_frequencies(n_f):
+    f = np.linspace(150.0, 900.0, n_f)
+    curve = spline(f, 0.5 + 0.2j)
+    assert curve.basis.shape[0] == n_f and curve.basis.shape[1] <= n_f
+    # splines of the same coefficients everywhere are constant
+    np.testing.assert_allclose(curve.r0(curve.start), 0.5 + 0.2j, rtol=1e-12)
+
+
+def test_few_frequencies_and_a_wall_that_does_not_change_with_them_are_enough():
+    rng = np.random.default_rng(20)
+    f = np.array([300.0, 400.0, 500.0, 600.0, 700.0])
+    scene = box_scene()
+    model = wave_model(scene, f, TAU_S)
+    r0 = np.tile(np.array([0.5 - 0.2j, 0.95, 0.3 + 0.3j])[:, None], (1, 5))
+    observed = noisy(f, TAU_S, predicted_pressure(model, r0, at_rest(model)), 40.0, rng)
+    walls = {name: WallModel("constant") for name in scene.room.materials}
+    answer = identify_impedance(
+        scene, observed, walls, EXACT, rng=rng, n_random_starts=1, model_error=0.02
+    )
+    assert answer.verdict.word == "identified"
+    assert rms_by_material(found_r0(answer) - r0, f).max() <= 0.01
 
 
 def test_a_model_for_a_wall_that_is_not_there_is_refused():

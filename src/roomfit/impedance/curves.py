@@ -104,7 +104,8 @@ def _complex(basis: FloatArray, x: FloatArray) -> ComplexArray:
 def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     """Return a cubic B-spline over the logarithm of frequency.
 
-    Knots every quarter octave, but at least 25 Hz apart; for a single frequency a constant.
+    Knots every quarter octave, but at least 25 Hz apart and no more than the frequencies allow; of
+    fewer than four frequencies each is free.
 
     Raises
     ------
@@ -116,8 +117,9 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
         eye = np.eye(len(frequency_hz))
         return Spline("spline", eye, eye, start_r0)
     knots = _knots_hz(float(frequency_hz[0]), float(frequency_hz[-1]))
+    if len(knots) + 2 > len(frequency_hz):
+        knots = np.geomspace(frequency_hz[0], frequency_hz[-1], len(frequency_hz) - 2)
     t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
-    n = len(t) - 4
     fine = np.exp(np.linspace(t[0], t[-1], 8 * len(knots)))
     dense = np.concatenate([frequency_hz, fine])
 
@@ -125,12 +127,6 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
         inside = np.clip(np.log(f), t[0], t[-1])
         return np.asarray(BSpline.design_matrix(inside, t, 3).toarray())
 
-    if n > len(frequency_hz):
-        raise InputError(
-            "too few frequencies for a smooth curve",
-            found=f"{len(frequency_hz)} frequencies, {n} functions",
-            needed="about one frequency every 10 Hz",
-        )
     return Spline("spline", at(frequency_hz), at(dense), start_r0)
 
 
