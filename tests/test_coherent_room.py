@@ -66,6 +66,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
         np.stack([getattr(a, name) for a in fit.answers], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
+    assert "measurement-disagrees" not in {f.code for f in fit.findings}
     # two bands alone, and a loudspeaker whose level and phase change within them
     assert np.median(np.abs(found - true)) < 0.05
     assert np.sum((true < low) | (true > high)) <= 2
@@ -78,3 +79,23 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     # two bands to 0.12 s, and a loudspeaker whose phase the model does not have
     assert geometry.speed_of_sound_m_s == pytest.approx(343.99, rel=2e-3)
     assert np.all(geometry.sd <= geometry.told_sd * (1.0 + 1e-9))
+
+
+def test_a_file_of_another_pair_is_found_and_weighs_less(
+    box: tuple[Path, np.ndarray], tmp_path: Path
+) -> None:
+    """One of the responses was measured elsewhere in the room."""
+    campaign, true = box
+    other = write_measured_box(demo_plan(), tmp_path, np.random.default_rng(4)).campaign.parent
+    names = sorted(p.name for p in campaign.parent.glob("*.wav"))
+    right = (campaign.parent / names[1]).read_bytes()
+    try:
+        (campaign.parent / names[1]).write_bytes((other / names[6]).read_bytes())
+        fit = fitted(campaign)
+    finally:
+        (campaign.parent / names[1]).write_bytes(right)
+    told = [f.sentence for f in fit.findings if f.code == "measurement-disagrees"]
+    assert len(told) == 1
+    assert names[1] in told[0]
+    found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
+    assert np.median(np.abs(found - true)) < 0.05

@@ -147,6 +147,22 @@ def test_clipping_is_found_and_a_normalised_peak_is_not_taken_for_it(tmp_path):
     assert findings == ()
 
 
+def test_many_equal_peaks_are_clipped_however_short(tmp_path):
+    """Reflections of one sample each: cut at a fifth of the direct sound, and as they were."""
+    rng = np.random.default_rng(3)
+    response = np.zeros(8000)
+    response[80] = 1.0
+    at = rng.choice(np.arange(100, 8000), 400, replace=False)
+    response[at] = rng.normal(size=400) * np.exp(-at / 1000.0)
+    for name, samples, told in (
+        ("whole.wav", response, []),
+        ("cut.wav", np.clip(response, -0.2, 0.2), ["response-clipped"]),
+    ):
+        soundfile.write(tmp_path / name, samples.astype(np.float32), 16000, subtype="FLOAT")
+        _, findings = read_response(ResponseSpec(tmp_path / name))
+        assert codes(findings) == told
+
+
 def test_a_constant_offset_is_told_and_subtracted(tmp_path):
     path = write_wav(tmp_path / "offset.wav", 0.5 * decay() + 0.01)
     response, findings = read_response(ResponseSpec(path))

@@ -38,11 +38,13 @@ from roomfit.app.coherent.problems import (
     cut_at,
     moved_scene,
 )
+from roomfit.app.coherent.spoiled import LEAST_BY_PRESSURES, Heard, spoiled_files
 from roomfit.app.directing.doubts import directivity_doubt, source_findings
 from roomfit.app.directing.unknown import Directed, Directing, directed_band
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import BinnedPaths, band_problems
+from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.coherence_rounds import (
@@ -156,7 +158,12 @@ def fit_coherent(
             paths, weights, binned = retrace(place)
             binned = cut_at(binned, settings.late_end_s)
             prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-    fits, chosen_noise = upwards(prepared, settings, progress)
+    fits, chosen_noise = upwards(prepared, settings, part(progress, 0.0, 0.8))
+    spoiled = spoiled_files(_heard(task, prepared, fits), LEAST_BY_PRESSURES)
+    if spoiled:
+        task = replace(task, spoiled=spoiled)
+        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
+        fits, chosen_noise = upwards(prepared, settings, part(progress, 0.8, 1.0))
     if not settings.delays and settings.model != "energy":
         delaying = replace(task, settings=replace(settings, delays=True))
         free, _ = prepared_bands(delaying, paths, weights, binned, origin)
@@ -173,6 +180,19 @@ def fit_coherent(
     findings = (*findings, *geometry_findings(told))
     directed = tuple(None if b is None else b.directed for b in prepared)
     return CoherentFit(answers, likelihoods, told, findings, directed)
+
+
+def _heard(
+    task: CoherentTask,
+    prepared: tuple[CoherentBand | None, ...],
+    fits: Sequence[CoherentBandFit | None],
+) -> list[Heard]:
+    """Return what pressures explain, band by band, for the search of spoiled files."""
+    return [
+        Heard(band.energies, fit.fit, files_of_band(task, i), band.factor)
+        for i, (band, fit) in enumerate(zip(prepared, fits, strict=True))
+        if band is not None and fit is not None
+    ]
 
 
 def _source_findings(

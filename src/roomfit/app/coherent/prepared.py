@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -13,7 +13,13 @@ from roomfit.app.coherent.problems import (
     campaign_geometry,
     coherent_problem,
 )
-from roomfit.app.coherent.spoiled import spoiled_files
+from roomfit.app.coherent.spoiled import (
+    LEAST_BY_ENERGIES,
+    Heard,
+    softened,
+    spoiled_files,
+    spoiled_findings,
+)
 from roomfit.app.directing.bands import hows_after_others, moved_start
 from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
 from roomfit.app.fitting import BandAnswer, band_answer
@@ -42,7 +48,7 @@ class CoherentTask:
     """What stays the same while paths are traced anew.
 
     `directing` are the sources whose directivity is fitted, `suspects` those that are taken for
-    omnidirectional.
+    omnidirectional. `spoiled` says how many times worse than others pressures explain a file.
     """
 
     scene: Scene
@@ -54,6 +60,7 @@ class CoherentTask:
     parts: Sequence[tuple[PartFactory, ...]]
     directing: Directing | None = None
     suspects: Directing | None = None
+    spoiled: Mapping[int, float] = field(default_factory=dict)
 
 
 def prepared_bands(
@@ -67,15 +74,18 @@ def prepared_bands(
     scene, bands = task.scene, task.bands
     files = [files_of_band(task, b) for b in range(len(bands))]
     energies = _energies_alone(task, paths, binned, files)
-    factors, findings = spoiled_files(
-        [None if e is None else e.problem for e in energies],
-        [None if e is None else e.fit for e in energies],
-        files,
-    )
-    energies = [
-        e if e is None or np.all(factor == 1.0) else _fitted(replace(e, factor=factor))
-        for e, factor in zip(energies, factors, strict=True)
+    heard = [
+        Heard(e.problem, e.fit, own, e.factor)
+        for e, own in zip(energies, files, strict=True)
+        if e is not None
     ]
+    # what pressures say of a file later knows more
+    spoiled = {**spoiled_files(heard, LEAST_BY_ENERGIES), **task.spoiled}
+    if spoiled:
+        energies = [
+            e if e is None else _fitted(replace(e, factor=softened(e.problem, own, spoiled)))
+            for e, own in zip(energies, files, strict=True)
+        ]
     energies = _after_others(task, energies)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
@@ -101,7 +111,7 @@ def prepared_bands(
         out.append(
             CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
         )
-    return tuple(out), findings
+    return tuple(out), spoiled_findings(task.measured, spoiled)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

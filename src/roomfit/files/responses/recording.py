@@ -14,6 +14,8 @@ from roomfit.typing import FloatArray
 _SHORTEST_S = 0.01
 _LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from what a float can hold
 _CLIPPED_RUN = 4
+_EQUAL_PEAKS = 5
+_FEW_LEVELS = 500.0
 _CREST_STEPS = 3.0
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
@@ -78,7 +80,7 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
     refuse_useless(recording, where)
     pressure = recording.pressure
     offset, told = _offset(pressure, where)
-    clipped = clipping(pressure, where, "Early energy is wrong")
+    clipped = clipping(pressure, where, "Early energy is wrong") or _equal_peaks(pressure, where)
     return pressure - offset, (*recording.findings, *clipped, *told)
 
 
@@ -160,6 +162,33 @@ def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...
             f"{where.name} looks clipped: {longest} samples in a row have the largest value, "
             f"{size.max():.4g}. {harm}; measure again at a lower level.",
             {"longest_run": longest, "largest": float(size.max())},
+        ),
+    )
+
+
+def _equal_peaks(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
+    """Return a finding where many separate peaks of a response are equally high.
+
+    Short peaks that are cut off have no run of equal samples; but no two reflections of a room are
+    equal, let alone five, unless a converter knows only a few levels.
+    """
+    size = np.abs(pressure)
+    steps = np.abs(np.diff(pressure))
+    if size.max() < _FEW_LEVELS * float(steps[steps > 0.0].min()):
+        return ()
+    high = size >= size.max() * (1.0 - 1e-6)
+    before, after = np.concatenate(([0.0], size[:-1])), np.concatenate((size[1:], [0.0]))
+    steep = np.minimum(before, after) < 0.99 * size.max()
+    n_peaks = int(np.count_nonzero(high & steep))
+    if n_peaks < _EQUAL_PEAKS:
+        return ()
+    return (
+        Finding(
+            "response-clipped",
+            "serious",
+            f"{where.name} looks clipped: {n_peaks} peaks have the same largest value, "
+            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
+            {"equal_peaks": n_peaks, "largest": float(size.max())},
         ),
     )
 
