@@ -1,0 +1,80 @@
+"""One of eight responses spoiled in a box of another program: found or not, and what it costs.
+
+    python benchmarks/spoiled.py [--seeds 2 7] [--kinds whole clipped room gain swapped place]
+
+whole: nothing is spoiled; clipped: cut off at 15 % of its peak; room: from another room; gain:
+6 dB too loud; swapped: another pair's; place: the receiver told a metre beside where it stood.
+"""
+
+from __future__ import annotations
+
+import argparse
+import re
+import tempfile
+from pathlib import Path
+
+import numpy as np
+import soundfile
+
+from _other_box import OtherBox, write_other_box
+from roomfit.app.identify import identify
+from roomfit.files.campaign.campaign import read_campaign
+
+KINDS = ("whole", "clipped", "room", "gain", "swapped", "place")
+TARGET = "LS1_MP2.wav"
+TELLING = {"measurement-disagrees", "response-clipped", "time-zero-disagrees"}
+
+
+def spoil(kind: str, box: OtherBox, seed: int) -> None:
+    """Spoil the response of LS1 to MP2, or the place of MP2."""
+    target = box.campaign.parent / TARGET
+    pressure, rate_hz = soundfile.read(target)
+    if kind == "clipped":
+        limit = 0.15 * np.abs(pressure).max()
+        pressure = np.clip(pressure, -limit, limit)
+    elif kind == "room":
+        with tempfile.TemporaryDirectory() as folder:
+            write_other_box(seed + 100, Path(folder))
+            pressure, _ = soundfile.read(Path(folder) / TARGET)
+    elif kind == "gain":
+        pressure = 2.0 * pressure
+    elif kind == "swapped":
+        pressure, _ = soundfile.read(box.campaign.parent / "LS2_MP2.wav")
+    elif kind == "place":
+        text = box.campaign.read_text()
+        told = re.search(r"\[receivers\.MP2\]\nposition = \[([^,]*),", text)
+        assert told is not None
+        x = float(told[1])
+        moved = x + 1.0 if x + 1.5 < box.lengths_m[0] else x - 1.0
+        box.campaign.write_text(text[: told.start(1)] + f"{moved}" + text[told.end(1) :])
+    soundfile.write(target, pressure.astype(np.float32), rate_hz, subtype="FLOAT")
+
+
+def main() -> None:
+    """Print a row for every room and kind."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--seeds", type=int, nargs="+", default=[2, 7])
+    parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
+    told = parser.parse_args()
+    print("seed kind      |error| median  90 %   hold  identifiable, wrong  findings")
+    for seed in told.seeds:
+        for kind in told.kinds:
+            with tempfile.TemporaryDirectory() as folder:
+                box = write_other_box(seed, Path(folder))
+                spoil(kind, box, seed)
+                answer = identify(read_campaign(box.campaign))
+            true = box.absorption_at(answer.bands.centres_hz)
+            error = np.abs(answer.absorption - true)
+            inside = (answer.lower95 <= true) & (true <= answer.upper95)
+            wrong = int(np.count_nonzero(answer.identifiable & ~inside))
+            codes = sorted({f.code for f in answer.findings} & TELLING)
+            print(
+                f"{seed:4d} {kind:<9} {np.median(error):8.4f} {np.quantile(error, 0.9):10.3f} "
+                f"{inside.mean():6.2f} {answer.identifiable.mean():8.2f} {wrong:8d}     ",
+                *codes,
+                flush=True,
+            )
+
+
+if __name__ == "__main__":
+    main()
