@@ -266,3 +266,21 @@ def test_noise_is_found_behind_a_flutter_that_outlasts_the_decay():
     expected = 1e-8 * float(energy_bandwidth_hz(bank)[0]) / (0.5 * rate_hz)
     np.testing.assert_allclose(found.floor[0], expected, rtol=0.3)
     assert found.usable_end_s[0] < 0.5
+
+
+@pytest.mark.parametrize("seed", range(12))
+def test_a_decay_of_one_block_is_heard(seed):
+    """A dead room, T = 83 ms, noise 45 dB below its peak: over before a line could be drawn.
+
+    The end is where about 37 dB have gone, 50 ms, give or take a block of 40 ms and chance; a
+    band of noise is as loud again as its mean over a tenth of the file once in some hundred.
+    """
+    rng = np.random.default_rng([seed, 17])
+    t = np.arange(round(0.8 * RATE_HZ)) / RATE_HZ
+    pressure = rng.standard_normal(t.size) * np.exp(-0.5 * t / 0.006)
+    pressure += 10.0**-2.25 * rng.standard_normal(t.size)
+    response = ImpulseResponse(pressure, RATE_HZ)
+    found = estimate_noise(OCTAVES, response, filter_pressure(OCTAVES, response), 0.0)
+    assert np.all(found.tail_time_constant_s > 0.0)
+    assert np.all((found.usable_end_s > 0.02) & (found.usable_end_s < 0.2))
+    assert np.all(found.peak_to_noise_db > 12.0)

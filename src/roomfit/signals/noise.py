@@ -15,6 +15,7 @@ _MOST_ROUNDS = 8
 # Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.
 _CLEAR, _CLEAR_ALONE = 4.0, 2.0
 _FALLS = 4.0  # quarters of a file that differ so much do not hold the same noise
+_LOUD = 16.0  # 12 dB above the noise is a sound, however short
 _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
 
 
@@ -149,6 +150,8 @@ def _heard(energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: floa
     floor, line = _settled(energy, rate_hz, times, blocks)
     if line is None and _goes_on_falling(energy):
         line = _line(times, blocks, _LEAST_ENERGY, span_db=np.inf)
+    elif line is None:
+        line = _short_decay(times, blocks, floor)
     if line is None:
         return _Heard(floor, before, length_s=length_s)
     crossing_s = _crossing_s(*line, floor, length_s)
@@ -215,6 +218,21 @@ def _stopped_falling(energy: FloatArray, constant_s: float, length_s: float) -> 
     third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
     expected = np.exp(-0.25 * length_s / constant_s)
     return bool(expected < 0.5 and last > np.sqrt(expected) * third)
+
+
+def _short_decay(times: FloatArray, blocks: FloatArray, floor: float) -> tuple[float, float] | None:
+    """Return height and time constant of a decay over within a few blocks, as in a dead room.
+
+    From the loudest block to where what is still to come has drowned; None where even the loudest
+    stands less than 12 dB above the noise.
+    """
+    peak = int(np.argmax(blocks))
+    noise = max(floor, float(np.median(blocks)))  # most of such a file is noise
+    drowned_s = _drowned_s(times, blocks, noise)
+    if blocks[peak] < _LOUD * noise or drowned_s <= times[peak]:
+        return None
+    constant_s = (drowned_s - float(times[peak])) / float(np.log(blocks[peak] / (2.0 * noise)))
+    return float(blocks[peak] * np.exp(times[peak] / constant_s)), constant_s
 
 
 def _drowned_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
