@@ -112,7 +112,8 @@ def assumed_scattering(
 ) -> tuple[tuple[MaterialKnowledge, ...], tuple[Finding, ...]]:
     """Return the knowledge with a scattering for the walls of which none is told.
 
-    One coefficient for all of them: the likeliest of five where there are responses, else 0.1.
+    One coefficient for all of them: the likeliest of five where there are responses; 0.1 where
+    there are none, or where it explains them as well.
 
     Parameters
     ----------
@@ -131,9 +132,11 @@ def assumed_scattering(
         choice = choose_scattering(fit, told, untold, grid=grid)
         value = float(choice.coefficients[untold][0, 0])
         low, high = (float(x[untold][0, 0]) for x in (choice.lower, choice.upper))
+        value = DEFAULT_SCATTERING if low <= DEFAULT_SCATTERING <= high else value
+        others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
         sentence = (
             f"No scattering is told for {names}; {value:g} was assumed, which explains the "
-            f"responses best ({low:g} to {high:g} explain them as well)."
+            f"responses well ({others})."
         )
     known = tuple(
         replace(k, scattering=np.full(len(bands), value)) if missing else k
