@@ -116,12 +116,15 @@ def test_a_certificate_stands_in_the_result_file(
     campaign = write_campaign(tmp_path / "in", *CHANGES)
     roomfit.write_result(tmp_path, answer, (campaign,))
     content = json.loads((tmp_path / "result.json").read_text())
-    (proof,) = content["fit"]["certified"]
-    assert proof["band_hz"] == 500.0
+    proof = content["fit"]["certified"]
+    (band,) = proof["bands"]
+    assert band["band_hz"] == 500.0
+    assert band["value"] == proof["value"] >= proof["lower_bound"]
     wanted = {"status", "value", "lower_bound", "delta", "clusters", "boxes", "seconds"}
     assert wanted <= set(proof)
     for cluster in proof["clusters"]:
-        assert set(cluster) == {"lower", "upper", "minimiser", "value", "unique"}
+        assert set(cluster) == {"band_hz", "lower", "upper", "minimiser", "value", "unique"}
+        assert len(cluster["minimiser"]) == len(band["unknowns"])
         assert np.all(np.array(cluster["lower"]) <= np.array(cluster["upper"]))
 
 

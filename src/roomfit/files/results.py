@@ -98,15 +98,27 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
     return content
 
 
-def _certified(answer: Answer) -> list[dict[str, Any]] | None:
-    """What was proven in each band of the cost of energies, their weights held."""
-    if not answer.certificates:
-        return None
-    return [
-        {"band_hz": float(centre), **certificate_content(certificate)}
-        for centre, certificate in zip(answer.bands.centres_hz, answer.certificates, strict=True)
+def _certified(answer: Answer) -> dict[str, Any] | None:
+    """What was proven of the cost of energies, their weights held: bands add up."""
+    proven = [
+        (float(centre), certificate_content(certificate))
+        for centre, certificate in zip(answer.bands.centres_hz, answer.certificates, strict=False)
         if certificate is not None
     ]
+    if not proven:
+        return None
+    sums = ("value", "lower_bound", "delta", "open", "boxes", "seconds")
+    statuses = {content["status"] for _, content in proven}
+    return {
+        "status": next(s for s in ("stopped", "unresolved", "certified") if s in statuses),
+        **{name: sum(content[name] for _, content in proven) for name in sums},
+        "clusters": [
+            {"band_hz": centre, **cluster}
+            for centre, content in proven
+            for cluster in content.pop("clusters")
+        ],
+        "bands": [{"band_hz": centre, **content} for centre, content in proven],
+    }
 
 
 def certificate_content(certificate: Certificate) -> dict[str, Any]:
