@@ -8,8 +8,8 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from roomfit.air import Air
+from roomfit.app.binning import BinnedPaths, bin_paths, in_band
 from roomfit.app.coherent.problems import coherent_problem
-from roomfit.app.problems import BinnedPaths, bin_paths, in_band
 from roomfit.bands import Bands
 from roomfit.geometry.shoebox import shoebox_mesh
 from roomfit.materials.scattering import uniform_scattering

@@ -16,7 +16,7 @@ from coherent_cases import (
     small_problem,
     small_scene,
 )
-from roomfit.app.problems import bin_paths, in_band
+from roomfit.app.binning import bin_paths, in_band
 from roomfit.bands import Bands
 from roomfit.materials.scattering import uniform_scattering
 from roomfit.objective.coherent_problem import CoherentProblem, with_coherence

@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roomfit.app.binning import bin_paths
 from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.measuring import measure
-from roomfit.app.problems import bin_paths
 from roomfit.files.campaign.campaign import read_campaign
 from roomfit.files.campaign.materials import material_knowledge
 from roomfit.files.rooms.read import read_room

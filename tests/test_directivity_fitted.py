@@ -17,6 +17,7 @@ import pytest
 
 from report_cases import answer_of, scene_of
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.binning import bin_paths
 from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.directing.bands import FoundDirectivities, band_directivities
 from roomfit.app.directing.doubts import DirectivityDoubt, source_findings
@@ -31,7 +32,6 @@ from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.identify import identify, identify_to_folder
 from roomfit.app.measuring import measure
 from roomfit.app.predicting.sources import directed_as_found
-from roomfit.app.problems import bin_paths
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign, read_campaign

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.air import Air
+from roomfit.app.binning import bin_paths
 from roomfit.app.fitting import fit_bands
-from roomfit.app.problems import bin_paths
 from roomfit.app.values import compared_values, predicted_values, value_problems
 from roomfit.bands import Bands
 from roomfit.errors import InputError

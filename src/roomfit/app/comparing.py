@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from roomfit.air import attenuation_per_m
+from roomfit.app.binning import BinnedPaths, pair_energies
 from roomfit.app.gathering import Gathered
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, pair_energies, smeared
+from roomfit.app.problems import smeared
 from roomfit.app.values import compared_values, predicted_values
 from roomfit.bands import Bands
 from roomfit.files.campaign.campaign import Campaign, Use

@@ -7,8 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.app.binning import BinnedPaths, bin_paths
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, band_problems, bin_paths
+from roomfit.app.problems import band_problems
 from roomfit.bands import Bands
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton

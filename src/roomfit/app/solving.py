@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from roomfit.app.binning import BinnedPaths
 from roomfit.app.coherent.answers import nothing_identifiable
 from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
 from roomfit.app.directing.bands import FoundDirectivities, band_directivities
@@ -18,7 +19,6 @@ from roomfit.app.directing.energies import (
 from roomfit.app.directing.unknown import Directing, campaign_directing, omnidirectional
 from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.gathering import Gathered
-from roomfit.app.problems import BinnedPaths
 from roomfit.app.progress import part
 from roomfit.app.values import value_problems
 from roomfit.files.campaign.campaign import Campaign

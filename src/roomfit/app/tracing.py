@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomfit.app.binning import BinnedPaths, bin_paths
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.choosing import assumed_scattering, chosen_scattering, scattering_doubts
 from roomfit.app.coherent.fit import Retrace
@@ -14,7 +15,6 @@ from roomfit.app.directing.bands import FoundDirectivities, fitted_directivities
 from roomfit.app.duplicates import unmet_findings
 from roomfit.app.gathering import Gathered, time_scales
 from roomfit.app.planning import TracePlan, plan_trace
-from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.progress import part
 from roomfit.app.solving import is_coherent
 from roomfit.app.weighting import band_factors, told_scattering

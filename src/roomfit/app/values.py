@@ -7,7 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.problems import BinnedPaths, absorption_block, regrouped, rows_at
+from roomfit.app.binning import BinnedPaths, regrouped, rows_at
+from roomfit.app.problems import absorption_block
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.materials.knowledge import MaterialKnowledge

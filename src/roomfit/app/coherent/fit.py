@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from roomfit.app.binning import BinnedPaths
 from roomfit.app.coherent.answers import (
     nothing_identifiable,
     widened_by_neighbours,
@@ -43,7 +44,7 @@ from roomfit.app.directing.doubts import directivity_doubt, source_findings
 from roomfit.app.directing.unknown import Directed, Directing, directed_band
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, band_problems
+from roomfit.app.problems import band_problems
 from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from roomfit.air import attenuation_per_m
+from roomfit.app.binning import BinnedPaths, paths_at
 from roomfit.app.coherent.bands import CoherentBand, CoherentOptions, PartFactory, joined
 from roomfit.app.coherent.problems import (
     campaign_geometry,
@@ -24,7 +25,7 @@ from roomfit.app.directing.bands import hows_after_others, moved_start
 from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
 from roomfit.app.fitting import BandAnswer, band_answer
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, band_problems, paths_at, tells_of_band
+from roomfit.app.problems import band_problems, tells_of_band
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.reweighted import BandFit, fit_band

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
+from roomfit.app.binning import BinnedPaths, in_band, regrouped
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import UNTOLD_POSITION_SD_M, BinnedPaths, in_band, regrouped
+from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.coherent_geometry import Geometry, geometry_block

@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
+from roomfit.app.binning import BinnedPaths
 from roomfit.app.directing.bands import hows_after_others
 from roomfit.app.directing.doubts import DirectivityDoubt, directivity_doubt
 from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
 from roomfit.app.measuring import MeasuredPair
-from roomfit.app.problems import BinnedPaths, band_problems, tells_of_band
+from roomfit.app.problems import band_problems, tells_of_band
 from roomfit.bands import Bands
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton

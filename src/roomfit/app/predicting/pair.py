@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.binning import BinnedPaths, pair_energies, regrouped
 from roomfit.app.comparing import predicted_curve
-from roomfit.app.problems import BinnedPaths, pair_energies, regrouped
 from roomfit.app.values import predicted_values, value_problems
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge, unknown_material

@@ -8,10 +8,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.app.binning import BinnedPaths, bin_paths
 from roomfit.app.cached_trace import cached_trace
 from roomfit.app.comparing import predicted_curve
 from roomfit.app.planning import plan_trace
-from roomfit.app.problems import BinnedPaths, bin_paths
 from roomfit.app.progress import part
 from roomfit.app.weighting import band_factors, told_scattering
 from roomfit.bands import Bands
