@@ -1,14 +1,74 @@
-"""The means over groups of materials that each band of an answer determines."""
+"""What each band of an answer determines: means of materials, and shares of the absorption."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
+from roomfit.app.telling import band_sentence
 from roomfit.findings import Finding
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.combinations import WITHIN, Combination, find_combinations
+from roomfit.uncertainty.combinations import N_DRAWS, WITHIN, Combination, find_combinations
+from roomfit.uncertainty.draws import band_draws
+from roomfit.uncertainty.shares import absorption_shares
+from roomfit.uncertainty.undetermined import undetermined_groups
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Determined:
+    """What the bands of an answer determine, where single materials may not be.
+
+    Attributes
+    ----------
+    combinations : tuple of tuples of Combination, one a band
+        That of the whole room first.
+    sentences : tuple of str, one a band
+        What is known of groups and what is left open; empty where every material is determined.
+    shares : float array, shape (3, n_materials, n_bands)
+        Share of each material in the room's absorption, its lower and its upper 95 % bound.
+    """
+
+    combinations: tuple[tuple[Combination, ...], ...]
+    sentences: tuple[str, ...]
+    shares: FloatArray
+
+
+def determined(
+    materials: tuple[str, ...],
+    absorption: FloatArray,
+    logit_covariance: FloatArray,
+    logit_prior: FloatArray,
+    areas_m2: FloatArray,
+    seed: int,
+    samples: Sequence[FloatArray | None] = (),
+) -> Determined:
+    """Return what every band determines.
+
+    Parameters
+    ----------
+    materials : tuple of str
+    absorption, logit_covariance, logit_prior, areas_m2, seed
+        See `band_combinations`.
+    samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
+        Draws of absorption where the posterior was sampled.
+    """
+    combinations, sentences, shares = [], [], []
+    for band, covariance in enumerate(logit_covariance):
+        a, prior = absorption[:, band], logit_prior[:, :, band]
+        drawn = samples[band] if band < len(samples) else None
+        if drawn is None:
+            drawn = band_draws(
+                a, covariance, prior[0], prior[1], N_DRAWS, np.random.default_rng(seed)
+            )
+        rng = np.random.default_rng(seed)
+        found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
+        combinations.append(found)
+        left_open = undetermined_groups(covariance, prior[1])
+        sentences.append(band_sentence(materials, found, left_open))
+        shares.append(absorption_shares(areas_m2, a, drawn))
+    return Determined(tuple(combinations), tuple(sentences), np.stack(shares, axis=-1))
 
 
 def band_combinations(

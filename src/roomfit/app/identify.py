@@ -10,7 +10,7 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.certifying import certificate_findings, check_certifiable
-from roomfit.app.combinations import band_combinations, inseparable_findings
+from roomfit.app.combinations import determined, inseparable_findings
 from roomfit.app.comparing import compare_all
 from roomfit.app.directing.bands import fitted_directivities
 from roomfit.app.fitting import BandAnswer, fit_findings, schroeder_findings
@@ -202,10 +202,10 @@ def _answer(
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
     prior = _logit_prior(knowledge)
-    combinations = band_combinations(absorption, covariance, prior, areas, campaign.seed)
+    told = determined(scene.room.materials, absorption, covariance, prior, areas, campaign.seed)
     models = tuple(b.model for b in found)
     inseparable = inseparable_findings(
-        scene.room.materials, campaign.bands.centres_hz, identifiable, combinations
+        scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
     )
     return Answer(
         bands=campaign.bands,
@@ -217,7 +217,7 @@ def _answer(
         identifiable=identifiable,
         # the first combination of a band is the mean over the whole room
         mean_absorption=np.array(
-            [(c[0].value, c[0].lower95, c[0].upper95) for c in combinations]
+            [(c[0].value, c[0].lower95, c[0].upper95) for c in told.combinations]
         ).T,
         phi=np.array([b.phi for b in found]),
         cost=float(sum(b.cost for b in found)),
@@ -233,7 +233,9 @@ def _answer(
         seconds=time.perf_counter() - began,
         logit_covariance=covariance,
         logit_prior=prior,
-        combinations=combinations,
+        combinations=told.combinations,
+        sentences=told.sentences,
+        shares=told.shares,
         models=models,
         scattering=traced.scattering,
         geometry=solved.geometry,

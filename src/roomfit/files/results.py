@@ -52,6 +52,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
                 "identifiable": [bool(b) for b in answer.identifiable[i]],
                 "area_m2": round(float(answer.areas_m2[i]), 4),
                 **_scattering(answer, i),
+                **_shares(answer, i),
             }
             for i, name in enumerate(answer.materials)
         },
@@ -152,6 +153,14 @@ def _scattering(answer: Answer, material: int) -> dict[str, list[float]]:
     return {"scattering": numbers(answer.scattering[material])}
 
 
+def _shares(answer: Answer, material: int) -> dict[str, list[float]]:
+    """Of the room's absorption, air left out."""
+    if answer.shares is None:
+        return {}
+    names = ("share", "share_lower95", "share_upper95")
+    return {name: numbers(part[material]) for name, part in zip(names, answer.shares, strict=True)}
+
+
 def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
     """What arrival times were found to need: no measurement of places."""
     return {
@@ -182,18 +191,39 @@ def _combinations(answer: Answer) -> list[dict[str, Any]]:
     return [
         {
             "band_hz": float(centre),
-            "weights": {
-                name: round(float(w), 6)
-                for name, w in zip(answer.materials, c.weights, strict=True)
-                if w > 0.0
-            },
+            "kind": "mean",
+            "weights": _weights(answer, c.weights),
             "absorption": c.value,
             "lower95": c.lower95,
             "upper95": c.upper95,
+            "determined": c.determined,
+            "differences": [
+                {
+                    "kind": "difference",
+                    "weights": _weights(answer, d.weights),
+                    "absorption": d.value,
+                    "lower95": d.lower95,
+                    "upper95": d.upper95,
+                    "determined": d.determined,
+                }
+                for d in c.differences
+            ],
+            **({"sentence": sentence} if number == 0 and sentence else {}),
         }
-        for centre, band in zip(answer.bands.centres_hz, answer.combinations, strict=True)
-        for c in band
+        for centre, band, sentence in zip(
+            answer.bands.centres_hz, answer.combinations, _sentences(answer), strict=True
+        )
+        for number, c in enumerate(band)
     ]
+
+
+def _sentences(answer: Answer) -> tuple[str, ...]:
+    return answer.sentences or ("",) * len(answer.combinations)
+
+
+def _weights(answer: Answer, weights: FloatArray) -> dict[str, float]:
+    named = zip(answer.materials, weights, strict=True)
+    return {name: round(float(w), 6) for name, w in named if w != 0.0}
 
 
 def _pair(pair: ComparedPair) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.answer import Answer, ComparedPair
 
 _SHOWN = ("T20_s", "EDT_s", "C80_dB")
+_BELOW_BAND = " " * 11
 _RELATIVE = ("T20_s", "T30_s", "EDT_s", "TS_ms")
 
 
@@ -19,6 +20,7 @@ def answer_text(answer: Answer) -> str:
     parts = [
         absorption_table(answer),
         separable_text(answer),
+        shares_table(answer),
         directivity_text(answer),
         certificate_text(answer),
         pairs_table(answer),
@@ -54,7 +56,8 @@ def absorption_table(answer: Answer) -> str:
 
 def separable_text(answer: Answer) -> str:
     """Return in words which materials the data tell apart, band by band."""
-    lines = ["What the data tell"]
+    told = any(answer.sentences)
+    lines = ["What the data tell" + (" (+-: half of the 95 % interval)" if told else "")]
     for j, centre in enumerate(answer.bands.centres_hz):
         held = answer.lower95[:, j] == answer.upper95[:, j]
         sure = _names(answer.materials, answer.identifiable[:, j] & ~held)
@@ -67,6 +70,31 @@ def separable_text(answer: Answer) -> str:
             f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
             f"({lower:.2f} to {upper:.2f}){fit}"
         )
+        if answer.sentences and answer.sentences[j]:
+            lines.append(_below_band(answer.sentences[j]))
+    return "\n".join(lines)
+
+
+def _below_band(sentence: str) -> str:
+    return textwrap.fill(sentence, 100, initial_indent=_BELOW_BAND, subsequent_indent=_BELOW_BAND)
+
+
+def shares_table(answer: Answer) -> str:
+    """Return what each material contributes to the room's absorption, in percent."""
+    if answer.shares is None:
+        return ""
+    width = max(len(n) for n in answer.materials)
+    head = "  ".join(f"{f:>10g}" for f in answer.bands.centres_hz)
+    lines = [
+        "Share of the room's absorption in %, 95 % interval (air left out)",
+        f"{'Hz':<{width}}  {head}",
+    ]
+    for i, name in enumerate(answer.materials):
+        cells = [
+            f"{100 * value:.0f} ({100 * low:.0f}-{100 * high:.0f})"
+            for value, low, high in answer.shares[:, i].T
+        ]
+        lines.append(f"{name:<{width}}  " + "  ".join(f"{cell:>10}" for cell in cells))
     return "\n".join(lines)
 
 

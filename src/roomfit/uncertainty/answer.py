@@ -162,6 +162,10 @@ class Answer:
     certificates : tuple of Certificate or None, one a band
         What was proven of the lowest cost of energies with their weights held; empty where nobody
         asked.
+    sentences : tuple of str, one a band
+        What the data know of groups of materials and what they leave open; "" where nothing is.
+    shares : float array, shape (3, n_materials, n_bands), or None
+        Share of each material in the room's absorption, its lower and its upper 95 % bound.
     """
 
     bands: Bands
@@ -192,3 +196,5 @@ class Answer:
     geometry: FittedGeometry | None = None
     directivities: tuple[FittedDirectivity, ...] = ()
     certificates: tuple[Certificate | None, ...] = ()
+    sentences: tuple[str, ...] = ()
+    shares: FloatArray | None = None

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
@@ -12,14 +13,17 @@ from roomfit.checks import float_array
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.draws import band_draws, prior_draws
+from roomfit.uncertainty.undetermined import Difference, Undetermined, undetermined_groups
 
 # A combination counts as determined where its 95 % interval reaches this far to either side ...
 WITHIN = 0.1
 # ... and where the data, not the prior, say so.
 _SHARE_OF_PRIOR = 0.5
 # Places the ends of an interval within a third of a percent of probability.
-_DRAWS = 2048
+N_DRAWS = 2048
 _ALIKE = 0.1
+# All differences of more materials would be a list that nobody reads.
+_MOST_APART = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +40,10 @@ class Combination:
         Quantiles of the posterior.
     sd : float
         Standard deviation of the posterior.
+    determined : bool
+        Whether its interval is narrow and the data, not the prior, made it so.
+    differences : tuple of Difference
+        Between materials of this group, and of no smaller one, that the data leave open together.
     """
 
     weights: FloatArray
@@ -43,6 +51,8 @@ class Combination:
     lower95: float
     upper95: float
     sd: float
+    determined: bool = True
+    differences: tuple[Difference, ...] = ()
 
     @property
     def relative(self) -> float:
@@ -59,6 +69,7 @@ def find_combinations(
     rng: np.random.Generator,
     *,
     within: float = WITHIN,
+    draws: FloatArray | None = None,
 ) -> tuple[Combination, ...]:
     """Return the groups of materials whose mean absorption is known though their own is not.
 
@@ -81,6 +92,8 @@ def find_combinations(
     rng : numpy.random.Generator
     within : float
         Above 0.
+    draws : float array, shape (n_draws, n_materials), optional
+        Of the posterior, where it was sampled.
 
     Raises
     ------
@@ -89,7 +102,7 @@ def find_combinations(
 
     Notes
     -----
-    Intervals are quantiles of `roomfit.uncertainty.draws.band_draws`.
+    Intervals are quantiles of `roomfit.uncertainty.draws.band_draws`, or of the draws given.
     """
     n = len(areas_m2)
     areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
@@ -100,21 +113,22 @@ def find_combinations(
     if not (within > 0.0 and areas.sum() > 0.0):
         raise InputError("combinations need areas and a width above zero", found=f"{within:g}")
     held = np.diag(covariance) <= 0.0
-    posterior = (a, covariance, prior_mean, prior_sd, _DRAWS, rng)
-    draws, beforehand = band_draws(*posterior), prior_draws(*posterior)
+    posterior = (a, covariance, prior_mean, prior_sd, N_DRAWS, rng)
+    drawn = band_draws(*posterior) if draws is None else draws
+    beforehand = prior_draws(*posterior)
 
     # the same pairs of groups come up again while others are put together
     @functools.cache
     def told(group: tuple[int, ...]) -> tuple[Combination, bool]:
         weights = np.zeros(n)
         weights[list(group)] = areas[list(group)] / areas[list(group)].sum()
-        mean = draws @ weights
+        mean = drawn @ weights
         low, high = np.quantile(mean, (0.025, 0.975))
-        found = Combination(
-            weights, float(weights @ a), float(low), float(high), float(np.std(mean))
-        )
-        sharper = found.sd <= _SHARE_OF_PRIOR * float(np.std(beforehand @ weights))
-        return found, found.relative <= within and sharper
+        sd = float(np.std(mean))
+        found = Combination(weights, float(weights @ a), float(low), float(high), sd)
+        sharper = sd <= _SHARE_OF_PRIOR * float(np.std(beforehand @ weights))
+        known = found.relative <= within and sharper
+        return replace(found, determined=known), known
 
     loose: list[tuple[int, ...]] = [(i,) for i in range(n) if areas[i] > 0.0]
     room = told(tuple(g[0] for g in loose))[0]
@@ -131,4 +145,52 @@ def find_combinations(
         else:
             loose.append((*one, *other))
     # a group that is nearly the whole room says the same a second time
-    return (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
+    kept = (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
+    left_open = undetermined_groups(covariance, prior_sd)
+    return _with_differences(kept, _differences(left_open, a, drawn, beforehand, within))
+
+
+def _differences(
+    left_open: Sequence[Undetermined],
+    a: FloatArray,
+    draws: FloatArray,
+    beforehand: FloatArray,
+    within: float,
+) -> list[Difference]:
+    """Return the differences of materials that are left open together, the larger less the other.
+
+    Of many materials only that of the two which absorb most.
+    """
+    found = []
+    for group in left_open:
+        members = sorted(group.materials, key=lambda i: -a[i])
+        pairs = combinations(members, 2)
+        if len(members) > _MOST_APART:
+            pairs = combinations(members[:2], 2)
+        for one, other in pairs if group.against else ():
+            apart = draws[:, one] - draws[:, other]
+            low, high = np.quantile(apart, (0.025, 0.975))
+            before = float(np.std(beforehand[:, one] - beforehand[:, other]))
+            weights = np.zeros(a.size)
+            weights[[one, other]] = 1.0, -1.0
+            sharper = float(np.std(apart)) <= _SHARE_OF_PRIOR * before
+            known = bool(sharper and 0.5 * (high - low) <= within * a[one])
+            value = float(a[one] - a[other])
+            found.append(Difference(weights, value, float(low), float(high), known))
+    return found
+
+
+def _with_differences(
+    kept: tuple[Combination, ...], differences: list[Difference]
+) -> tuple[Combination, ...]:
+    """Put each difference to the smallest group that holds both of its materials."""
+    out = list(kept)
+    for difference in differences:
+        holding = [
+            i for i, c in enumerate(out) if np.all(c.weights[difference.weights != 0.0] > 0.0)
+        ]
+        if holding:
+            smallest = min(holding, key=lambda i: int(np.count_nonzero(out[i].weights)))
+            own = out[smallest]
+            out[smallest] = replace(own, differences=(*own.differences, difference))
+    return tuple(out)

@@ -172,6 +172,32 @@ def _sum_row(head: str, values: FloatArray, block: IntArray, small: str, style: 
     return Row(head, (Cell("", style="first"), *cells), small, style=style)
 
 
+def share_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return what share of the room's absorption each material contributes, with its interval."""
+    if answer.shares is None:
+        return ()
+    centres, shares = answer.bands.centres_hz, answer.shares
+    return tuple(
+        Table(
+            block_caption(
+                "Share of the surfaces' absorption in %, 95 % interval below", centres, block
+            ),
+            "material",
+            band_heads(centres, block),
+            tuple(
+                Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
+                for i, name in enumerate(answer.materials)
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _share_cell(value: float, lower: float, upper: float) -> Cell:
+    told = [number(100.0 * x, 0) for x in (value, lower, upper)]
+    return Cell(told[0], (f"{told[1]}{DASH}{told[2]}",))
+
+
 def _area_cell(value_m2: float, interval: str = "") -> Cell:
     if not np.isfinite(value_m2):
         return Cell(DASH, ("not determined",), "unsure")

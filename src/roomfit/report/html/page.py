@@ -12,7 +12,12 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.report.html.absorption_picture import absorption_plot
-from roomfit.report.html.absorption_tables import absorption_tables, area_tables, fit_tables
+from roomfit.report.html.absorption_tables import (
+    absorption_tables,
+    area_tables,
+    fit_tables,
+    share_tables,
+)
 from roomfit.report.html.decay_picture import decay_plot
 from roomfit.report.html.error_tables import error_tables
 from roomfit.report.html.pair_tables import overview_table, pair_sections
@@ -20,7 +25,7 @@ from roomfit.report.html.plots import page_json
 from roomfit.report.html.room_picture import material_table, position_table, room_plot
 from roomfit.report.html.room_plan import room_plan
 from roomfit.report.html.source_tables import source_tables
-from roomfit.report.html.summary import finding_groups, summary_sentences
+from roomfit.report.html.summary import finding_groups, summary_sentences, told_in_words
 from roomfit.report.html.wording import area, number
 from roomfit.scene.scene import Scene
 from roomfit.uncertainty.answer import Answer
@@ -73,7 +78,8 @@ def report_html(
         absorption=absorption,
         absorption_tables=absorption_tables(answer),
         fit_tables=(*fit_tables(answer), *source_tables(answer)),
-        area_tables=area_tables(answer, scene),
+        area_tables=(*area_tables(answer, scene), *share_tables(answer)),
+        told=told_in_words(answer),
         error_tables=error_tables(answer),
         overview=overview_table(answer),
         decay=decay,

@@ -10,7 +10,7 @@ from roomfit.findings import Finding, Severity
 from roomfit.report.html.absorption_tables import given
 from roomfit.report.html.error_tables import errors_of
 from roomfit.report.html.pair_tables import known_mean
-from roomfit.report.html.wording import band_ranges, count, listing, number, parameter
+from roomfit.report.html.wording import band_ranges, count, hertz, listing, number, parameter
 from roomfit.typing import BoolArray
 from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.gaussian import LARGEST_PHI
@@ -41,6 +41,16 @@ def summary_sentences(answer: Answer) -> tuple[str, ...]:
             _how_well_it_predicts(answer),
             _how_many_findings(answer),
         )
+        if sentence
+    )
+
+
+def told_in_words(answer: Answer) -> tuple[tuple[str, str], ...]:
+    """Return band and sentence where the data know groups of materials, or leave some open."""
+    told = zip(answer.bands.centres_hz, answer.sentences, strict=False)
+    return tuple(
+        (hertz(float(centre)), sentence.replace("+-", "\N{PLUS-MINUS SIGN}"))
+        for centre, sentence in told
         if sentence
     )
 
