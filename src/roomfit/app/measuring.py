@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,6 +25,9 @@ from roomfit.signals.onset import (
 )
 from roomfit.signals.plausibility import check_decay_range, check_is_response
 from roomfit.signals.room_parameters import RoomParameters, range_findings, room_parameters
+
+# How well the moment of emission is known where nothing is told, by `time_zero`.
+LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,7 +78,11 @@ def measure(
     raw, findings = _read_all(campaign, bank)
     measured = []
     for file, pair, direct_s, response in zip(
-        campaign.measurements, pairs, travel_s, _from_emission(campaign, raw, travel_s), strict=True
+        campaign.measurements,
+        pairs,
+        travel_s,
+        from_emission(campaign.measurements, raw, travel_s),
+        strict=True,
     ):
         where, name = str(file.response.path), _name(file)
         check_travel(response, direct_s, where)
@@ -122,8 +130,8 @@ def _judged(
     return MeasuredPair(file, pair, response, direct_s, noise, curve, room_parameters(curve))
 
 
-def _from_emission(
-    campaign: Campaign, raw: list[ImpulseResponse], travel_s: list[float]
+def from_emission(
+    files: Sequence[MeasuredFile], raw: Sequence[ImpulseResponse], travel_s: Sequence[float]
 ) -> list[ImpulseResponse]:
     """Return the responses on a clock that counts from emission.
 
@@ -131,7 +139,6 @@ def _from_emission(
     median over its files, so that a single masked onset moves nothing. Files for validation have
     a say only where a source has no other.
     """
-    files = campaign.measurements
     aligned = [
         response
         if file.response.time_zero == "emission"

@@ -65,6 +65,7 @@ def impedance_content(answer: ImpedanceAnswer, inputs: Iterable[Path]) -> dict[s
         "pairs": [_pair(answer, i) for i in range(len(answer.pairs))],
         "fit": {
             "chi2": _or_null(answer.chi2),
+            "model_error": _or_null(answer.model_error),
             "condition": _or_null(answer.condition),
             "starts": answer.n_starts,
             "agreeing_starts": answer.agreeing_starts,

@@ -48,6 +48,9 @@ class ImpedanceAnswer:
     chi2 : float
         Sum of squared residuals over what noise and model error explain; 1 and less is good. nan
         where nothing was fitted.
+    model_error : float
+        rms error of the image model in this room by the residual, relative to the level, times
+        wavenumber and mean free path. nan where nothing was fitted.
     condition : float
         Of the walls' unknowns: largest over smallest singular value of the weighted Jacobian, what
         nuisances explain taken out. nan where nothing was fitted.
@@ -71,6 +74,7 @@ class ImpedanceAnswer:
     findings: tuple[Finding, ...]
     nuisances: tuple[FoundNuisance, ...]
     chi2: float
+    model_error: float
     condition: float
     agreeing_starts: int
     n_starts: int

@@ -13,7 +13,6 @@ import numpy as np
 from roomfit.errors import InputError
 from roomfit.impedance.curves import Curve, constant, spline
 from roomfit.impedance.fit import ImpedanceFit, refined
-from roomfit.impedance.intervals import covariance_of
 from roomfit.impedance.laws import LAWS, LawCurve, Parameter, law_curve
 from roomfit.impedance.layout import layout_of
 from roomfit.impedance.observed import complex_frequency_hz
@@ -150,7 +149,7 @@ def _nearest_law(
     problem, place = fit.problem, fit.layout.curves[material]
     curve = problem.curves[material]
     slope = curve.slope(fit.x[place])
-    own = covariance_of(fit)[place, place]
+    own = fit.covariance[place, place]
     variance = np.real(np.einsum("fi,ij,fj->f", slope, own, slope.conj()))
     weight = 1.0 / np.sqrt(variance + _LAW_ERROR**2)
     best: tuple[Curve, float] | None = None

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.impedance.layout import Layout, layout_of, r0_of, state_of
+from roomfit.impedance.misfit import Whitened, evident_model_error, honest_covariance
 from roomfit.impedance.model import State, frozen_correction
 from roomfit.impedance.problem import Problem
 from roomfit.impedance.rows import Linear, data_rows, prior_rows
@@ -44,11 +45,15 @@ class ImpedanceFit:
     correction : complex array, shape (n_pairs, n_frequencies)
     roughness_sd : float array, shape (n_materials,)
     normal : float array, shape (n_unknowns, n_unknowns)
-        ``J^T J`` of data and priors: the inverse of the covariance.
+        ``J^T J`` of data and priors.
     residual : float array, shape (n_rows,)
         Of the data, in standard deviations.
     effective : float
         How many numbers the data determined.
+    covariance : float array, shape (n_unknowns, n_unknowns)
+        With the model's own error as it is in this room.
+    model_error : float
+        That error, see `roomfit.impedance.misfit.evident_model_error`.
     evaluations, rounds : int
     settled : bool
         Whether the rounds ended because nothing moved any more.
@@ -64,6 +69,8 @@ class ImpedanceFit:
     normal: FloatArray
     residual: FloatArray
     effective: float
+    covariance: FloatArray
+    model_error: float
     evaluations: int
     rounds: int
     settled: bool
@@ -222,6 +229,8 @@ def _fit(
     if problem.nuisances.gain == "spectrum":
         n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
         effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
+    linear = Whitened(data.residual, data.jacobian, found.normal)
+    error = evident_model_error(problem, linear)
     return ImpedanceFit(
         problem,
         layout,
@@ -233,5 +242,7 @@ def _fit(
         found.normal,
         data.residual,
         effective,
+        honest_covariance(problem, linear, error, effective),
+        error,
         *ended,
     )

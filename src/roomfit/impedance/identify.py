@@ -17,6 +17,7 @@ from roomfit.impedance.fit import ImpedanceFit, reduced_chi2, refined, relaxed
 from roomfit.impedance.judged import answer_without_fit, judged_answer
 from roomfit.impedance.layout import start_of
 from roomfit.impedance.model import Nuisances, WaveModel, wave_model
+from roomfit.impedance.noise import estimated_noise
 from roomfit.impedance.observed import (
     MODEL_ERROR,
     PLANE_MODEL_ERROR,
@@ -165,14 +166,9 @@ def _rivals(
 
 
 def _with_estimated_noise(fit: ImpedanceFit) -> ImpedanceFit:
-    """Return the fit with the noise that its own residual tells, one rms for all frequencies."""
+    """Return the fit with the noise that its own residual tells."""
     problem = fit.problem
-    scaled = np.reshape(fit.residual**2, (-1, *problem.sd.shape)).mean(axis=0) * problem.sd**2
-    free = max(1.0 - fit.effective / len(fit.residual), 1e-2)
-    left = float(np.mean(scaled)) / free
-    of_model = float(np.mean(problem.sd**2))
-    noise = np.full(problem.sd.shape, np.sqrt(max(left - 0.5 * of_model, 1e-3 * of_model)))
-    observed = replace(problem.observed, noise=noise)
+    observed = replace(problem.observed, noise=estimated_noise(fit))
     sd = _deviation(problem.model, observed, problem.model_error)
     return refined(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import numpy as np
@@ -67,6 +68,7 @@ def judged_answer(
         tuple(findings),
         found_nuisances(fit),
         reduced_chi2(fit),
+        fit.model_error,
         wall_condition(fit),
         round(share_in_best(starts) * len(starts)),
         len(starts),
@@ -119,8 +121,10 @@ def _verdict(
     noise = fit.problem.observed.noise
     level = float(np.mean(level_at(fit.problem.observed)))
     estimated = observed.noise is None and noise is not None
-    loud = estimated and float(np.mean(noise if noise is not None else 0.0)) > (
-        LOUDEST_ESTIMATED_NOISE * level
+    loud = (
+        estimated
+        and noise is not None
+        and (float(np.mean(noise)) > LOUDEST_ESTIMATED_NOISE * level)
     )
     if loud or not fits(fit):
         cause = (
@@ -179,8 +183,9 @@ def answer_without_fit(
         Verdict("not identifiable", cause, f"Not identifiable: {cause}.", False),
         findings,
         (),
-        float("nan"),
-        float("nan"),
+        math.nan,
+        math.nan,
+        math.nan,
         0,
         0,
         _pair_names(problem.model.scene),

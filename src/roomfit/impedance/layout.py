@@ -25,7 +25,7 @@ class Layout(NamedTuple):
     moves_source, moves_receiver, speed, gain, delay : slice
         Moves, speed and delays in units of their standard deviations; gain: logarithms of all
         sizes, then all phases.
-    gain_of_pair : int array, shape (n_pairs,)
+    gain_of_pair, delay_of_pair : int arrays, shape (n_pairs,)
     size : int
     """
 
@@ -40,6 +40,7 @@ class Layout(NamedTuple):
     gain: slice
     delay: slice
     gain_of_pair: IntArray
+    delay_of_pair: IntArray
     size: int
 
 
@@ -64,19 +65,19 @@ def layout_of(problem: Problem) -> Layout:
         moving = [i for i in np.unique(used) if sd[i] > 0.0]
         axes.append(np.array([(i, a) for i in moving for a in range(3)], np.int64).reshape(-1, 2))
         sds.append(np.repeat(sd[moving], 3))
-    sources, owner = np.unique(scene.pairs[:, 0], return_inverse=True)
     groups = {
         "common": np.zeros(len(scene.pairs), dtype=np.int64),
-        "source": owner,
+        "source": source_number(scene.pairs),
         "pair": np.arange(len(scene.pairs)),
-    }.get(nuisances.gain, np.zeros(0, dtype=np.int64))
+    }
+    gains = groups.get(nuisances.gain, np.zeros(0, dtype=np.int64))
+    delays = groups[nuisances.delay]
     moves = take(len(axes[0])), take(len(axes[1]))
     speed = take(1 if nuisances.speed_sd > 0.0 else 0)
-    gain = take(2 * len(np.unique(groups)))
-    delay = take(len(sources) if nuisances.delay_sd_s > 0.0 else 0)
-    return Layout(
-        tuple(slices), axes[0], axes[1], sds[0], sds[1], *moves, speed, gain, delay, groups, at
-    )
+    gain = take(2 * len(np.unique(gains)))
+    delay = take(len(np.unique(delays)) if nuisances.delay_sd_s > 0.0 else 0)
+    places = axes[0], axes[1], sds[0], sds[1]
+    return Layout(tuple(slices), *places, *moves, speed, gain, delay, gains, delays, at)
 
 
 def start_of(problem: Problem) -> FloatArray:
@@ -106,13 +107,12 @@ def state_of(problem: Problem, layout: Layout, x: FloatArray) -> State:
 
 def factor_of(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
     """Return gain and delay as one factor, shape (n_pairs, n_frequencies)."""
-    observed, scene = problem.observed, problem.model.scene
-    exponent = np.zeros(observed.pressure.shape, dtype=np.complex128)
+    exponent = np.zeros(problem.observed.pressure.shape, dtype=np.complex128)
     if layout.gain.stop > layout.gain.start:
         size, phase = np.split(x[layout.gain], 2)
         exponent += (size + 1j * phase)[layout.gain_of_pair][:, None]
     if layout.delay.stop > layout.delay.start:
-        exponent += by_delay(problem) * x[layout.delay][source_number(scene.pairs)][:, None]
+        exponent += by_delay(problem) * x[layout.delay][layout.delay_of_pair][:, None]
     return np.asarray(np.exp(exponent))
 
 

@@ -9,12 +9,14 @@ import numpy as np
 
 from roomfit.air import pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.errors import InputError
+from roomfit.impedance.cost import check_cost
 from roomfit.impedance.response_kernels import pressure_gradients, pressures
 from roomfit.scene.scene import Scene
 from roomfit.tracing.unfolded import UnfoldedPaths, unfolded_paths
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 GainMode = Literal["known", "common", "source", "pair", "spectrum"]
+DelayMode = Literal["source", "pair"]
 
 # Lengths of paths in units of c tau: what lies beyond the first is 1e-3 of the damped field even
 # between walls that swallow nothing; to the second reaches the part that is weighed at every step.
@@ -36,7 +38,9 @@ class Nuisances:
         known: pressures are absolute. common, source, pair: one unknown complex gain for all, for
         each source or for each pair. spectrum: one for each source and frequency.
     delay_sd_s : float
-        Of the moment of emission, one for each source; 0 takes it as exact.
+        Of the moment of emission; 0 takes it as exact.
+    delay : {"source", "pair"}
+        One moment for each source, or one for each pair, as of files that were cut one by one.
     least_position_sd_m : float
         Coordinates that the scene tells more exactly are given this standard deviation.
     """
@@ -45,6 +49,7 @@ class Nuisances:
     speed_sd: float = 0.01
     gain: GainMode = "known"
     delay_sd_s: float = 0.0
+    delay: DelayMode = "source"
     least_position_sd_m: float = 0.0
 
     def __post_init__(self) -> None:
@@ -63,6 +68,10 @@ class Nuisances:
                 "unknown kind of gain",
                 found=repr(self.gain),
                 needed="known, common, source, pair or spectrum",
+            )
+        if self.delay not in ("source", "pair"):
+            raise InputError(
+                "unknown kind of delay", found=repr(self.delay), needed="source or pair"
             )
 
 
@@ -114,8 +123,9 @@ def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveMode
     Raises
     ------
     InputError
-        As of `roomfit.tracing.unfolded.unfolded_paths`.
+        As of `roomfit.tracing.unfolded.unfolded_paths`, or more paths than minutes suffice for.
     """
+    check_cost(scene, len(frequency_hz), tau_s, _WHOLE)
     speed = speed_of_sound_m_s(scene.air)
     whole = unfolded_paths(scene, _WHOLE * speed * tau_s)
     return WaveModel(

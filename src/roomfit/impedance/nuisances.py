@@ -6,7 +6,6 @@ import numpy as np
 
 from roomfit.impedance.answer import FoundNuisance
 from roomfit.impedance.fit import ImpedanceFit
-from roomfit.impedance.intervals import covariance_of
 from roomfit.impedance.layout import factor_of
 from roomfit.impedance.model import gradients
 from roomfit.impedance.rows import data_rows, source_spectra
@@ -20,7 +19,7 @@ _DB = 20.0 / np.log(10.0)
 def found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
     """Return every nuisance of a fit with its interval, in the order of the unknowns."""
     problem, layout, x = fit.problem, fit.layout, fit.x
-    sd = np.sqrt(np.maximum(np.diag(covariance_of(fit)), 0.0))
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     scene, told = problem.model.scene, problem.nuisances
     found: list[FoundNuisance] = []
 
@@ -41,9 +40,12 @@ def found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
     for n in range(n_gains):
         add(f"gain {n + 1}", "dB", layout.gain.start + n, _DB)
         add(f"phase of gain {n + 1}", "rad", layout.gain.start + n_gains + n, 1.0)
-    names = [scene.sources[i].name for i in np.unique(scene.pairs[:, 0])]
     for n in range(layout.delay.stop - layout.delay.start):
-        add(f"delay of {names[n]}", "s", layout.delay.start + n, told.delay_sd_s)
+        source, receiver = scene.pairs[np.flatnonzero(layout.delay_of_pair == n)[0]]
+        name = scene.sources[source].name
+        if told.delay == "pair":
+            name += f" to {scene.receivers[receiver].name}"
+        add(f"delay of {name}", "s", layout.delay.start + n, told.delay_sd_s)
     return tuple(found)
 
 

@@ -135,9 +135,8 @@ def _slopes(problem: Problem, layout: Layout, x: FloatArray, g: Gradients) -> Co
         slope[own, :, layout.gain.start + n] = g.pressure[own]
         slope[own, :, layout.gain.start + n_gains + n] = 1j * g.pressure[own]
     if layout.delay.stop > layout.delay.start:
-        number = source_number(pairs)
         for n in range(layout.delay.stop - layout.delay.start):
-            own = np.flatnonzero(number == n)
+            own = np.flatnonzero(layout.delay_of_pair == n)
             slope[own, :, layout.delay.start + n] = g.pressure[own] * by_delay(problem)
     return slope
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.app.binning import BinnedPaths, in_band, regrouped
-from roomfit.app.measuring import MeasuredPair
+from roomfit.app.measuring import LATENCY_SD_S, MeasuredPair
 from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge
@@ -26,7 +26,6 @@ from roomfit.typing import FloatArray
 # What is assumed of an unknown of which nothing is told.
 SPEED_SD = 2e-3
 DELAY_SD_S = 2e-4
-_LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
 
 
 def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
@@ -77,7 +76,7 @@ def campaign_geometry(
         if source not in latency:
             latency[source] = len(labels)
             labels.append(f"latency {scene.sources[source].name}")
-            assumed = _LATENCY_SD_S[m.file.response.time_zero]
+            assumed = LATENCY_SD_S[m.file.response.time_zero]
             sd.append(assumed if m.file.latency_sd_s is None else m.file.latency_sd_s)
     first_delay = len(labels)
     labels += [f"delay {k.name}" for k in knowledge]

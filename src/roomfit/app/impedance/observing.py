@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.air import speed_of_sound_m_s
-from roomfit.errors import InputError, located
+from roomfit.app.impedance.responses import damped_responses
+from roomfit.app.measuring import LATENCY_SD_S
+from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign, MeasuredFile, MeasuredSpectrum
-from roomfit.files.responses.read import read_response
 from roomfit.files.spectra import DampedSpectrum, read_spectrum
 from roomfit.findings import Finding
 from roomfit.geometry.faults import refuse
@@ -17,16 +17,11 @@ from roomfit.impedance.model import GainMode, Nuisances
 from roomfit.impedance.observed import Observed
 from roomfit.scene.positions import position_findings
 from roomfit.scene.room import Room
-from roomfit.scene.scene import Scene, distances_m
-from roomfit.signals.damped import damped_noise, damped_spectrum
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.signals.onset import time_zero_from_direct
-from roomfit.typing import ComplexArray, FloatArray
+from roomfit.scene.scene import Scene
+from roomfit.typing import FloatArray
 
 UNTOLD_SD_M = 0.01
 UNTOLD_SPEED_SD = 0.01
-# Of an onset that was found by its steepness, see `latency_sd_s`.
-_ONSET_SD_S = 1e-4
 _KELVIN = 293.15
 
 _GAINS: dict[str | None, GainMode] = {
@@ -69,14 +64,8 @@ def campaign_pressures(campaign: Campaign, room: Room) -> CampaignPressures:
     _refuse_directivity(campaign, scene)
     read = [read_spectrum(s.path) for s in spectra]
     frequency_hz, tau_s = _grid(campaign, spectra, read)
-    pressure: list[ComplexArray] = []
-    noise: list[FloatArray | None] = []
-    findings: list[Finding] = []
-    for number, file in enumerate(files):
-        p, n, doubts = _from_response(scene, number, file, frequency_hz, tau_s)
-        pressure.append(p)
-        noise.append(n)
-        findings += doubts
+    damped = damped_responses(scene, files, frequency_hz, tau_s)
+    pressure, noise = list(damped.pressure), list(damped.noise)
     for one in read:
         own = (one.frequency_hz >= frequency_hz[0]) & (one.frequency_hz <= frequency_hz[-1])
         pressure.append(one.pressure[own])
@@ -89,7 +78,7 @@ def campaign_pressures(campaign: Campaign, room: Room) -> CampaignPressures:
         np.array(known) if len(known) == len(noise) else None,
         all(one.has_phase for one in read),
     )
-    return CampaignPressures(scene, observed, _nuisances(campaign, files, spectra), tuple(findings))
+    return CampaignPressures(scene, observed, _nuisances(campaign, files, spectra), damped.findings)
 
 
 def _scene(
@@ -168,20 +157,6 @@ def _grid(
     return own, first.tau_s
 
 
-def _from_response(
-    scene: Scene, pair: int, file: MeasuredFile, frequency_hz: FloatArray, tau_s: float
-) -> tuple[ComplexArray, FloatArray | None, tuple[Finding, ...]]:
-    where = str(file.response.path)
-    response, findings = read_response(file.response)
-    direct_s = float(distances_m(scene)[pair]) / speed_of_sound_m_s(scene.air)
-    aligned: ImpulseResponse = response
-    if file.response.time_zero != "emission":
-        aligned = time_zero_from_direct(response, direct_s, where)
-    with located(where):
-        p = damped_spectrum(aligned, frequency_hz, tau_s, direct_s)
-    return p, damped_noise(aligned, frequency_hz, tau_s, direct_s), findings
-
-
 def _nuisances(
     campaign: Campaign, files: list[MeasuredFile], spectra: list[MeasuredSpectrum]
 ) -> Nuisances:
@@ -191,14 +166,25 @@ def _nuisances(
         kelvin = campaign.temperature_sd_c
         # c grows as the root of the absolute temperature
         speed_sd = UNTOLD_SPEED_SD if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
-    delays = [m.latency_sd_s for m in files if m.latency_sd_s is not None]
-    delays += [_ONSET_SD_S for m in files if m.response.time_zero != "emission"]
+    gain = _gain(campaign, files, spectra)
+    # an onset that was found in each file is off in each; a clock is one of a source
+    own = any(m.response.time_zero == "direct" for m in files)
+    delays = [_latency_sd_s(m) for m in files]
+    # a spectrum for each source and frequency holds any delay of the source
+    known = gain == "spectrum" and not own
     return Nuisances(
         position_sd_m=0.0 if told.positions == "fixed" else UNTOLD_SD_M,
         speed_sd=speed_sd,
-        gain=_gain(campaign, files, spectra),
-        delay_sd_s=max(delays, default=0.0),
+        gain=gain,
+        delay_sd_s=0.0 if known else max(delays, default=0.0),
+        delay="pair" if own else "source",
     )
+
+
+def _latency_sd_s(file: MeasuredFile) -> float:
+    if file.latency_sd_s is not None:
+        return file.latency_sd_s
+    return LATENCY_SD_S[file.response.time_zero]
 
 
 def _gain(

@@ -1,0 +1,136 @@
+"""How sure walls are: the model's own error, untold noise, clocks, and what is too much."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from images_reference import l_shaped_room
+from roomfit.air import Air
+from roomfit.errors import InputError
+from roomfit.impedance.fit import refined
+from roomfit.impedance.identify import identify_impedance, wave_problem
+from roomfit.impedance.layout import layout_of, start_of
+from roomfit.impedance.misfit import Whitened, evident_model_error, honest_covariance
+from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
+from roomfit.impedance.noise import estimated_noise
+from roomfit.impedance.observed import Observed, level_at, model_error
+from roomfit.scene.scene import Point, Scene
+from roomfit.testproblems.impedance_box import box_scene, noisy, rms_by_material, true_r0
+
+EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
+TAU_S = 0.005
+F_HZ = np.arange(200.0, 801.0, 20.0)
+
+
+def box_data():
+    """Six pairs in the box by the model itself, without noise, and the walls."""
+    scene = box_scene()
+    empty = Observed(F_HZ, TAU_S, np.ones((6, len(F_HZ))))
+    r0 = true_r0(empty, scene.room.materials)
+    model = wave_model(scene, F_HZ, TAU_S)
+    return scene, predicted_pressure(model, r0, at_rest(model)), r0
+
+
+def normal_numbers(rng, shape):
+    return (rng.normal(size=shape) + 1j * rng.normal(size=shape)) / np.sqrt(2.0)
+
+
+@pytest.mark.parametrize("factor", [0.05, 0.1, 0.25])
+def test_the_error_of_the_model_is_found_from_what_a_linear_fit_leaves(factor):
+    """Rows with errors of a known size, seen through a fit that took a fifth of them away.
+
+    1200 rows of which 240 are fitted: the size has a spread of some 1 / sqrt(2 960) = 2.3 %, to
+    which noise and the prior add; 15 % is never left by chance.
+    """
+    rng = np.random.default_rng(1)
+    scene, p, _ = box_data()
+    share = model_error(F_HZ, 4.0 * 60.0 / 94.0, 343.0, factor)
+    observed = Observed(F_HZ, TAU_S, p, np.full(p.shape, 1e-4 * np.abs(p).max()))
+    problem = wave_problem(scene, observed, None, EXACT)
+    error = normal_numbers(rng, p.shape) * share * level_at(observed) / problem.sd
+    rows = np.sqrt(2.0) * np.concatenate([error.real.ravel(), error.imag.ravel()])
+    jacobian = rng.normal(size=(len(rows), len(rows) // 5))
+    normal = jacobian.T @ jacobian
+    left = rows - jacobian @ np.linalg.solve(normal, jacobian.T @ rows)
+    linear = Whitened(left, jacobian, normal)
+    assert evident_model_error(problem, linear) == pytest.approx(factor, rel=0.15)
+    # what was fitted is as far off as its covariance says: 72 numbers, 240 squares of normal ones
+    covariance = honest_covariance(problem, linear, factor, float(jacobian.shape[1]))
+    off = np.linalg.solve(normal, jacobian.T @ rows)
+    squares = np.mean(off**2 / np.diag(covariance))
+    assert 0.7 < squares < 1.35
+
+
+def test_where_noise_hides_the_error_of_the_model_half_of_the_allowance_is_believed():
+    scene, p, _ = box_data()
+    observed = noisy(F_HZ, TAU_S, p, 0.0, np.random.default_rng(2))
+    problem = wave_problem(scene, observed, None, EXACT)
+    rng = np.random.default_rng(3)
+    rows = rng.normal(size=2 * p.size)
+    jacobian = rng.normal(size=(len(rows), 5))
+    linear = Whitened(rows, jacobian, jacobian.T @ jacobian)
+    # a grid of 10 % steps
+    assert evident_model_error(problem, linear) == pytest.approx(0.08, rel=0.15)
+    assert evident_model_error(replace(problem, model_error=0.0), linear) == 0.0
+
+
+def test_noise_that_nobody_told_is_found_as_a_function_of_frequency():
+    """Noise that grows tenfold from 200 to 800 Hz, and one pair with a spectral line of its own."""
+    rng = np.random.default_rng(4)
+    scene, p, r0 = box_data()
+    truth = 0.01 * np.sqrt(np.mean(np.abs(p) ** 2)) * (F_HZ / 400.0) ** 1.66
+    data = p + truth * normal_numbers(rng, p.shape)
+    data[2, 15] += 0.1 * np.abs(p).max()
+    problem = wave_problem(scene, Observed(F_HZ, TAU_S, data), None, EXACT, model_error=0.002)
+    fit = refined(problem, start_with(problem, r0))
+    found = estimated_noise(fit)
+    assert found.shape == p.shape and np.ptp(found, axis=0).max() == 0.0
+    # medians of 24 numbers and more: 20 % of spread each, some of it averaged out
+    assert np.all(np.abs(np.log(found[0] / truth)) < 0.6)
+    assert np.sqrt(np.mean(np.log(found[0] / truth) ** 2)) < 0.3
+
+
+def start_with(problem, r0):
+    """Return unknowns whose curves are the best of theirs to some R0."""
+    x = start_of(problem)
+    for place, curve, own in zip(layout_of(problem).curves, problem.curves, r0, strict=True):
+        by = curve.slope(x[place])
+        rows = np.vstack([by.real, by.imag])
+        x[place] = np.linalg.lstsq(rows, np.concatenate([own.real, own.imag]), rcond=None)[0]
+    return x
+
+
+def test_files_that_were_cut_one_by_one_have_each_a_clock_of_their_own():
+    rng = np.random.default_rng(5)
+    scene, p, r0 = box_data()
+    late_s = 5e-5 * rng.normal(size=6)
+    f = F_HZ - 0.5j / (np.pi * TAU_S)
+    observed = noisy(F_HZ, TAU_S, p * np.exp(-2j * np.pi * f * late_s[:, None]), 40.0, rng)
+    answer = identify_impedance(
+        scene, observed, None, Nuisances(0.0, 0.0, delay_sd_s=1e-4, delay="pair"),
+        rng=rng, n_random_starts=0, model_error=0.02,
+    )  # fmt: skip
+    assert answer.verdict.word == "identified"
+    delays = [n for n in answer.nuisances if n.name.startswith("delay of S")]
+    assert delays[1].name == "delay of S1 to R1"
+    for found, truth in zip(delays, late_s, strict=True):
+        assert abs(found.value - truth) < 5e-6
+    assert rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, F_HZ).max() <= 0.03
+    with pytest.raises(InputError, match="unknown kind of delay"):
+        Nuisances(delay="file")
+
+
+def test_a_window_that_would_take_an_hour_is_refused_with_one_that_would_not():
+    """Reflections grow with the fourth power of the window: what is advised is then accepted."""
+    f = np.arange(100.0, 1001.0, 2.0)
+    with pytest.raises(InputError, match="more reflections") as caught:
+        wave_model(box_scene(), f, 0.06)
+    assert "tau of at most" in str(caught.value)
+    many = l_shaped_room()
+    points = Point("S", (1.0, 1.0, 1.0)), Point("R", (0.5, 3.0, 1.5))
+    scene = Scene(many, points[:1], points[1:], np.array([[0, 0]]), Air())
+    with pytest.raises(InputError, match="more reflections through"):
+        wave_model(scene, F_HZ, 0.2)
