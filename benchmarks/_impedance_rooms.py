@@ -34,6 +34,8 @@ class Case(NamedTuple):
     kinds : tuple of str
         Of the materials.
     snr_db, move_m, speed : float
+    coloured : bool
+        Whether each source has an unknown spectrum.
     """
 
     scene: Scene
@@ -43,6 +45,7 @@ class Case(NamedTuple):
     snr_db: float
     move_m: float
     speed: float
+    coloured: bool
 
 
 def random_wall(f: ComplexArray, rng: np.random.Generator) -> tuple[str, ComplexArray]:
@@ -81,7 +84,8 @@ def random_case(seed: int, n_materials: int | None = None, n_pairs: int | None =
     """Return a box of 3 to 8 m with 1 to 6 materials and 1 to 6 pairs.
 
     At 20 or 40 dB; half of them with coordinates off by a normal 10 mm and the speed of sound by
-    0.3 %. The number of pairs is at most as small as the materials, less one.
+    0.3 %; a third of those with 4 pairs and more with sources of unknown spectra. The pairs are at
+    least as many as the materials, less one.
     """
     rng = np.random.default_rng(seed)
     sides = rng.uniform([3.5, 3.0, 2.4], [8.0, 6.0, 4.0])
@@ -111,7 +115,11 @@ def random_case(seed: int, n_materials: int | None = None, n_pairs: int | None =
     points = [Point(f"P{i}", p) for i, p in enumerate(told)]
     air = Air(speed_of_sound_m_s=SPEED_M_S * (1.0 + speed), attenuation="none")
     scene = Scene(room, tuple(points[:2]), tuple(points[2:]), pairs, air)
+    coloured = len(pairs) >= 4 and rng.random() < 1.0 / 3.0
+    if coloured:
+        size, phase = rng.normal(size=(2, 2, len(F_HZ)))
+        field = field * np.exp(0.5 * size + 1j * phase)[pairs[:, 0]]
     observed = noisy(F_HZ, TAU_S, field, snr_db, rng)
     kinds = tuple(walls[m][0] for m in room.materials)
     true = np.array([walls[m][1] for m in room.materials])
-    return Case(scene, observed, true, kinds, snr_db, move_m, float(speed))
+    return Case(scene, observed, true, kinds, snr_db, move_m, float(speed), coloured)

@@ -263,7 +263,9 @@ def other_rooms(seeds: int = 40) -> None:
     shares, worst, words = [], [], []
     for seed in range(seeds):
         case = random_case(seed)
-        nuisances = Nuisances() if case.move_m else EXACT
+        nuisances = replace(
+            Nuisances() if case.move_m else EXACT, gain="spectrum" if case.coloured else "known"
+        )
         answer = fit(case.observed, case.scene, nuisances, 1)
         f = case.observed.frequency_hz
         within = inside(answer, case.r0, f).mean()
@@ -274,7 +276,8 @@ def other_rooms(seeds: int = 40) -> None:
         sides = " x ".join(f"{s:.1f}" for s in case.scene.room.shoebox_m or ())
         print(
             f"rooms {seed}: {sides} m, {', '.join(case.kinds)}; {len(case.scene.pairs)} pairs, "
-            f"{case.snr_db:g} dB, {1000 * case.move_m:g} mm: dR0 {told(off, 3)}, "
+            f"{case.snr_db:g} dB, {1000 * case.move_m:g} mm"
+            f"{', coloured' * case.coloured}: dR0 {told(off, 3)}, "
             f"{100 * within:.0f} % within, model error {answer.model_error:.3f}, "
             f"{answer.verdict.word} {answer.verdict.cause}, {answer.seconds:.0f} s",
             flush=True,

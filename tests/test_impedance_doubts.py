@@ -134,3 +134,76 @@ def test_a_window_that_would_take_an_hour_is_refused_with_one_that_would_not():
     scene = Scene(many, points[:1], points[1:], np.array([[0, 0]]), Air())
     with pytest.raises(InputError, match="more reflections through"):
         wave_model(scene, F_HZ, 0.2)
+
+
+def coloured_data(rng):
+    """Data of the box whose two sources each have a spectrum of their own."""
+    scene, p, r0 = box_data()
+    size, phase = rng.normal(size=(2, 2, len(F_HZ)))
+    clear = noisy(F_HZ, TAU_S, p, 40.0, rng)
+    spectrum = np.exp(0.5 * size + 1j * phase)[scene.pairs[:, 0]]
+    data = Observed(F_HZ, TAU_S, clear.pressure * spectrum, clear.noise * np.abs(spectrum))
+    return scene, data, r0
+
+
+def test_spectra_of_sources_that_are_taken_for_flat_are_the_cause_that_is_named():
+    rng = np.random.default_rng(6)
+    scene, data, _ = coloured_data(rng)
+    told = Nuisances(0.0, 0.0, "pair")
+    answer = identify_impedance(
+        scene, data, None, told, rng=rng, n_random_starts=0, model_error=0.02
+    )
+    assert answer.verdict.word == "does not fit"
+    assert answer.verdict.cause.startswith("sources whose spectra")
+
+
+def test_files_that_were_each_made_equally_loud_tell_walls_with_spectra_unknown_as_well():
+    """Each file by a gain of its own, on top of the spectra of two sources."""
+    rng = np.random.default_rng(7)
+    scene, data, r0 = coloured_data(rng)
+    loudest = np.abs(data.pressure).max(axis=1)[:, None]
+    data = Observed(F_HZ, TAU_S, data.pressure / loudest, data.noise / loudest)
+    answer = identify_impedance(
+        scene, data, None, Nuisances(0.0, 0.0, "pair-spectrum"),
+        rng=rng, n_random_starts=0, model_error=0.02,
+    )  # fmt: skip
+    assert answer.verdict.word == "identified"
+    assert rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, F_HZ).max() <= 0.04
+    # what is told to be flat is missed by far
+    assert answer.model_error >= 0.01
+    assert sum(n.name.startswith("gain") for n in answer.nuisances) == 6
+
+
+def test_a_room_that_is_not_convex_gives_back_its_walls():
+    """Data of paths up to 1.4 times the length that the fit takes, from places 10 mm off."""
+    rng = np.random.default_rng(8)
+    shape = l_shaped_room()
+    room = replace(
+        shape,
+        materials=("plaster", "wool"),
+        surface_material=np.array(
+            [int(s.name == "ceiling") for s in shape.mesh.surfaces], dtype=np.int64
+        ),
+    )
+    places = np.array(
+        [(1.0, 1.0, 1.2), (2.2, 4.1, 1.6), (2.1, 3.2, 1.7), (4.6, 0.8, 0.9), (1.3, 2.4, 0.6)]
+    )
+    pairs = np.array([(0, 0), (0, 1), (1, 2), (1, 0), (0, 2)])
+
+    def scene(at):
+        points = [Point(f"P{i}", p) for i, p in enumerate(at)]
+        air = Air(speed_of_sound_m_s=343.0, attenuation="none")
+        return Scene(room, tuple(points[:2]), tuple(points[2:]), pairs, air)
+
+    f, tau_s = np.arange(300.0, 801.0, 25.0), 0.004
+    longer = wave_model(scene(places + 0.01 * rng.normal(size=places.shape)), f, 1.4 * tau_s)
+    model = replace(longer, tau_s=tau_s)
+    r0 = true_r0(Observed(f, tau_s, np.ones((1, len(f)))), room.materials)
+    p = predicted_pressure(model, r0, at_rest(model))
+    answer = identify_impedance(
+        scene(places), noisy(f, tau_s, p, 40.0, rng), rng=rng, n_random_starts=0
+    )
+    assert answer.verdict.word == "identified"
+    # as A10 of docs/impedance.md, with a third of its data
+    off = rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, f)
+    assert off.max() <= 0.03

@@ -8,6 +8,7 @@ from roomfit.findings import Finding
 from roomfit.impedance.choose import WallModel
 from roomfit.impedance.laws import LAWS
 from roomfit.impedance.layout import layout_of
+from roomfit.impedance.model import has_free_spectra
 from roomfit.impedance.problem import Problem
 
 # Frequencies from which a curve couples them, so that phases can be done without.
@@ -52,7 +53,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
     needed = sum(_numbers(problem, i, w) for i, w in enumerate(walls.values()))
     n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
-    if problem.nuisances.gain == "spectrum":
+    if has_free_spectra(problem.nuisances):
         data -= 2 * n_sources * n_f
     layout = layout_of(problem)
     needed += layout.gain.stop - layout.gain.start

@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit.impedance.layout import Layout, layout_of, r0_of, state_of
 from roomfit.impedance.misfit import Whitened, evident_model_error, honest_covariance
-from roomfit.impedance.model import State, frozen_correction
+from roomfit.impedance.model import State, frozen_correction, has_free_spectra
 from roomfit.impedance.problem import Problem
 from roomfit.impedance.rows import Linear, data_rows, prior_rows
 from roomfit.impedance.solve import Minimum, levenberg_marquardt
@@ -226,7 +226,7 @@ def _fit(
     data = data_rows(problem, layout, found.x, correction)
     own = data.jacobian.T @ data.jacobian
     effective = float(np.trace(np.linalg.pinv(found.normal, hermitian=True) @ own))
-    if problem.nuisances.gain == "spectrum":
+    if has_free_spectra(problem.nuisances):
         n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
         effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
     linear = Whitened(data.residual, data.jacobian, found.normal)

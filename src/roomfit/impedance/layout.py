@@ -70,7 +70,8 @@ def layout_of(problem: Problem) -> Layout:
         "source": source_number(scene.pairs),
         "pair": np.arange(len(scene.pairs)),
     }
-    gains = groups.get(nuisances.gain, np.zeros(0, dtype=np.int64))
+    by_pair = nuisances.gain in ("pair", "pair-spectrum")
+    gains = groups.get("pair" if by_pair else nuisances.gain, np.zeros(0, dtype=np.int64))
     delays = groups[nuisances.delay]
     moves = take(len(axes[0])), take(len(axes[1]))
     speed = take(1 if nuisances.speed_sd > 0.0 else 0)

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.geometry.measures import mean_free_path_m
+from roomfit.impedance.model import has_free_spectra
 from roomfit.impedance.observed import standard_deviation
 from roomfit.impedance.problem import Problem
 from roomfit.typing import FloatArray
@@ -40,7 +41,9 @@ def evident_model_error(problem: Problem, fit: Whitened) -> float:
 
     The restricted likelihood [1]_: unknowns of the fit integrated out, so that what they have taken
     from the residual is not missed, times a normal prior of the logarithm. Where noise hides the
-    error, the prior is what remains.
+    error, the prior is what remains. Where a spectrum of each source is free it takes up what the
+    model gets wrong for all pairs alike, so that the residual shows too little: there the error is
+    not taken to be less than the prior's median.
 
     Returns
     -------
@@ -55,8 +58,10 @@ def evident_model_error(problem: Problem, fit: Whitened) -> float:
     """
     if problem.model_error == 0.0:
         return 0.0
-    costs = [_cost(problem, fit, share) for share in _GRID]
-    return float(_GRID[int(np.argmin(costs))]) * problem.model_error
+    hidden = has_free_spectra(problem.nuisances)
+    grid = _GRID[_GRID >= _MEDIAN] if hidden else _GRID
+    costs = [_cost(problem, fit, share) for share in grid]
+    return float(grid[int(np.argmin(costs))]) * problem.model_error
 
 
 def _cost(problem: Problem, fit: Whitened, share: float) -> float:
@@ -77,7 +82,7 @@ def _cost(problem: Problem, fit: Whitened, share: float) -> float:
 
 def _free_share(problem: Problem) -> float:
     """Return the share of the rows that unknown spectra of sources leave."""
-    if problem.nuisances.gain != "spectrum":
+    if not has_free_spectra(problem.nuisances):
         return 1.0
     pairs = problem.model.scene.pairs
     return 1.0 - len(np.unique(pairs[:, 0])) / len(pairs)

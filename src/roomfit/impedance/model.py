@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from roomfit.scene.scene import Scene
 from roomfit.tracing.unfolded import UnfoldedPaths, unfolded_paths
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
-GainMode = Literal["known", "common", "source", "pair", "spectrum"]
+GainMode = Literal["known", "common", "source", "pair", "spectrum", "pair-spectrum"]
+_GAINS = get_args(GainMode)
 DelayMode = Literal["source", "pair"]
 
 # Lengths of paths in units of c tau: what lies beyond the first is 1e-3 of the damped field even
@@ -34,9 +35,10 @@ class Nuisances:
         Of every coordinate for which the scene tells none; 0 takes them as exact.
     speed_sd : float
         Of the speed of sound, relative; 0 takes it as exact.
-    gain : {"known", "common", "source", "pair", "spectrum"}
+    gain : {"known", "common", "source", "pair", "spectrum", "pair-spectrum"}
         known: pressures are absolute. common, source, pair: one unknown complex gain for all, for
-        each source or for each pair. spectrum: one for each source and frequency.
+        each source or for each pair. spectrum: one for each source and frequency; pair-spectrum:
+        that, and one for each pair.
     delay_sd_s : float
         Of the moment of emission; 0 takes it as exact.
     delay : {"source", "pair"}
@@ -63,16 +65,21 @@ class Nuisances:
                 raise InputError(
                     f"{name} is out of range", found=f"{value:g}", needed=f"0 to {high:g}"
                 )
-        if self.gain not in ("known", "common", "source", "pair", "spectrum"):
+        if self.gain not in _GAINS:
             raise InputError(
                 "unknown kind of gain",
                 found=repr(self.gain),
-                needed="known, common, source, pair or spectrum",
+                needed=", ".join(_GAINS),
             )
         if self.delay not in ("source", "pair"):
             raise InputError(
                 "unknown kind of delay", found=repr(self.delay), needed="source or pair"
             )
+
+
+def has_free_spectra(nuisances: Nuisances) -> bool:
+    """Whether each source has an unknown spectrum."""
+    return nuisances.gain in ("spectrum", "pair-spectrum")
 
 
 class State(NamedTuple):

@@ -7,7 +7,7 @@ import numpy as np
 from roomfit.impedance.answer import FoundNuisance
 from roomfit.impedance.fit import ImpedanceFit
 from roomfit.impedance.layout import factor_of
-from roomfit.impedance.model import gradients
+from roomfit.impedance.model import gradients, has_free_spectra
 from roomfit.impedance.rows import data_rows, source_spectra
 from roomfit.typing import ComplexArray, FloatArray
 
@@ -54,7 +54,7 @@ def predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
     problem = fit.problem
     short = gradients(problem.model, fit.r0, fit.state, with_geometry=False).pressure
     predicted = factor_of(problem, fit.layout, fit.x) * (short + fit.correction)
-    if problem.nuisances.gain == "spectrum":
+    if has_free_spectra(problem.nuisances):
         return np.asarray(predicted * source_spectra(problem, predicted))
     return np.asarray(predicted)
 

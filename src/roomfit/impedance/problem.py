@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.checks import read_only
 from roomfit.errors import InputError
 from roomfit.impedance.curves import Curve
-from roomfit.impedance.model import Nuisances, WaveModel
+from roomfit.impedance.model import Nuisances, WaveModel, has_free_spectra
 from roomfit.impedance.observed import MODEL_ERROR, Observed
 from roomfit.typing import FloatArray
 
@@ -55,7 +55,7 @@ class Problem:
                 found=f"{len(self.curves)} curves",
                 needed=f"one for each of {', '.join(scene.room.materials)}",
             )
-        if self.nuisances.gain == "spectrum" and not self.observed.has_phase:
+        if has_free_spectra(self.nuisances) and not self.observed.has_phase:
             raise InputError(
                 "an unknown spectrum of the source needs pressures with phase",
                 found="levels",

@@ -15,7 +15,7 @@ from roomfit.impedance.layout import (
     source_number,
     state_of,
 )
-from roomfit.impedance.model import Gradients, gradients
+from roomfit.impedance.model import Gradients, gradients, has_free_spectra
 from roomfit.impedance.problem import Problem
 from roomfit.typing import ComplexArray, FloatArray
 
@@ -65,7 +65,7 @@ def whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) -> 
         return Linear(rows.ravel(), -(weight[:, :, None] * by).reshape(rows.size, -1))
     missing = weight * observed.pressure
     model, turned = weight * predicted, weight[:, :, None] * slope
-    if problem.nuisances.gain == "spectrum":
+    if has_free_spectra(problem.nuisances):
         missing, turned = _without_spectra(problem, missing, model, turned)
     else:
         missing = missing - model

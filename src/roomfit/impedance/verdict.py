@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit.impedance.fit import ImpedanceFit, reduced_chi2
 from roomfit.impedance.intervals import MaterialAnswer
-from roomfit.impedance.model import Nuisances
+from roomfit.impedance.model import Nuisances, has_free_spectra
 from roomfit.impedance.problem import Problem
 from roomfit.typing import FloatArray
 
@@ -23,6 +23,8 @@ CHI2_LIMIT = 1.6
 OCTAVE_CHI2_LIMIT = 2.5
 # Share of frequencies at which a material must be identified.
 ENOUGH_FREQUENCIES = 0.8
+# A cause that frees very many numbers must lower the squares to this share of them.
+_FAR_BETTER = 0.2
 # Noise estimated from what a fit leaves: above this share of the level it does not fit.
 LOUDEST_ESTIMATED_NOISE = 0.15
 
@@ -101,10 +103,27 @@ def likely_cause(fit: ImpedanceFit, again: Callable[[Problem], ImpedanceFit]) ->
         after = reduced_chi2(other)
         if fits(other) or after < 0.1 * before:
             return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
+    if not has_free_spectra(told) and _spectra_can_be_told(fit.problem):
+        spectra = replace(
+            _free_geometry(told), gain="pair-spectrum" if told.gain == "pair" else "spectrum"
+        )
+        after = reduced_chi2(again(replace(fit.problem, nuisances=spectra)))
+        # so many free numbers make any fit better
+        if after < _FAR_BETTER * before:
+            return (
+                "sources whose spectra are not flat or not the ones told: the residual falls from "
+                f"{before:.1f} to {after:.1f} with them free"
+            )
     return (
         "walls that do not react locally (thick soft layers), patches, scattering, or another "
         "room than was described: neither positions nor gains explain it"
     )
+
+
+def _spectra_can_be_told(problem: Problem) -> bool:
+    """Whether each source has been heard at two places and more, phases and all."""
+    counts = np.unique(problem.model.scene.pairs[:, 0], return_counts=True)[1]
+    return problem.observed.has_phase and bool(counts.min() >= 2)
 
 
 def _free_geometry(told: Nuisances) -> Nuisances:

@@ -24,6 +24,12 @@ UNTOLD_SD_M = 0.01
 UNTOLD_SPEED_SD = 0.01
 _KELVIN = 293.15
 
+# A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
+_RESPONSE_GAINS: dict[str, GainMode] = {
+    "per-source": "spectrum",
+    "per-file": "pair-spectrum",
+    "absolute": "known",
+}
 _GAINS: dict[str | None, GainMode] = {
     "per-source": "spectrum",
     "per-file": "pair",
@@ -171,7 +177,7 @@ def _nuisances(
     own = any(m.response.time_zero == "direct" for m in files)
     delays = [_latency_sd_s(m) for m in files]
     # a spectrum for each source and frequency holds any delay of the source
-    known = gain == "spectrum" and not own
+    known = gain in ("spectrum", "pair-spectrum") and not own
     return Nuisances(
         position_sd_m=0.0 if told.positions == "fixed" else UNTOLD_SD_M,
         speed_sd=speed_sd,
@@ -192,7 +198,7 @@ def _gain(
 ) -> GainMode:
     if campaign.impedance.gain != "auto":
         return campaign.impedance.gain
-    modes = {_GAINS[m.level] for m in files} | {_GAINS[s.level] for s in spectra}
+    modes = {_RESPONSE_GAINS[m.level] for m in files} | {_GAINS[s.level] for s in spectra}
     if len(modes) > 1:
         raise InputError(
             "measurements with levels of several kinds",

@@ -154,7 +154,7 @@ class ImpedanceTable(Table):
     to_hz: float = Field(default=1000.0, gt=0.0)
     step_hz: float = Field(default=10.0, gt=0.0)
     tau_s: float = Field(default=0.015, gt=0.0, le=1.0)
-    gain: Literal["auto", "known", "common", "source", "pair", "spectrum"] = "auto"
+    gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
     positions: Literal["fit", "fixed"] = "fit"
     speed_of_sound: Literal["fit", "fixed"] = "fit"
     random_starts: int = Field(default=3, ge=0, le=100)

@@ -1,0 +1,85 @@
+"""What `roomfit impedance` says of measured rooms: `python benchmarks/impedance_measured.py DATA`.
+
+DATA as of `measured_rooms.py`. Nobody knows the impedances of these walls; what is shown is the
+verdict, how much of the pressure is explained, and what a null model without reflections (direct
+sound alone, with the same free spectrum of the source) and one with rigid walls leave.
+"""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from itertools import product
+from pathlib import Path
+
+import numpy as np
+
+from measured_rooms import dechorate_campaign
+from roomfit.app.impedance.campaign import identify_campaign_impedance
+from roomfit.app.impedance.observing import campaign_pressures
+from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.rooms.read import read_room
+from roomfit.impedance.identify import wave_problem
+from roomfit.impedance.model import at_rest, predicted_pressure
+from roomfit.impedance.rows import source_spectra
+
+BANDS_HZ = ((100, 400), (200, 800))
+
+
+def left_over(campaign_file: Path, r0: float) -> float:
+    """Share of the squared pressure that walls of one R0 leave, source spectra fitted."""
+    campaign = read_campaign(campaign_file)
+    room, _ = read_room(campaign.room)
+    told = campaign_pressures(campaign, room)
+    problem = wave_problem(told.scene, told.observed, None, told.nuisances)
+    walls = np.full((len(room.materials), len(told.observed.frequency_hz)), r0, dtype=complex)
+    p = predicted_pressure(problem.model, walls, at_rest(problem.model), spherical=False)
+    # each pair by itself, which is more freedom than the fit has
+    gain = source_spectra(problem, p)
+    off = told.observed.pressure - gain * p
+    return float(np.sum(np.abs(off) ** 2) / np.sum(np.abs(told.observed.pressure) ** 2))
+
+
+def show(name: str, text: str) -> None:
+    with tempfile.TemporaryDirectory() as folder:
+        file = Path(folder) / "campaign.toml"
+        file.write_text(text)
+        answer = identify_campaign_impedance(read_campaign(file))
+        rigid = left_over(file, 0.999)
+        soft = left_over(file, 0.0)
+    whole = np.sum(np.abs(answer.measured) ** 2)
+    share = np.sum(np.abs(answer.measured - answer.predicted) ** 2) / whole
+    expected = np.sum(answer.expected_rms**2) / whole
+    print(f"{name}: {answer.verdict.word}; {answer.verdict.sentence}")
+    print(
+        f"   left of the squared pressure: {100 * share:.1f} %; rigid walls {100 * rigid:.0f} %, "
+        f"no walls {100 * soft:.0f} %; expected {100 * expected:.2f} %; "
+        f"{answer.agreeing_starts} of {answer.n_starts} starts agree, "
+        f"{answer.seconds:.0f} s"
+    )
+    for m in answer.materials:
+        alpha = m.absorption_normal
+        print(
+            f"   {m.name}: absorption {alpha.min():.2f} to {alpha.max():.2f}, identified at "
+            f"{100 * np.mean(m.identified):.0f} % of frequencies"
+        )
+    for finding in answer.findings:
+        print(f"   {finding.severity} {finding.code}")
+    sys.stdout.flush()
+
+
+def main() -> None:
+    data = Path(sys.argv[1])
+    three = dechorate_campaign(data / "dechorate", ())
+    own = three
+    for wall in ("west", "east", "south", "north"):
+        own = own.replace(f'{wall} = "walls"', f'{wall} = "{wall}"')
+    for (low, high), (name, text) in product(
+        BANDS_HZ, (("three materials", three), ("six walls", own))
+    ):
+        ending = f"[impedance]\nfrom_hz = {low}\nto_hz = {high}\ntau_s = 0.012\nrandom_starts = 2\n"
+        show(f"dEchorate, six microphones, {name}, {low} to {high} Hz", text + ending)
+
+
+if __name__ == "__main__":
+    main()
