@@ -14,6 +14,7 @@ import roomfit
 from roomfit.app import fitting
 from roomfit.app.certifying import (
     CertifyLimits,
+    affordable_certificate,
     certificate_findings,
     certified_fit,
     tracing_delta,
@@ -27,6 +28,7 @@ from roomfit.identification.reweighted import fit_band
 from roomfit.identification.solvers import gauss_newton
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
+from roomfit.objective.problem import JointProblem
 from roomfit.report.answer_text import certificate_text
 from small_campaign import write_campaign
 
@@ -126,6 +128,34 @@ def test_a_certificate_stands_in_the_result_file(
         assert set(cluster) == {"band_hz", "lower", "upper", "minimiser", "value", "unique"}
         assert len(cluster["minimiser"]) == len(band["unknowns"])
         assert np.all(np.array(cluster["lower"]) <= np.array(cluster["upper"]))
+
+
+def test_auto_proves_what_is_affordable(tmp_path: Path) -> None:
+    """Two materials and a gain: energies are certified, and the answer's distance is told."""
+    changes = (("to_hz = 1000", 'to_hz = 500\nmodel = "energy"'), *CHANGES[1:])
+    path = write_campaign(tmp_path / "in", *changes)
+    answer = roomfit.identify(roomfit.read_campaign(path))
+    assert answer.method == "least-squares"
+    roomfit.write_result(tmp_path, answer, (path,))
+    proof = json.loads((tmp_path / "result.json").read_text())["fit"]["certified"]
+    assert proof["status"] == "certified"
+    assert "energies" in proof["objective"]
+    (band,) = proof["bands"]
+    assert band["delta"] >= 0.25
+    best = np.array(proof["clusters"][0]["minimiser"][:2])
+    assert band["distance"] == pytest.approx(np.max(np.abs(best - answer.absorption[:2, 0])))
+    assert band["distance"] < 0.2 * np.max((answer.upper95 - answer.lower95)[:2])
+
+
+def test_nobody_waits_for_a_proof_of_many_unknowns(
+    certified: tuple[roomfit.Answer, list[Any]],
+) -> None:
+    """More unknowns than three, or another kind of data: no proof, and no search."""
+    (problem,) = certified[1]
+    fit = fit_band(problem, gauss_newton, gauss_newton)
+    assert affordable_certificate(problem, fit.vector) is not None
+    assert affordable_certificate(problem, np.zeros(4)) is None
+    assert affordable_certificate(JointProblem((problem,)), fit.vector) is None
 
 
 def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Path) -> None:

@@ -12,7 +12,11 @@ from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
 from roomfit.identification.certified.certificate import Certificate, certify
-from roomfit.identification.certified.questions import energy_question, free_vector
+from roomfit.identification.certified.questions import (
+    energy_question,
+    free_vector,
+    is_certifiable,
+)
 from roomfit.identification.certified.search import SearchSettings
 from roomfit.identification.least_squares import ResidualFunction
 from roomfit.identification.reweighted import BandFit, fit_band
@@ -45,6 +49,13 @@ class CertifyLimits:
     max_boxes: int = 200_000
     max_seconds: float = 60.0
     max_rows: int = 400_000
+
+
+# What a proof that nobody asked for may cost. With more unknowns it took a minute.
+AFFORDABLE = CertifyLimits(max_boxes=3_000, max_seconds=2.0, max_rows=60_000)
+_AFFORDABLE_UNKNOWNS = 3
+# Half of what one standard deviation costs: finer proofs take many times as many boxes.
+_AFFORDABLE_DELTA = 0.25
 
 
 def check_certifiable(campaign: Campaign) -> None:
@@ -109,12 +120,7 @@ def certified_fit(
                 needed=f"at most {limits.max_rows}",
                 hint='fewer materials, fewer pairs, or method = "least-squares"',
             )
-        settings = SearchSettings(
-            tracing_delta(problem, fit.vector, question.precision),
-            width=_WIDTH,
-            max_boxes=limits.max_boxes,
-            max_seconds=limits.max_seconds,
-        )
+        settings = _settings(limits, tracing_delta(problem, fit.vector, question.precision))
         certificate = certify(question, settings)
         if progress is not None:
             progress((number + 1) / _ROUNDS)
@@ -123,6 +129,35 @@ def certified_fit(
         place = free_vector(problem, certificate.clusters[0].minimiser)
         fit = fit_band(problem, _staying_at(place), gauss_newton)
     return fit, certificate
+
+
+def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+    """Return what is proven of a band's energies near a fit, where that takes a moment.
+
+    None where other data are fitted, more than three numbers are unknown, there are too many rows,
+    or the search is not complete after two seconds.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    vector : float array, shape (n_free,)
+        The fit; its weights are held.
+    """
+    few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
+    if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
+        return None
+    question = energy_question(problem, vector)
+    if len(question.weight) > AFFORDABLE.max_rows:
+        return None
+    delta = max(tracing_delta(problem, vector, question.precision), _AFFORDABLE_DELTA)
+    certificate = certify(question, _settings(AFFORDABLE, delta))
+    return certificate if certificate.status == "certified" else None
+
+
+def _settings(limits: CertifyLimits, delta: float) -> SearchSettings:
+    return SearchSettings(
+        delta, width=_WIDTH, max_boxes=limits.max_boxes, max_seconds=limits.max_seconds
+    )
 
 
 def _staying_at(place: FloatArray) -> Solver:

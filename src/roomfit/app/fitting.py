@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit.app.certifying import certified_fit
+from roomfit.app.certifying import affordable_certificate, certified_fit
 from roomfit.app.progress import part
 from roomfit.bands import Bands
 from roomfit.findings import Finding
@@ -89,8 +89,9 @@ def fit_bands(
     problems : iterable of BandProblem or None
         Taken one at a time, so that they may be made when they are needed.
     method : {"auto", "least-squares", "simplex", "annealing", "certified"}
-        "auto" is least squares. The paper's two methods search with the same squares; after
-        annealing's first round the simplex refines. "certified" is least squares with a proof.
+        "auto" is least squares, with a proof where one is affordable. The paper's two methods
+        search with the same squares; after annealing's first round the simplex refines.
+        "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
     """
@@ -111,7 +112,10 @@ def fit_bands(
         if watch is not None:
             watch(band, problem, fit)
         model = "energy" if problem.are_energies().any() else "values"
-        answers.append(band_answer(problem.parameters, fit, areas_m2, model))
+        own = band_answer(problem.parameters, fit, areas_m2, model)
+        if method == "auto":
+            own = replace(own, certificate=affordable_certificate(problem, fit.vector))
+        answers.append(own)
     return tuple(answers)
 
 

@@ -240,12 +240,8 @@ def _answer(
         scattering=traced.scattering,
         geometry=solved.geometry,
         directivities=fitted_directivities(solved.directivities),
-        certificates=tuple(b.certificate for b in found) if _asks_for_proof(campaign) else (),
+        certificates=tuple(b.certificate for b in found),
     )
-
-
-def _asks_for_proof(campaign: Campaign) -> bool:
-    return campaign.method == "certified"
 
 
 def _model_of(models: tuple[str, ...]) -> str:

@@ -17,7 +17,12 @@ from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.identification.certified.certificate import Certificate
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.answer import Answer, ComparedPair, FittedGeometry
+from roomfit.uncertainty.answer import (
+    Answer,
+    ComparedPair,
+    FittedGeometry,
+    certificate_distance,
+)
 from roomfit.uncertainty.posterior import logit
 
 
@@ -102,9 +107,11 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
 def _certified(answer: Answer) -> dict[str, Any] | None:
     """What was proven of the cost of energies, their weights held: bands add up."""
     proven = [
-        (float(centre), certificate_content(certificate))
-        for centre, certificate in zip(answer.bands.centres_hz, answer.certificates, strict=False)
-        if certificate is not None
+        (float(centre), certificate_content(proof) | {"distance": certificate_distance(answer, j)})
+        for j, (centre, proof) in enumerate(
+            zip(answer.bands.centres_hz, answer.certificates, strict=False)
+        )
+        if proof is not None
     ]
     if not proven:
         return None
@@ -112,6 +119,7 @@ def _certified(answer: Answer) -> dict[str, Any] | None:
     statuses = {content["status"] for _, content in proven}
     return {
         "status": next(s for s in ("stopped", "unresolved", "certified") if s in statuses),
+        "objective": "energies of the windows, weights held",
         **{name: sum(content[name] for _, content in proven) for name in sums},
         "clusters": [
             {"band_hz": centre, **cluster}

@@ -198,3 +198,23 @@ class Answer:
     certificates: tuple[Certificate | None, ...] = ()
     sentences: tuple[str, ...] = ()
     shares: FloatArray | None = None
+
+
+def certificate_distance(answer: Answer, band: int) -> float:
+    """Return the largest difference of any absorption from the certified minimiser's.
+
+    An answer from pressures is not the minimiser of energies: this is how far apart they are.
+
+    Parameters
+    ----------
+    band : int
+        One with a certificate.
+    """
+    proof = answer.certificates[band]
+    assert proof is not None  # noqa: S101 - the caller's promise
+    best = dict(zip(proof.coordinates, proof.clusters[0].minimiser, strict=True))
+    return max(
+        abs(float(best[name]) - float(answer.absorption[i, band]))
+        for i, name in enumerate(answer.materials)
+        if name in best
+    )

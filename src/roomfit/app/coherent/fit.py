@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.app.binning import BinnedPaths
+from roomfit.app.certifying import affordable_certificate
 from roomfit.app.coherent.answers import (
     nothing_identifiable,
     widened_by_neighbours,
@@ -229,9 +230,21 @@ def _answers(
             *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start)
         )
         energy = energy_answers(task, paths, coarse, prepared, areas)
-    return tuple(
+    decided = [
         _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
-    )
+    ]
+    if task.settings.model != "auto":
+        return tuple(decided)
+    return tuple(_certified(*each) for each in zip(decided, prepared, strict=True))
+
+
+def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnswer | None:
+    """Return an answer with what is proven of its energies alone, where that is affordable."""
+    # a proof would be of other costs where data are softened, or joined by other kinds
+    if answer is None or band is None or band.parts or np.any(band.factor != 1.0):
+        return answer
+    proof = affordable_certificate(band.energies, band.energy_fit.vector)
+    return replace(answer, certificate=proof)
 
 
 def _moved(

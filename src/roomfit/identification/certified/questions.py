@@ -61,6 +61,14 @@ def squares_question(
     )
 
 
+def is_certifiable(problem: EnergyProblem) -> bool:
+    """Whether `energy_question` accepts a problem: nothing unknown but absorption and gains."""
+    parameters = problem.parameters
+    names = {b.name for b in parameters.blocks}
+    alone = names == {"absorption", "gain"} and parameters.joint is None
+    return alone and problem.attenuation_per_m == 0.0
+
+
 def energy_question(problem: EnergyProblem, vector: FloatArray) -> Question:
     """Return half the weighted squares of a band's window energies, and half those of its priors.
 

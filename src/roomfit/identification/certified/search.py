@@ -44,6 +44,7 @@ class SearchSettings:
         the lowest misfit.
     max_boxes : int
     max_seconds : float
+        Of the processor: what other programs take does not count.
     """
 
     delta: float
@@ -109,9 +110,9 @@ def search(
     queue.add(np.stack((question.least, question.most))[None], -math.inf)
     # the first box may have to wait for kernels to be compiled: no part of the search
     examined = _work_on(tools, queue, kept, lowest, settings)
-    began = time.perf_counter()
+    began, worked = time.perf_counter(), time.thread_time()
     while queue.n and examined < settings.max_boxes:
-        if time.perf_counter() - began > settings.max_seconds:
+        if time.thread_time() - worked > settings.max_seconds:
             break
         try:
             examined += _work_on(tools, queue, kept, lowest, settings)

@@ -18,6 +18,7 @@ from roomfit.report.html.absorption_tables import (
     fit_tables,
     share_tables,
 )
+from roomfit.report.html.certificate_tables import certificate_tables
 from roomfit.report.html.decay_picture import decay_plot
 from roomfit.report.html.error_tables import error_tables
 from roomfit.report.html.pair_tables import overview_table, pair_sections
@@ -77,7 +78,7 @@ def report_html(
         positions=position_table(scene),
         absorption=absorption,
         absorption_tables=absorption_tables(answer),
-        fit_tables=(*fit_tables(answer), *source_tables(answer)),
+        fit_tables=(*fit_tables(answer), *source_tables(answer), *certificate_tables(answer)),
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),
         told=told_in_words(answer),
         error_tables=error_tables(answer),
