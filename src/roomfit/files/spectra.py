@@ -11,6 +11,7 @@ import numpy as np
 
 from roomfit.checks import float_array, read_only
 from roomfit.errors import InputError, StoreError
+from roomfit.impedance.observed import first_fall
 from roomfit.typing import ComplexArray, FloatArray
 
 
@@ -71,7 +72,12 @@ def read_spectrum(path: Path) -> DampedSpectrum:
             )
     f = float_array(f"f of {path.name}", arrays["f"], (None,), low=1.0, high=1e5, unit="Hz")
     if len(f) == 0 or (np.diff(f) <= 0.0).any():
-        raise InputError("frequencies are out of order", where=where, needed="rising ones")
+        raise InputError(
+            "frequencies are out of order",
+            where=where,
+            found=first_fall(f) if len(f) else "none of them",
+            needed="each above the one before, at least one",
+        )
     if np.size(arrays["tau"]) != 1:
         raise InputError("tau is not one number", where=where, found=f"{np.shape(arrays['tau'])}")
     tau = float_array("tau", np.reshape(arrays["tau"], ()), (), low=1e-4, high=10.0, unit="s")
@@ -121,12 +127,21 @@ def _pressure(arrays: dict[str, Any], n: int, where: str) -> ComplexArray:
             found=f"p of type {values.dtype}",
             needed="complex numbers, or magnitude in place of p",
         )
-    if values.shape != (n,) or not np.isfinite(values).all() or not values.any():
+    if values.shape != (n,):
         raise InputError(
             f"{name} and f disagree",
             where=where,
             found=f"{name} of shape {values.shape}, f of shape ({n},)",
-            needed="one finite number a frequency, not all 0",
+            needed="one number a frequency",
+        )
+    if not np.isfinite(values).all():
+        at = int(np.flatnonzero(~np.isfinite(values))[0])
+        raise InputError(
+            f"{name} is not finite everywhere", where=where, found=f"{values[at]} at index {at}"
+        )
+    if not values.any():
+        raise InputError(
+            f"{name} is 0 everywhere", where=where, needed="what was measured, not silence"
         )
     return read_only(np.array(values, dtype=np.complex128))
 

@@ -16,7 +16,7 @@ from roomfit.impedance.enough import data_findings
 from roomfit.impedance.fit import ImpedanceFit, reduced_chi2, refined, relaxed
 from roomfit.impedance.judged import answer_without_fit, judged_answer
 from roomfit.impedance.layout import start_of
-from roomfit.impedance.model import Nuisances, WaveModel, wave_model
+from roomfit.impedance.model import Nuisances, WaveModel, model_without_paths, wave_model
 from roomfit.impedance.noise import estimated_noise
 from roomfit.impedance.observed import (
     MODEL_ERROR,
@@ -84,12 +84,12 @@ def identify_impedance(
     """
     began = time.perf_counter()
     told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
-    problem = wave_problem(
-        scene, observed, walls, nuisances, spherical=spherical, model_error=model_error
-    )
+    bare = model_without_paths(scene, observed.frequency_hz, observed.tau_s)
+    problem = _problem(bare, observed, walls, nuisances, spherical, model_error)
     findings = data_findings(problem, told)
     if findings:
         return answer_without_fit(problem, findings, time.perf_counter() - began)
+    problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
     starts = looked_around(problem, n_random_starts, rng, _part(progress, 0.0, 0.3))
     fit = refined(problem, starts[0].x, progress=_part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
@@ -133,11 +133,23 @@ def wave_problem(
     InputError
         Data, walls and scene do not belong together.
     """
+    model = wave_model(scene, observed.frequency_hz, observed.tau_s)
+    return _problem(model, observed, walls, nuisances, spherical, model_error)
+
+
+def _problem(
+    model: WaveModel,
+    observed: Observed,
+    walls: Mapping[str, WallModel] | None,
+    nuisances: Nuisances | None,
+    spherical: bool,
+    model_error: float | None,
+) -> Problem:
+    scene = model.scene
     told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
     _check_names(scene, walls or {})
     usual = MODEL_ERROR if spherical else PLANE_MODEL_ERROR
     factor = usual if model_error is None else model_error
-    model = wave_model(scene, observed.frequency_hz, observed.tau_s)
     sd = _deviation(model, observed, factor)
     curves = tuple(first_curves(told, observed.frequency_hz))
     return Problem(model, observed, sd, curves, nuisances or Nuisances(), spherical, factor)

@@ -133,17 +133,23 @@ def wave_model(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveMode
         As of `roomfit.tracing.unfolded.unfolded_paths`, or more paths than minutes suffice for.
     """
     check_cost(scene, len(frequency_hz), tau_s, _WHOLE)
-    speed = speed_of_sound_m_s(scene.air)
-    whole = unfolded_paths(scene, _WHOLE * speed * tau_s)
-    return WaveModel(
-        scene,
-        np.asarray(frequency_hz, dtype=np.float64),
-        float(tau_s),
-        speed,
-        pressure_decay_per_m(scene.air, np.asarray(frequency_hz)),
-        whole,
-        shortened(whole, _SHORT * speed * tau_s),
+    bare = model_without_paths(scene, frequency_hz, tau_s)
+    whole = unfolded_paths(scene, _WHOLE * bare.speed_m_s * tau_s)
+    short = shortened(whole, _SHORT * bare.speed_m_s * tau_s)
+    return replace(bare, whole=whole, short=short)
+
+
+def model_without_paths(scene: Scene, frequency_hz: FloatArray, tau_s: float) -> WaveModel:
+    """Return a model of no paths at all: enough to ask whether the data can hold the unknowns."""
+    nothing = np.zeros(0, dtype=np.int64)
+    vectors = np.zeros((0, 3))
+    pairs = np.zeros(len(scene.pairs) + 1, dtype=np.int64)
+    paths = UnfoldedPaths(
+        pairs, vectors, np.zeros((0, 3, 3)), np.zeros(1, np.int64), nothing, vectors, nothing
     )
+    f = np.asarray(frequency_hz, dtype=np.float64)
+    speed, air = speed_of_sound_m_s(scene.air), pressure_decay_per_m(scene.air, f)
+    return WaveModel(scene, f, float(tau_s), speed, air, paths, paths)
 
 
 def at_frequencies(model: WaveModel, chosen: IntArray) -> WaveModel:

@@ -48,7 +48,7 @@ class Observed:
         if len(f) == 0 or (np.diff(f) <= 0.0).any():
             raise InputError(
                 "frequencies are out of order",
-                found=f"{len(f)} of them" if len(f) == 0 else _first_fall(f),
+                found=f"{len(f)} of them" if len(f) == 0 else first_fall(f),
                 needed="each above the one before, at least one",
             )
         if not 1e-4 <= self.tau_s <= 10.0:
@@ -116,6 +116,7 @@ def standard_deviation(
     return np.asarray(np.sqrt(model**2 + np.square(noise)))
 
 
-def _first_fall(f: FloatArray) -> str:
+def first_fall(f: FloatArray) -> str:
+    """Return in words where frequencies first do not rise."""
     at = int(np.flatnonzero(np.diff(f) <= 0.0)[0])
     return f"{f[at + 1]:g} Hz after {f[at]:g} Hz at index {at + 1}"
