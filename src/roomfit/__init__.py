@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+    from roomfit.app.calibrating.calibrate import CalibrationResult, calibrate
+    from roomfit.app.calibrating.settings import CalibrationSettings
     from roomfit.app.changes import Change, read_change
     from roomfit.app.check import check_room
     from roomfit.app.exporting import export_result
@@ -65,6 +67,9 @@ _HOME = {
     "Air": "air",
     "attenuation_per_m": "air",
     "speed_of_sound_m_s": "air",
+    "calibrate": "app.calibrating.calibrate",
+    "CalibrationResult": "app.calibrating.calibrate",
+    "CalibrationSettings": "app.calibrating.settings",
     "read_change": "app.changes",
     "Change": "app.changes",
     "check_room": "app.check",

@@ -31,6 +31,8 @@ from roomfit.uncertainty.gaussian import (
     weighted_mean_interval,
 )
 
+_FEWEST_BANDS, _LARGEST_MEDIAN_PHI = 3, 1.5
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandAnswer:
@@ -220,6 +222,37 @@ def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, 
             )
         )
     return tuple(findings)
+
+
+def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+    """Return a finding where most bands are explained worse than their noise allows.
+
+    One band that fits badly may have its own reason. Where the median over the bands is high, a
+    fault is in what all of them share, the description of the room, and a band whose phi happens
+    to be low is not to be trusted either. In simulated rooms described as they are the median was
+    0.3 to 0.8, with a curtain or an open door forgotten 2.0, with loudspeakers of one direction
+    taken for omnidirectional 1.2 to 1.6.
+
+    Parameters
+    ----------
+    answers : sequence of BandAnswer, one a band
+        Those of which nothing was heard are left out.
+    """
+    heard = [a.phi for a in answers if a.model in ("coherent", "energy")]
+    if len(heard) < _FEWEST_BANDS or not np.median(heard) > _LARGEST_MEDIAN_PHI:
+        return ()
+    median = float(np.median(heard))
+    return (
+        Finding(
+            "description-doubtful",
+            "serious",
+            f"In most bands the model does not explain the measurement within its noise (median "
+            f"phi {median:.1f}): something in the description of the room is not so, as a "
+            "material, an opening, scattering, a source or a place. Intervals are too narrow, and "
+            "nothing is called identifiable.",
+            {"median_phi": median},
+        ),
+    )
 
 
 def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> tuple[Finding, ...]:

@@ -13,7 +13,12 @@ from roomfit.app.certifying import certificate_findings, check_certifiable
 from roomfit.app.combinations import determined, inseparable_findings
 from roomfit.app.comparing import compare_all
 from roomfit.app.directing.bands import fitted_directivities
-from roomfit.app.fitting import BandAnswer, fit_findings, schroeder_findings
+from roomfit.app.fitting import (
+    BandAnswer,
+    description_findings,
+    fit_findings,
+    schroeder_findings,
+)
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
 from roomfit.app.mirrors import mirror_findings
 from roomfit.app.problems import (
@@ -47,6 +52,8 @@ from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.posterior import plain_logit_covariance
 
 INTERVAL_KIND = "Gaussian, local"
+# Something about the room is not as told: what is found of any wall makes up for it.
+_NOTHING_IDENTIFIABLE = ("outline-disagrees", "description-doubtful")
 # The report shows the decays of all pairs; as files of their own they would take minutes.
 MOST_DECAY_PICTURES = 12
 # What an earlier run may have left in a folder that is written over.
@@ -168,6 +175,7 @@ def identify(
         *untold_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
         *solved.findings,
         *fit_findings(campaign.bands, answers),
+        *description_findings(answers),
         *certificate_findings(campaign.bands, [a.certificate for a in answers]),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
@@ -189,8 +197,7 @@ def _answer(
     scene, found = gathered.scene, solved.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
-    if any(f.code == "outline-disagrees" for f in findings):
-        # a wall stands elsewhere: what is told of any wall makes up for it
+    if any(f.code in _NOTHING_IDENTIFIABLE for f in findings):
         identifiable &= np.array([[k.known is not None] for k in knowledge])
     lower, upper = (
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 import roomfit
+from roomfit.cli.calibrate import calibrate
 from roomfit.cli.catalogue import catalogue
 from roomfit.cli.check import check
 from roomfit.cli.demo import demo
@@ -41,6 +42,7 @@ def options(
     """Absorption of a real room's walls from impulse responses measured in it."""
 
 
+app.command()(calibrate)
 app.command()(catalogue)
 app.command()(check)
 app.command()(demo)

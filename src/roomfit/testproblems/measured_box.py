@@ -14,6 +14,7 @@ import numpy as np
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.files.store import write_text_atomically
+from roomfit.testproblems.patched_box import Patch, patched_response
 from roomfit.testproblems.pressure_box import WALLS, BoxTruth, add_noise, pressure_response
 from roomfit.typing import FloatArray, Progress
 
@@ -118,6 +119,7 @@ def write_measured_box(
     *,
     position_error_m: float = 0.01,
     noise_db: float = -60.0,
+    patch: Patch | None = None,
     progress: Progress | None = None,
 ) -> MeasuredBox:
     """Simulate measured responses of every pair in a box and write them as a campaign.
@@ -133,6 +135,8 @@ def write_measured_box(
         Standard deviation of each true coordinate about the one told.
     noise_db : float
         Level of the noise relative to the peak of each response.
+    patch : Patch, optional
+        On one of the walls, in the plan's octaves; the campaign does not tell of it.
     """
     import soundfile
 
@@ -152,8 +156,11 @@ def write_measured_box(
     levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in plan.sources_m}
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
     for number, (s, r) in enumerate(pairs):
-        pressure = pressure_response(
-            truth, true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s]
+        ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
+        pressure = (
+            pressure_response(truth, *ends)
+            if patch is None
+            else patched_response(truth, patch, *ends)
         )
         soundfile.write(
             folder / f"{s}_{r}.wav",

@@ -19,6 +19,7 @@ WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 # Images are laid on a grid so many times finer than the samples and brought down by the Fourier
 # transform: at 16 times and 16 kHz, half a step is 2 microseconds, 0.05 rad at 4 kHz.
 _OVERSAMPLING = 16
+_NOTHING = 1e-30  # of energy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,7 +31,8 @@ class BoxTruth:
     lengths_m : tuple of three floats
         In x, y, z; one corner at the origin.
     centres_hz : float array, shape (n_bands,)
-        Octave centres, rising; absorption holds at a centre and changes smoothly in between.
+        Centres of adjacent octaves or third octaves, rising; absorption holds at a centre and
+        changes smoothly in between.
     absorption : float array, shape (6, n_bands)
         Energy absorption of west, east, south, north, floor, ceiling.
     attenuation_per_m : float array, shape (n_bands,)
@@ -131,9 +133,10 @@ def pressure_of_images(
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
     for band, share in enumerate(octave_shares(truth.centres_hz, frequencies)):
-        reflected = np.prod(np.sqrt(1.0 - truth.absorption[:, band]) ** hits, axis=1)
-        air = np.exp(-0.5 * truth.attenuation_per_m[band] * lengths)
-        amplitude = factor * reflected * air / (4.0 * np.pi * lengths)
+        # a wall of absorption 1 still lets a path pass that never strikes it: 0 times log 0 is 0
+        left = np.log(np.maximum(1.0 - truth.absorption[:, band], _NOTHING))
+        lost = hits @ left - truth.attenuation_per_m[band] * lengths
+        amplitude = factor * np.exp(0.5 * lost) / (4.0 * np.pi * lengths)
         train = np.bincount(index, amplitude, n_fine)
         spectrum += share * np.fft.rfft(train)[: frequencies.size]
     spectrum *= loudspeaker(truth.centres_hz, level_db, frequencies)
@@ -149,7 +152,7 @@ def box_images(
     J. Acoust. Soc. Am. 65, 943-950 (1979): along each axis the images lie at 2 n L + s with |n|
     hits on either wall, and at 2 n L - s with |n - 1| on the wall at 0 and |n| on the other.
     """
-    steps, hits, _ = _box_lattice(truth, source_m, receiver_m, duration_s)
+    steps, hits, _ = box_lattice(truth, source_m, receiver_m, duration_s)
     return np.asarray(np.linalg.norm(steps, axis=0)), hits
 
 
@@ -160,15 +163,18 @@ def box_departures(
 
     From image to receiver, mirrored along the axes along which the image is.
     """
-    steps, _, mirrored = _box_lattice(truth, source_m, receiver_m, duration_s)
+    steps, _, mirrored = box_lattice(truth, source_m, receiver_m, duration_s)
     away = -steps / np.linalg.norm(steps, axis=0)
     return np.asarray(np.where(mirrored, -away, away).T)
 
 
-def _box_lattice(
+def box_lattice(
     truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return steps to all images in time (3, n), their hits (n, 6), and where mirrored (3, n)."""
+    """Return steps from receiver to all images in time (3, n), hits (n, 6), where mirrored (3, n).
+
+    Hits count west, east, south, north, floor, ceiling.
+    """
     reach_m = truth.speed_of_sound_m_s * duration_s
     offsets, low_hits, high_hits, turned = [], [], [], []
     for length, s, r in zip(truth.lengths_m, source_m, receiver_m, strict=True):
@@ -177,15 +183,13 @@ def _box_lattice(
         low_hits.append(np.concatenate((np.abs(n), np.abs(n - 1))))
         high_hits.append(np.concatenate((np.abs(n), np.abs(n))))
         turned.append(np.repeat([False, True], n.size))
-    grid = np.meshgrid(*(np.arange(o.size) for o in offsets), indexing="ij")
-    chosen = [g.ravel() for g in grid]
+    squares = [o**2 for o in offsets]
+    whole = squares[0][:, None, None] + squares[1][:, None] + squares[2]
+    chosen = np.nonzero(whole < (reach_m * (1.0 - 1e-9)) ** 2)
     steps = np.stack([offsets[axis][chosen[axis]] for axis in range(3)])
-    lengths = np.linalg.norm(steps, axis=0)
-    near = lengths < reach_m * (1.0 - 1e-9)
-    chosen = [c[near] for c in chosen]
     hits = [h[chosen[axis]] for axis in range(3) for h in (low_hits[axis], high_hits[axis])]
     mirrored = np.stack([turned[axis][chosen[axis]] for axis in range(3)])
-    return steps[:, near], np.stack(hits, axis=1), mirrored
+    return steps, np.stack(hits, axis=1), mirrored
 
 
 def add_noise(pressure: FloatArray, level_db: float, rng: np.random.Generator) -> FloatArray:
@@ -202,8 +206,8 @@ def loudspeaker(
     Its phase is the Hilbert transform of its log magnitude, by folding the cepstrum.
     A. V. Oppenheim, R. W. Schafer, Discrete-Time Signal Processing, 3rd ed., 2010, section 13.
     """
-    octaves = np.log2(np.maximum(frequencies_hz, 1.0) / centres_hz[0])
-    level = np.interp(octaves, np.arange(centres_hz.size), level_db)
+    steps = _per_octave(centres_hz) * np.log2(np.maximum(frequencies_hz, 1.0) / centres_hz[0])
+    level = np.interp(steps, np.arange(centres_hz.size), level_db)
     cepstrum = np.fft.irfft(level * np.log(10.0) / 20.0)
     n = cepstrum.size
     cepstrum[1 : n // 2] *= 2.0
@@ -212,12 +216,19 @@ def loudspeaker(
 
 
 def octave_shares(centres_hz: FloatArray, frequencies_hz: FloatArray) -> FloatArray:
-    """Return the share of each octave at each frequency; shares add to one inside the range.
+    """Return the share of each band at each frequency; shares add to one inside the range.
 
-    A share falls from 1 at its own centre to 0 at its neighbours', so that walls and loudspeaker
-    change smoothly over frequency; steps would ring for tens of milliseconds, as no wall does.
+    Octaves, or third octaves where the centres lie that near. A share falls from 1 at its own
+    centre to 0 at its neighbours', so that walls and loudspeaker change smoothly over frequency;
+    steps would ring for tens of milliseconds, as no wall does.
     """
-    ends = centres_hz[0] * 2.0 ** np.arange(-1, centres_hz.size)
-    octaves = np.log2(np.maximum(frequencies_hz, 1e-3)[None, :] / ends[:, None])
-    above = 0.5 * (1.0 - np.cos(np.pi * np.clip(octaves, 0.0, 1.0)))
+    n = _per_octave(centres_hz)
+    ends = centres_hz[0] * 2.0 ** (np.arange(-1, centres_hz.size) / n)
+    steps = n * np.log2(np.maximum(frequencies_hz, 1e-3)[None, :] / ends[:, None])
+    above = 0.5 * (1.0 - np.cos(np.pi * np.clip(steps, 0.0, 1.0)))
     return np.asarray(above[:-1] - above[1:])
+
+
+def _per_octave(centres_hz: FloatArray) -> int:
+    """Return how many bands make an octave; a single band is an octave."""
+    return 1 if centres_hz.size < 2 else round(1.0 / float(np.log2(centres_hz[1] / centres_hz[0])))

@@ -189,16 +189,41 @@ def scattered_response(
         *(replace(truth, absorption=1.0 - kept), source_m, receiver_m),
         *(duration_s, sampling_rate_hz, level_db),
     )
-    n = specular.size
-    bins = np.minimum((np.arange(n) / sampling_rate_hz / _BIN_S).astype(int), echogram.shape[1] - 1)
-    power = _PRESSURE_SQUARED * echogram / (_BIN_S * sampling_rate_hz)
-    white = rng.standard_normal(n)
-    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n + 1)
-    spectrum = np.zeros(n + 1, dtype=np.complex128)
-    for share, of_band in zip(octave_shares(truth.centres_hz, frequencies), power, strict=True):
-        spectrum += share * np.fft.rfft(white * np.sqrt(of_band[bins]), 2 * n)
-    spectrum *= loudspeaker(truth.centres_hz, level_db, frequencies)
-    return np.asarray(specular + np.fft.irfft(spectrum, 2 * n)[:n])
+    noise = modulated_noise(
+        *(echogram, _BIN_S, specular.size, sampling_rate_hz, truth.centres_hz, level_db, rng)
+    )
+    return np.asarray(specular + noise)
+
+
+def modulated_noise(
+    echogram: FloatArray,
+    bin_s: float,
+    n_samples: int,
+    sampling_rate_hz: float,
+    centres_hz: FloatArray,
+    level_db: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return noise whose power in time follows an echogram, band by band, shape (n_samples,).
+
+    Parameters
+    ----------
+    echogram : float array, shape (n_bands, n_bins)
+        Energy of each bin, 1/m2 for a source of unit power.
+    bin_s : float
+    centres_hz, level_db : float arrays, shape (n_bands,)
+        As for `pressure_response`.
+    """
+    times_s = np.arange(n_samples) / sampling_rate_hz
+    bins = np.minimum((times_s / bin_s).astype(int), echogram.shape[1] - 1)
+    power = _PRESSURE_SQUARED * echogram / (bin_s * sampling_rate_hz)
+    white = rng.standard_normal(n_samples)
+    frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
+    spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
+    for share, of_band in zip(octave_shares(centres_hz, frequencies), power, strict=True):
+        spectrum += share * np.fft.rfft(white * np.sqrt(of_band[bins]), 2 * n_samples)
+    spectrum *= loudspeaker(centres_hz, level_db, frequencies)
+    return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
 
 
 def write_scattering_box(

@@ -28,6 +28,7 @@ from roomfit.app.coherent.bands import (
     upwards,
 )
 from roomfit.app.coherent.findings import delay_findings, geometry_findings
+from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
 from roomfit.app.coherent.loudspeaker import without_loudspeakers
 from roomfit.app.coherent.prepared import (
     CoherentTask,
@@ -166,6 +167,13 @@ def fit_coherent(
         task = replace(task, spoiled=spoiled)
         prepared, findings = prepared_bands(task, paths, weights, binned, origin)
         fits, chosen_noise = upwards(prepared, settings, part(progress, 0.8, 1.0))
+    stretch = places_stretch(task.scene, prepared, fits)
+    if stretch > 1.0:
+        place, origin = looser_places(task.scene, origin, stretch)
+        task = replace(task, scene=place)
+        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
+        fits, chosen_noise = upwards(prepared, settings, part(progress, 0.8, 1.0))
+    findings = (*findings, *places_findings(stretch))
     if not settings.delays and settings.model != "energy":
         delaying = replace(task, settings=replace(settings, delays=True))
         free, _ = prepared_bands(delaying, paths, weights, binned, origin)

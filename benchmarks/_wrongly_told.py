@@ -1,0 +1,131 @@
+"""Boxes that were measured well and described wrongly, one fault at a time."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.testproblems.measured_box import BoxPlan, MeasuredBox, random_plan, write_measured_box
+from roomfit.testproblems.patched_box import Patch, patch_area_m2
+from roomfit.testproblems.scattering_box import write_scattering_box
+from roomfit.uncertainty.answer import Answer
+
+OCTAVES = 8  # of a plan, 63 to 8000 Hz
+TRUE_C = 20.0  # degrees, of every simulated room
+
+
+@dataclass(frozen=True)
+class Fault:
+    """How a room is simulated, and what is written of it that is not so."""
+
+    name: str
+    position_error_m: float = 0.01
+    scattering: float = 0.0
+    patch: tuple[float, float, float] | None = None  # width, height, absorption
+    told: Callable[[str, BoxPlan], str] = lambda text, _: text
+    joined: tuple[str, str] | None = None  # the second is told to be of the first's material
+
+
+def _temperature(told_c: float, sd_c: float | None) -> Callable[[str, BoxPlan], str]:
+    spread = "" if sd_c is None else f"\ntemperature_sd_c = {sd_c}"
+
+    def told(text: str, _: BoxPlan) -> str:
+        return text.replace("temperature_c = 20.0", f"temperature_c = {told_c}{spread}")
+
+    return told
+
+
+def _longer(by_m: float) -> Callable[[str, BoxPlan], str]:
+    def told(text: str, plan: BoxPlan) -> str:
+        x, y, z = plan.lengths_m
+        return text.replace(f"shoebox = {[x, y, z]}", f"shoebox = {[x + by_m, y, z]}")
+
+    return told
+
+
+def _same_material(text: str, _: BoxPlan) -> str:
+    """South and north are told to be one material, which is the usual thing to write."""
+    text = text.replace('north = "material_north"', 'north = "material_south"')
+    return re.sub(r"\[materials\.material_north\]\nscattering[^\n]*\n", "", text)
+
+
+def _surely_placed(text: str, _: BoxPlan) -> str:
+    return re.sub(r"position_sd = [0-9.]+", "position_sd = 0.01", text)
+
+
+FAULTS = (
+    Fault("nothing"),
+    Fault("places 3 cm, told 1", 0.03, told=_surely_placed),
+    Fault("places 10 cm, told 1", 0.10, told=_surely_placed),
+    Fault("2 K, told exact", told=_temperature(TRUE_C - 2.0, 0.0)),
+    Fault("2 K, told 1 K", told=_temperature(TRUE_C - 2.0, 1.0)),
+    Fault("two walls as one", told=_same_material, joined=("south", "north")),
+    Fault("curtain forgotten", patch=(2.0, 2.0, 0.7)),
+    Fault("door open, 2 m2", patch=(1.0, 2.0, 1.0)),
+    Fault("scatters .3, told 0", scattering=0.3),
+    Fault("a wall 5 cm off", told=_longer(0.05)),
+)
+
+
+@dataclass(frozen=True)
+class Told:
+    """One campaign, and what is true of the materials that it names."""
+
+    campaign: Path
+    absorption: dict[str, np.ndarray]  # of each told material, (8,)
+
+
+def write_wrongly_told(fault: Fault, seed: int, folder: Path) -> Told:
+    """Simulate the room of a seed with a fault and write what is told of it.
+
+    The room, the places and the materials of a seed are the same for any fault. Where a wall is
+    told to be of one material and is of two, its mean over the area counts as the truth.
+    """
+    rng = np.random.default_rng(seed)
+    plan = random_plan(rng)
+    patch = None if fault.patch is None else _patch(plan, *fault.patch)
+    if fault.scattering:
+        walls = np.full(6, fault.scattering)
+        box = write_scattering_box(plan, walls, folder, rng)
+    else:
+        box = write_measured_box(
+            plan, folder, rng, position_error_m=fault.position_error_m, patch=patch
+        )
+    box.campaign.write_text(fault.told(box.campaign.read_text(), plan))
+    return Told(box.campaign, _means(fault, plan, box, patch))
+
+
+def _patch(plan: BoxPlan, width_m: float, height_m: float, absorption: float) -> Patch:
+    """Return a door on the hardest of the upright walls, where it changes most."""
+    names = ("west", "east", "south", "north")
+    hardest = int(np.argmin(plan.absorption[:4].mean(axis=1)))
+    along = plan.lengths_m[1] if hardest < 2 else plan.lengths_m[0]
+    begin = 0.3 * (along - width_m)
+    values = np.full(OCTAVES, absorption)
+    return Patch(names[hardest], (begin, 0.0), (begin + width_m, height_m), values)
+
+
+def _means(
+    fault: Fault, plan: BoxPlan, box: MeasuredBox, patch: Patch | None
+) -> dict[str, np.ndarray]:
+    truth = dict(zip(box.materials, box.absorption, strict=True))
+    x, y, z = plan.lengths_m
+    areas = {"west": y * z, "east": y * z, "south": x * z, "north": x * z}
+    if patch is not None:
+        name, share = f"material_{patch.wall}", patch_area_m2(patch) / areas[patch.wall]
+        truth[name] = (1.0 - share) * truth[name] + share * patch.absorption
+    if fault.joined is not None:
+        first, second = (f"material_{wall}" for wall in fault.joined)
+        truth[first] = 0.5 * (truth[first] + truth.pop(second))  # opposite walls are as large
+    return truth
+
+
+def truth_of(told: Told, answer: Answer) -> np.ndarray:
+    """Return the truth in the answer's materials and octaves, (n_materials, n_bands)."""
+    octaves = 62.5 * 2.0 ** np.arange(OCTAVES)
+    columns = [int(np.argmin(np.abs(np.log(octaves / f)))) for f in answer.bands.centres_hz]
+    return np.array([told.absorption[name][columns] for name in answer.materials])

@@ -1,0 +1,436 @@
+"""`roomfit calibrate`: truths that are drawn, sound that is made, and what is counted."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.stats import binomtest
+from typer.testing import CliRunner
+
+from roomfit.app.calibrating.calibrate import calibrate
+from roomfit.app.calibrating.files import calibrate_to_folder, calibration_json, result_text
+from roomfit.app.calibrating.plan import CalibrationPlan, TabulatedPair, calibration_plan
+from roomfit.app.calibrating.recording import made_rate_hz, recorded
+from roomfit.app.calibrating.settings import CalibrationSettings
+from roomfit.app.calibrating.sound import BOX, CONVEX, TRACED, Sound, made_sound, road_of
+from roomfit.app.calibrating.tables import made_table
+from roomfit.app.calibrating.traced_sound import traced_pressures
+from roomfit.app.calibrating.truth import draw_truth
+from roomfit.bands import bands_between
+from roomfit.cli.commands import app
+from roomfit.errors import InputError
+from roomfit.files.campaign.campaign import read_campaign
+from roomfit.files.parameters import read_parameters
+from roomfit.files.replicates import read_replicate, replicate_path
+from roomfit.files.rooms.read import read_room
+from roomfit.files.rooms.spec import RoomSpec
+from roomfit.geometry.measures import volume_m3
+from roomfit.testproblems.convex_cells import convex_cells
+from roomfit.testproblems.polyhedral_rooms import l_shaped_cells, paper_cells
+from roomfit.testproblems.polyhedron_cells import cell_volume_m3, obj_text
+from roomfit.testproblems.pressure_box import octave_shares
+from roomfit.uncertainty.calibration import (
+    Calibration,
+    calibration_rows,
+    coverage_at,
+    grouped_share,
+    scaled_errors,
+)
+
+CAMPAIGN = """
+[room]
+shoebox = [4.6, 3.7, 2.6]
+[room.materials]
+west = "plaster"
+east = "plaster"
+[air]
+temperature_sd_c = 1.0
+[materials.plaster]
+scattering = 0.0
+bounds = [0.05, 0.5]
+[materials.south]
+scattering = 0.0
+[materials.north]
+scattering = 0.0
+same_absorption_as = "south"
+[materials.floor]
+scattering = 0.0
+absorption = 0.3
+[materials.ceiling]
+scattering = 0.0
+prior = {mean = 0.6, sd = 0.1}
+[sources.LS1]
+position = [1.2, 1.1, 1.3]
+position_sd = 0.02
+[receivers.MP1]
+position = [3.3, 2.6, 1.5]
+position_sd = 0.01
+[receivers.MP2]
+position = [3.4, 1.1, 0.9]
+position_sd = 0.01
+[[measurements]]
+source = "LS1"
+receiver = "MP1"
+file = "not-measured-yet-1.wav"
+[[measurements]]
+source = "LS1"
+receiver = "MP2"
+file = "not-measured-yet-2.wav"
+level = "absolute"
+[identify]
+from_hz = 1000
+to_hz = 2000
+"""
+
+
+def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
+    file = folder / "campaign.toml"
+    file.write_text(text)
+    return file
+
+
+def planned(folder: Path, text: str = CAMPAIGN) -> CalibrationPlan:
+    campaign = read_campaign(campaign_file(folder, text))
+    return calibration_plan(campaign, CalibrationSettings(snr_db=50.0))
+
+
+def logit(a):
+    return np.log(a) - np.log1p(-a)
+
+
+# What is drawn.
+
+
+def test_draws_have_the_spread_that_the_campaign_states(tmp_path):
+    """400 draws: a mean is off by 4 standard errors once in 16,000, for 10 numbers each."""
+    plan, rng = planned(tmp_path), np.random.default_rng(5)
+    truths = [draw_truth(plan, rng) for _ in range(400)]
+    names = list(plan.room.materials)
+    a = np.array([t.absorption for t in truths])
+    ceiling = logit(a[:, names.index("ceiling"), 1])
+    sd = 0.1 / (0.6 * 0.4)
+    assert abs(ceiling.mean() - logit(0.6)) < 4.0 * sd / np.sqrt(400)
+    assert abs(ceiling.std() / sd - 1.0) < 4.0 / np.sqrt(800)
+    broad = logit(a[:, names.index("south")])
+    np.testing.assert_allclose(broad.std(axis=0), 1.5, rtol=4.0 / np.sqrt(800))
+    # from one octave to the next, and two
+    assert abs(np.corrcoef(broad[:, 0], broad[:, 1])[0, 1] - 0.95) < 0.025
+    assert abs(np.corrcoef(broad[:, 0], broad[:, 2])[0, 1] - 0.95**2) < 0.05
+    moved = np.array([t.receivers[0].position_m for t in truths])
+    np.testing.assert_allclose(moved.mean(axis=0), [3.3, 2.6, 1.5], atol=4e-2 / np.sqrt(400))
+    np.testing.assert_allclose(moved.std(axis=0), 0.01, rtol=4.0 / np.sqrt(800))
+    c = np.log([t.speed_of_sound_m_s for t in truths])
+    assert abs(c.std() / (0.5 / 293.15) - 1.0) < 4.0 / np.sqrt(800)
+
+
+def test_what_is_known_tied_or_bounded_stays_so(tmp_path):
+    plan, rng = planned(tmp_path), np.random.default_rng(6)
+    names = list(plan.room.materials)
+    for _ in range(20):
+        truth = draw_truth(plan, rng)
+        a = dict(zip(names, truth.absorption, strict=True))
+        np.testing.assert_array_equal(a["floor"], 0.3)
+        np.testing.assert_array_equal(a["north"], a["south"])
+        assert np.all((a["plaster"] > 0.05) & (a["plaster"] < 0.5))
+        np.testing.assert_array_equal(truth.level_db[1], 0.0)  # told to be absolute
+        assert np.all(truth.level_db[0] != 0.0)
+        assert not truth.scattering.any()
+        assert not truth.delays_s.any()
+
+
+def test_draws_about_an_answer_have_its_covariance(tmp_path):
+    """South and ceiling go together in the answer; 400 draws, 4 standard errors."""
+    plan = planned(tmp_path, CAMPAIGN.replace('same_absorption_as = "south"', ""))
+    names = list(plan.room.materials)
+    i, j = names.index("south"), names.index("ceiling")
+    covariance = np.zeros((2, len(names), len(names)))
+    covariance[:, [i, i, j, j], [i, j, i, j]] = [0.09, 0.05, 0.05, 0.16]
+    mean = np.full((len(names), 2), 0.3)
+    content = {
+        "format": "roomfit-result",
+        "format_version": 1,
+        "bands_hz": [1000, 2000],
+        "materials": {
+            n: {
+                "absorption": mean[k].tolist(),
+                "lower95": [0.1, 0.1],
+                "upper95": [0.5, 0.5],
+                "identifiable": [True, True],
+                "area_m2": 10.0,
+            }
+            for k, n in enumerate(names)
+        },
+        "posterior": {"logit_covariance": covariance.tolist()},
+    }
+    file = tmp_path / "result.json"
+    file.write_text(json.dumps(content))
+    settings = CalibrationSettings(snr_db=50.0, result=file)
+    plan = calibration_plan(plan.campaign, settings)
+    rng = np.random.default_rng(7)
+    drawn = logit(np.array([draw_truth(plan, rng).absorption for _ in range(400)]))
+    found = np.cov(drawn[:, i, 1], drawn[:, j, 1])
+    np.testing.assert_allclose(found, [[0.09, 0.05], [0.05, 0.16]], rtol=0.3)
+    np.testing.assert_allclose(drawn[:, i].mean(axis=0), logit(0.3), atol=4 * 0.3 / np.sqrt(400))
+
+
+def test_an_answer_of_other_bands_is_refused(tmp_path):
+    plan = planned(tmp_path)
+    file = tmp_path / "absorption.csv"
+    rows = [f"{n},500,0.2,0.1,0.3,true" for n in plan.room.materials]
+    head = "material,band_hz,absorption,lower95,upper95,identifiable"
+    file.write_text("\n".join((head, *rows)) + "\n")
+    with pytest.raises(InputError, match="other materials or bands"):
+        calibration_plan(plan.campaign, CalibrationSettings(snr_db=50.0, result=file))
+
+
+# How it sounds.
+
+
+def test_three_roads_to_the_sound_of_a_box_agree(tmp_path):
+    """The lattice, the mirrored room, and the fit's own images: same pressures.
+
+    The last two round arrival times to other fractions of a sample: 1/16 and 1/8, an error of
+    some per cent of the peak at most.
+    """
+    plan = planned(tmp_path)
+    truth = draw_truth(plan, np.random.default_rng(8))
+    pairs = (("LS1", "MP1"), ("LS1", "MP2"))
+    assert road_of(plan, truth) == BOX
+    rng = np.random.default_rng(1)
+    box = made_sound(replace(plan, length_s=0.06), truth, pairs, 16_000.0, rng)
+    unboxed = replace(plan, length_s=0.06, room=replace(plan.room, shoebox_m=None))
+    assert road_of(unboxed, truth) == CONVEX
+    convex = made_sound(unboxed, truth, pairs, 16_000.0, rng)
+    traced = traced_pressures(plan, truth, pairs, 0.06, 16_000.0, rng)
+    for pair in pairs:
+        expected = box.pressure[pair]
+        np.testing.assert_allclose(
+            convex.pressure[pair], expected, atol=1e-3 * np.abs(expected).max()
+        )
+        difference = traced[pair] - expected
+        assert np.sqrt(np.mean(difference**2) / np.mean(expected**2)) < 0.1
+
+
+def test_a_convex_room_becomes_one_cell_and_others_none(tmp_path):
+    for name, cells in (("paper", paper_cells()), ("l-shaped", l_shaped_cells())):
+        file = tmp_path / f"{name}.obj"
+        file.write_text(obj_text(cells))
+        room, _ = read_room(RoomSpec(file=file, unit="m", up="z"))
+        found = convex_cells(room)
+        if name == "l-shaped":
+            assert found is None
+            continue
+        assert found is not None
+        assert cell_volume_m3(found) == pytest.approx(volume_m3(room.mesh), rel=1e-9)
+        assert len(found.faces) < len(room.mesh.triangles)
+
+
+def test_walls_that_scatter_and_odd_rooms_take_other_roads(tmp_path):
+    text = CAMPAIGN.replace("scattering = 0.0", "scattering = 0.2")
+    plan = planned(tmp_path, text)
+    truth = draw_truth(plan, np.random.default_rng(9))
+    assert road_of(plan, truth) == "images and scattered noise of a box"
+    unboxed = replace(plan, room=replace(plan.room, shoebox_m=None))
+    assert road_of(unboxed, truth) == TRACED
+
+
+def test_a_recording_is_late_and_its_noise_lies_where_it_was_asked():
+    """A click between samples: its centre of energy is the delay; noise as far below it as told.
+
+    At half the sampling rate a fraction of a sample has no meaning, which costs 4 microseconds. An
+    octave of noise of 1 s holds 700 independent values or more: its level scatters by 0.2 dB.
+    """
+    grid, rate, rng = bands_between("octave", 500, 4000), 16_000.0, np.random.default_rng(3)
+    click = np.zeros(16_000)
+    click[800] = 1.0
+    delay = 0.01 + 0.37 / rate
+    clean = recorded(click, rate, grid, np.zeros(4), delay, np.full(4, 200.0), rng)
+    times = np.arange(clean.size) / rate
+    assert np.sum(times * clean**2) / np.sum(clean**2) == pytest.approx(
+        800 / rate + delay, abs=1e-5
+    )
+    noisy = recorded(click, rate, grid, np.zeros(4), delay, np.full(4, 40.0), rng)
+    frequencies = np.fft.rfftfreq(clean.size, 1.0 / rate)
+    for share, low, high in zip(
+        octave_shares(grid.centres_hz, frequencies), grid.lower_hz, grid.upper_hz, strict=True
+    ):
+        heard = np.fft.irfft(np.fft.rfft(clean) * share, clean.size) ** 2
+        size = round(max(0.01, 4.0 / (high - low)) * rate)
+        loudest = max(heard[i : i + size].mean() for i in range(0, heard.size - size, size))
+        noise = np.abs(np.fft.rfft(noisy - clean)) ** 2 / clean.size**2
+        inside = (frequencies >= low) & (frequencies < high)
+        level = 2.0 * noise[inside].sum()
+        if high < 0.5 * rate:  # the loudest block may be cut elsewhere: half of it at worst
+            assert 10 * np.log10(loudest / level) == pytest.approx(40.0, abs=3.2)
+
+
+def test_shares_of_third_octaves_add_to_one():
+    grid = bands_between("third-octave", 100, 1000)
+    inside = np.linspace(101.0, 990.0, 500)
+    np.testing.assert_allclose(octave_shares(grid.exact_centres_hz, inside).sum(axis=0), 1.0)
+    at_centres = octave_shares(grid.exact_centres_hz, grid.exact_centres_hz)
+    np.testing.assert_allclose(at_centres, np.eye(len(grid)), atol=5e-3)
+
+
+def test_a_made_table_tells_what_the_sound_is(tmp_path):
+    """Direct sound and an exponential tail of noise: G by hand, EDT the tail's; read back."""
+    plan, rng = planned(tmp_path), np.random.default_rng(11)
+    truth = draw_truth(plan, rng)
+    step = truth.receivers[0].position_m - truth.sources[0].position_m
+    distance = float(np.linalg.norm(step))
+    rate, t60 = made_rate_hz(plan.campaign.bands), 0.5
+    first = distance / truth.speed_of_sound_m_s * rate
+    n = np.arange(round(1.2 * rate))
+    tail = np.where(n > first, 10.0 ** (-3.0 * (n - first) / rate / t60), 0.0)
+    pressure = 1e-3 * tail * rng.standard_normal(n.size)
+    spread = np.full(2, np.nan)
+    pair = TabulatedPair("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
+    plan = replace(plan, tabulated=(pair,))
+    text = made_table(plan, truth, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
+    file = tmp_path / "table.csv"
+    file.write_text(text)
+    (values,), _ = read_parameters(file)
+    # energy of the noise over that of a click of 1/(4 pi 10 m), both of a flat spectrum
+    g = 10.0 * np.log10(np.sum(pressure**2) * (4.0 * np.pi * 10.0) ** 2)
+    np.testing.assert_allclose(values.values["G_dB"], g, atol=0.6)
+    np.testing.assert_allclose(values.values["T30_s"], t60, rtol=0.08)
+    np.testing.assert_allclose(values.values["EDT_s"], t60, rtol=0.2)
+
+
+# What is counted.
+
+
+@given(st.integers(1, 40), st.integers(0, 40))
+def test_independent_values_have_the_exact_binomial_interval(n, k):
+    k = min(k, n)
+    hit = (np.arange(n) < k)[:, None]
+    share = grouped_share(hit, np.ones_like(hit))
+    exact = binomtest(k, n).proportion_ci(0.95, method="exact")
+    # the variance of a sample is n / (n - 1) of what the design effect compares with
+    assert share.low <= exact.low + 1e-9
+    assert share.high >= exact.high - 1e-9
+    assert share.low == pytest.approx(exact.low, abs=0.06)
+    assert share.high == pytest.approx(exact.high, abs=0.06)
+
+
+def test_values_that_repeat_one_another_count_once():
+    hit = np.arange(30) % 10 < 7
+    once = grouped_share(hit[:, None], np.ones((30, 1), bool))
+    often = grouped_share(np.tile(hit[:, None], (1, 50)), np.ones((30, 50), bool))
+    assert often.count == 50 * once.count
+    assert often.low == pytest.approx(once.low, abs=0.01)
+    assert often.high == pytest.approx(once.high, abs=0.01)
+
+
+def made(rng: np.random.Generator, stretch: float, n: int = 400) -> Calibration:
+    """Return answers whose logit errors are Gaussian, intervals `stretch` times too wide."""
+    bands, sd = bands_between("octave", 500, 1000), 0.4
+    true = rng.normal(-1.0, 1.0, (n, 3, 2))
+    found = true + sd * rng.standard_normal(true.shape)
+    low, high = (found + s * 1.959964 * stretch * sd for s in (-1.0, 1.0))
+    a, x, lo, hi = (1.0 / (1.0 + np.exp(-z)) for z in (true, found, low, high))
+    told = np.ones(true.shape, dtype=bool)
+    told[:, 2] = False
+    return Calibration(
+        ("a", "b", "held"), bands, a, x, lo, hi, hi - lo < 0.2, told,
+        np.full((3, 2), 0.27), np.full((n, 2), 0.3), np.ones((n, 2)),
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("stretch", "expected"), [(1.0, 0.95), (0.5, 0.673), (1.5, 0.9967)])
+def test_coverage_is_that_of_the_gaussian_it_was_made_with(stretch, expected):
+    """1600 values: 4 standard errors are 2.2 % at 95 % and 4.7 % at 67 %."""
+    found = made(np.random.default_rng(21), stretch)
+    together = calibration_rows(found)[-1]
+    assert together.holds.of == 1600
+    error = 4.0 * np.sqrt(expected * (1.0 - expected) / 1600)
+    assert abs(together.holds.value - expected) < error
+    nominal = np.array([0.2, 0.5, 0.95])
+    if stretch == 1.0:
+        for share, p in zip(coverage_at(found, nominal), nominal, strict=True):
+            assert abs(share.value - p) < 4.0 * np.sqrt(p * (1.0 - p) / 1600)
+            assert share.low <= p <= share.high
+    z = scaled_errors(found)
+    assert np.count_nonzero(np.abs(z) <= 1.959964) == together.holds.count
+    assert z.std() * stretch == pytest.approx(1.0, rel=4.0 / np.sqrt(3200))
+
+
+# The command.
+
+
+def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
+    file = campaign_file(tmp_path)
+    asked = CalibrationSettings(replicates=2, snr_db=50.0)
+    campaign = read_campaign(file)
+    part = calibrate(campaign, tmp_path / "a", replace(asked, first=1))
+    assert (part.done, part.asked) == (1, 2)
+    assert not replicate_path(tmp_path / "a", 0).exists()
+    second = replicate_path(tmp_path / "a", 1)
+    content, written = second.read_bytes(), second.stat().st_mtime_ns
+    result = calibrate_to_folder(file, tmp_path / "a", asked)
+    assert (result.done, result.roads) == (2, {BOX: 2})
+    assert second.stat().st_mtime_ns == written
+    assert {p.name for p in (tmp_path / "a").iterdir()} == {
+        *("replicates", "calibration.csv", "calibration.json", "calibration.png")
+    }
+    told = json.loads((tmp_path / "a" / "calibration.json").read_text())
+    assert told == json.loads(json.dumps(calibration_json(result)))
+    # south and its twin north are one number, floor is known: three materials, two bands, twice
+    assert told["all"]["hold"]["of"] == 12
+    assert "2 of 2 replicates" in result_text(result)
+    # the same seed anywhere else; only the seconds may differ
+    calibrate(campaign, tmp_path / "b", replace(asked, first=1))
+    again = json.loads(replicate_path(tmp_path / "b", 1).read_text())
+    first = json.loads(content)
+    assert {k: v for k, v in again.items() if k != "seconds"} == {
+        k: v for k, v in first.items() if k != "seconds"
+    }
+    # another campaign must not be mixed in
+    campaign_file(tmp_path, CAMPAIGN.replace("4.6, 3.7", "4.7, 3.7"))
+    with pytest.raises(InputError, match="belongs to another calibration"):
+        calibrate(read_campaign(file), tmp_path / "a", asked)
+
+
+def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):
+    path = replicate_path(tmp_path, 3)
+    path.parent.mkdir()
+    for content in ("{", "[]", '{"format": "roomfit-replicate", "digest": "d"}'):
+        path.write_text(content)
+        with pytest.raises(InputError, match="damaged"):
+            read_replicate(tmp_path, 3, "d")
+    assert read_replicate(tmp_path, 4, "d") is None
+
+
+@pytest.mark.parametrize(
+    ("more", "said"),
+    [
+        (["--replicates", "0"], "replicates"),
+        (["--replicates", "5", "--first", "5"], "first"),
+        (["--replicates", "5", "--only", "0"], "only"),
+        (["--workers", "0"], "workers"),
+        (["--snr-db", "5"], "snr-db"),
+        (["--from", "nothing.json"], "nothing.json"),
+    ],
+)
+def test_bad_options_are_refused_before_any_work(tmp_path, more, said):
+    file = campaign_file(tmp_path)
+    out = str(tmp_path / "out")
+    given_options = [] if "--snr-db" in more else ["--snr-db", "50"]
+    done = CliRunner().invoke(app, ["calibrate", str(file), "--out", out, *given_options, *more])
+    assert isinstance(done.exception, InputError)
+    assert said in str(done.exception)
+    assert not list(Path(out).glob("*"))
+
+
+def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
+    (tmp_path / "out").write_text("mine")
+    campaign = read_campaign(campaign_file(tmp_path))
+    with pytest.raises(InputError, match="is a file"):
+        calibrate(campaign, tmp_path / "out", CalibrationSettings(snr_db=50.0))
+    assert (tmp_path / "out").read_text() == "mine"

@@ -1,0 +1,110 @@
+"""Rooms that are told otherwise than they are: what is found out, and what is said then."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from roomfit.air import Air
+from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
+from roomfit.app.fitting import description_findings, untold_band
+from roomfit.geometry.shoebox import shoebox_mesh
+from roomfit.materials.knowledge import unknown_material
+from roomfit.scene.rooms import room_from_mesh
+from roomfit.scene.scene import Point, Scene
+
+N_PLACES, N_OTHERS = 18, 3
+
+
+def scene(sd: float | None = 0.01) -> Scene:
+    room = room_from_mesh(shoebox_mesh((5.0, 4.0, 3.0)), {}, (5.0, 4.0, 3.0))
+    points = [Point(f"P{i}", np.array([1.0 + 0.4 * i, 1.0, 1.0]), sd) for i in range(6)]
+    return Scene(room, tuple(points[:2]), tuple(points[2:]), np.array([[0, 0]]), Air())
+
+
+def found(mean: np.ndarray, variance: float = 0.04):
+    """Return a band and its fit, as far as they tell of geometry."""
+    n = mean.size
+    geometry = SimpleNamespace(fitted=np.ones(n, dtype=bool), sd=np.full(n, 0.01))
+    marginal = SimpleNamespace(mean=mean, information=np.eye(n) / variance)
+    band = SimpleNamespace(problem=SimpleNamespace(geometry=geometry))
+    return [band], [SimpleNamespace(found=marginal)]
+
+
+def test_places_as_sure_as_told_are_left_alone_and_three_times_worse_ones_are_not():
+    """False alarms once in 1000 campaigns: more than 5 of 600 once in 20,000 times."""
+    rng = np.random.default_rng(4)
+    share = np.sqrt(1.0 - 0.04)  # of what is left after the fit, the rest is still open
+    right = [
+        places_stretch(scene(), *found(share * rng.standard_normal(N_PLACES + N_OTHERS)))
+        for _ in range(600)
+    ]
+    assert np.count_nonzero(np.array(right) > 1.0) <= 5
+    wrong = [
+        places_stretch(scene(), *found(3.0 * rng.standard_normal(N_PLACES + N_OTHERS)))
+        for _ in range(200)
+    ]
+    # the root of a mean of 18 squares scatters by a sixth; five times is the most that is taken
+    assert np.median(wrong) == pytest.approx(3.0, rel=0.05)
+    assert np.mean(np.array(wrong) > 1.0) > 0.99
+
+
+def test_what_is_no_place_has_no_say():
+    mean = np.zeros(N_PLACES + N_OTHERS)
+    mean[N_PLACES:] = 20.0
+    assert places_stretch(scene(), *found(mean)) == 1.0
+    assert places_stretch(scene(), [None], [None]) == 1.0
+
+
+def test_looser_places_are_the_same_places_with_a_wider_spread():
+    """Free numbers are in units of the spread: those of the places shrink as it grows."""
+    told = scene()
+    told = replace(
+        told, receivers=(replace(told.receivers[0], position_sd_m=None), *told.receivers[1:])
+    )
+    origin = np.arange(1.0, N_PLACES + N_OTHERS + 1.0)
+    changed, moved = looser_places(told, origin, 2.5)
+    assert [p.position_sd_m for p in changed.sources] == [0.025, 0.025]
+    assert [p.position_sd_m for p in changed.receivers] == [None, 0.025, 0.025, 0.025]
+    assert moved is not None
+    factor = np.full(N_PLACES, 2.5)
+    factor[6:9] = 1.0  # the first receiver, of which nothing is told
+    np.testing.assert_allclose(moved[:N_PLACES] * factor, origin[:N_PLACES])
+    np.testing.assert_array_equal(moved[N_PLACES:], origin[N_PLACES:])
+    assert looser_places(told, None, 2.0)[1] is None
+
+
+def test_a_stretch_is_told():
+    assert places_findings(1.0) == ()
+    (finding,) = places_findings(3.2)
+    assert finding.code == "places-less-sure"
+    assert "3.2 times" in finding.sentence
+
+
+def answers(phi: list[float], model: str = "coherent"):
+    knowledge = (unknown_material("a", len(phi)),)
+    return [
+        replace(untold_band(knowledge, band, np.ones(1)), phi=p, model=model)
+        for band, p in enumerate(phi)
+    ]
+
+
+@pytest.mark.parametrize(
+    ("phi", "doubtful"),
+    [
+        ([3.9, 4.2, 2.0, 1.7, 2.0, 1.4], True),
+        ([3.9, 1.7, 0.8, 0.9, 1.1, 0.5], False),  # one low band that has its own reasons
+        ([2.5, 2.5], False),  # too few to tell what they share
+    ],
+)
+def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):
+    found_codes = [f.code for f in description_findings(answers(phi))]
+    assert found_codes == (["description-doubtful"] if doubtful else [])
+
+
+def test_bands_of_tables_and_of_nothing_have_no_say():
+    assert description_findings(answers([3.0] * 6, "values")) == ()
+    assert description_findings(answers([3.0] * 6, "prior")) == ()
