@@ -1,0 +1,132 @@
+"""Whether 95 % intervals hold the truth, over rooms that the model did not make.
+
+    python benchmarks/calibration.py [--boxes N] [--polyhedra N] [--first SEED]
+
+Boxes of another program, pyroomacoustics (`other_boxes.py` says how), and convex rooms of our own
+simulator of pressures (`polyhedra.py`), with positions told 1 cm wrong and noise. Every room is
+written as a campaign and identified as anybody's. Each share has its own 95 % interval, in which
+values of one room count as less than independent ones. Null models: the prior's mean, and one
+absorption for all walls, from the decay.
+"""
+
+from __future__ import annotations
+
+import argparse
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from _other_box import write_other_box
+from roomfit.app.identify import identify
+from roomfit.errors import CannotTell
+from roomfit.files.campaign.campaign import read_campaign
+from roomfit.materials.knowledge import DEFAULT_MEAN
+from roomfit.report.calibration_text import calibration_table, verdict
+from roomfit.testproblems.measured_polyhedron import polyhedron_plan, write_measured_polyhedron
+from roomfit.uncertainty.answer import Answer
+from roomfit.uncertainty.calibration import Calibration, calibration_rows
+
+MOST_MATERIALS = 7
+SHAPES = ("slanted", "paper")
+
+
+@dataclass(frozen=True)
+class Room:
+    """One answer and its truth, (n_materials, n_bands)."""
+
+    answer: Answer
+    true: np.ndarray
+
+
+def box(seed: int) -> Room:
+    """Identify a box of another program."""
+    with tempfile.TemporaryDirectory() as folder:
+        made = write_other_box(seed, Path(folder))
+        answer = identify(read_campaign(made.campaign))
+    return Room(answer, made.absorption_at(answer.bands.centres_hz))
+
+
+def polyhedron(seed: int) -> Room:
+    """Identify a room without right angles, or the paper's."""
+    rng = np.random.default_rng([seed, 17])
+    plan = polyhedron_plan(SHAPES[seed % len(SHAPES)], rng)
+    with tempfile.TemporaryDirectory() as folder:
+        made = write_measured_polyhedron(plan, Path(folder), rng)
+        answer = identify(read_campaign(made.campaign))
+    rows = [made.materials.index(name) for name in answer.materials]
+    columns = [int(np.argmin(np.abs(made.centres_hz - f))) for f in answer.bands.centres_hz]
+    return Room(answer, made.absorption[np.ix_(rows, columns)])
+
+
+def pooled(rooms: list[Room]) -> Calibration:
+    """Return all rooms in one record; materials that a room does not have are not counted."""
+    n_bands = len(rooms[0].answer.bands)
+
+    def stacked(arrays: list[np.ndarray]) -> np.ndarray:
+        out = np.zeros((len(rooms), MOST_MATERIALS, n_bands), dtype=arrays[0].dtype)
+        for i, array in enumerate(arrays):
+            out[i, : len(array)] = array
+        return out
+
+    fitted = [np.array([m != "prior" for m in r.answer.models]) for r in rooms]
+    return Calibration(
+        tuple(f"material {i + 1}" for i in range(MOST_MATERIALS)),
+        rooms[0].answer.bands,
+        stacked([r.true for r in rooms]),
+        stacked([r.answer.absorption for r in rooms]),
+        stacked([r.answer.lower95 for r in rooms]),
+        stacked([r.answer.upper95 for r in rooms]),
+        stacked([r.answer.identifiable for r in rooms]),
+        stacked([np.tile(f, (len(r.true), 1)) for f, r in zip(fitted, rooms, strict=True)]),
+        np.full((MOST_MATERIALS, n_bands), DEFAULT_MEAN),
+        np.array([r.answer.mean_absorption[0] for r in rooms]),
+        np.array([r.answer.phi for r in rooms]),
+    )
+
+
+def show(rooms: list[Room]) -> None:
+    """Print the pooled table."""
+    rows = calibration_rows(pooled(rooms))
+    print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
+    print(calibration_table(rows))
+    print(verdict(rows[-1]))
+
+
+def main() -> None:
+    """Run room after room; the table so far after every fifth, and at the end."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--boxes", type=int, default=16)
+    parser.add_argument("--polyhedra", type=int, default=4)
+    parser.add_argument("--first", type=int, default=101)
+    asked = parser.parse_args()
+    tasks = [(box, asked.first + i) for i in range(asked.boxes)]
+    tasks += [(polyhedron, asked.first + i) for i in range(asked.polyhedra)]
+    done: list[Room] = []
+    for make, seed in tasks:
+        try:
+            room = make(seed)
+        except CannotTell as refusal:
+            print(f"{make.__name__} {seed} refused: {refusal.what}", flush=True)
+            continue
+        done.append(room)
+        a = room.answer
+        held = (a.lower95 <= room.true) & (room.true <= a.upper95)
+        codes = sorted({f.code for f in a.findings if f.severity != "info"})
+        print(
+            f"{make.__name__} {seed}: |error| {np.median(np.abs(a.absorption - room.true)):.4f}, "
+            f"{held.mean():.2f} hold, {a.identifiable.mean():.2f} identifiable, "
+            f"{np.count_nonzero(a.identifiable & ~held)} wrong, phi",
+            *(f"{p:.1f}" for p in a.phi),
+            *codes,
+            flush=True,
+        )
+        if len(done) % 5 == 0:
+            show(done)
+    if done:
+        show(done)
+
+
+if __name__ == "__main__":
+    main()
