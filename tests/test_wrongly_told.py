@@ -10,7 +10,8 @@ import pytest
 
 from roomfit.air import Air
 from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
-from roomfit.app.fitting import description_findings, untold_band
+from roomfit.app.fit_doubts import description_findings
+from roomfit.app.fitting import untold_band
 from roomfit.geometry.shoebox import shoebox_mesh
 from roomfit.materials.knowledge import unknown_material
 from roomfit.scene.rooms import room_from_mesh

@@ -13,12 +13,8 @@ from roomfit.app.certifying import certificate_findings, check_certifiable
 from roomfit.app.combinations import determined, inseparable_findings
 from roomfit.app.comparing import compare_all
 from roomfit.app.directing.bands import fitted_directivities
-from roomfit.app.fitting import (
-    BandAnswer,
-    description_findings,
-    fit_findings,
-    schroeder_findings,
-)
+from roomfit.app.fit_doubts import description_findings, fit_findings, schroeder_findings
+from roomfit.app.fitting import BandAnswer
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
 from roomfit.app.mirrors import mirror_findings
 from roomfit.app.problems import (
