@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from roomfit.app.calibrating.settings import CalibrationSettings
     from roomfit.app.changes import Change, read_change
     from roomfit.app.check import check_room
+    from roomfit.app.designing.design import design
     from roomfit.app.exporting import export_result
     from roomfit.app.gathering import campaign_scene
     from roomfit.app.identify import identify
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from roomfit.materials.absorption import Absorption
     from roomfit.materials.catalogue import catalogue, find_material
     from roomfit.materials.scattering import Scattering, uniform_scattering
+    from roomfit.placement.answer import Design
     from roomfit.report.answer_text import answer_text
     from roomfit.report.html.page import report_html
     from roomfit.response.energy import weigh
@@ -73,6 +75,7 @@ _HOME = {
     "read_change": "app.changes",
     "Change": "app.changes",
     "check_room": "app.check",
+    "design": "app.designing.design",
     "export_result": "app.exporting",
     "campaign_scene": "app.gathering",
     "identify": "app.identify",
@@ -108,6 +111,7 @@ _HOME = {
     "find_material": "materials.catalogue",
     "Scattering": "materials.scattering",
     "uniform_scattering": "materials.scattering",
+    "Design": "placement.answer",
     "answer_text": "report.answer_text",
     "report_html": "report.html.page",
     "weigh": "response.energy",

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from roomfit.app.binning import BinnedPaths
 from roomfit.app.coherent.answers import nothing_identifiable
 from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
+from roomfit.app.coherent.problems import SPEED_SD
 from roomfit.app.directing.bands import FoundDirectivities, band_directivities
 from roomfit.app.directing.doubts import DirectivityDoubt, source_findings
 from roomfit.app.directing.energies import (
@@ -54,8 +55,23 @@ def is_coherent(campaign: Campaign) -> bool:
 
     The paper's searches cannot follow the many unknown positions; they compare energies.
     """
-    hears = any(m.use == "fit" for m in campaign.measurements)
-    return hears and campaign.model != "energy" and campaign.method in _COHERENT_METHODS
+    return any(m.use == "fit" for m in campaign.measurements) and fits_pressures(campaign)
+
+
+def fits_pressures(campaign: Campaign) -> bool:
+    """Whether a campaign's model and method let pressures be added, if there are responses."""
+    return campaign.model != "energy" and campaign.method in _COHERENT_METHODS
+
+
+def relative_speed_sd(campaign: Campaign) -> float:
+    """Return the relative standard deviation of the speed of sound beforehand.
+
+    The speed grows as the root of the absolute temperature.
+    """
+    told = campaign.temperature_sd_c
+    if told is None:
+        return SPEED_SD
+    return max(0.5 * told / (273.15 + campaign.air.temperature_c), 1e-6)
 
 
 def solve(
@@ -102,17 +118,13 @@ def solve(
             *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start)
         )
         return _energies_alone(campaign, gathered, task, values, directing, suspects, progress)
-    told = campaign.temperature_sd_c
     options = CoherentOptions(
         positions="fixed" if campaign.positions == "fixed" else "fit",
         delays=campaign.wall_delays,
         model="coherent" if campaign.model == "coherent" else "auto",
         late_end_s=fit_until_s,
+        speed_sd=relative_speed_sd(campaign),
     )
-    if told is not None:
-        # the speed of sound grows as the root of the absolute temperature
-        relative = 0.5 * told / (273.15 + campaign.air.temperature_c)
-        options = replace(options, speed_sd=max(relative, 1e-6))
     fit = fit_coherent(
         *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start),
         options=options,

@@ -11,6 +11,7 @@ from roomfit.cli.calibrate import calibrate
 from roomfit.cli.catalogue import catalogue
 from roomfit.cli.check import check
 from roomfit.cli.demo import demo
+from roomfit.cli.design import design
 from roomfit.cli.export import export
 from roomfit.cli.identify import identify
 from roomfit.cli.impedance import impedance
@@ -46,6 +47,7 @@ app.command()(calibrate)
 app.command()(catalogue)
 app.command()(check)
 app.command()(demo)
+app.command()(design)
 app.command()(export)
 app.command()(identify)
 app.command()(impedance)

@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from roomfit.checks import float_array
 from roomfit.errors import InputError, located
 from roomfit.files.exports.table import read_material_table
 from roomfit.typing import FloatArray
@@ -43,6 +44,25 @@ def read_result(path: Path) -> AbsorptionPosterior:
             scattering=_scattering(content, table.names),
             directivities=_directivities(content),
         )
+
+
+def read_misfit(path: Path) -> FloatArray | None:
+    """Return phi of every band of a ``result.json``, None for a table that does not tell it.
+
+    Raises
+    ------
+    InputError
+        There is no such file, or phi is no list of numbers.
+    """
+    path = Path(path)
+    table = read_material_table(path)
+    if path.suffix.lower() == ".csv":
+        return None
+    told = json.loads(path.read_text(encoding="utf-8")).get("fit", {}).get("phi")
+    if told is None:
+        return None
+    with located(str(path)):
+        return float_array("fit.phi", told, (len(table.bands),), low=0.0)
 
 
 def _table(posterior: Any, name: str) -> FloatArray:

@@ -59,6 +59,8 @@ class PolyhedronPlan:
     sources_m, receivers_m : mapping of name to position
     duration_s : float
         Length of the files. The room rings on beyond it: they are cut, and do not end in noise.
+    pairs : tuple of pairs of names
+        Source and receiver of every measurement; empty for every source with every receiver.
     """
 
     cells: Cells
@@ -66,6 +68,13 @@ class PolyhedronPlan:
     sources_m: dict[str, _Place]
     receivers_m: dict[str, _Place]
     duration_s: float
+    pairs: tuple[tuple[str, str], ...] = ()
+
+
+def measured_pairs(plan: PolyhedronPlan) -> tuple[tuple[str, str], ...]:
+    """Return source and receiver of every measurement, source by source."""
+    every = tuple((s, r) for s in plan.sources_m for r in plan.receivers_m)
+    return tuple(pair for pair in every if not plan.pairs or pair in plan.pairs)
 
 
 def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
@@ -173,13 +182,14 @@ def write_measured_polyhedron(
         name: np.array(place) + position_error_m * rng.standard_normal(3)
         for name, place in (*plan.sources_m.items(), *plan.receivers_m.items())
     }
-    receivers = np.array([true_at[r] for r in plan.receivers_m])
     for number, s in enumerate(plan.sources_m):
+        own = [r for source, r in measured_pairs(plan) if source == s]
+        receivers = np.array([true_at[r] for r in own]).reshape(-1, 3)
         level_db = rng.normal(0.0, loudspeaker_db, len(bands))
         pressures = pressure_responses(
             truth, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
         )
-        for r, pressure in zip(plan.receivers_m, pressures, strict=True):
+        for r, pressure in zip(own, pressures, strict=True):
             soundfile.write(
                 folder / f"{s}_{r}.wav",
                 add_noise(pressure, noise_db, rng).astype(np.float32),
@@ -215,9 +225,8 @@ def _campaign_text(plan: PolyhedronPlan, position_error_m: float) -> str:
         for name, position in points.items():
             lines += [f"[{kind}.{name}]", f"position = {list(position)}"]
             lines += [f"position_sd = {position_error_m}"]
-    for s in plan.sources_m:
-        for r in plan.receivers_m:
-            lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
-            lines += [f'file = "{s}_{r}.wav"']
+    for s, r in measured_pairs(plan):
+        lines += ["[[measurements]]", f'source = "{s}"', f'receiver = "{r}"']
+        lines += [f'file = "{s}_{r}.wav"']
     lines += ["[identify]", 'bands = "octave"', "from_hz = 125", "to_hz = 4000", "seed = 1"]
     return "\n".join(lines) + "\n"

@@ -16,6 +16,7 @@ from roomfit.files.campaign.read import read_campaign_table
 from roomfit.files.campaign.schema import (
     AirTable,
     CampaignTable,
+    DesignTable,
     Directivity,
     IdentifyTable,
     ImpedanceTable,
@@ -108,6 +109,7 @@ class Campaign:
         For `roomfit.files.campaign.directivity.campaign_directivities`; or what a fit found.
     spectra : tuple of MeasuredSpectrum
     impedance : ImpedanceTable
+    design : DesignTable
     """
 
     path: Path
@@ -131,6 +133,7 @@ class Campaign:
     )
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
+    design: DesignTable = field(default_factory=DesignTable)
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -140,7 +143,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     ----------
     path : Path
     to_fit : bool
-        Whether there must be a measurement to fit; a prediction needs none.
+        Whether there must be a measurement to fit; a prediction or a design needs none.
 
     Raises
     ------
@@ -172,6 +175,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         {name: source.directivity for name, source in table.sources.items()},
         tuple(_measured_spectrum(path, m) for m in table.measurements if m.spectrum is not None),
         table.impedance,
+        table.design,
     )
 
 

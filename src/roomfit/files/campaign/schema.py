@@ -160,6 +160,27 @@ class ImpedanceTable(Table):
     random_starts: int = Field(default=3, ge=0, le=100)
 
 
+class DesignTable(Table):
+    """``[design]``: where ``roomfit design`` may put sources and receivers."""
+
+    sources: list[Position] = []
+    receivers: list[Position] = []
+    new_sources: int = Field(default=8, ge=0, le=1000)
+    grid_m: float | None = Field(default=None, gt=0.0)
+    source_heights_m: tuple[float, float] = (1.0, 2.0)
+    receiver_heights_m: tuple[float, float] = (1.0, 2.0)
+    region_m: tuple[Position, Position] | None = None
+    wall_distance_m: float = Field(default=1.0, ge=0.01)
+    source_distance_m: float | None = Field(default=None, ge=0.1)
+    receiver_distance_m: float = Field(default=2.0, ge=0.0)
+    most_sources: int | None = Field(default=None, ge=1)
+    criterion: Literal["determinant", "mean", "worst"] = "determinant"
+    decay_range_db: float = Field(default=45.0, ge=10.0, le=120.0)
+    position_sd: float = Field(default=0.02, ge=0.0)
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    draws: int = Field(default=3, ge=1, le=100)
+
+
 class CampaignTable(Table):
     """The whole file."""
 
@@ -172,3 +193,4 @@ class CampaignTable(Table):
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
     impedance: ImpedanceTable = ImpedanceTable()
+    design: DesignTable = DesignTable()

@@ -1,0 +1,1 @@
+"""Use case: where to measure next."""

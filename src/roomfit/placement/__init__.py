@@ -1,0 +1,1 @@
+"""Where to measure: what each possible measurement would tell, and which few tell most."""

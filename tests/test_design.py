@@ -1,0 +1,434 @@
+"""Where to measure: laws of information, the choice beside every other one, and the command."""
+
+from __future__ import annotations
+
+import csv
+import itertools
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+import roomfit
+from roomfit.errors import InputError
+from roomfit.placement.choose import Rules, allowed, choose, random_design, score
+from roomfit.placement.elimination import about_geometry, by_all_pairs, without_geometry
+from roomfit.placement.information import (
+    PairInformation,
+    Unknowns,
+    information_of,
+    interval_widths,
+    material_widths,
+)
+from roomfit.placement.places import (
+    Region,
+    compatible_places,
+    even_part,
+    grid_places,
+    least_source_distance_m,
+    region_of,
+    spread_places,
+)
+from roomfit.testproblems.paper_room import paper_scene
+from small_campaign import run_command, write_campaign
+
+N_DRAWS, N_BANDS, N = 2, 2, 3
+
+
+def fresh() -> np.random.Generator:
+    return np.random.default_rng(1)
+
+
+def unknowns(rng: np.random.Generator, n: int = N) -> Unknowns:
+    logit = rng.normal(-1.0, 1.0, (N_DRAWS, N_BANDS, n))
+    prior = np.tile(np.eye(n) / 1.5**2, (N_DRAWS, N_BANDS, 1, 1))
+    return Unknowns(tuple("abcdefgh"[:n]), np.arange(n), logit, prior, np.zeros(n), np.ones(n))
+
+
+def pairs(rng: np.random.Generator, gain: list[int], n: int = N, rank: int = 2) -> PairInformation:
+    """Return random information, of each pair by itself singular, as real ones nearly are."""
+    rows = rng.normal(0.0, 2.0, (len(gain), N_DRAWS, N_BANDS, rank, n + 1))
+    return PairInformation(np.swapaxes(rows, -1, -2) @ rows, np.array(gain))
+
+
+def free_rules(source: list[int]) -> Rules:
+    n = len(source)
+    return Rules(np.array(source), ~np.eye(n, dtype=bool), np.ones(n, dtype=bool))
+
+
+seeds = st.integers(0, 2**32 - 1)
+
+
+@given(seeds, st.lists(st.integers(-1, 2), min_size=2, max_size=6))
+def test_one_more_pair_never_widens_an_interval(seed, gain):
+    """Whatever gains are shared: information grows, so every expected width falls."""
+    rng = np.random.default_rng(seed)
+    known, found = unknowns(rng), pairs(rng, gain)
+    widths = np.stack(
+        [
+            interval_widths(known, information_of(known, found, list(range(k))))
+            for k in range(len(gain) + 1)
+        ]
+    )
+    assert np.all(np.diff(widths, axis=0) <= 1e-9)
+    # in any order the end is the same
+    backwards = list(range(len(gain)))[::-1]
+    np.testing.assert_allclose(
+        interval_widths(known, information_of(known, found, backwards)), widths[-1], rtol=1e-9
+    )
+
+
+@given(seeds, st.lists(st.integers(-1, 2), min_size=1, max_size=5))
+def test_gains_are_unknown_as_they_are_in_one_large_fit(seed, gain):
+    """The Schur complements equal the inverse of the whole matrix of absorptions and gains."""
+    rng = np.random.default_rng(seed)
+    known, found = unknowns(rng), pairs(rng, gain, rank=6)
+    whole = np.zeros((N + 3, N + 3))
+    whole[:N, :N] = known.information[0, 0]
+    whole[N:, N:] = 1e-9 * np.eye(3)
+    for matrix, g in zip(found.matrices[:, 0, 0], gain, strict=True):
+        rows = [*range(N), N + g] if g >= 0 else list(range(N))
+        whole[np.ix_(rows, rows)] += matrix[: len(rows), : len(rows)]
+    expected = np.linalg.inv(whole)[:N, :N]
+    information = information_of(known, found, list(range(len(gain))))
+    np.testing.assert_allclose(np.linalg.inv(information[0, 0]), expected, rtol=1e-6, atol=1e-12)
+
+
+@given(seeds)
+def test_geometry_of_one_pair_is_integrated_out_as_in_one_large_fit(seed):
+    """All bands' absorptions, gains and the geometry they share, inverted together."""
+    rng = np.random.default_rng(seed)
+    first, n_geometry, n_bands = 3, 4, 3
+    rows = rng.normal(size=(n_bands, 9, first + n_geometry))
+    found = list(np.swapaxes(rows, 1, 2) @ rows)
+    n = n_bands * first
+    whole = 1e-6 * np.eye(n + n_geometry)
+    whole[n:, n:] = np.eye(n_geometry)
+    for band, information in enumerate(found):
+        at = [*range(band * first, (band + 1) * first), *range(n, n + n_geometry)]
+        whole[np.ix_(at, at)] += information
+    covariance = np.linalg.inv(whole)
+    shared = np.array([False, True, False, True])
+    for band, information in enumerate(without_geometry(found, first, shared, 0)):
+        own = slice(band * first, (band + 1) * first)
+        np.testing.assert_allclose(
+            np.linalg.inv(information + 1e-6 * np.eye(first)), covariance[own, own], rtol=1e-6
+        )
+    # nine pairs more like this one tell nine times as much of what all share, and no less of places
+    told = sum(about_geometry(information, first) for information in found)
+    more = by_all_pairs(told, shared, 9) - told
+    assert np.all(more[~shared] == 0.0) and np.all(more[:, ~shared] == 0.0)
+    alone = np.linalg.inv(np.linalg.inv(told + np.diag(~shared * 1.0))[np.ix_(shared, shared)])
+    np.testing.assert_allclose(more[np.ix_(shared, shared)], 9.0 * alone, rtol=1e-6)
+    # what a band tells of the geometry is no more than with its absorptions known
+    gap = found[0][first:, first:] - about_geometry(found[0], first)
+    assert np.linalg.eigvalsh(gap)[0] >= -1e-9
+
+
+@pytest.mark.parametrize("criterion", ["determinant", "mean", "worst"])
+def test_the_choice_is_within_two_per_cent_of_the_best_of_all(criterion):
+    """Ten pairs, three of them to be chosen: all 120 designs are tried, for 12 sets of pairs."""
+    missed = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        known, found = unknowns(rng), pairs(rng, rng.integers(0, 3, 10).tolist())
+        rules = free_rules(found.gain.tolist())
+
+        def value(design, known=known, found=found):
+            return float(score(known, information_of(known, found, list(design)), criterion))
+
+        best = min(value(d) for d in itertools.combinations(range(10), 3))
+        chosen = value(choose(known, found, rules, 3, criterion, rng=fresh()))
+        # of a mean log determinant per unknown 0.02 is a width of one per cent
+        missed.append((chosen - best) / N if criterion == "determinant" else chosen / best - 1.0)
+    assert min(missed) > -1e-9
+    assert max(missed) <= 0.02, missed
+    assert np.median(missed) <= 1e-9, missed
+
+
+def test_the_order_puts_first_what_helps_most():
+    rng = np.random.default_rng(3)
+    known, found = unknowns(rng), pairs(rng, [0, 0, 1, 1, 2, 2])
+    chosen = choose(known, found, free_rules(found.gain.tolist()), 3, "mean", rng=fresh())
+    alone = [float(score(known, information_of(known, found, [c]), "mean")) for c in chosen]
+    assert alone[0] == min(alone)
+
+
+def test_a_pair_that_is_held_already_moves_the_choice():
+    """Two pairs tell of the first wall and one of the second: what is held decides."""
+    strong, weak = np.diag([9.0, 0.0, 0.0, 1.0]), np.diag([0.0, 4.0, 0.0, 1.0])
+    matrices = np.tile(np.stack([strong, strong, weak])[:, None, None], (1, 1, 1, 1, 1))
+    known = Unknowns(
+        ("a", "b", "c"), np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
+        np.ones(3),
+    )  # fmt: skip
+    found = PairInformation(matrices, np.array([0, 1, 2]))
+    rules = free_rules([0, 1, 2])
+    assert choose(known, found, rules, 1, "mean", rng=fresh())[0] in (0, 1)
+    rules = replace(rules, candidate=np.array([False, True, True]))
+    assert choose(known, found, rules, 1, "mean", held=(0,), rng=fresh()) == (2,)
+
+
+def test_rules_are_obeyed_by_the_choice_and_by_chance():
+    rng = np.random.default_rng(2)
+    gain = rng.integers(0, 4, 30)
+    at = rng.uniform(0.0, 6.0, (30, 3))
+    known, found = unknowns(rng), pairs(rng, gain.tolist())
+    rules = Rules(gain, compatible_places(at, 1.5), np.arange(30) >= 2, most_sources=2)
+    held = (0, 1)
+    designs = [
+        choose(known, found, rules, 4, c, held, rng=fresh())
+        for c in ("determinant", "mean", "worst")
+    ]
+    designs += [random_design(rules, 4, rng, held) for _ in range(20)]
+    for design in designs:
+        assert len(set(design)) == len(design) and not set(design) & set(held)
+        assert np.unique(gain[list(design)]).size <= 2
+        for a, b in itertools.combinations([*held, *design], 2):
+            if b not in held:
+                assert np.linalg.norm(at[a] - at[b]) >= 1.5
+    assert not allowed(rules, [5], held)[5]
+    with pytest.raises(InputError, match="leave no place"):
+        choose(known, found, replace(rules, most_sources=1), 25, "mean", held, rng=fresh())
+
+
+def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
+    known = Unknowns(
+        ("a", "b", "c"), np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
+        np.zeros(1), np.ones(1),
+    )  # fmt: skip
+    widths = material_widths(known, interval_widths(known, known.information))
+    # a standard normal logit reaches from 1/(1+e^1.96) to 1/(1+e^-1.96)
+    np.testing.assert_allclose(widths[0], np.tanh(1.959963984540054 / 2.0), rtol=1e-12)
+    assert widths[2].tolist() == widths[0].tolist() and widths[1].tolist() == [0.0, 0.0]
+    with pytest.raises(InputError, match="no absorption is left"):
+        Unknowns(("a",), np.array([-1]), np.zeros((1, 1, 0)), np.zeros((1, 1, 0, 0)),
+                 np.zeros(0), np.zeros(0))  # fmt: skip
+
+
+# Places.
+
+
+def test_places_are_in_the_room_and_clear_of_its_walls():
+    """In the gabled room of the paper, by its planes, which the search does not use."""
+    room = paper_scene().room
+    places = spread_places(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+    x, y, z = places.T
+    assert places.shape == (100, 3)
+    assert x.min() >= 1.0 and x.max() <= 14.64 and y.min() >= 1.0 and y.max() <= 9.70
+    for slope, top, at in ((1.32 / 8.70, 2.88, x), (0.51 / 6.94, 3.69, 15.64 - x)):
+        assert np.all((top + slope * at - z) / np.hypot(1.0, slope) >= 1.0 - 1e-6)
+    # evenly spread: no eighth of the plan is empty, and both halves of the height are used
+    assert np.histogram2d(x, y, [np.linspace(1, 14.64, 5), np.linspace(1, 9.7, 3)])[0].min() >= 4
+    np.testing.assert_array_equal(
+        places, spread_places(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+    )
+
+
+def test_a_grid_is_centred_and_evenly_spaced():
+    room, _ = roomfit.read_room(roomfit.RoomSpec(shoebox=(6.0, 5.0, 3.0)))
+    region = Region(np.array([0.0, 0.0, 1.5]), np.array([6.0, 5.0, 1.5]), 1.0)
+    places = grid_places(room, region, 1.0)
+    assert len(places) == 5 * 4
+    np.testing.assert_allclose(np.unique(places[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
+    np.testing.assert_allclose(np.unique(places[:, 1]), [1.0, 2.0, 3.0, 4.0])
+    with pytest.raises(InputError, match="too little space"):
+        grid_places(room, replace(region, wall_distance_m=2.0), 1.0)
+    with pytest.raises(InputError, match="too little space"):
+        spread_places(room, replace(region, wall_distance_m=2.0), 1, 1)
+
+
+def test_the_least_distance_from_a_source_is_that_of_the_standard():
+    """V = 200 m3, c = 340 m/s, T = 1 s: 2 sqrt(200 / 340) = 1.534 m."""
+    assert least_source_distance_m(200.0, 340.0, 1.0) == pytest.approx(1.5339, abs=1e-4)
+
+
+def test_a_part_of_the_pairs_leaves_every_source_its_share():
+    source = np.repeat([0, 1, 2], [50, 30, 40])
+    part = even_part(source, 30, np.random.default_rng(1))
+    assert np.bincount(source[part]).tolist() == [10, 10, 10]
+    assert even_part(source, 500, np.random.default_rng(1)).size == 120
+
+
+# The command, on a small box in one band, by energies.
+
+DESIGN = """
+[design]
+new_sources = 2
+receiver_distance_m = 0.5
+source_distance_m = 0.8
+decay_range_db = 25
+draws = 2
+"""
+ENERGY = ("from_hz = 500\nto_hz = 1000", 'from_hz = 500\nto_hz = 1000\nmodel = "energy"')
+# a short decay is soon traced
+DEAD = ("scattering = 0.0", "scattering = 0.0\nprior = {mean = 0.45, sd = 0.2}")
+UNMEASURED = tuple(
+    (f'[[measurements]]\nsource = "LS1"\nreceiver = "MP{i}"\nfile = "LS1_MP{i}.wav"\n', "")
+    for i in (1, 2)
+)
+
+
+@pytest.fixture(scope="module")
+def small(tmp_path_factory):
+    """A campaign whose two pairs are measured, and the design that comes after them."""
+    folder = tmp_path_factory.mktemp("design")
+    path = write_campaign(folder, ENERGY, DEAD)
+    path.write_text(path.read_text() + DESIGN)
+    campaign = roomfit.read_campaign(path, to_fit=False)
+    return path, campaign, roomfit.design(campaign, candidates=12, choose_n=3, n_random=40)
+
+
+def test_a_design_keeps_its_rules_in_a_room(small):
+    _, campaign, found = small
+    scene = found.scene
+    assert found.n_held == 2 and len(found.chosen) == 3 and np.all(found.chosen >= 2)
+    held = [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs[:2]]
+    assert held == [("LS1", "MP1"), ("LS1", "MP2")]
+    ends = [
+        (scene.sources[s].position_m, scene.receivers[r].position_m)
+        for s, r in scene.pairs[found.chosen]
+    ]
+    assert min(np.linalg.norm(a - b) for a, b in ends) >= found.source_distance_m
+    for (_, a), (_, b) in itertools.combinations(ends, 2):
+        assert np.linalg.norm(a - b) >= 0.5 or np.allclose(a, b)
+    again = roomfit.design(campaign, candidates=12, choose_n=3, n_random=40)
+    np.testing.assert_array_equal(again.chosen, found.chosen)
+    np.testing.assert_array_equal(again.widths, found.widths)
+
+
+def test_intervals_narrow_with_every_pair_and_more_than_by_chance(small):
+    found = small[2]
+    assert np.all(np.diff(found.widths, axis=0) <= 1e-12)
+    assert np.all(found.widths > 0.0) and np.all(found.widths < 1.0)
+    means = found.widths.mean(axis=(1, 2))
+    np.testing.assert_allclose(found.random_means[:, 0], means[0], rtol=1e-12)
+    assert means[-1] < np.median(found.random_means[:, -1])
+
+
+def test_a_campaign_without_measurements_can_be_designed(tmp_path):
+    """Nothing measured, sources and receivers as they are listed; a source limit is obeyed."""
+    path = write_campaign(tmp_path, ENERGY, DEAD, *UNMEASURED)
+    listed = "\nreceivers = [[2.9, 0.6, 1.2], [0.7, 2.4, 1.1], [2.2, 2.6, 1.4]]\n"
+    path.write_text(
+        path.read_text() + DESIGN.replace("new_sources = 2", "new_sources = 1") + listed
+    )
+    campaign = roomfit.read_campaign(path, to_fit=False)
+    found = roomfit.design(campaign, choose_n=2, most_sources=1, criterion="mean", n_random=3)
+    assert found.n_held == 0 and not found.after_fit
+    assert [f.code for f in found.findings if f.code == "few-candidates"]
+    assert np.unique(found.scene.pairs[found.chosen, 0]).size == 1
+    names = {r.name for r in found.scene.receivers}
+    assert names <= {"MP1", "MP2", "R1", "R2", "R3"}
+    # before: the prior, the mean over its two draws; no interval is wider than the whole
+    assert np.ptp(found.widths[0]) < 1e-12 and found.widths[0].max() < 1.0
+    with pytest.raises(InputError, match="far enough apart"):
+        roomfit.design(
+            replace(campaign, design=campaign.design.model_copy(update={"source_distance_m": 9.0}))
+        )
+    with pytest.raises(InputError, match="below 1"):
+        roomfit.design(campaign, candidates=0)
+
+
+def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):
+    path, _, found = small
+    out = tmp_path / "out"
+    arguments = ("design", path, "--out", out, "--candidates", 12, "--choose", 3)
+    assert run_command(monkeypatch, *arguments) == 0
+    told = json.loads((out / "design.json").read_text())
+    assert told["format"] == "roomfit-design" and told["format_version"] == 1
+    assert told["bands_hz"] == [500.0, 1000.0]
+    assert len(told["chosen"]) == 3 and told["before"]["measured_pairs"] == 2
+    for step, one in enumerate(told["chosen"], start=1):
+        for i, name in enumerate(("walls", "carpet", "tiles")):
+            np.testing.assert_allclose(one["width95"][name], found.widths[step, i], rtol=1e-9)
+    rows = list(csv.DictReader((out / "design.csv").open()))
+    assert [r["receiver"] for r in rows] == [c["receiver"] for c in told["chosen"]]
+    assert float(rows[0]["source_x_m"]) == pytest.approx(told["chosen"][0]["source_m"][0], abs=1e-3)
+    for picture in ("design_map.png", "design_gain.png"):
+        assert (out / picture).read_bytes().startswith(b"\x89PNG")
+    printed = capsys.readouterr().out
+    assert "3 of 12 pairs" in printed and "after 2 measured pairs" in printed
+    assert run_command(monkeypatch, *arguments) == 2  # the folder is not empty
+    assert run_command(monkeypatch, *arguments, "--overwrite", "--criterion", "best") == 2
+    assert "determinant, mean, worst" in capsys.readouterr().err
+
+
+def result_json(folder, phi: float):
+    """Write a result in which the carpet is known ill and all else well."""
+    sd = {"walls": 0.1, "carpet": 1.2, "tiles": 0.3}
+    absorption = {"walls": 0.15, "carpet": 0.4, "tiles": 0.3}
+    widths = {}
+    for name, a in absorption.items():
+        logit = np.log(a / (1.0 - a)) + np.array([-1.96, 1.96]) * sd[name]
+        low, high = (1.0 / (1.0 + np.exp(-logit))).tolist()
+        widths[name] = {
+            "absorption": [a, a], "lower95": [low, low], "upper95": [high, high],
+            "identifiable": [True, True], "area_m2": 10.0,
+        }  # fmt: skip
+    covariance = np.diag([s**2 for s in sd.values()]).tolist()
+    content = {
+        "format": "roomfit-result", "format_version": 1, "bands_hz": [500.0, 1000.0],
+        "materials": widths, "fit": {"phi": [phi, phi]},
+        "posterior": {"logit_covariance": [covariance, covariance]},
+    }  # fmt: skip
+    path = folder / "result.json"
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_after_a_fit_the_next_measurement_shrinks_the_widest_interval(
+    small, tmp_path, monkeypatch, capsys
+):
+    """The interval before is the fit's own; a fit that missed its data promises less."""
+    path = small[0]
+    result = result_json(tmp_path, 1.0)
+    out = tmp_path / "out"
+    arguments = ("design", path, "--result", result, "--candidates", 8)
+    assert run_command(monkeypatch, *arguments, "--out", out) == 0
+    told = json.loads((out / "design.json").read_text())
+    assert len(told["chosen"]) == 1 and told["before"]["after_fit"] is True
+    content = json.loads(result.read_text())["materials"]["carpet"]
+    before, after = told["widest"]["width95"]
+    assert told["widest"]["material"] == "carpet"
+    # the fit's own interval, by 1.96 of its rounding
+    assert before == pytest.approx(content["upper95"][0] - content["lower95"][0], rel=1e-4)
+    assert after < before
+    assert "after a finished fit" in capsys.readouterr().out
+    ends = (told["chosen"][0]["source"], told["chosen"][0]["receiver"])
+    assert ends not in {("LS1", "MP1"), ("LS1", "MP2")}
+    campaign = roomfit.read_campaign(path, to_fit=False)
+    # a fit that missed its data makes the next measurement tell less
+    misfitting = roomfit.design(
+        campaign, candidates=8, result=roomfit.read_result(result),
+        misfit=np.array([4.0, 4.0]), n_random=0,
+    )  # fmt: skip
+    assert misfitting.widths[1].max() > after
+
+
+@pytest.mark.slow
+def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
+    """Two pairs held, by the model; then measured and fitted: mean widths agree within a third.
+
+    The promise is made at the true absorption, under the same rules of noise.
+    """
+    path = write_campaign(tmp_path, ENERGY)
+    truth = (("walls", 0.15), ("carpet", 0.4), ("tiles", 0.3))
+    answer = roomfit.identify(roomfit.read_campaign(path))
+    design = "\n[design]\nnew_sources = 1\nreceiver_distance_m = 0.3\ndraws = 1\n"
+    priors = "".join(
+        f"[materials.{name}]\nscattering = 0.0\nprior = {{mean = {a}, sd = 0.19}}\n"
+        for name, a in truth
+    )
+    text = path.read_text()
+    start, end = text.index("[materials.walls]"), text.index("[sources.LS1]")
+    told = tmp_path / "told.toml"
+    told.write_text(text[:start] + priors + text[end:] + design)
+    found = roomfit.design(
+        roomfit.read_campaign(told, to_fit=False), candidates=2, choose_n=1, n_random=0
+    )
+    promised, reported = found.widths[0].mean(), (answer.upper95 - answer.lower95).mean()
+    assert 0.67 < promised / reported < 1.5
