@@ -17,13 +17,15 @@ from roomfit.tracing.settings import TraceSettings
 
 DEFAULT_SCATTERING = 0.1
 N_RAYS = 60_000
-# Beside image sources of every order rays bring only what is late or diffuse: the Monte-Carlo error
-# of a window, 5 to 8 %, stays well below what interference does to it.
+# Beside image sources of every order in a room of smooth walls rays bring only what is late: the
+# Monte-Carlo error of a window, 5 to 8 %, stays well below what interference does to it. Where
+# walls scatter, they bring most of the energy from the first reflections on.
 N_RAYS_BESIDE_IMAGES = 20_000
 RECEIVER_RADIUS_M = 0.5
 _MOST_IMAGES_PER_PAIR = 400_000
 _IMAGE_ORDER, _ANY_ORDER = 3, 1000
-# A partly coherent fit asks for image sources as far as its windows go, if they can be had.
+# A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
+# box, where they cost little, as far as energies are compared.
 _COHERENT_UNTIL_S = 0.22
 _MOST_COHERENT_IMAGES_PER_PAIR = 60_000
 _LEAST_COHERENT_S = 0.03
@@ -118,7 +120,7 @@ def plan_trace(
             settings,
             image_order=_ANY_ORDER,
             image_until_s=until_s,
-            n_rays=N_RAYS_BESIDE_IMAGES,
+            n_rays=N_RAYS if np.any(scattering.coefficients) else N_RAYS_BESIDE_IMAGES,
         )
     elif coherent and not images_alone:
         findings.append(_few_images())
@@ -126,9 +128,9 @@ def plan_trace(
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         settings = replace(settings, image_order=order)
     far_images = images_alone or until_s > 0.0
-    smooth_box = scene.room.shoebox_m is not None and not np.any(scattering.coefficients)
-    # what is left in a smooth box travels between two hard walls along paths that few rays find
-    fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
+    # what comes late in a box, and still has no diffuse hit, travels to and fro between two hard
+    # walls along paths that few rays find
+    fit_until_s = until_s if scene.room.shoebox_m is not None and until_s > 0.0 else np.inf
     return TracePlan(settings, scattering, tuple(findings), far_images, fit_until_s)
 
 
@@ -147,9 +149,9 @@ def _images_until_s(scene: Scene, duration_s: float) -> float:
     c = speed_of_sound_m_s(scene.air)
     volume = volume_m3(scene.room.mesh)
     affordable_s = (_MOST_COHERENT_IMAGES_PER_PAIR * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
-    longest_s = min(duration_s, _COHERENT_UNTIL_S, float(affordable_s))
+    longest_s = min(duration_s, float(affordable_s))
     if scene.room.shoebox_m is None:
         if len(scene.room.mesh.triangles) > _MOST_TRIANGLES_FOR_IMAGES:
             return 0.0
-        longest_s = affordable_duration_s(scene, longest_s)
+        longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
     return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0

@@ -25,17 +25,23 @@ class CoherentBandFit:
     Attributes
     ----------
     fit : BandFit
-    parameters : Parameters
     log_likelihood : float
         Of all data, none counted less than once: compares models of the same data.
     found : Marginal or None
         What this band and those before say of the geometry; None where nothing of it is fitted.
+    problem : BandProblem
+        With the coherence of the last round.
     """
 
     fit: BandFit
-    parameters: Parameters
     log_likelihood: float
     found: Marginal | None
+    problem: BandProblem
+
+    @property
+    def parameters(self) -> Parameters:
+        """The unknowns of the problem."""
+        return self.problem.parameters
 
 
 def geometry_information(parameters: Parameters) -> FloatArray:
@@ -73,9 +79,9 @@ def fit_in_rounds(
     each = problem.log_likelihood(fit.expected, fit.variance)
     likelihood = float(each.sum())
     if first == vector.size:
-        return CoherentBandFit(fit, problem.parameters, likelihood, None)
+        return CoherentBandFit(fit, likelihood, None, problem)
     found = marginal(fit, first, geometry_information(problem.parameters))
-    return CoherentBandFit(fit, problem.parameters, likelihood, found)
+    return CoherentBandFit(fit, likelihood, found, problem)
 
 
 def without_band(final: Marginal, after: Marginal, before: FloatArray) -> JointPrior:

@@ -7,7 +7,7 @@ under what all the others have found.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -20,28 +20,26 @@ from roomfit.app.coherent.answers import (
     with_both_intervals,
 )
 from roomfit.app.coherent.bands import (
-    CoherentBand,
     CoherentOptions,
     PartFactory,
     band_likelihoods,
     once_more,
     upwards,
 )
+from roomfit.app.coherent.beginning import Beginning, Retrace, begun, renewed
 from roomfit.app.coherent.findings import delay_findings, geometry_findings
 from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
-from roomfit.app.coherent.loudspeaker import without_loudspeakers
 from roomfit.app.coherent.prepared import (
     CoherentTask,
     energy_answers,
     files_of_band,
-    first_absorption,
-    prepared_bands,
+    sources_of_band,
 )
 from roomfit.app.coherent.problems import (
     cut_at,
-    moved_scene,
 )
 from roomfit.app.coherent.spoiled import LEAST_BY_PRESSURES, Heard, spoiled_files
+from roomfit.app.coherent.tracing_noise import with_tracing_noise
 from roomfit.app.directing.doubts import directivity_doubt, source_findings
 from roomfit.app.directing.unknown import Directed, Directing, directed_band
 from roomfit.app.fitting import BandAnswer, band_answer
@@ -64,8 +62,6 @@ from roomfit.uncertainty.answer import FittedGeometry
 
 __all__ = ["CoherentFit", "CoherentOptions", "Retrace", "fit_coherent"]
 
-# Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
-_RETRACE_BELOW_HZ = 1000.0
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
 
@@ -92,10 +88,6 @@ class CoherentFit:
     geometry: FittedGeometry | None
     findings: tuple[Finding, ...]
     directed: tuple[Directed | None, ...] = ()
-
-
-Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
-"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
 
 
 def fit_coherent(
@@ -145,105 +137,84 @@ def fit_coherent(
     task = CoherentTask(
         *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects)
     )
-    binned = cut_at(binned, settings.late_end_s)
-    origin: FloatArray | None = None
-    prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-    if settings.model != "energy" and directing is None:
-        guess = first_absorption(task, prepared)
-        even = without_loudspeakers(scene, bands, measured, paths, guess)
-        if any(new is not old for new, old in zip(even, measured, strict=True)):
-            task = replace(task, measured=even)
-            prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-    if retrace is not None and settings.positions == "fit" and settings.model != "energy":
-        moved = _moved(task, prepared)
-        if moved is not None:
-            place, origin = moved
-            paths, weights, binned = retrace(place)
-            binned = cut_at(binned, settings.late_end_s)
-            prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-    fits, chosen_noise = upwards(prepared, settings, part(progress, 0.0, 0.8))
-    spoiled = spoiled_files(_heard(task, prepared, fits), LEAST_BY_PRESSURES)
+    state = begun(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
+    fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.0, 0.8))
+    spoiled = spoiled_files(_heard(state, fits), LEAST_BY_PRESSURES)
     if spoiled:
-        task = replace(task, spoiled=spoiled)
-        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-        fits, chosen_noise = upwards(prepared, settings, part(progress, 0.8, 1.0))
-    stretch = places_stretch(task.scene, prepared, fits)
+        state = renewed(replace(state, task=replace(state.task, spoiled=spoiled)))
+        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
+    stretch = places_stretch(state.task.scene, state.bands, fits)
     if stretch > 1.0:
-        place, origin = looser_places(task.scene, origin, stretch)
-        task = replace(task, scene=place)
-        prepared, findings = prepared_bands(task, paths, weights, binned, origin)
-        fits, chosen_noise = upwards(prepared, settings, part(progress, 0.8, 1.0))
-    findings = (*findings, *places_findings(stretch))
+        place, origin = looser_places(state.task.scene, state.origin, stretch)
+        state = renewed(replace(state, task=replace(state.task, scene=place), origin=origin))
+        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
+    findings = (*state.findings, *places_findings(stretch))
     if not settings.delays and settings.model != "energy":
-        delaying = replace(task, settings=replace(settings, delays=True))
-        free, _ = prepared_bands(delaying, paths, weights, binned, origin)
-        others, _ = upwards(free, settings, None)
+        delaying = replace(state.task, settings=replace(settings, delays=True))
+        others, _ = upwards(renewed(replace(state, task=delaying)).bands, settings, None)
         findings = (*findings, *delay_findings(_gain(fits, others)))
-    fits, final = once_more(prepared, fits, chosen_noise, settings)
-    likelihoods = band_likelihoods(prepared, fits)
-    answers = _answers(task, paths, binned, prepared, fits, likelihoods)
-    findings = (*findings, *_source_findings(task, prepared, paths))
+    fits, final = once_more(state.bands, fits, chosen_noise, settings)
+    likelihoods = band_likelihoods(state.bands, fits)
+    answers = _answers(state, fits, likelihoods)
+    findings = (*findings, *_source_findings(state))
     if any(f.code in ("walls-delay", "source-directs") for f in findings):
         answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
-    geometry = next((b.problem.geometry for b in prepared if b is not None), None)
+    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
     told = None if geometry is None or final is None else _fitted_geometry(geometry, final)
     findings = (*findings, *geometry_findings(told))
-    directed = tuple(None if b is None else b.directed for b in prepared)
+    directed = tuple(None if b is None else b.directed for b in state.bands)
     return CoherentFit(answers, likelihoods, told, findings, directed)
 
 
-def _heard(
-    task: CoherentTask,
-    prepared: tuple[CoherentBand | None, ...],
-    fits: Sequence[CoherentBandFit | None],
-) -> list[Heard]:
+def _heard(state: Beginning, fits: Sequence[CoherentBandFit | None]) -> list[Heard]:
     """Return what pressures explain, band by band, for the search of spoiled files."""
     return [
-        Heard(band.energies, fit.fit, files_of_band(task, i), band.factor)
-        for i, (band, fit) in enumerate(zip(prepared, fits, strict=True))
+        Heard(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
+        for i, (band, fit) in enumerate(zip(state.bands, fits, strict=True))
         if band is not None and fit is not None
     ]
 
 
-def _source_findings(
-    task: CoherentTask, prepared: tuple[CoherentBand | None, ...], paths: Paths
-) -> tuple[Finding, ...]:
+def _source_findings(state: Beginning) -> tuple[Finding, ...]:
     """Return a finding where a source taken for omnidirectional is none."""
-    doubts = {}
-    for i, band in enumerate(prepared):
+    task, doubts = state.task, {}
+    for i, band in enumerate(state.bands):
         if band is not None and task.suspects is not None:
             heard = files_of_band(task, i)
-            how = directed_band(task.suspects, task.scene, paths, band.energies, heard)
+            how = directed_band(task.suspects, task.scene, state.paths, band.energies, heard)
             doubts[i] = directivity_doubt(band.energies, band.energy_fit, how, band.factor)
     return source_findings(task.suspects, doubts)
 
 
 def _answers(
-    task: CoherentTask,
-    paths: Paths,
-    binned: BinnedPaths,
-    prepared: tuple[CoherentBand | None, ...],
-    fits: Sequence[CoherentBandFit | None],
-    likelihoods: FloatArray,
+    state: Beginning, fits: Sequence[CoherentBandFit | None], likelihoods: FloatArray
 ) -> tuple[BandAnswer | None, ...]:
     """Return each band's answer by the model that explains it better."""
+    task = state.task
     areas = material_areas_m2(task.scene.room)
     coherent = tuple(
-        None if f is None else band_answer(f.parameters, f.fit, areas, "coherent") for f in fits
+        None
+        if band is None or f is None
+        else band_answer(
+            f.parameters,
+            with_tracing_noise(f.problem, band.energies, sources_of_band(task, i), f.fit),
+            *(areas, "coherent"),
+        )
+        for i, (band, f) in enumerate(zip(state.bands, fits, strict=True))
     )
     coherent = widened_by_neighbours(coherent, areas)
     energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
     if any(_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)):
         coarse = band_problems(
-            *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start)
+            *(task.scene, task.bands, task.knowledge, task.measured, state.binned, task.start)
         )
-        energy = energy_answers(task, paths, coarse, prepared, areas)
+        energy = energy_answers(task, state.paths, coarse, state.bands, areas)
     decided = [
         _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
     ]
     if task.settings.model != "auto":
         return tuple(decided)
-    return tuple(_certified(*each) for each in zip(decided, prepared, strict=True))
+    return tuple(_certified(*each) for each in zip(decided, state.bands, strict=True))
 
 
 def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnswer | None:
@@ -253,24 +224,6 @@ def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnsw
         return answer
     proof = affordable_certificate(band.energies, band.energy_fit.vector)
     return replace(answer, certificate=proof)
-
-
-def _moved(
-    task: CoherentTask, prepared: tuple[CoherentBand | None, ...]
-) -> tuple[Scene, FloatArray] | None:
-    """Return the scene at the positions that the lower bands tell, and these as free numbers."""
-    low = tuple(
-        b
-        for b, f in zip(prepared, task.bands.centres_hz, strict=True)
-        if b is not None and f <= _RETRACE_BELOW_HZ
-    )
-    if not low:
-        return None
-    fits, _ = upwards(low, task.settings, None)
-    known = [f.found for f in fits if f is not None and f.found is not None]
-    if not known:
-        return None
-    return moved_scene(task.scene, low[0].problem.geometry, known[-1].mean)
 
 
 def _asks_energies(

@@ -20,7 +20,7 @@ from roomfit.typing import FloatArray
 
 # So long after the direct sound a response is compared with its image sources.
 _HEARD_S = 0.1
-_MODAL = 2.0  # Schroeder frequencies: below, single modes stand out
+MODAL = 2.0
 
 
 def without_loudspeakers(
@@ -29,6 +29,8 @@ def without_loudspeakers(
     measured: tuple[MeasuredPair, ...],
     paths: Paths,
     absorption: FloatArray,
+    *,
+    modal: float = MODAL,
 ) -> tuple[MeasuredPair, ...]:
     """Return the measurements as sources without colour would have given them.
 
@@ -45,6 +47,9 @@ def without_loudspeakers(
         With image sources.
     absorption : float array, shape (n_materials, n_bands)
         A first guess.
+    modal : float
+        Schroeder frequencies up to which the guess is not trusted, since single modes stand out; 0
+        where pressures have told the absorption of the lowest bands.
     """
     fitted = [m for m in measured if m.file.use == "fit" and m.file.level != "absolute"]
     # octave filters begin an octave below the centre, others nearer
@@ -57,7 +62,7 @@ def without_loudspeakers(
             [_expected(scene, bands, m, paths, absorption) for m in own],
             [m.direct_s + _HEARD_S for m in own],
             lowest_hz,
-            _MODAL * _schroeder_hz(scene, own),
+            modal * _schroeder_hz(scene, own),
         )
     return tuple(
         _without(m, colours[m.file.source], bands)

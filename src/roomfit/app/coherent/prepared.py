@@ -21,6 +21,7 @@ from roomfit.app.coherent.spoiled import (
     spoiled_files,
     spoiled_findings,
 )
+from roomfit.app.coherent.tracing_noise import with_tracing_noise
 from roomfit.app.directing.bands import hows_after_others, moved_start
 from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
 from roomfit.app.fitting import BandAnswer, band_answer
@@ -28,6 +29,7 @@ from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import band_problems, tells_of_band
 from roomfit.bands import Bands
 from roomfit.findings import Finding
+from roomfit.identification.coherence_rounds import CoherentBandFit
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.scoring import score_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
@@ -134,6 +136,11 @@ def files_of_band(task: CoherentTask, band: int) -> tuple[MeasuredPair, ...]:
     return tuple(m for m in task.measured if tells_of_band(m, band))
 
 
+def sources_of_band(task: CoherentTask, band: int) -> tuple[int, ...]:
+    """Return the source of each of a band's observations."""
+    return tuple(int(task.scene.pairs[m.pair][0]) for m in files_of_band(task, band))
+
+
 def _energies_alone(
     task: CoherentTask,
     paths: Paths,
@@ -197,6 +204,21 @@ def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ..
     return out
 
 
+def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
+    """Return a guess with the absorption of those bands that pressures have told already.
+
+    Parameters
+    ----------
+    guess : float array, shape (n_materials, n_bands)
+    fits : sequence of CoherentBandFit or None, one a band
+    """
+    out = guess.copy()
+    for i, fit in enumerate(fits):
+        if fit is not None:
+            out[:, i] = physical_values(fit.parameters, fit.fit.vector)[0]["absorption"]
+    return out
+
+
 def energy_answers(
     task: CoherentTask,
     paths: Paths,
@@ -227,5 +249,6 @@ def energy_answers(
             problem = with_unknown(problem, how.unknown)
         whole = joined(made_directed(problem, how), factor, own)
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        fit = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
         out.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
     return tuple(out)
