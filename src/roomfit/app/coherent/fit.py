@@ -20,6 +20,7 @@ from roomfit.app.coherent.answers import (
     with_both_intervals,
 )
 from roomfit.app.coherent.bands import (
+    CoherentBand,
     CoherentOptions,
     PartFactory,
     band_likelihoods,
@@ -37,6 +38,7 @@ from roomfit.app.coherent.prepared import (
 )
 from roomfit.app.coherent.problems import (
     cut_at,
+    fitted_geometry,
 )
 from roomfit.app.coherent.spoiled import LEAST_BY_PRESSURES, Heard, spoiled_files
 from roomfit.app.coherent.tracing_noise import with_tracing_noise
@@ -51,9 +53,7 @@ from roomfit.findings import Finding
 from roomfit.identification.coherence_rounds import (
     CoherentBandFit,
 )
-from roomfit.identification.scoring import Marginal
 from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.objective.coherent_geometry import Geometry
 from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
@@ -160,7 +160,7 @@ def fit_coherent(
     if any(f.code in ("walls-delay", "source-directs") for f in findings):
         answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
-    told = None if geometry is None or final is None else _fitted_geometry(geometry, final)
+    told = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *geometry_findings(told))
     directed = tuple(None if b is None else b.directed for b in state.bands)
     return CoherentFit(answers, likelihoods, told, findings, directed)
@@ -249,16 +249,6 @@ def _decided(
     better = likelihoods[1] - likelihoods[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
     return best if abs(better) >= _UNDECIDED else with_both_intervals(best, other)
-
-
-def _fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:
-    free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
-    change, sd = np.zeros(geometry.sd.size), np.array(geometry.sd)
-    change[free] = geometry.sd[free] * final.mean
-    sd[free] = geometry.sd[free] * np.sqrt(np.diag(np.linalg.inv(final.information)))
-    speed = geometry.labels.index("speed of sound")
-    c = geometry.speed_m_s * float(np.exp(change[speed]))
-    return FittedGeometry(geometry.labels, change, sd, geometry.sd, c)
 
 
 def _gain(

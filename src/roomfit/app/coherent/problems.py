@@ -11,6 +11,7 @@ from roomfit.app.binning import BinnedPaths, in_band, regrouped
 from roomfit.app.measuring import LATENCY_SD_S, MeasuredPair
 from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.bands import Bands
+from roomfit.identification.scoring import Marginal
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.coherent_geometry import Geometry, geometry_block
 from roomfit.objective.coherent_problem import CoherentProblem
@@ -22,6 +23,7 @@ from roomfit.scene.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
+from roomfit.uncertainty.answer import FittedGeometry
 
 # What is assumed of an unknown of which nothing is told.
 SPEED_SD = 2e-3
@@ -172,3 +174,14 @@ def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[S
     at = [replace(p, position_m=p.position_m + x) for p, x in zip(points, steps, strict=True)]
     n = len(scene.sources)
     return replace(scene, sources=tuple(at[:n]), receivers=tuple(at[n:])), origin
+
+
+def fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:
+    """Return where everything stands after the last band, and how sure that is."""
+    free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+    change, sd = np.zeros(geometry.sd.size), np.array(geometry.sd)
+    change[free] = geometry.sd[free] * final.mean
+    sd[free] = geometry.sd[free] * np.sqrt(np.diag(np.linalg.inv(final.information)))
+    speed = geometry.labels.index("speed of sound")
+    c = geometry.speed_m_s * float(np.exp(change[speed]))
+    return FittedGeometry(geometry.labels, change, sd, geometry.sd, c)
