@@ -143,7 +143,7 @@ def material_answer(
     """
     reach = _reach(spread, np.ones(len(r0), dtype=np.complex128))
     normal = absorption_normal(r0)
-    dn = _real_reach(spread, np.stack([-2.0 * r0.real, -2.0 * r0.imag], axis=1))
+    dn, below_normal = _normal_reach(spread, r0)
     random = absorption_random(r0)
     # inside the disc, so that the steps meet walls that absorb
     inner = r0 * (1.0 - 2.0 * _STEP)
@@ -165,7 +165,7 @@ def material_answer(
         r0_lower95=_box(r0 - reach, -1.0, 1.0),
         r0_upper95=_box(r0 + reach, -1.0, 1.0),
         absorption_normal=normal,
-        absorption_normal_lower95=np.clip(normal - dn, 0.0, 1.0),
+        absorption_normal_lower95=np.clip(normal - dn - below_normal, 0.0, 1.0),
         absorption_normal_upper95=np.clip(normal + dn, 0.0, 1.0),
         absorption_random=random,
         absorption_random_lower95=np.clip(random - dr, 0.0, 1.0),
@@ -198,6 +198,20 @@ def _reach(spread: FloatArray, by_r0: ComplexArray) -> ComplexArray:
 def _real_reach(spread: FloatArray, by: FloatArray) -> FloatArray:
     variance = np.einsum("fa,fab,fb->f", by, spread, by)
     return np.asarray(_REACH * np.sqrt(np.maximum(variance, 0.0)))
+
+
+def _normal_reach(spread: FloatArray, r0: ComplexArray) -> tuple[FloatArray, FloatArray]:
+    """Return half the interval of ``1 - |R0|**2``, and how far its mean lies below the value.
+
+    With the second order, without which a wall that is matched, R0 = 0, would be known exactly: of
+    a normal R0 with mean r and covariance S the square has the variance
+    ``4 r S r + 2 trace(S S)`` and a mean that is larger by ``trace(S)``.
+    """
+    parts = np.stack([r0.real, r0.imag], axis=1)
+    first = np.einsum("fa,fab,fb->f", parts, spread, parts)
+    second = np.einsum("fab,fba->f", spread, spread)
+    reach = _REACH * np.sqrt(np.maximum(4.0 * first + 2.0 * second, 0.0))
+    return np.asarray(reach), np.asarray(np.trace(spread, axis1=1, axis2=2))
 
 
 def _box(value: ComplexArray, low: float, high: float) -> ComplexArray:

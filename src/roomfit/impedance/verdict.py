@@ -115,8 +115,9 @@ def likely_cause(fit: ImpedanceFit, again: Callable[[Problem], ImpedanceFit]) ->
                 f"{before:.1f} to {after:.1f} with them free"
             )
     return (
-        "walls that do not react locally (thick soft layers), patches, scattering, or another "
-        "room than was described: neither positions nor gains explain it"
+        "walls that do not react locally (thick soft layers), patches, scattering, a loudspeaker "
+        "that does not radiate alike in all directions, or another room than was described: "
+        "neither positions nor gains explain it"
     )
 
 

@@ -57,7 +57,9 @@ def wall_figure(
         axes.grid(alpha=0.25)
         _frequency_axis(axes, f)
     figure.supxlabel("frequency (Hz)")
-    figure.suptitle(f"{material.name}, {material.kind}: {answer.verdict.word}")
+    weaker = " (a weaker verdict)" if answer.verdict.weaker else ""
+    title = f"{material.name}, {material.kind}: {answer.verdict.word}{weaker}; bands hold 95 %"
+    figure.suptitle(title)
     return figure
 
 
@@ -131,7 +133,7 @@ def spectra_figure(answer: ImpedanceAnswer, pairs: Sequence[int]) -> Figure:
         axes.set_visible(False)
     panels[0, 0].set_ylim(-80.0, 5.0)
     figure.supxlabel("frequency (Hz)")
-    figure.supylabel("level (dB)")
+    figure.supylabel("level (dB, 0 is the loudest measured)")
     handles, labels = panels[0, 0].get_legend_handles_labels()
     figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=8)
     return figure
