@@ -174,7 +174,7 @@ def scattering_doubts(
         return ()
     last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_DOUBT_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)
-    trial = _trial(gathered, bands, knowledge, settings, start, chosen)
+    trial = _trial(gathered, bands, knowledge, settings, start, chosen, n_rays=_N_RAYS)
     if trial is None:
         return ()
     fit, told = trial
@@ -188,6 +188,8 @@ def _trial(
     settings: TraceSettings,
     start: FloatArray,
     chosen: slice,
+    *,
+    n_rays: int = _TRIAL_RAYS,
 ) -> tuple[ScatteringFit, FloatArray] | None:
     """Return a quick fit of the energies in some bands, and what is told for these.
 
@@ -200,7 +202,7 @@ def _trial(
     known = in_bands(knowledge, np.arange(chosen.start, chosen.stop))
     responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in heard)
     scene = gathered.scene
-    few = replace(_quick(settings), n_rays=_TRIAL_RAYS)
+    few = replace(_quick(settings), n_rays=n_rays)
     few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
     retracer = scene_retracer(scene, own, few)
     told = np.stack(

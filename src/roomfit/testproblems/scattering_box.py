@@ -235,6 +235,7 @@ def write_scattering_box(
     told: str = "0.0",
     position_error_m: float = 0.01,
     noise_db: float = -60.0,
+    n_rays: int = _N_RAYS,
     progress: Progress | None = None,
 ) -> MeasuredBox:
     """Simulate measured responses of a box whose walls scatter and write them as a campaign.
@@ -247,6 +248,8 @@ def write_scattering_box(
         What the campaign says of every wall's scattering, as written there.
     folder, rng, position_error_m, noise_db
         As for `write_measured_box`.
+    n_rays : int
+        A source.
     """
     import soundfile
 
@@ -260,7 +263,9 @@ def write_scattering_box(
     receivers = np.array([true_at[r] for r in plan.receivers_m])
     for number, s in enumerate(plan.sources_m):
         level_db = rng.normal(0.0, 3.0, len(bands))
-        echogram = diffuse_echogram(truth, scattering, true_at[s], receivers, _DURATION_S, rng)
+        echogram = diffuse_echogram(
+            *(truth, scattering, true_at[s], receivers, _DURATION_S, rng), n_rays=n_rays
+        )
         for receiver, r in enumerate(plan.receivers_m):
             pressure = scattered_response(
                 *(truth, scattering, true_at[s], true_at[r], echogram.energy[receiver]),
