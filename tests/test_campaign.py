@@ -73,7 +73,7 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
         ("shoebox = [5.0, 4.0, 3.0]", 'shoebox = [5.0, 4.0, 3.0]\nfile = "r.obj"', "exactly one"),
         ("[room]", "[identify]\nfrom_hz = 900\nto_hz = 300\n[room]", "above the highest"),
         ("[room]", "[identify]\nbands = [120, 240]\n[room]", "not a centre"),
-        ("[room]", "[identify]\nmethod = 'posterior'\n[room]", "cannot do that yet"),
+        ("[room]", "[identify]\nmethod = 'magic'\n[room]", "identify.method"),
         ("[room]", "[air]\ntemperature_c = 120\n[room]", r"temperature(?s:.*)120"),
     ],
 )  # fmt: skip

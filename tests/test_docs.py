@@ -233,19 +233,6 @@ source = "a"
 receiver = "b"
 file = "a.wav"
 """
-REFUSED = {
-    "posterior": '[identify]\nmethod = "posterior"',
-}
-
-
-@pytest.mark.parametrize("told", REFUSED)
-def test_what_the_page_calls_refused_is_refused(told, tmp_path):
-    text = page("campaign-file.md")
-    assert told in text[text.index("## What this version refuses") :]
-    file = tmp_path / "campaign.toml"
-    file.write_text(GOOD + REFUSED[told])
-    with pytest.raises(roomfit.InputError, match="cannot do that yet"):
-        roomfit.read_campaign(file)
 
 
 def codes_in_source() -> set[str]:

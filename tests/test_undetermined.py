@@ -78,10 +78,10 @@ def test_what_is_open_has_as_many_directions_as_the_data_lack(n, data):
     assert abs(sum(u.directions for u in found) - (n - k)) <= (0 if k == 0 else 1)
 
 
-def test_materials_of_which_nothing_is_known_are_told_one_by_one():
+def test_materials_of_which_nothing_is_known_are_named_in_one_sentence():
     found = undetermined_groups(posterior([[0.0, 0.0, 1.0]], 3), np.full(3, 1.5))
     assert found == (Undetermined((0,), 1, False), Undetermined((1,), 1, False))
-    assert band_sentence(NAMES, (), found) == "floor is not in the data; ceiling is not in the data"
+    assert band_sentence(NAMES, (), found) == "floor and ceiling are not in the data"
 
 
 @pytest.mark.parametrize(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
 from roomfit.app.certifying import affordable_certificate, certified_fit
 from roomfit.app.progress import part
+from roomfit.app.starts import Starts, from_random_starts
 from roomfit.identification.certified.certificate import Certificate
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import (
@@ -20,6 +22,7 @@ from roomfit.identification.solvers import (
 )
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.objective.directed_problem import DIRECTIVITY
+from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import Parameters, leaders, position_of, to_free
 from roomfit.objective.problem import BandProblem
 from roomfit.typing import BoolArray, FloatArray, Progress
@@ -27,6 +30,23 @@ from roomfit.uncertainty.gaussian import (
     absorption_intervals,
     weighted_mean_interval,
 )
+from roomfit.uncertainty.profile import Profile
+from roomfit.uncertainty.sampling import Sampled
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorTrial:
+    """Where a second fit ended that began with absorptions exchanged by a symmetry.
+
+    Attributes
+    ----------
+    absorption : float array, shape (n_materials,)
+    gain : float
+        Its log-likelihood less that of the first fit.
+    """
+
+    absorption: FloatArray
+    gain: float
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +71,18 @@ class BandAnswer:
         "energy", "coherent", "values", or "prior" where nothing was fitted.
     directivity : tuple of float arrays (n,) and (n, n), or None
         Free numbers of the sources' unknown directivity and their covariance, misfit included.
+    kinds : tuple of str
+        How each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
+        data tell nothing; empty: all Gaussian.
+    profiles : tuple of Profile
+        Of the absorptions that were looked at, `entry` counting materials.
+    samples : float array, shape (n_draws, n_materials), or None
+        Absorption drawn from the posterior, where that was asked for and came to rest.
+    sampling : Sampled or None
+        How the samples came about.
+    mirrors : tuple of MirrorTrial, one a symmetry
+    starts : Starts or None
+        Where least squares from random starts ended, where they were tried.
     """
 
     absorption: FloatArray
@@ -67,6 +99,16 @@ class BandAnswer:
     model: str
     directivity: tuple[FloatArray, FloatArray] | None = None
     certificate: Certificate | None = None
+    kinds: tuple[str, ...] = ()
+    profiles: tuple[Profile, ...] = ()
+    samples: FloatArray | None = None
+    sampling: Sampled | None = None
+    mirrors: tuple[MirrorTrial, ...] = ()
+    starts: Starts | None = None
+
+
+Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
+"""Problem, its fit and the Gaussian answer to a better answer."""
 
 
 def fit_bands(
@@ -78,6 +120,7 @@ def fit_bands(
     progress: Progress | None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
+    refine: Refine | None = None,
 ) -> tuple[BandAnswer, ...]:
     """Fit one band after the other; where there is no problem, what was known is the answer.
 
@@ -85,12 +128,14 @@ def fit_bands(
     ----------
     problems : iterable of BandProblem or None
         Taken one at a time, so that they may be made when they are needed.
-    method : {"auto", "least-squares", "simplex", "annealing", "certified"}
+    method : {"auto", "least-squares", "simplex", "annealing", "certified", "posterior"}
         "auto" is least squares, with a proof where one is affordable. The paper's two methods
         search with the same squares; after annealing's first round the simplex refines.
         "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
+    refine : callable, optional
+        Makes better intervals while a band's problem is at hand.
     """
     n_bands = knowledge[0].prior_logit_mean.size
     answers: list[BandAnswer] = []
@@ -102,17 +147,21 @@ def fit_bands(
         if method == "certified":
             fit, proof = certified_fit(problem, progress=done)
             own = band_answer(problem.parameters, fit, areas_m2, "energy")
+            own = own if refine is None else refine(problem, fit, own, None)
             answers.append(replace(own, certificate=proof))
             continue
         solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
         fit = fit_band(problem, solver, refiner, progress=done)
+        starts: Starts | None = None
+        if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
+            fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
         if watch is not None:
             watch(band, problem, fit)
         model = "energy" if problem.are_energies().any() else "values"
-        own = band_answer(problem.parameters, fit, areas_m2, model)
+        own = replace(band_answer(problem.parameters, fit, areas_m2, model), starts=starts)
         if method == "auto":
             own = replace(own, certificate=affordable_certificate(problem, fit.vector))
-        answers.append(own)
+        answers.append(own if refine is None else refine(problem, fit, own, done))
     return tuple(answers)
 
 
@@ -146,6 +195,15 @@ def band_answer(
         fit.converged,
         model,
         _directivity(parameters, fit.vector, found.covariance),
+        kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
+    )
+
+
+def _kinds(lower: FloatArray, upper: FloatArray, fitted: BoolArray) -> tuple[str, ...]:
+    untold = (lower == 0.0) & (upper == 1.0)
+    return tuple(
+        "given" if not own else "none" if nothing else "gaussian"
+        for own, nothing in zip(fitted, untold, strict=True)
     )
 
 
@@ -187,6 +245,7 @@ def untold_band(
         0,
         True,
         "prior",
+        kinds=_kinds(least, most, ~held),
     )
 
 

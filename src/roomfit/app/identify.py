@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -16,15 +17,19 @@ from roomfit.app.directing.bands import fitted_directivities
 from roomfit.app.fit_doubts import description_findings, fit_findings, schroeder_findings
 from roomfit.app.fitting import BandAnswer
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
-from roomfit.app.mirrors import mirror_findings
+from roomfit.app.mirrors import mirror_findings, mirror_symmetries
+from roomfit.app.priors import prior_findings, prior_intervals
 from roomfit.app.problems import (
     left_out_findings,
     untold_band_findings,
     untold_position_findings,
 )
 from roomfit.app.progress import part
+from roomfit.app.reasons import interval_words, method_chosen, reasons, sampling_findings
+from roomfit.app.refining import Refinement
 from roomfit.app.smoothing import smoothed
 from roomfit.app.solving import Solved, solve
+from roomfit.app.starts import starts_findings
 from roomfit.app.tracing import TracedCampaign, redirected, trace_campaign
 from roomfit.files.cache import Cache, cache_of
 from roomfit.files.campaign.campaign import Campaign, input_files, read_campaign
@@ -46,8 +51,8 @@ from roomfit.scene.scene import Scene
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.posterior import plain_logit_covariance
+from roomfit.uncertainty.sampling import check_sampler
 
-INTERVAL_KIND = "Gaussian, local"
 # Something about the room is not as told: what is found of any wall makes up for it.
 _NOTHING_IDENTIFIABLE = ("outline-disagrees", "description-doubtful")
 # The report shows the decays of all pairs; as files of their own they would take minutes.
@@ -55,7 +60,7 @@ MOST_DECAY_PICTURES = 12
 # What an earlier run may have left in a folder that is written over.
 OWN_FILES = (
     *("result.json", "absorption.csv", "absorption.png", "report.html"),
-    "decay_[0-9]*.png",
+    *("identifiable.png", "profiles.png", "corner_[0-9]*_hz.png", "decay_[0-9]*.png"),
 )
 
 
@@ -90,6 +95,11 @@ def identify_to_folder(
         The disk refuses.
     """
     from roomfit.report.answer_pictures import absorption_figure, decay_figure
+    from roomfit.report.certainty_pictures import (
+        corner_figure,
+        identifiability_figure,
+        profiles_figure,
+    )
     from roomfit.report.html.page import report_html
     from roomfit.report.pictures import png
 
@@ -111,6 +121,12 @@ def identify_to_folder(
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
+        write_bytes_atomically(folder / "identifiable.png", png(identifiability_figure(answer)))
+        bent, corner = profiles_figure(answer), corner_figure(answer)
+        if bent is not None:
+            write_bytes_atomically(folder / "profiles.png", png(bent))
+        if corner is not None:
+            write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
         heard = [(number, p) for number, p in enumerate(answer.pairs, start=1) if p.decay]
         for number, pair in heard[:MOST_DECAY_PICTURES]:
             name = f"decay_{number:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
@@ -141,6 +157,8 @@ def identify(
     """
     began = time.perf_counter()
     check_certifiable(campaign)
+    if campaign.method == "posterior":
+        check_sampler()
     room, room_findings = read_room(campaign.room)
     knowledge = material_knowledge(campaign, room.materials)
     gathered = gather(campaign, room)
@@ -152,6 +170,7 @@ def identify(
         traced.far_images,
         traced.fit_until_s,
         traced.again,
+        _refinement(campaign, gathered, knowledge),
         part(progress, 0.45, 0.98),
     )
     if solved.directivities:
@@ -173,6 +192,9 @@ def identify(
         *fit_findings(campaign.bands, answers),
         *description_findings(answers),
         *certificate_findings(campaign.bands, [a.certificate for a in answers]),
+        *starts_findings(campaign.bands, room.materials, [a.starts for a in answers]),
+        *sampling_findings(campaign.bands, answers),
+        *prior_findings(campaign.bands, knowledge, answers),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
     return _answer(
@@ -199,13 +221,17 @@ def _answer(
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
     )
     ambiguous, mirrors = mirror_findings(
-        gathered, campaign.bands, knowledge, absorption, lower, upper
+        *(gathered, campaign.bands, knowledge, absorption, lower, upper),
+        [b.mirrors for b in found],
     )
     identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
     prior = _logit_prior(knowledge)
-    told = determined(scene.room.materials, absorption, covariance, prior, areas, campaign.seed)
+    told = determined(
+        *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
+        [b.samples for b in found],
+    )
     models = tuple(b.model for b in found)
     inseparable = inseparable_findings(
         scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
@@ -228,9 +254,9 @@ def _answer(
         converged=np.array([b.converged for b in found]),
         pairs=compare_all(campaign, gathered, traced.binned, absorption),
         findings=(*findings, *mirrors, *inseparable),
-        method="least-squares" if campaign.method == "auto" else campaign.method,
+        method=method_chosen(campaign.method),
         model=_model_of(models),
-        interval_kind=INTERVAL_KIND,
+        interval_kind=interval_words(found),
         speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
         seed=campaign.seed,
         seconds=time.perf_counter() - began,
@@ -239,11 +265,32 @@ def _answer(
         combinations=told.combinations,
         sentences=told.sentences,
         shares=told.shares,
+        interval_kinds=tuple(b.kinds for b in found),
+        profiles=tuple(b.profiles for b in found),
+        samples=tuple(b.samples for b in found),
+        sampling=tuple(b.sampling for b in found),
+        prior=prior_intervals(knowledge),
+        reasons=reasons(campaign.method, campaign.bands, found),
         models=models,
         scattering=traced.scattering,
         geometry=solved.geometry,
         directivities=fitted_directivities(solved.directivities),
         certificates=tuple(b.certificate for b in found),
+    )
+
+
+def _refinement(
+    campaign: Campaign, gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+) -> Refinement:
+    """Return what is done to every band after its fit; the paper's searches end where they end."""
+    intervals: Literal["gaussian", "profile", "posterior"] = "profile"
+    if campaign.method in ("simplex", "annealing"):
+        intervals = "gaussian"
+    elif campaign.method == "posterior":
+        intervals = "posterior"
+    return Refinement(
+        *(intervals, material_areas_m2(gathered.scene.room), campaign.seed),
+        tuple(s.exchange for s in mirror_symmetries(gathered, knowledge)),
     )
 
 

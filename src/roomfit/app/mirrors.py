@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
+from roomfit.app.fitting import MirrorTrial
 from roomfit.app.gathering import Gathered
 from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.bands import Bands
@@ -17,6 +19,8 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Places may be wrong by this many of their standard deviations.
 _SPREADS = 3.0
+# Log-likelihoods nearer than this do not decide between an answer and its image.
+_UNDECIDED = 2.0
 
 
 def mirror_findings(
@@ -26,6 +30,7 @@ def mirror_findings(
     absorption: FloatArray,
     lower95: FloatArray,
     upper95: FloatArray,
+    trials: Sequence[tuple[MirrorTrial, ...]] = (),
 ) -> tuple[BoolArray, tuple[Finding, ...]]:
     """Return what is ambiguous by symmetry, and a finding with both answers for each symmetry.
 
@@ -41,6 +46,9 @@ def mirror_findings(
     bands : Bands
     knowledge : tuple of MaterialKnowledge
     absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
+    trials : sequence of tuples of MirrorTrial, one a band
+        Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands are left out
+        whose data are likelier by 2 or more, in log-likelihood, without the exchange.
 
     Returns
     -------
@@ -50,20 +58,29 @@ def mirror_findings(
     ambiguous = np.zeros(absorption.shape, dtype=np.bool_)
     findings = []
     scene = _fitted_scene(gathered)
-    for symmetry in room_symmetries(scene.room) if len(scene.pairs) else ():
-        if not _unknown_alike(knowledge, symmetry.exchange):
-            continue
-        apart = deviation_m(symmetry, scene)
-        if np.any(apart > _allowed_m(scene)):
-            continue
+    for number, symmetry in enumerate(mirror_symmetries(gathered, knowledge)):
         other = absorption[symmetry.exchange]
         differs = (other < lower95) | (other > upper95)
+        tried = [t[number] if number < len(t) else None for t in trials]
+        differs &= np.array([t is None or t.gain > -_UNDECIDED for t in tried] or [True])
         if np.any(differs):
             ambiguous |= differs
-            findings.append(
-                _finding(symmetry, scene, bands, float(apart.max()), absorption, differs)
-            )
+            apart = float(deviation_m(symmetry, scene).max())
+            findings.append(_finding(symmetry, scene, bands, apart, absorption, differs, tried))
     return ambiguous, tuple(findings)
+
+
+def mirror_symmetries(
+    gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+) -> tuple[Symmetry, ...]:
+    """Return the symmetries of room and fitted pairs that exchange materials known alike."""
+    scene = _fitted_scene(gathered)
+    return tuple(
+        symmetry
+        for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
+        if _unknown_alike(knowledge, symmetry.exchange)
+        and not np.any(deviation_m(symmetry, scene) > _allowed_m(scene))
+    )
 
 
 def _fitted_scene(gathered: Gathered) -> Scene:
@@ -115,6 +132,7 @@ def _finding(
     apart_m: float,
     absorption: FloatArray,
     differs: BoolArray,
+    trials: Sequence[MirrorTrial | None],
 ) -> Finding:
     names = scene.room.materials
     moved = [i for i in range(len(names)) if differs[i].any()]
@@ -125,12 +143,22 @@ def _finding(
         for i in moved
     )
     centres = ", ".join(f"{f:g}" for f in bands.centres_hz[columns])
+    gains = {j: t.gain for j, t in enumerate(trials) if t is not None and j in columns}
+    confirmed = ""
+    if gains:
+        least, most = min(gains.values()), max(gains.values())
+        between = f"{least:+.1f}" if most - least < 0.05 else f"{least:+.1f} to {most:+.1f}"
+        confirmed = (
+            f" A second fit that begins there changes the log-likelihood by {between}: "
+            "the data do not decide."
+        )
     return Finding(
         "mirror-images",
         "warning",
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
-        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {told}. "
-        "Measure a pair off the symmetry, or tell what is known of one of these walls.",
+        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {told}."
+        f"{confirmed} Measure a pair off the symmetry, or tell what is known of one of these "
+        "walls.",
         {
             "materials": [names[i] for i in moved],
             "bands_hz": bands.centres_hz[columns].tolist(),
@@ -139,6 +167,7 @@ def _finding(
                 for i, name in enumerate(names)
             },
             "apart_m": apart_m,
+            "log_likelihood_change": [round(g, 3) for g in gains.values()],
         },
     )
 

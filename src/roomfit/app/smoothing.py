@@ -84,6 +84,9 @@ def _redrawn(
         lower95=lower,
         upper95=upper,
         identifiable=sure | held,
+        # what was profiled or sampled holds without that belief only
+        kinds=tuple("gaussian" if k in ("profile", "sampled") else k for k in answer.kinds),
+        samples=None,
         logit_mean=mean,
         logit_covariance=covariance,
         mean=(whole, max(whole - _Z95 * mean_sd, 0.0), min(whole + _Z95 * mean_sd, 1.0)),

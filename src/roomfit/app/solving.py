@@ -18,7 +18,7 @@ from roomfit.app.directing.energies import (
     energy_problems,
 )
 from roomfit.app.directing.unknown import Directing, campaign_directing, omnidirectional
-from roomfit.app.fitting import BandAnswer, fit_bands
+from roomfit.app.fitting import BandAnswer, Refine, fit_bands
 from roomfit.app.gathering import Gathered
 from roomfit.app.progress import part
 from roomfit.app.values import value_problems
@@ -34,7 +34,7 @@ from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import FittedGeometry
 
-_COHERENT_METHODS = ("auto", "least-squares")
+_COHERENT_METHODS = ("auto", "least-squares", "posterior")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +85,7 @@ def solve(
     far_images: bool,
     fit_until_s: float,
     retrace: Retrace | None,
+    refine: Refine | None,
     progress: Progress | None,
 ) -> Solved:
     """Fit every band of a campaign.
@@ -109,6 +110,8 @@ def solve(
         No window of a partly coherent fit ends later.
     retrace : callable or None
         Finds image sources anew where positions have moved, in rooms where that matters.
+    refine : callable or None
+        Makes better intervals of each band's fit.
     """
     directing = campaign_directing(campaign, gathered.scene)
     suspects = omnidirectional(campaign, gathered.scene) if directing is None else None
@@ -117,7 +120,9 @@ def solve(
         task = EnergyTask(
             *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start)
         )
-        return _energies_alone(campaign, gathered, task, values, directing, suspects, progress)
+        return _energies_alone(
+            campaign, gathered, task, values, directing, suspects, refine, progress
+        )
     options = CoherentOptions(
         positions="fixed" if campaign.positions == "fixed" else "fit",
         delays=campaign.wall_delays,
@@ -133,10 +138,11 @@ def solve(
         extra_parts=[() if v is None else (_sharing(v),) for v in values],
         directing=directing,
         suspects=suspects,
+        refine=refine,
         progress=part(progress, 0.0, 0.95),
     )
     untold = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
-    rest = _answers(campaign, gathered, knowledge, untold, part(progress, 0.95, 1.0))
+    rest = _answers(campaign, gathered, knowledge, untold, refine, part(progress, 0.95, 1.0))
     answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
     found = band_directivities(directing, fit.directed, answers)
     return Solved(answers, fit.geometry, fit.findings, found)
@@ -149,6 +155,7 @@ def _energies_alone(
     values: tuple[RoomValuesProblem | None, ...],
     directing: Directing | None,
     suspects: Directing | None,
+    refine: Refine | None,
     progress: Progress | None,
 ) -> Solved:
     """Fit window energies and room parameters, no pressures."""
@@ -156,6 +163,7 @@ def _energies_alone(
     doubts: dict[int, DirectivityDoubt] = {}
     answers = _answers(
         *(campaign, gathered, task.knowledge, _joined(energy_problems(task, hows), values)),
+        refine,
         progress,
         None if suspects is None else doubting(task, suspects, doubts),
     )
@@ -198,10 +206,13 @@ def _answers(
     gathered: Gathered,
     knowledge: tuple[MaterialKnowledge, ...],
     problems: Iterator[BandProblem | None] | list[RoomValuesProblem | None],
+    refine: Refine | None,
     progress: Progress | None,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
 ) -> tuple[BandAnswer, ...]:
     areas = material_areas_m2(gathered.scene.room)
     return fit_bands(
-        *(problems, knowledge, areas, campaign.method, campaign.seed, progress), watch=watch
+        *(problems, knowledge, areas, campaign.method, campaign.seed, progress),
+        watch=watch,
+        refine=refine,
     )

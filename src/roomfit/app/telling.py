@@ -39,7 +39,11 @@ def band_sentence(
         told |= set(own)
         words = f"{_names(materials, sorted(members))} together {_value(group)}"
         parts.append("; ".join([words, *(_open_in(materials, u, members) for u in own)]))
-    parts += [_open_words(materials, u) for u in left_open if u not in told]
+    rest = [u for u in left_open if u not in told]
+    parts += [_open_words(materials, u) for u in rest if not u.nothing_known]
+    unknown = sorted(i for u in rest if u.nothing_known for i in u.materials)
+    if unknown:
+        parts.append(_not_in_the_data(materials, unknown))
     return "; ".join(parts)
 
 
@@ -57,13 +61,18 @@ def _open_in(materials: tuple[str, ...], left_open: Undetermined, members: set[i
 def _open_words(materials: tuple[str, ...], left_open: Undetermined) -> str:
     names, n = _names(materials, left_open.materials), len(left_open.materials)
     if left_open.nothing_known:
-        return f"{names} {'is' if n == 1 else 'are'} not in the data"
+        return _not_in_the_data(materials, left_open.materials)
     if n == 2:
         what = "difference" if left_open.against else "sum"
         return f"the {what} of {names} is not in the data"
     known = n - left_open.directions
     means = "one mean" if known == 1 else f"{known} means"
     return f"of {names} only {means} {'is' if known == 1 else 'are'} in the data"
+
+
+def _not_in_the_data(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
+    names = _names(materials, chosen)
+    return f"{names} {'is' if len(chosen) == 1 else 'are'} not in the data"
 
 
 def _value(group: Combination) -> str:

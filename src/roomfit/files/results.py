@@ -58,6 +58,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
                 "area_m2": round(float(answer.areas_m2[i]), 4),
                 **_scattering(answer, i),
                 **_shares(answer, i),
+                **_beforehand(answer, i),
             }
             for i, name in enumerate(answer.materials)
         },
@@ -76,6 +77,9 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "certified": _certified(answer),
             "seed": answer.seed,
             "intervals": answer.interval_kind,
+            "method_chosen": answer.method,
+            "reasons": list(answer.reasons),
+            **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
         },
         "provenance": {
             "roomfit": version("roomfit"),
@@ -167,6 +171,35 @@ def _shares(answer: Answer, material: int) -> dict[str, list[float]]:
         return {}
     names = ("share", "share_lower95", "share_upper95")
     return {name: numbers(part[material]) for name, part in zip(names, answer.shares, strict=True)}
+
+
+def _beforehand(answer: Answer, material: int) -> dict[str, Any]:
+    """The prior beside the answer, and how each interval was made."""
+    content: dict[str, Any] = {}
+    if answer.prior is not None:
+        names = ("absorption", "lower95", "upper95")
+        parts = zip(names, answer.prior, strict=True)
+        content["prior"] = {name: numbers(part[material]) for name, part in parts}
+    if answer.interval_kinds and all(answer.interval_kinds):
+        content["interval"] = [kinds[material] for kinds in answer.interval_kinds]
+    return content
+
+
+def _sampling(answer: Answer) -> list[dict[str, Any]]:
+    """How the samples of each band came about."""
+    return [
+        {
+            "band_hz": float(centre),
+            "converged": s.converged,
+            "evaluations": s.evaluations,
+            "independent": round(s.effective, 1),
+            "autocorrelation": round(float(s.autocorrelation.max()), 2),
+            "r_hat": round(float(s.r_hat.max()), 4),
+            "acceptance": round(s.acceptance, 3),
+        }
+        for centre, s in zip(answer.bands.centres_hz, answer.sampling, strict=False)
+        if s is not None
+    ]
 
 
 def _geometry(geometry: FittedGeometry) -> dict[str, Any]:

@@ -11,6 +11,8 @@ from roomfit.findings import Finding
 from roomfit.identification.certified.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
+from roomfit.uncertainty.profile import Profile
+from roomfit.uncertainty.sampling import Sampled
 
 Use = Literal["fit", "validate"]
 
@@ -166,6 +168,17 @@ class Answer:
         What the data know of groups of materials and what they leave open; "" where nothing is.
     shares : float array, shape (3, n_materials, n_bands), or None
         Share of each material in the room's absorption, its lower and its upper 95 % bound.
+    interval_kinds : tuple of tuples of str, one a band, one a material
+        "gaussian", "profile", "sampled", "given", or "none" where the data tell nothing.
+    profiles : tuple of tuples of Profile, one a band
+        `entry` counts materials.
+    samples : tuple of float arrays, shape (n_draws, n_materials), or None, one a band
+        Absorption drawn from the posterior.
+    sampling : tuple of Sampled or None, one a band
+    prior : float array, shape (3, n_materials, n_bands), or None
+        Median of absorption beforehand, its lower and its upper 95 % bound.
+    reasons : tuple of str
+        What was chosen, and why.
     """
 
     bands: Bands
@@ -198,6 +211,12 @@ class Answer:
     certificates: tuple[Certificate | None, ...] = ()
     sentences: tuple[str, ...] = ()
     shares: FloatArray | None = None
+    interval_kinds: tuple[tuple[str, ...], ...] = ()
+    profiles: tuple[tuple[Profile, ...], ...] = ()
+    samples: tuple[FloatArray | None, ...] = ()
+    sampling: tuple[Sampled | None, ...] = ()
+    prior: FloatArray | None = None
+    reasons: tuple[str, ...] = ()
 
 
 def certificate_distance(answer: Answer, band: int) -> float:

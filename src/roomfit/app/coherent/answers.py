@@ -68,6 +68,7 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
         lower95=lower,
         upper95=upper,
         mean=mean,
+        samples=None,
         identifiable=sure,
         logit_covariance=best.logit_covariance * np.outer(stretch, stretch),
     )
@@ -95,6 +96,7 @@ def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAn
         answer,
         lower95=lower95,
         upper95=upper95,
+        samples=_scattered(answer, by_logit),
         identifiable=answer.identifiable & narrow,
         logit_covariance=answer.logit_covariance + np.diag(by_logit**2),
         mean=(
@@ -103,6 +105,15 @@ def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAn
             min(mean + float(np.hypot(high - mean, more)), 1.0),
         ),
     )
+
+
+def _scattered(answer: BandAnswer, by_logit: FloatArray) -> FloatArray | None:
+    """Return the samples with as much more scatter as the intervals get, always the same."""
+    if answer.samples is None:
+        return None
+    noise = np.random.default_rng(1).standard_normal(answer.samples.shape)
+    moved = _absorption(_logit(answer.samples) + noise * by_logit)
+    return np.where(by_logit > 0.0, moved, answer.samples)
 
 
 def _logit(a: FloatArray) -> FloatArray:

@@ -44,7 +44,7 @@ from roomfit.app.coherent.spoiled import LEAST_BY_PRESSURES, Heard, spoiled_file
 from roomfit.app.coherent.tracing_noise import with_tracing_noise
 from roomfit.app.directing.doubts import directivity_doubt, source_findings
 from roomfit.app.directing.unknown import Directed, Directing, directed_band
-from roomfit.app.fitting import BandAnswer, band_answer
+from roomfit.app.fitting import BandAnswer, Refine, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import band_problems
 from roomfit.app.progress import part
@@ -105,6 +105,7 @@ def fit_coherent(
     retrace: Retrace | None = None,
     directing: Directing | None = None,
     suspects: Directing | None = None,
+    refine: Refine | None = None,
     progress: Progress | None = None,
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
@@ -131,11 +132,14 @@ def fit_coherent(
         Sources whose directivity is fitted.
     suspects : Directing, optional
         Sources taken for omnidirectional, of which to ask whether the data agree.
+    refine : callable, optional
+        Makes better intervals of each band's last fit.
     """
     settings = CoherentOptions() if options is None else options
     parts = tuple(extra_parts) or ((),) * len(bands)
     task = CoherentTask(
-        *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects)
+        *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects),
+        refine=refine,
     )
     state = begun(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
     fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.0, 0.8))
@@ -192,15 +196,9 @@ def _answers(
     """Return each band's answer by the model that explains it better."""
     task = state.task
     areas = material_areas_m2(task.scene.room)
-    coherent = tuple(
-        None
-        if band is None or f is None
-        else band_answer(
-            f.parameters,
-            with_tracing_noise(f.problem, band.energies, sources_of_band(task, i), f.fit),
-            *(areas, "coherent"),
-        )
-        for i, (band, f) in enumerate(zip(state.bands, fits, strict=True))
+    coherent: tuple[BandAnswer | None, ...] = tuple(
+        _coherent_answer(task, i, *each)
+        for i, each in enumerate(zip(state.bands, fits, strict=True))
     )
     coherent = widened_by_neighbours(coherent, areas)
     energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
@@ -224,6 +222,18 @@ def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnsw
         return answer
     proof = affordable_certificate(band.energies, band.energy_fit.vector)
     return replace(answer, certificate=proof)
+
+
+def _coherent_answer(
+    task: CoherentTask, number: int, band: CoherentBand | None, found: CoherentBandFit | None
+) -> BandAnswer | None:
+    if band is None or found is None:
+        return None
+    noisy = with_tracing_noise(
+        found.problem, band.energies, sources_of_band(task, number), found.fit
+    )
+    answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
+    return answer if task.refine is None else task.refine(found.problem, found.fit, answer, None)
 
 
 def _asks_energies(

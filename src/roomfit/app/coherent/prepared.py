@@ -24,7 +24,7 @@ from roomfit.app.coherent.spoiled import (
 from roomfit.app.coherent.tracing_noise import with_tracing_noise
 from roomfit.app.directing.bands import hows_after_others, moved_start
 from roomfit.app.directing.unknown import Directed, Directing, directed_band, made_directed
-from roomfit.app.fitting import BandAnswer, band_answer
+from roomfit.app.fitting import BandAnswer, Refine, band_answer
 from roomfit.app.measuring import MeasuredPair
 from roomfit.app.problems import band_problems, tells_of_band
 from roomfit.bands import Bands
@@ -51,7 +51,8 @@ class CoherentTask:
     """What stays the same while paths are traced anew.
 
     `directing` are the sources whose directivity is fitted, `suspects` those that are taken for
-    omnidirectional. `spoiled` says how many times worse than others pressures explain a file.
+    omnidirectional. `spoiled` says how many times worse than others pressures explain a file,
+    `refine` makes better intervals of a band's fit.
     """
 
     scene: Scene
@@ -64,6 +65,7 @@ class CoherentTask:
     directing: Directing | None = None
     suspects: Directing | None = None
     spoiled: Mapping[int, float] = field(default_factory=dict)
+    refine: Refine | None = None
 
 
 def prepared_bands(
@@ -249,6 +251,7 @@ def energy_answers(
             problem = with_unknown(problem, how.unknown)
         whole = joined(made_directed(problem, how), factor, own)
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
-        fit = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
-        out.append(band_answer(problem.parameters, fit, areas_m2, "energy"))
+        noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
+        answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
+        out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))
     return tuple(out)

@@ -26,7 +26,7 @@ UNTOLD_B_SD = 0.5
 # Between bands an octave apart: a loudspeaker keeps its aim, and becomes narrower by and by.
 CORRELATION_PER_OCTAVE = 0.8
 
-_METHODS = ("auto", "least-squares")
+_METHODS = ("auto", "least-squares", "posterior")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,7 +108,7 @@ def _refuse(campaign: Campaign, sources: Sequence[str]) -> None:
             "directivity is fitted by least squares only",
             where=where,
             found=f"method = {campaign.method!r}",
-            needed='method = "auto" or "least-squares", or a directivity that is told',
+            needed='method = "auto", "least-squares" or "posterior", or a directivity that is told',
         )
     if any(t.use == "fit" for t in campaign.tables):
         raise InputError(

@@ -148,12 +148,10 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     Raises
     ------
     InputError
-        See `read_campaign_table`; also a key whose meaning this version does not know yet is
-        refused rather than ignored.
+        See `read_campaign_table`.
     """
     path = Path(path)
     table = read_campaign_table(path, to_fit=to_fit)
-    _refuse_what_is_not_built(path, table)
     settings = table.identify
     return Campaign(
         path,
@@ -294,22 +292,3 @@ def _bands(path: Path, table: IdentifyTable) -> Bands:
             return bands_between(table.bands, table.from_hz, table.to_hz)
         octaves = set(table.bands) <= set(OCTAVES_HZ)
         return Bands("octave" if octaves else "third-octave", np.array(table.bands))
-
-
-def _refuse_what_is_not_built(path: Path, table: CampaignTable) -> None:
-    """A key that would change the answer is refused where this version cannot obey it."""
-    refusals: list[tuple[str, object, bool]] = [
-        ("identify.method", table.identify.method, table.identify.method in _LATER_METHODS),
-    ]
-    for where, found, refused in refusals:
-        if refused:
-            raise InputError(
-                "this version of roomfit cannot do that yet",
-                where=f"{path}, {where}",
-                found=repr(found),
-                hint="remove it, or use a later version; it is refused so that no answer "
-                "pretends to have obeyed it",
-            )
-
-
-_LATER_METHODS = ("posterior",)

@@ -193,6 +193,31 @@ def share_tables(answer: Answer) -> tuple[Table, ...]:
     )
 
 
+def prior_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return what was known beforehand, in the order of `absorption_tables`."""
+    if answer.prior is None:
+        return ()
+    centres, prior, held = answer.bands.centres_hz, answer.prior, given(answer)
+    return tuple(
+        Table(
+            block_caption("Known or assumed beforehand, 95 % interval", centres, block),
+            "material",
+            band_heads(centres, block),
+            tuple(
+                Row(
+                    name,
+                    tuple(
+                        coefficient_cell(*prior[:, i, j], sure=True, held=bool(held[i, j]))
+                        for j in block
+                    ),
+                )
+                for i, name in enumerate(answer.materials)
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
 def _share_cell(value: float, lower: float, upper: float) -> Cell:
     told = [number(100.0 * x, 0) for x in (value, lower, upper)]
     return Cell(told[0], (f"{told[1]}{DASH}{told[2]}",))

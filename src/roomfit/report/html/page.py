@@ -16,7 +16,13 @@ from roomfit.report.html.absorption_tables import (
     absorption_tables,
     area_tables,
     fit_tables,
+    prior_tables,
     share_tables,
+)
+from roomfit.report.html.certainty_plots import (
+    corner_plot,
+    identifiability_plot,
+    profile_plot,
 )
 from roomfit.report.html.certificate_tables import certificate_tables
 from roomfit.report.html.decay_picture import decay_plot
@@ -67,7 +73,9 @@ def report_html(
     drawn = decay_plot(answer)
     decay, curves = drawn if drawn else (None, [])
     room, absorption = room_plot(scene), absorption_plot(answer)
-    plots = [plot for plot in (room, absorption, decay) if plot is not None]
+    sure, bent, corner = identifiability_plot(answer), profile_plot(answer), corner_plot(answer)
+    drawn_here = (room, absorption, sure, bent, corner, decay)
+    plots = [plot for plot in drawn_here if plot is not None]
     text: str = _template().render(
         title=title,
         summary=summary_sentences(answer),
@@ -77,6 +85,9 @@ def report_html(
         materials=material_table(scene.room),
         positions=position_table(scene),
         absorption=absorption,
+        certainty=[plot for plot in (sure, bent, corner) if plot is not None],
+        prior_tables=prior_tables(answer),
+        reasons=answer.reasons,
         absorption_tables=absorption_tables(answer),
         fit_tables=(*fit_tables(answer), *source_tables(answer), *certificate_tables(answer)),
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),

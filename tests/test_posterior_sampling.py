@@ -1,0 +1,177 @@
+"""Samples of posteriors against quadrature, closed forms and what a sampler must obey."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from posterior_cases import decay_case, linear_case
+from roomfit.app.fitting import band_answer
+from roomfit.app.refining import sampled
+from roomfit.errors import InputError
+from roomfit.identification.reweighted import fit_band
+from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
+from roomfit.objective.parameters import prior_residuals
+from roomfit.uncertainty.chains import autocorrelation_steps, split_r_hat
+from roomfit.uncertainty.log_posterior import log_posterior
+from roomfit.uncertainty.sampling import SamplingSettings, check_sampler, sample
+from roomfit.uncertainty.surrogate import surrogate
+
+
+def fitted(problem):
+    return fit_band(problem, gauss_newton, few_gauss_newton_steps)
+
+
+def test_r_hat_of_chains_that_agree_and_of_chains_that_do_not():
+    """Equal halves: sqrt((h - 1) / h). Two constant-variance chains d apart: worked out by hand."""
+    steps = np.tile([-1.0, 1.0], 50)
+    together = np.stack([steps, steps], axis=1)[:, :, None]
+    assert split_r_hat(together)[0] == pytest.approx(np.sqrt(49.0 / 50.0))
+    within = 50.0 / 49.0
+    # four halves at 0, 0, d, d: variance of their means d^2 / 3
+    apart = together + np.array([0.0, 3.0])[None, :, None]
+    assert split_r_hat(apart)[0] == pytest.approx(np.sqrt((49.0 / 50.0 * within + 3.0) / within))
+
+
+def test_autocorrelation_of_a_process_of_first_order():
+    """(1 + r) / (1 - r) = 4 for r = 0.6; 40 chains of 2000 steps leave 5 %, three times that."""
+    rng = np.random.default_rng(1)
+    chain = np.zeros((2000, 40, 1))
+    for i in range(1, 2000):
+        chain[i] = 0.6 * chain[i - 1] + 0.8 * rng.standard_normal((40, 1))
+    assert autocorrelation_steps(chain)[0] == pytest.approx(4.0, rel=0.15)
+    assert autocorrelation_steps(rng.standard_normal((500, 20, 2))).max() < 1.5
+
+
+def test_arrival_times_are_integrated_out_exactly_where_all_is_linear():
+    """The marginal of a Gaussian: its information is the Schur complement."""
+    problem = linear_case(5)
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    assert law.n_kept == 3
+    flat = max(fit.phi, 1.0)
+    matrix, kept = problem.matrix, slice(0, 3)
+    _, rows = prior_residuals(problem.parameters, fit.vector)
+    whole = matrix.T @ matrix / (problem.sd**2 * flat) + rows.T @ rows
+    schur = np.linalg.inv(np.linalg.inv(whole)[kept, kept])
+    # with the data flattened, the maximum moves
+    means = np.concatenate([b.prior_mean for b in problem.parameters.blocks])
+    weighed = matrix.T @ problem.seen / (problem.sd**2 * flat) + rows.T @ rows @ means
+    top = np.linalg.solve(whole, weighed)[kept]
+    rng = np.random.default_rng(2)
+    points = top + rng.standard_normal((6, 3))
+    expected = [-0.5 * (p - top) @ schur @ (p - top) for p in points]
+    found = np.array([law(p) for p in points])
+    np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], rtol=1e-8)
+    assert law(np.full(3, 1e3)) == -np.inf
+
+
+def test_the_surrogate_has_the_posteriors_slope_and_curvature_at_the_fit():
+    """By finite differences; the posterior's own curvature differs by the residuals' part."""
+    problem = decay_case(np.random.default_rng(3), np.array([0.3, 0.5]))
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    near = surrogate(law, fit)
+    h, n = 1e-3, fit.vector.size
+    steps = h * np.concatenate((np.eye(n), -np.eye(n)))
+    ours = near.log_density(fit.vector + steps) - near.log_density(fit.vector[None])
+    true = np.array([law(fit.vector + s) for s in steps]) - law(fit.vector)
+    np.testing.assert_allclose(ours[:n] - ours[n:], true[:n] - true[n:], atol=2e-3 * h)
+    np.testing.assert_allclose(ours[:n] + ours[n:], true[:n] + true[n:], rtol=0.02)
+
+
+def test_a_walk_gains_what_it_says_and_stays_under_its_law():
+    """20,000 walkers drawn from a Gaussian law (a linear problem) keep mean and spread.
+
+    A mean of 20,000 has a standard error of 0.7 % of a spread, a variance of 1 %; four of each.
+    """
+    problem = linear_case(6, n_geometry=0)
+    fit = fitted(problem)
+    near = surrogate(log_posterior(problem, replace(fit, phi=1.0)), replace(fit, phi=1.0))
+    near = replace(near, windows=None, data=np.zeros((3, 3)), pull=np.zeros(3))
+    rng = np.random.default_rng(1)
+    root = np.linalg.cholesky(np.linalg.inv(near.prior))
+    points = near.prior_mean + rng.standard_normal((20_000, 3)) @ root.T
+    there, gain = near.walk(points, 5, rng)
+    np.testing.assert_allclose(gain, near.log_density(there) - near.log_density(points), atol=1e-9)
+    scaled = (there - near.prior_mean) @ np.linalg.inv(root).T
+    assert np.abs(scaled.mean(axis=0)).max() < 0.028
+    assert np.abs(scaled.var(axis=0) - 1.0).max() < 0.04
+    assert np.mean(there != points) > 0.5
+
+
+def test_samples_have_the_quantiles_of_a_quadrature():
+    """Two absorptions near 0 and in the middle, seen in twelve windows.
+
+    Some 1000 independent samples place a cumulative probability of 2.5, 50 or 97.5 % within 0.5 to
+    1.6 points (one sigma); four of them.
+    """
+    problem = decay_case(np.random.default_rng(4), np.array([0.03, 0.4]), gain=False)
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    found = sample(
+        law,
+        surrogate(law, fit),
+        np.random.default_rng(1),
+        SamplingSettings(autocorrelations=40.0, inner_steps=(5, 40)),
+    )
+    assert found.converged
+    assert found.effective > 400
+    axis, step = np.linspace(-9.0, 4.2, 45), 0.3
+    density = np.array([[law(np.array([x, y])) for y in axis] for x in axis])
+    density = np.exp(density - density.max())
+    for entry, marginal in enumerate((density.sum(axis=1), density.sum(axis=0))):
+        cumulative = np.cumsum(marginal) / marginal.sum()
+        for quantile in (0.025, 0.5, 0.975):
+            at = np.quantile(found.draws[:, entry], quantile)
+            true = np.interp(at, axis + 0.5 * step, cumulative)
+            sigma = np.sqrt(quantile * (1.0 - quantile) / found.effective)
+            assert abs(true - quantile) < 4.0 * sigma + 0.003, (entry, quantile, true)
+
+
+def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_told():
+    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    near, few = surrogate(law, fit), SamplingSettings(most_evaluations=150, inner_steps=(5, 20))
+    told = []
+    one, other = (
+        sample(law, near, np.random.default_rng(7), few, progress=told.append) for _ in range(2)
+    )
+    np.testing.assert_array_equal(one.draws, other.draws)
+    assert not one.converged
+    assert one.evaluations <= 150
+    assert told
+    assert all(0.0 <= x <= 1.0 for x in told)
+
+    answer = band_answer(problem.parameters, fit, np.ones(2), "energy")
+    kept = sampled(problem.parameters, one, answer, np.ones(2))
+    np.testing.assert_array_equal(kept.lower95, answer.lower95)
+    assert kept.sampling is one
+    assert kept.samples is None
+
+
+def test_an_answer_by_samples_has_their_quantiles():
+    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    quick = SamplingSettings(inner_steps=(5, 20))
+    found = sample(law, surrogate(law, fit), np.random.default_rng(7), quick)
+    answer = band_answer(problem.parameters, fit, np.array([1.0, 3.0]), "energy")
+    better = sampled(problem.parameters, found, answer, np.array([1.0, 3.0]))
+    draws = 1.0 / (1.0 + np.exp(-found.draws[:, :2]))
+    np.testing.assert_allclose(better.lower95, np.quantile(draws, 0.025, axis=0))
+    np.testing.assert_allclose(better.absorption, np.median(draws, axis=0))
+    assert better.kinds == ("sampled", "sampled")
+    assert better.mean[0] == pytest.approx(float(np.median(draws @ [0.25, 0.75])))
+    assert better.samples is not None
+    assert len(better.samples) <= 2048
+
+
+def test_without_the_sampler_the_extra_is_named(monkeypatch):
+    monkeypatch.setitem(sys.modules, "emcee", None)
+    with pytest.raises(InputError, match="posterior"):
+        check_sampler()

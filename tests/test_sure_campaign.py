@@ -1,0 +1,90 @@
+"""A whole campaign: how each interval was made, what was known beforehand, what was chosen."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+
+import roomfit.app.planning
+from roomfit.app.identify import identify_to_folder
+from roomfit.app.priors import prior_findings, prior_intervals
+from roomfit.app.reasons import interval_words, reasons, sampling_findings
+from roomfit.bands import Bands
+from roomfit.materials.knowledge import MaterialKnowledge, unknown_material
+from small_campaign import write_campaign
+from test_coherent_fit import _answer
+
+QUICK = ("to_hz = 1000", 'to_hz = 500\nmodel = "energy"\nmethod = "posterior"')
+TOLD = ("[materials.tiles]", "[materials.tiles]\nprior = {mean = [0.5], sd = [0.02]}")
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory):
+    """The result of one octave by samples, with a narrow and wrong prior of the ceiling."""
+    folder = tmp_path_factory.mktemp("sure")
+    campaign = write_campaign(folder / "c", QUICK, TOLD)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(roomfit.app.planning, "N_RAYS", 2000)
+        answer = identify_to_folder(campaign, folder / "out", keep=False)
+    return answer, json.loads((folder / "out" / "result.json").read_text()), folder / "out"
+
+
+@pytest.mark.slow
+def test_a_campaign_by_samples_says_how_they_came_about(told):
+    answer, result, folder = told
+    (sampling,) = result["fit"]["sampling"]
+    assert sampling["converged"]
+    assert sampling["independent"] > 200
+    assert result["fit"]["method_chosen"] == "posterior"
+    assert any("came to rest in 1 bands" in r for r in result["fit"]["reasons"])
+    for name, material in result["materials"].items():
+        assert material["interval"] == ["sampled"]
+        assert material["lower95"][0] <= material["absorption"][0] <= material["upper95"][0]
+        draws = answer.samples[0][:, answer.materials.index(name)]
+        assert np.mean(draws <= material["upper95"][0]) == pytest.approx(0.975, abs=0.01)
+    assert (folder / "corner_500_hz.png").exists()
+    assert "plot-corner" in (folder / "report.html").read_text()
+
+
+@pytest.mark.slow
+def test_a_prior_that_the_data_hardly_change_is_named_and_shown(told):
+    """0.5 +- 0.02 for a ceiling of 0.3: one octave's energies cannot tell."""
+    _, result, _ = told
+    (finding,) = [f for f in result["findings"] if f["code"] == "only-the-prior"]
+    assert finding["evidence"]["material"] == "tiles"
+    prior = result["materials"]["tiles"]["prior"]
+    assert prior["absorption"] == [pytest.approx(0.5)]
+    # sd of the logit: 0.02 / 0.25
+    assert prior["upper95"][0] == pytest.approx(1.0 / (1.0 + np.exp(-1.96 * 0.08)), abs=1e-4)
+
+
+def test_prior_intervals_follow_bounds_ties_and_what_is_held():
+    bounded = MaterialKnowledge("b", np.zeros(1), np.ones(1), lower=0.2, upper=0.6)
+    held = MaterialKnowledge("h", np.zeros(1), np.ones(1), known=np.array([0.3]))
+    tied = MaterialKnowledge("t", np.zeros(1), np.ones(1), tied_to="b")
+    found = prior_intervals((bounded, held, tied))[:, :, 0]
+    high = 0.2 + 0.4 / (1.0 + np.exp(-1.959964))
+    np.testing.assert_allclose(found[:, 0], [0.4, 0.8 - high, high], atol=1e-6)
+    np.testing.assert_allclose(found[:, 1], 0.3)
+    np.testing.assert_allclose(found[:, 2], found[:, 0])
+
+
+def test_only_a_prior_that_was_given_is_called_one():
+    """The spread left is 0.1 (from a variance of 0.01) of the broad prior, and all of 0.1."""
+    bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
+    broad = unknown_material("x", 1)
+    narrow = MaterialKnowledge("y", np.full(1, -0.85), np.full(1, 0.1))
+    (finding,) = prior_findings(bands, (broad, narrow), [answer])
+    assert finding.evidence["material"] == "y"
+    assert finding.evidence["spread_left"] == [1.0]
+    assert prior_findings(bands, (broad, broad), [answer]) == ()
+
+
+def test_reasons_of_plain_answers():
+    bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
+    assert interval_words([answer]) == "Gaussian, local"
+    assert reasons("least-squares", bands, [answer]) == ()
+    assert len(reasons("auto", bands, [answer])) == 2
+    assert sampling_findings(bands, [answer]) == ()
