@@ -10,6 +10,7 @@ import pytest
 from images_reference import l_shaped_room
 from roomfit.air import Air
 from roomfit.errors import InputError
+from roomfit.impedance.cost import check_cost
 from roomfit.impedance.fit import refined
 from roomfit.impedance.identify import identify_impedance, wave_problem
 from roomfit.impedance.intervals import material_answer
@@ -20,6 +21,7 @@ from roomfit.impedance.noise import estimated_noise
 from roomfit.impedance.observed import Observed, level_at, model_error
 from roomfit.materials.impedance_laws import absorption_normal
 from roomfit.scene.scene import Point, Scene
+from roomfit.testproblems.hall import hall_room
 from roomfit.testproblems.impedance_box import box_scene, noisy, rms_by_material, true_r0
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
@@ -130,12 +132,24 @@ def test_a_window_that_would_take_an_hour_is_refused_with_one_that_would_not():
     f = np.arange(100.0, 1001.0, 2.0)
     with pytest.raises(InputError, match="more reflections") as caught:
         wave_model(box_scene(), f, 0.06)
-    assert "tau of at most" in str(caught.value)
-    many = l_shaped_room()
-    points = Point("S", (1.0, 1.0, 1.0)), Point("R", (0.5, 3.0, 1.5))
-    scene = Scene(many, points[:1], points[1:], np.array([[0, 0]]), Air())
-    with pytest.raises(InputError, match="more reflections through"):
-        wave_model(scene, F_HZ, 0.2)
+    advised_ms = float(str(caught.value).split("at most ")[1].split(" ms")[0])
+    assert 10.0 < advised_ms < 60.0
+    check_cost(box_scene(), len(f), 1e-3 * advised_ms, 7.0)
+    with pytest.raises(InputError, match="more reflections"):
+        check_cost(box_scene(), len(f), 1.02e-3 * advised_ms, 7.0)
+
+
+def test_a_hall_of_thousands_of_walls_is_refused_before_its_paths_are_looked_for():
+    hall = hall_room()
+    corners = hall.mesh.vertices_m
+    middle = 0.5 * (corners.min(axis=0) + corners.max(axis=0))
+    points = (
+        Point("S", middle + np.array([1.0, 0.0, 1.0])),
+        Point("R", middle + np.array([-3.0, 2.0, 1.0])),
+    )
+    scene = Scene(hall, points[:1], points[1:], np.array([[0, 0]]), Air())
+    with pytest.raises(InputError, match="a room of fewer walls"):
+        wave_model(scene, F_HZ, 0.015)
 
 
 @pytest.mark.parametrize("size", [0.0, 0.02, 0.1, 0.5])
