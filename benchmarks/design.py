@@ -60,8 +60,8 @@ def some_random(found: Design, n: int, rng: np.random.Generator) -> list[tuple[i
 
 def measured(
     found: Design, pairs: tuple[int, ...], seed: int, position_error_m: float
-) -> tuple[float, float, float, float, float]:
-    """Return mean width, mean and median error, coverage and seconds of one simulated campaign."""
+) -> tuple[float, ...]:
+    """Return mean width, mean and median error, coverage, phi and seconds of one campaign."""
     scene = found.scene
     ends = [(scene.sources[s], scene.receivers[r]) for s, r in scene.pairs[list(pairs)]]
     truth = np.tile(np.array(DIVISIONS[7].truth)[:, None], (1, N_OCTAVES))
@@ -88,16 +88,16 @@ def measured(
     held = (answer.lower95 <= true) & (true <= answer.upper95)
     return (
         float(width.mean()), float(error.mean()), float(np.median(error)), float(held.mean()),
-        answer.seconds,
+        float(answer.phi.mean()), answer.seconds,
     )  # fmt: skip
 
 
-def show(name: str, rows: list[tuple[float, float, float, float, float]]) -> np.ndarray:
+def show(name: str, rows: list[tuple[float, ...]]) -> np.ndarray:
     """Print the mean over repetitions, and return it."""
     mean = np.mean(rows, axis=0)
     print(
         f"  {name:<16} width {mean[0]:.3f}  |error| mean {mean[1]:.4f} median {mean[2]:.4f}"
-        f"  intervals hold {mean[3]:.2f}  {mean[4]:.0f} s a fit",
+        f"  intervals hold {mean[3]:.2f}  phi {mean[4]:.2f}  {mean[5]:.0f} s a fit",
         flush=True,
     )
     return mean

@@ -3,23 +3,18 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.app.designing.candidates import Candidates, design_candidates, measured_pairs
-from roomfit.app.designing.information import DesignTrace, Foreseen, information_of_pairs
+from roomfit.app.designing.hearing import heard_candidates
 from roomfit.app.designing.knowing import Known, known_by_fit, known_by_priors
-from roomfit.app.planning import plan_trace
 from roomfit.app.predicting.trace import eyring_time_s
 from roomfit.app.progress import part
-from roomfit.app.solving import fits_pressures, relative_speed_sd
-from roomfit.app.weighting import band_factors, told_scattering
 from roomfit.errors import InputError
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.files.rooms.read import read_room
-from roomfit.findings import Finding
 from roomfit.geometry.measures import volume_m3
 from roomfit.placement.answer import Design
 from roomfit.placement.choose import Criterion, choose, random_design
@@ -33,7 +28,6 @@ from roomfit.placement.information import (
 from roomfit.placement.places import least_source_distance_m
 from roomfit.scene.room import Room
 from roomfit.scene.scene import Scene
-from roomfit.tracing.join import trace
 from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -103,15 +97,11 @@ def design(
     )
     n = choose_n or (CHOSEN if result is None else 1)
     n_pairs = n + len(measured_pairs(campaign))
-    foreseen, traced, doubts = _trace(
-        campaign, found.scene, known, n_pairs, part(progress, 0.0, 0.3)
-    )
-    matrices = information_of_pairs(
-        *(found.scene, traced, foreseen, known.typical, known.draws), part(progress, 0.3, 0.95)
-    )
+    heard = heard_candidates(campaign, found.scene, known, n_pairs, part(progress, 0.0, 0.95))
+    matrices = heard.matrices
     if misfit is not None and result is not None:
         at = np.searchsorted(result.bands.centres_hz, known.bands.centres_hz)
-        matrices /= np.maximum(misfit[at], 1.0)[:, None, None]
+        matrices = matrices / np.maximum(misfit[at], 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(campaign, found.scene))
     wanted = criterion or (campaign.design.criterion if result is None else "worst")
     held = tuple(range(found.n_held))
@@ -127,14 +117,14 @@ def design(
         widths=_widths(known.unknowns, pairs, held, chosen),
         random_means=_random_means(campaign, known.unknowns, pairs, found, n, n_random),
         criterion=wanted,
-        model="coherent" if foreseen.coherent else "energy",
+        model="coherent" if heard.coherent else "energy",
         absorption=known.typical,
         n_draws=len(known.draws),
         after_fit=result is not None,
         source_distance_m=distance_m,
         receiver_distance_m=campaign.design.receiver_distance_m,
         wall_distance_m=campaign.design.wall_distance_m,
-        findings=(*findings, *known.findings, *found.findings, *doubts),
+        findings=(*findings, *known.findings, *found.findings, *heard.findings),
         seed=campaign.seed,
         seconds=time.perf_counter() - began,
     )
@@ -158,42 +148,6 @@ def _source_distance_m(campaign: Campaign, room: Room, known: Known) -> float:
     nobody = Scene(room, (), (), np.zeros((0, 2), dtype=np.int64), campaign.air)
     decay_s = float(np.median(eyring_time_s(nobody, known.bands, known.typical)))
     return least_source_distance_m(volume_m3(room.mesh), speed_of_sound_m_s(campaign.air), decay_s)
-
-
-def _trace(
-    campaign: Campaign, scene: Scene, known: Known, n_pairs: int, progress: Progress | None
-) -> tuple[Foreseen, DesignTrace, tuple[Finding, ...]]:
-    """Trace all candidates at once, for as long as their decays will be heard."""
-    told = campaign.design
-    decay_s = float(eyring_time_s(scene, known.bands, known.typical).max())
-    pressures = fits_pressures(campaign)
-    # how far image sources can be had costs several searches for them: one source stands for all
-    first = replace(scene, pairs=scene.pairs[scene.pairs[:, 0] == scene.pairs[0, 0]])
-    plan = plan_trace(
-        *(first, known.knowledge, decay_s, decay_s * told.decay_range_db / 60.0, campaign.seed),
-        coherent=pressures,
-    )
-    traced = trace(scene, plan.settings, plan.scattering, progress)
-    scattering = told_scattering(known.knowledge, plan.scattering.coefficients, len(known.bands))
-    factors, worn = band_factors(campaign, scene, known.bands, traced.paths, scattering)
-    foreseen = Foreseen(
-        known.bands,
-        known.knowledge,
-        pressures and (plan.far_images or campaign.model == "coherent"),
-        n_pairs,
-        told.decay_range_db,
-        told.position_sd,
-        campaign.wall_delays,
-        campaign.positions != "fixed",
-        relative_speed_sd(campaign),
-    )
-    # a candidate near a wall is no doubt about anything
-    doubts = [f for f in traced.findings if f.code != "receiver-sphere-shrunk"]
-    return (
-        foreseen,
-        DesignTrace(traced.paths, factors, plan.settings.duration_s),
-        (*plan.findings, *doubts, *worn),
-    )
 
 
 def _gains(campaign: Campaign, scene: Scene) -> IntArray:
