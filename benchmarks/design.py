@@ -2,6 +2,7 @@
 
     python benchmarks/design.py [--candidates 200] [--choose 6] [--criteria mean determinant]
         [--random 3] [--noises 1] [--position-error 0.01] [--promise]
+        [--pictures DIR]
 
 The paper's room with its seven surfaces apart; nothing is known of them beforehand. First what is
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
@@ -10,7 +11,7 @@ chosen pairs, and of some random designs, are simulated as pressures that are fo
 cell (`roomfit.testproblems.pressure_polyhedron`), with the truth of
 `roomfit.testproblems.paper_room`, places off by --position-error, an uneven loudspeaker and noise,
 and identified as anybody's. Each design is measured --noises times, with other errors of places,
-levels and noise. --promise leaves the second part out.
+levels and noise. --promise leaves the second part out; --pictures draws the first design.
 """
 
 from __future__ import annotations
@@ -28,6 +29,8 @@ from roomfit.files.campaign.campaign import Campaign, read_campaign
 from roomfit.placement.answer import Design, mean_widths
 from roomfit.placement.choose import CRITERIA, Rules, random_design
 from roomfit.placement.places import compatible_places
+from roomfit.report.design_pictures import design_gain, design_map
+from roomfit.report.pictures import png
 from roomfit.testproblems.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
 from roomfit.testproblems.paper_room import DIVISIONS, PLANES
 from roomfit.testproblems.polyhedral_rooms import paper_cells
@@ -113,6 +116,7 @@ def main() -> None:
     parser.add_argument("--noises", type=int, default=1)
     parser.add_argument("--position-error", type=float, default=0.01)
     parser.add_argument("--promise", action="store_true")
+    parser.add_argument("--pictures", type=Path)
     told = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         campaign = empty_campaign(Path(folder))
@@ -133,6 +137,10 @@ def main() -> None:
                 f"{time.process_time() - used:.0f} s",
                 flush=True,
             )
+        if told.pictures is not None:
+            first = next(iter(designs.values()))
+            (told.pictures / "design_map.png").write_bytes(png(design_map(first)))
+            (told.pictures / "design_gain.png").write_bytes(png(design_gain(first)))
         if told.promise:
             return
         print("measured")

@@ -113,7 +113,7 @@ def choose(
     held: tuple[int, ...] = (),
     *,
     rng: np.random.Generator,
-    starts: int = 8,
+    starts: int = 4,
 ) -> tuple[int, ...]:
     """Return the pairs to measure, those that tell most first.
 

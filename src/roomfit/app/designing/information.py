@@ -19,7 +19,6 @@ from roomfit.objective.coherent_geometry import Geometry, whole_covariance
 from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.parameters import Block, Parameters, start_vector
-from roomfit.objective.problem import BandProblem
 from roomfit.placement.elimination import about_geometry, by_all_pairs, without_geometry
 from roomfit.scene.scene import Scene, distances_m
 from roomfit.tracing.paths import Paths, select
@@ -121,7 +120,8 @@ def information_of_pairs(
             alone, DesignTrace(paths, factors, traced.duration_s), filters, foreseen, typical
         )
         times = _settled_times(problems, foreseen, typical)
-        found.append(np.stack([_at_draw(problems, foreseen, draw, times) for draw in draws]))
+        settled = [_coherent(problem, times) for problem in problems]
+        found.append(np.stack([_at_draw(settled, foreseen, draw, times) for draw in draws]))
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
@@ -179,13 +179,12 @@ def _at_draw(
 
     Parameters
     ----------
+    problems : list of problems, one a band
+        As coherent as arrival times will be known.
     covariance : float array, or None
         Of the fitted arrival times, from `_settled_times`.
     """
-    found = [
-        _fisher(_at(problem, foreseen, band, absorption[:, band], covariance))
-        for band, problem in enumerate(problems)
-    ]
+    found = [_fisher(p, absorption[:, band]) for band, p in enumerate(problems)]
     if covariance is None:
         return np.stack(found)
     first = found[0].shape[0] - len(covariance)
@@ -206,7 +205,7 @@ def _settled_times(
     first = len(start_vector(Parameters(problems[0].parameters.blocks[:2])))
     covariance: FloatArray | None = None
     for band, problem in enumerate(problems):
-        information = _fisher(_at(problem, foreseen, band, absorption[:, band], covariance))
+        information = _fisher(_coherent(problem, covariance), absorption[:, band])
         told = by_all_pairs(
             about_geometry(information, first), _shared(foreseen), foreseen.n_pairs - 1
         )
@@ -216,24 +215,22 @@ def _settled_times(
     return covariance
 
 
-def _at(
-    problem: EnergyProblem | CoherentProblem,
-    foreseen: Foreseen,
-    band: int,
-    absorption: FloatArray,
-    covariance: FloatArray | None,
-) -> BandProblem:
-    """Return a band's problem at some absorption, as coherent as a covariance allows."""
-    _, *others = problem.parameters.blocks
-    parameters = Parameters((_absorption(foreseen, band, absorption), *others))
+def _coherent(
+    problem: EnergyProblem | CoherentProblem, covariance: FloatArray | None
+) -> EnergyProblem | CoherentProblem:
+    """Return a band's problem as coherent as a covariance of arrival times allows."""
     if isinstance(problem, EnergyProblem):
-        return replace(problem, parameters=parameters)
-    moved = replace(problem, parameters=parameters)
-    return with_coherence(moved, whole_covariance(problem.geometry, covariance))
+        return problem
+    return with_coherence(problem, whole_covariance(problem.geometry, covariance))
 
 
-def _fisher(problem: BandProblem) -> FloatArray:
-    """Return the Fisher information of a band's data about its free numbers, without priors."""
+def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) -> FloatArray:
+    """Return the Fisher information of a band's data about its free numbers, without priors.
+
+    At an absorption, shape (n_materials,), and at a gain of 1.
+    """
+    own, *others = problem.parameters.blocks
+    problem = replace(problem, parameters=Parameters((replace(own, start=absorption), *others)))
     vector = start_vector(problem.parameters)
     jacobian = problem.predict(vector).jacobian
     spread = problem.counted_as_one() * problem.variance(vector)

@@ -178,7 +178,7 @@ class DesignTable(Table):
     decay_range_db: float = Field(default=45.0, ge=10.0, le=120.0)
     position_sd: float = Field(default=0.02, ge=0.0)
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
-    draws: int = Field(default=3, ge=1, le=100)
+    draws: int = Field(default=2, ge=1, le=100)
 
 
 class CampaignTable(Table):
