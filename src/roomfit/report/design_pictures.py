@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.placement.answer import Design, mean_widths
@@ -67,6 +68,7 @@ def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
         axes.annotate(
             scene.sources[s].name, sources[s], xytext=(7, 5), textcoords="offset points",
             fontsize=8, color=_ORANGE, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
         )  # fmt: skip
     axes.set_aspect("equal")
     axes.margins(0.03)
