@@ -1,17 +1,18 @@
 """Where to measure: what a design promises in the paper's room, and what comes true.
 
     python benchmarks/design.py [--candidates 200] [--choose 6] [--criteria mean determinant]
-        [--random 3] [--noises 1] [--position-error 0.01] [--promise]
-        [--pictures DIR]
+        [--random 3] [--noises 1] [--position-error 0.01] [--loudspeaker-db 3]
+        [--promise] [--pictures DIR]
 
 The paper's room with its seven surfaces apart; nothing is known of them beforehand. First what is
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
 200 random designs from the same candidates under the same rules. Then what is: responses of the
 chosen pairs, and of some random designs, are simulated as pressures that are followed from cell to
 cell (`roomfit.testproblems.pressure_polyhedron`), with the truth of
-`roomfit.testproblems.paper_room`, places off by --position-error, an uneven loudspeaker and noise,
-and identified as anybody's. Each design is measured --noises times, with other errors of places,
-levels and noise. --promise leaves the second part out; --pictures draws the first design.
+`roomfit.testproblems.paper_room`, places off by --position-error, a loudspeaker that is uneven by
+--loudspeaker-db from octave to octave, and noise; and identified as anybody's. Each design is
+measured --noises times, with other errors of places, levels and noise. --promise leaves the second
+part out; --pictures draws the first design.
 """
 
 from __future__ import annotations
@@ -62,7 +63,11 @@ def some_random(found: Design, n: int, rng: np.random.Generator) -> list[tuple[i
 
 
 def measured(
-    found: Design, pairs: tuple[int, ...], seed: int, position_error_m: float
+    found: Design,
+    pairs: tuple[int, ...],
+    seed: int,
+    position_error_m: float,
+    loudspeaker_db: float = 3.0,
 ) -> tuple[float, ...]:
     """Return mean width, mean and median error, coverage, phi and seconds of one campaign."""
     scene = found.scene
@@ -82,6 +87,7 @@ def measured(
             Path(folder),
             np.random.default_rng([seed, 11]),
             position_error_m=position_error_m,
+            loudspeaker_db=loudspeaker_db,
         )
         answer = identify(read_campaign(made.campaign))
     rows = [made.materials.index(name) for name in answer.materials]
@@ -115,6 +121,7 @@ def main() -> None:
     parser.add_argument("--random", type=int, default=3)
     parser.add_argument("--noises", type=int, default=1)
     parser.add_argument("--position-error", type=float, default=0.01)
+    parser.add_argument("--loudspeaker-db", type=float, default=3.0)
     parser.add_argument("--promise", action="store_true")
     parser.add_argument("--pictures", type=Path)
     told = parser.parse_args()
@@ -144,9 +151,10 @@ def main() -> None:
         if told.promise:
             return
         print("measured")
+        uneven = (told.position_error, told.loudspeaker_db)
         best = {
             name: show(name, [
-                measured(d, tuple(d.chosen.tolist()), seed, told.position_error)
+                measured(d, tuple(d.chosen.tolist()), seed, *uneven)
                 for seed in range(told.noises)
             ])
             for name, d in designs.items()
@@ -155,7 +163,7 @@ def main() -> None:
         drawn = some_random(first, told.random, np.random.default_rng(5))
         rows = [
             show(f"random {i + 1}", [
-                measured(first, pairs, seed, told.position_error) for seed in range(told.noises)
+                measured(first, pairs, seed, *uneven) for seed in range(told.noises)
             ])
             for i, pairs in enumerate(drawn)
         ]  # fmt: skip
