@@ -144,6 +144,8 @@ def test_a_single_frequency_that_cannot_tell_is_refused_before_any_computing(n_p
     assert answer.evaluations == 0
     for material in answer.materials:
         assert np.all(material.r0_lower95 == -1 - 1j) and np.all(material.r0_upper95 == 1 + 1j)
+        assert np.all(material.absorption_normal_lower95 == 0.0)
+        assert np.all(material.absorption_normal_upper95 == 1.0)
         assert not material.impedance_shown.any() and not material.identified.any()
 
 
