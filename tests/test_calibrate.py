@@ -34,7 +34,7 @@ from roomfit.geometry.measures import volume_m3
 from roomfit.testproblems.convex_cells import convex_cells
 from roomfit.testproblems.polyhedral_rooms import l_shaped_cells, paper_cells
 from roomfit.testproblems.polyhedron_cells import cell_volume_m3, obj_text
-from roomfit.testproblems.pressure_box import octave_shares
+from roomfit.testproblems.pressure_box import add_noise, octave_shares
 from roomfit.uncertainty.calibration import (
     Calibration,
     calibration_rows,
@@ -42,6 +42,7 @@ from roomfit.uncertainty.calibration import (
     grouped_share,
     scaled_errors,
 )
+from small_campaign import small_responses, write_campaign, write_wav
 
 CAMPAIGN = """
 [room]
@@ -187,6 +188,38 @@ def test_an_answer_of_other_bands_is_refused(tmp_path):
     file.write_text("\n".join((head, *rows)) + "\n")
     with pytest.raises(InputError, match="other materials or bands"):
         calibration_plan(plan.campaign, CalibrationSettings(snr_db=50.0, result=file))
+
+
+def test_noise_and_length_are_those_of_the_measured_files(tmp_path):
+    """Noise 50 and 40 dB below the peak: 9.6 dB apart with what was there; files of 0.5 s."""
+    plans = []
+    for level_db in (-50.0, -40.0):
+        folder = tmp_path / f"{-level_db:g}"
+        file = write_campaign(folder)
+        for name, pressure in small_responses().items():
+            noisy = add_noise(pressure, level_db, np.random.default_rng(13))
+            write_wav(folder / f"LS1_{name}.wav", noisy)
+        plans.append(calibration_plan(read_campaign(file), CalibrationSettings()))
+    quiet, loud = plans
+    assert quiet.length_s == pytest.approx(0.5)
+    assert quiet.snr_db.shape == (2, len(quiet.grid))
+    # what counts as the noisy end of a file differs: its level is found within a decibel or two
+    np.testing.assert_allclose(quiet.snr_db - loud.snr_db, 9.6, atol=3.0)
+
+
+def test_a_changed_recording_makes_another_calibration(tmp_path):
+    file = write_campaign(tmp_path)
+    campaign = read_campaign(file)
+    before = calibration_plan(campaign, CalibrationSettings())
+    assert calibration_plan(campaign, CalibrationSettings(replicates=9)).digest == before.digest
+    assert calibration_plan(campaign, CalibrationSettings(seed=2)).digest != before.digest
+    write_wav(tmp_path / "LS1_MP1.wav", 1.5 * small_responses()["MP1"])
+    assert calibration_plan(campaign, CalibrationSettings()).digest != before.digest
+    # where nothing is read of it, it does not count
+    stated = CalibrationSettings(snr_db=50.0)
+    told = calibration_plan(campaign, stated).digest
+    (tmp_path / "LS1_MP1.wav").unlink()
+    assert calibration_plan(campaign, stated).digest == told
 
 
 # How it sounds.
@@ -395,6 +428,27 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     campaign_file(tmp_path, CAMPAIGN.replace("4.6, 3.7", "4.7, 3.7"))
     with pytest.raises(InputError, match="belongs to another calibration"):
         calibrate(read_campaign(file), tmp_path / "a", asked)
+
+
+@pytest.mark.slow
+def test_tables_alone_are_calibrated_too(tmp_path):
+    """Values of two pairs, one row with a stated spread; what comes out belongs to the priors."""
+    table = ["source,receiver,parameter,1000,2000", "LS1,MP1,T20_sd,0.02,0.02"]
+    table += [f"LS1,{r},{k},{v}" for r in ("MP1", "MP2") for k, v in (("T20", "0.4,0.4"),
+                                                                     ("C80", "9,9"))]  # fmt: skip
+    (tmp_path / "values.csv").write_text("\n".join(table) + "\n")
+    head, tail = CAMPAIGN.split("[[measurements]]", 1)
+    text = head + '[[measurements]]\nparameters = "values.csv"\n[identify]'
+    text += tail.split("[identify]")[1].replace("to_hz = 2000", "to_hz = 1000")
+    # walls hard enough to ring beyond the made files would leave no decay times
+    text = text.replace("[materials.south]", "[materials.south]\nbounds = [0.2, 0.6]")
+    campaign = read_campaign(campaign_file(tmp_path, text))
+    result = calibrate(campaign, tmp_path / "out", CalibrationSettings(replicates=2))
+    assert (result.done, result.refused, result.roads) == (2, (), {BOX: 2})
+    together = calibration_rows(result.found)[-1]
+    assert together.holds.of == 6
+    # three numbers from four: no 95 % interval of six is off but by chance, three less than once
+    assert together.holds.count >= 4
 
 
 def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):

@@ -52,8 +52,8 @@ def _bands(axes: Axes, rows: tuple[CalibrationRow, ...]) -> None:
     axes.axhspan(90, 98, color="0.9", lw=0.0, zorder=0)
     axes.axhspan(0, 5, color="0.9", lw=0.0, zorder=0, label="aimed at")
     marks = (
-        ([r.holds for r in rows], "o", OKABE_ITO[0], -0.08, "95 % intervals that hold the truth"),
-        ([r.wrong for r in rows], "s", OKABE_ITO[1], 0.08, "identifiable, outside the interval"),
+        ([r.holds for r in rows], "o", OKABE_ITO[0], -0.08, "95 % intervals that hold"),
+        ([r.wrong for r in rows], "s", OKABE_ITO[1], 0.08, "identifiable but outside"),
     )
     for shares, mark, colour, shift, label in marks:
         known = [i for i, s in enumerate(shares) if s.of]
@@ -79,4 +79,4 @@ def _bands(axes: Axes, rows: tuple[CalibrationRow, ...]) -> None:
     axes.set_ylabel("share of values (%)")
     axes.set_ylim(-2, 102)
     axes.grid(alpha=0.25, axis="y")
-    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=2, frameon=False, fontsize=8.5)
+    axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8.5)
