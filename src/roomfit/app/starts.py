@@ -10,9 +10,9 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.identification.least_squares import ResidualFunction
-from roomfit.identification.reweighted import BandFit, fit_band
+from roomfit.identification.reweighted import BandFit, first_round, fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
-from roomfit.objective.parameters import physical_values, position_of, prior_residuals
+from roomfit.objective.parameters import physical_values, position_of, prior_residuals, start_vector
 from roomfit.objective.problem import BandProblem
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import absorption_intervals
@@ -20,6 +20,8 @@ from roomfit.uncertainty.gaussian import absorption_intervals
 N_STARTS = 3
 # Log-likelihoods with priors that differ by less do not decide between two places.
 ALIKE = 2.0
+# Of a standard deviation: first rounds end within a hundredth of where they lead.
+_SAME_PLACE = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +51,8 @@ def from_random_starts(
 ) -> tuple[BandFit, Starts]:
     """Return the likeliest of a fit and of others from random starts, and whether they agree.
 
-    Starts are drawn evenly over absorption, gains as in the fit.
+    Starts are drawn evenly over absorption, gains as in the fit. Those whose first round ends where
+    that of the usual start does are not followed any further.
 
     Parameters
     ----------
@@ -58,7 +61,13 @@ def from_random_starts(
     rng : numpy Generator
     number : int
     """
-    fits = [fit, *(_from(problem, _random_start(problem, fit, rng)) for _ in range(number))]
+    usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    fits = [fit]
+    for _ in range(number):
+        place = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        alike = bool(np.all(np.abs(place - usual) <= _SAME_PLACE * sd))
+        fits.append(fit if alike else _from(problem, place))
     worth = [_log_posterior(problem, f) for f in fits]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer

@@ -119,6 +119,14 @@ def fit_band(
     )
 
 
+def first_round(problem: BandProblem, solver: Solver, start: FloatArray) -> FloatArray:
+    """Return where the first round of `fit_band` ends from another start, shape (n_free,).
+
+    Enough to tell whether another start leads elsewhere, for a fraction of a whole fit.
+    """
+    return solver(_first_squares(_Counter(problem), problem.measured()), start)
+
+
 class _Counter:
     """Remembers the last prediction, so that residuals and Jacobian cost one weighing."""
 
