@@ -36,7 +36,7 @@ class SamplingSettings:
         surrogate is far from the posterior only short walks are taken.
     """
 
-    most_evaluations: int = 10_000
+    most_evaluations: int = 6_000
     autocorrelations: float = 20.0
     largest_r_hat: float = 1.1
     inner_steps: tuple[int, ...] = (20, 150)
