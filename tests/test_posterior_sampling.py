@@ -175,3 +175,21 @@ def test_without_the_sampler_the_extra_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "emcee", None)
     with pytest.raises(InputError, match="posterior"):
         check_sampler()
+
+
+def test_an_interrupt_ends_the_sampling_at_once_and_in_silence(capsys):
+    problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
+    fit = fitted(problem)
+    law = log_posterior(problem, fit)
+    calls = []
+
+    def interrupted(kept):
+        calls.append(kept)
+        if len(calls) == 40:
+            raise KeyboardInterrupt
+        return law(kept)
+
+    with pytest.raises(KeyboardInterrupt):
+        sample(interrupted, surrogate(law, fit), np.random.default_rng(7), SamplingSettings())
+    assert len(calls) == 40
+    assert capsys.readouterr().out == ""

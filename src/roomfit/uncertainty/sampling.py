@@ -108,8 +108,9 @@ def sample(
     emcee = _emcee()
     n = near.centre.size
     walkers = max(2 * n + 2, 12)
+    quiet = _Quiet(posterior)
     sampler = emcee.EnsembleSampler(
-        *(walkers, n, posterior),
+        *(walkers, n, quiet),
         moves=[
             (_surrogate_move(emcee, near, settings.inner_steps, rng), 0.8),
             (emcee.moves.DEMove(), 0.2),
@@ -120,6 +121,8 @@ def sample(
     steps = max(settings.most_evaluations // walkers - 1, _LOOK_EVERY)
     found: Sampled | None = None
     for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
+        if quiet.interrupted:
+            raise KeyboardInterrupt
         if number % _LOOK_EVERY and number < steps:
             continue
         chain = sampler.get_chain(discard=int(_FORGOTTEN * number))
@@ -132,6 +135,23 @@ def sample(
             break
     assert found is not None  # noqa: S101 - the loop looks at its last step
     return found
+
+
+class _Quiet:
+    """A posterior that an interrupt leaves quickly: the sampler would print it as its own error."""
+
+    def __init__(self, posterior: LogPosterior) -> None:
+        self.posterior = posterior
+        self.interrupted = False
+
+    def __call__(self, kept: FloatArray) -> float:
+        if self.interrupted:
+            return -np.inf
+        try:
+            return self.posterior(kept)
+        except KeyboardInterrupt:
+            self.interrupted = True
+            return -np.inf
 
 
 def _judged(
