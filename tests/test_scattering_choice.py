@@ -77,6 +77,9 @@ def test_smooth_walls_are_doubted_only_where_the_data_gain_much():
         fit = bell(np.full((3, 2), truth))
         findings = suspected_scattering(fit, MATERIALS, smooth, fit(smooth))
         assert [f.code for f in findings] == (["scattering-suspected"] if fires else [])
+    # by hand: 0.1 gains 3 + 20 in one band and loses 1.5 (0.25^2 - 0.15^2) / 0.01 = 6 in the other
+    fit = bell(np.tile([0.15, -0.15], (3, 1)))
+    assert suspected_scattering(fit, MATERIALS, smooth, fit(smooth) - np.array([20.0, 0.0])) == ()
     fit = bell(np.full((3, 2), 0.15))
     partly = np.array([[0.0, 0.0], [0.15, 0.15], [0.15, 0.15]])
     (finding,) = suspected_scattering(fit, MATERIALS, partly, fit(partly) - 10.0)

@@ -26,7 +26,7 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     """The demo's box, told to be smooth, with pressures and rays of their own.
 
     Smooth walls are doubted in fewer than 1 % of rooms by chance; the seed was not chosen. Five
-    boxes of `benchmarks/scattering.py` gained 28 to 65 in log likelihood, two smooth ones of
+    boxes of `benchmarks/scattering.py` gained 38 to 82 in log likelihood, two smooth ones of
     `benchmarks/other_boxes.py` lost 28 and 49.
     """
     rng, plan = np.random.default_rng(12), demo_plan()

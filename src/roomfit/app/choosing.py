@@ -29,6 +29,7 @@ _ASSUMED = (0.05, 0.2, 0.4)
 _TRIAL_BANDS = 2
 # The higher a band, the less its energies scatter by interference, and the better they tell whether
 # anything arrives between the image sources; higher still, sources are directional.
+_DOUBT_BANDS = 3
 _HIGHEST_DOUBT_HZ = 4500.0
 _TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
 
@@ -160,7 +161,7 @@ def scattering_doubts(
 ) -> tuple[Finding, ...]:
     """Return a finding where walls that were told to be smooth had better scatter.
 
-    Tried in the two highest bands up to 4 kHz with one coefficient for all of them. Of walls that
+    Tried in the three highest bands up to 4 kHz with one coefficient for all of them. Of walls that
     are smooth, a model that is otherwise right raises the doubt in fewer than one room in a
     hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that it
     exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
@@ -173,7 +174,7 @@ def scattering_doubts(
     if not any(smooth):
         return ()
     last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_DOUBT_HZ)), 1)
-    chosen = slice(max(last - _TRIAL_BANDS, 0), last)
+    chosen = slice(max(last - _DOUBT_BANDS, 0), last)
     trial = _trial(gathered, bands, knowledge, settings, start, chosen, n_rays=_N_RAYS)
     if trial is None:
         return ()

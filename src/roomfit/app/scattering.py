@@ -179,7 +179,8 @@ def suspected_scattering(
     -------
     tuple of Finding
         "scattering-suspected" where a trial gains more than 5 in log likelihood, all bands
-        together; empty otherwise, and where no wall is smooth.
+        together, and no band loses as much, which speaks for something else than scattering: a
+        loudspeaker that rings, for instance. Empty otherwise, and where no wall is smooth.
     """
     smooth = ~np.any(assumed > 0.0, axis=1)
     if not smooth.any():
@@ -187,7 +188,8 @@ def suspected_scattering(
     gains = []
     for value in trials:
         trial = np.where(smooth[:, None], value, assumed)
-        gains.append(float(np.sum(fit(trial) - log_likelihood)))
+        gain = fit(trial) - log_likelihood
+        gains.append(float(np.sum(gain)) if np.all(gain > -_SUSPICIOUS) else -np.inf)
     best = int(np.argmax(gains))
     if not gains[best] > _SUSPICIOUS:
         return ()
