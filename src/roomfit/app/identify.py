@@ -16,6 +16,7 @@ from roomfit.app.comparing import compare_all
 from roomfit.app.directing.bands import fitted_directivities
 from roomfit.app.fit_doubts import description_findings, fit_findings, schroeder_findings
 from roomfit.app.fitting import BandAnswer
+from roomfit.app.folder_pictures import write_pictures
 from roomfit.app.gathering import Gathered, campaign_scene, gather, median_decay_s
 from roomfit.app.mirrors import mirror_findings, mirror_symmetries
 from roomfit.app.priors import prior_findings, prior_intervals
@@ -39,7 +40,6 @@ from roomfit.files.rooms.read import read_room
 from roomfit.files.store import (
     check_output_folder,
     whole_output_folder,
-    write_bytes_atomically,
     write_text_atomically,
 )
 from roomfit.findings import Finding
@@ -55,8 +55,6 @@ from roomfit.uncertainty.sampling import check_sampler
 
 # Something about the room is not as told: what is found of any wall makes up for it.
 _NOTHING_IDENTIFIABLE = ("outline-disagrees", "description-doubtful")
-# The report shows the decays of all pairs; as files of their own they would take minutes.
-MOST_DECAY_PICTURES = 12
 # What an earlier run may have left in a folder that is written over.
 OWN_FILES = (
     *("result.json", "absorption.csv", "absorption.png", "report.html"),
@@ -94,14 +92,7 @@ def identify_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.report.answer_pictures import absorption_figure, decay_figure
-    from roomfit.report.certainty_pictures import (
-        corner_figure,
-        identifiability_figure,
-        profiles_figure,
-    )
     from roomfit.report.html.page import report_html
-    from roomfit.report.pictures import png
 
     # refused now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
@@ -120,19 +111,7 @@ def identify_to_folder(
     with whole_output_folder(out, overwrite=overwrite, own=OWN_FILES) as folder:
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
-        write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
-        write_bytes_atomically(folder / "identifiable.png", png(identifiability_figure(answer)))
-        bent, corner = profiles_figure(answer), corner_figure(answer)
-        if bent is not None:
-            write_bytes_atomically(folder / "profiles.png", png(bent))
-        if corner is not None:
-            write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
-        heard = [(number, p) for number, p in enumerate(answer.pairs, start=1) if p.decay]
-        for number, pair in heard[:MOST_DECAY_PICTURES]:
-            name = f"decay_{number:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
-            write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
-            if progress is not None:
-                progress(0.95 + 0.05 * number / len(answer.pairs))
+        write_pictures(folder, answer, part(progress, 0.95, 1.0))
     return answer
 
 
@@ -318,11 +297,6 @@ def _logit_covariance(
         np.array([k.lower for k in knowledge])[leaders],
         np.array([k.upper for k in knowledge])[leaders],
     )
-
-
-def _in_file_name(name: str) -> str:
-    """Return a name without what a path gives a meaning to."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
 def _eyring_start(scene: Scene, campaign: Campaign, decay_s: FloatArray) -> FloatArray:

@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.files.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.files.numbers_json import numbers, numbers_or_null
+from roomfit.files.results import finding_content, input_digests
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.placement.answer import Design, mean_widths, widest
 from roomfit.typing import FloatArray

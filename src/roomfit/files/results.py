@@ -13,10 +13,16 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import StoreError
+from roomfit.files.numbers_json import numbers, numbers_or_null
+from roomfit.files.result_certainty import (
+    beforehand_content,
+    combinations_content,
+    sampling_content,
+    shares_content,
+)
 from roomfit.files.store import write_json_atomically, write_text_atomically
 from roomfit.findings import Finding
 from roomfit.identification.certified.certificate import Certificate
-from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import (
     Answer,
     ComparedPair,
@@ -57,12 +63,12 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
                 "identifiable": [bool(b) for b in answer.identifiable[i]],
                 "area_m2": round(float(answer.areas_m2[i]), 4),
                 **_scattering(answer, i),
-                **_shares(answer, i),
-                **_beforehand(answer, i),
+                **shares_content(answer, i),
+                **beforehand_content(answer, i),
             }
             for i, name in enumerate(answer.materials)
         },
-        "combinations": _combinations(answer),
+        "combinations": combinations_content(answer),
         "pairs": [_pair(p) for p in answer.pairs],
         "findings": [finding_content(f) for f in answer.findings],
         "fit": {
@@ -79,7 +85,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "intervals": answer.interval_kind,
             "method_chosen": answer.method,
             "reasons": list(answer.reasons),
-            **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
+            **({"sampling": sampling_content(answer)} if any(answer.sampling) else {}),
         },
         "provenance": {
             "roomfit": version("roomfit"),
@@ -165,43 +171,6 @@ def _scattering(answer: Answer, material: int) -> dict[str, list[float]]:
     return {"scattering": numbers(answer.scattering[material])}
 
 
-def _shares(answer: Answer, material: int) -> dict[str, list[float]]:
-    """Of the room's absorption, air left out."""
-    if answer.shares is None:
-        return {}
-    names = ("share", "share_lower95", "share_upper95")
-    return {name: numbers(part[material]) for name, part in zip(names, answer.shares, strict=True)}
-
-
-def _beforehand(answer: Answer, material: int) -> dict[str, Any]:
-    """The prior beside the answer, and how each interval was made."""
-    content: dict[str, Any] = {}
-    if answer.prior is not None:
-        names = ("absorption", "lower95", "upper95")
-        parts = zip(names, answer.prior, strict=True)
-        content["prior"] = {name: numbers(part[material]) for name, part in parts}
-    if answer.interval_kinds and all(answer.interval_kinds):
-        content["interval"] = [kinds[material] for kinds in answer.interval_kinds]
-    return content
-
-
-def _sampling(answer: Answer) -> list[dict[str, Any]]:
-    """How the samples of each band came about."""
-    return [
-        {
-            "band_hz": float(centre),
-            "converged": s.converged,
-            "evaluations": s.evaluations,
-            "independent": round(s.effective, 1),
-            "autocorrelation": round(float(s.autocorrelation.max()), 2),
-            "r_hat": round(float(s.r_hat.max()), 4),
-            "acceptance": round(s.acceptance, 3),
-        }
-        for centre, s in zip(answer.bands.centres_hz, answer.sampling, strict=False)
-        if s is not None
-    ]
-
-
 def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
     """What arrival times were found to need: no measurement of places."""
     return {
@@ -225,46 +194,6 @@ def absorption_csv(answer: Answer) -> str:
             told = "true" if answer.identifiable[i, j] else "false"
             writer.writerow([name, f"{centre:g}", *(f"{v:.5f}" for v in values), told])
     return stream.getvalue()
-
-
-def _combinations(answer: Answer) -> list[dict[str, Any]]:
-    """Means over groups of materials that the data determine, the whole room's first."""
-    return [
-        {
-            "band_hz": float(centre),
-            "kind": "mean",
-            "weights": _weights(answer, c.weights),
-            "absorption": c.value,
-            "lower95": c.lower95,
-            "upper95": c.upper95,
-            "determined": c.determined,
-            "differences": [
-                {
-                    "kind": "difference",
-                    "weights": _weights(answer, d.weights),
-                    "absorption": d.value,
-                    "lower95": d.lower95,
-                    "upper95": d.upper95,
-                    "determined": d.determined,
-                }
-                for d in c.differences
-            ],
-            **({"sentence": sentence} if number == 0 and sentence else {}),
-        }
-        for centre, band, sentence in zip(
-            answer.bands.centres_hz, answer.combinations, _sentences(answer), strict=True
-        )
-        for number, c in enumerate(band)
-    ]
-
-
-def _sentences(answer: Answer) -> tuple[str, ...]:
-    return answer.sentences or ("",) * len(answer.combinations)
-
-
-def _weights(answer: Answer, weights: FloatArray) -> dict[str, float]:
-    named = zip(answer.materials, weights, strict=True)
-    return {name: round(float(w), 6) for name, w in named if w != 0.0}
 
 
 def _pair(pair: ComparedPair) -> dict[str, Any]:
@@ -305,16 +234,6 @@ def _plain(value: Any) -> Any:
     if isinstance(value, bool | int | str) or (isinstance(value, float) and np.isfinite(value)):
         return value
     return str(value)
-
-
-def numbers(values: FloatArray) -> list[float]:
-    """Return an array of known values as a list."""
-    return [float(v) for v in values]
-
-
-def numbers_or_null(values: FloatArray) -> list[float | None]:
-    """Return an array as a list, None for what is unknown."""
-    return [float(v) if np.isfinite(v) else None for v in values]
 
 
 def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:

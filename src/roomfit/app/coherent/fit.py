@@ -159,7 +159,7 @@ def fit_coherent(
         findings = (*findings, *delay_findings(_gain(fits, others)))
     fits, final = once_more(state.bands, fits, chosen_noise, settings)
     likelihoods = band_likelihoods(state.bands, fits)
-    answers = _answers(state, fits, likelihoods)
+    answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
     findings = (*findings, *_source_findings(state))
     if any(f.code in ("walls-delay", "source-directs") for f in findings):
         answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
@@ -191,13 +191,16 @@ def _source_findings(state: Beginning) -> tuple[Finding, ...]:
 
 
 def _answers(
-    state: Beginning, fits: Sequence[CoherentBandFit | None], likelihoods: FloatArray
+    state: Beginning,
+    fits: Sequence[CoherentBandFit | None],
+    likelihoods: FloatArray,
+    progress: Progress | None,
 ) -> tuple[BandAnswer | None, ...]:
     """Return each band's answer by the model that explains it better."""
     task = state.task
     areas = material_areas_m2(task.scene.room)
     coherent: tuple[BandAnswer | None, ...] = tuple(
-        _coherent_answer(task, i, *each)
+        _coherent_answer(task, i, *each, part(progress, i / len(fits), (i + 1) / len(fits)))
         for i, each in enumerate(zip(state.bands, fits, strict=True))
     )
     coherent = widened_by_neighbours(coherent, areas)
@@ -225,7 +228,11 @@ def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnsw
 
 
 def _coherent_answer(
-    task: CoherentTask, number: int, band: CoherentBand | None, found: CoherentBandFit | None
+    task: CoherentTask,
+    number: int,
+    band: CoherentBand | None,
+    found: CoherentBandFit | None,
+    progress: Progress | None,
 ) -> BandAnswer | None:
     if band is None or found is None:
         return None
@@ -233,7 +240,9 @@ def _coherent_answer(
         found.problem, band.energies, sources_of_band(task, number), found.fit
     )
     answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
-    return answer if task.refine is None else task.refine(found.problem, found.fit, answer, None)
+    if task.refine is None:
+        return answer
+    return task.refine(found.problem, found.fit, answer, progress)
 
 
 def _asks_energies(
