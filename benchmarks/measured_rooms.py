@@ -13,6 +13,7 @@ ROOM        dechorate    three microphones fitted, three predicted
             dechorate-fitted  the same, the loudspeaker's directivity fitted
             dechorate-1  each microphone predicted from the five others
             tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
+            tudelft-fitted the same with a directivity of each loudspeaker that is fitted
             tudelft-null the null model alone, each loudspeaker in turn: nothing is fitted
             bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
 """
@@ -222,6 +223,18 @@ def delft(data: Path, ending: str) -> None:
         show(f"TU Delft, loudspeaker 7 predicted; positions {told}", [answer_to(text)])
 
 
+def delft_fitted(data: Path, ending: str) -> None:
+    """Four loudspeakers fitted with a directivity each, the last predicted as if it had none."""
+    text = delft_campaign(data / "tudelft_inhouse", 7, DELFT_SHIFT_M) + ending
+    for number in DELFT_LOUDSPEAKERS:
+        if number != 7:
+            named = f"[sources.L{number}]\n"
+            text = text.replace(named, f'{named}directivity = "fit"\n')
+    answer = answer_to(text)
+    show("TU Delft, directivities fitted, loudspeaker 7 predicted", [answer])
+    print(f"\n{directivity_text(answer)}")
+
+
 def delft_null(data: Path, ending: str) -> None:
     """How well the mean of four loudspeakers tells the T20 of each fifth; nothing is fitted."""
     with tempfile.TemporaryDirectory() as folder:
@@ -259,6 +272,7 @@ ROOMS: dict[str, Callable[[Path, str], None]] = {
     "dechorate-fitted": dechorate_fitted,
     "dechorate-1": dechorate_one_out,
     "tudelft": delft,
+    "tudelft-fitted": delft_fitted,
     "tudelft-null": delft_null,
     "bras": bras,
 }

@@ -26,7 +26,7 @@ import numpy as np
 from measured_rooms import bras_campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.app.binning import BinnedPaths, bin_paths
-from roomfit.app.combinations import band_combinations
+from roomfit.app.certainty.combinations import band_combinations
 from roomfit.app.fitting import BandAnswer, fit_bands
 from roomfit.app.measuring import measure
 from roomfit.app.problems import band_problems

@@ -12,7 +12,7 @@ import pytest
 
 import roomfit
 from roomfit.app import fitting
-from roomfit.app.certifying import (
+from roomfit.app.certainty.certifying import (
     CertifyLimits,
     affordable_certificate,
     certificate_findings,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from roomfit.app.combinations import band_combinations, inseparable_findings
+from roomfit.app.certainty.combinations import band_combinations, inseparable_findings
 from roomfit.errors import InputError
 from roomfit.uncertainty.combinations import Combination, find_combinations
 from roomfit.uncertainty.straight_draws import draw_along_data

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
+from roomfit.app.certainty.mirrors import mirror_findings
 from roomfit.app.gathering import Gathered
-from roomfit.app.mirrors import mirror_findings
 from roomfit.bands import Bands
 from roomfit.geometry.shoebox import shoebox_mesh
 from roomfit.materials.knowledge import unknown_material

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from posterior_cases import decay_case, linear_case
+from roomfit.app.certainty.refining import sampled
 from roomfit.app.fitting import band_answer
-from roomfit.app.refining import sampled
 from roomfit.errors import InputError
 from roomfit.identification.reweighted import fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton

@@ -16,9 +16,9 @@ from posterior_cases import (
     exchangeable_case,
     linear_case,
 )
+from roomfit.app.certainty.refining import LEAST_SIDE, Refinement, profiled
+from roomfit.app.certainty.starts import from_random_starts, starts_findings
 from roomfit.app.fitting import band_answer
-from roomfit.app.refining import LEAST_SIDE, Refinement, profiled
-from roomfit.app.starts import from_random_starts, starts_findings
 from roomfit.bands import Bands
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import roomfit.app.planning
+from roomfit.app.certainty.priors import prior_findings, prior_intervals
+from roomfit.app.certainty.reasons import interval_words, reasons, sampling_findings
 from roomfit.app.identify import identify_to_folder
-from roomfit.app.priors import prior_findings, prior_intervals
-from roomfit.app.reasons import interval_words, reasons, sampling_findings
 from roomfit.bands import Bands
 from roomfit.materials.knowledge import MaterialKnowledge, unknown_material
 from small_campaign import write_campaign

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
-from roomfit.app.combinations import determined
-from roomfit.app.telling import band_sentence
+from roomfit.app.certainty.combinations import determined
+from roomfit.app.certainty.telling import band_sentence
 from roomfit.files.results import result_content
 from roomfit.report.answer_text import separable_text, shares_table
 from roomfit.report.html.absorption_tables import share_tables

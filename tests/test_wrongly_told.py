@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
+from roomfit.app.certainty.fit_doubts import description_findings
 from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
-from roomfit.app.fit_doubts import description_findings
 from roomfit.app.fitting import untold_band
 from roomfit.geometry.shoebox import shoebox_mesh
 from roomfit.materials.knowledge import unknown_material

@@ -8,9 +8,9 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.app.certifying import affordable_certificate, certified_fit
+from roomfit.app.certainty.certifying import affordable_certificate, certified_fit
+from roomfit.app.certainty.starts import Starts, from_random_starts
 from roomfit.app.progress import part
-from roomfit.app.starts import Starts, from_random_starts
 from roomfit.identification.certified.certificate import Certificate
 from roomfit.identification.reweighted import BandFit, fit_band
 from roomfit.identification.solvers import (

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.app.binning import BinnedPaths
-from roomfit.app.certifying import affordable_certificate
+from roomfit.app.certainty.certifying import affordable_certificate
 from roomfit.app.coherent.answers import (
     nothing_identifiable,
     widened_by_neighbours,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.app.telling import band_sentence
+from roomfit.app.certainty.telling import band_sentence
 from roomfit.findings import Finding
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import N_DRAWS, WITHIN, Combination, find_combinations

@@ -1,0 +1,1 @@
+"""How sure an answer is, what the data leave open, and every doubt about a fit."""
