@@ -400,7 +400,8 @@ def test_a_browser_draws_all_pictures_and_logs_no_error(tmp_path):
     assert logged == []
     assert "<title>A drawn room</title>" in drawn
     assert 'data-ready="yes"' in drawn
-    assert len(re.findall(r'class="printed"[^>]* src="data:image', drawn)) == 3
+    # room, absorption, widths of intervals, decays
+    assert len(re.findall(r'class="printed"[^>]* src="data:image', drawn)) == 4
     grey = imread(picture)[..., :3].mean(axis=2)
     # words, lines and half-transparent walls: a blank page has no dark and no middling pixels
     assert (grey < 0.3).mean() > 0.005

@@ -128,9 +128,9 @@ def plan_trace(
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
         settings = replace(settings, image_order=order)
     far_images = images_alone or until_s > 0.0
-    # what comes late in a box, and still has no diffuse hit, travels to and fro between two hard
-    # walls along paths that few rays find
-    fit_until_s = until_s if scene.room.shoebox_m is not None and until_s > 0.0 else np.inf
+    smooth_box = scene.room.shoebox_m is not None and not np.any(scattering.coefficients)
+    # what is left in a smooth box travels between two hard walls along paths that few rays find
+    fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
     return TracePlan(settings, scattering, tuple(findings), far_images, fit_until_s)
 
 

@@ -29,6 +29,8 @@ _ALIKE = 0.004
 _FARTHEST = 14.0
 # A gain of this much by following is worth a second look at the point.
 _FAR_FROM_FOLLOWING = 1.0
+# Of a free number, a logit or a logarithm: where nothing is told of it a step has no limit.
+_LONGEST_STEP = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +132,7 @@ class _Line:
         cost, gain, step = self._cost(vector)
         if gain > _FAR_FROM_FOLLOWING * self.flattening:
             trial = np.array(vector)
-            trial[self.others] += step
+            trial[self.others] += _no_farther(step)
             there, more, _ = self._cost(trial)
             if there < cost:
                 vector, cost, gain = trial, there, more
@@ -192,7 +194,7 @@ class _Line:
         vector = np.array(self.places[nearest])
         by = move - self.moves[nearest]
         vector[self.entry] += by
-        vector[self.others] += by * self.follow
+        vector[self.others] += _no_farther(by * self.follow)
         return vector
 
     def _cost(self, vector: FloatArray) -> tuple[float, float, FloatArray]:
@@ -208,6 +210,11 @@ class _Line:
         hessian += rows[:, self.others].T @ rows[:, self.others]
         step = np.linalg.solve(hessian, downhill)
         return cost, 0.5 * float(downhill @ step), np.asarray(step, dtype=np.float64)
+
+
+def _no_farther(step: FloatArray) -> FloatArray:
+    """Return a step shortened to where a Newton step may still mean something."""
+    return step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max(initial=0.0)), 1e-300))
 
 
 def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, FloatArray]:
