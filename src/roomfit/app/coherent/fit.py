@@ -201,15 +201,17 @@ def _answers(
     areas = material_areas_m2(task.scene.room)
     coherent: tuple[BandAnswer | None, ...] = tuple(
         _coherent_answer(task, i, *each, part(progress, i / len(fits), (i + 1) / len(fits)))
-        for i, each in enumerate(zip(state.bands, fits, strict=True))
+        for i, each in enumerate(zip(state.bands, fits, likelihoods, strict=True))
     )
     coherent = widened_by_neighbours(coherent, areas)
     energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
-    if any(_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)):
+    asked = [_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)]
+    if any(asked):
         coarse = band_problems(
             *(task.scene, task.bands, task.knowledge, task.measured, state.binned, task.start)
         )
-        energy = energy_answers(task, state.paths, coarse, state.bands, areas)
+        wanted = (p if wants else None for p, wants in zip(coarse, asked, strict=True))
+        energy = energy_answers(task, state.paths, wanted, state.bands, areas)
     decided = [
         _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
     ]
@@ -232,15 +234,18 @@ def _coherent_answer(
     number: int,
     band: CoherentBand | None,
     found: CoherentBandFit | None,
+    likelihoods: FloatArray,
     progress: Progress | None,
 ) -> BandAnswer | None:
+    """Return what pressures say; with better intervals where that may be the answer."""
     if band is None or found is None:
         return None
     noisy = with_tracing_noise(
         found.problem, band.energies, sources_of_band(task, number), found.fit
     )
     answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
-    if task.refine is None:
+    beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
+    if task.refine is None or beaten:
         return answer
     return task.refine(found.problem, found.fit, answer, progress)
 
