@@ -13,8 +13,8 @@ from roomfit.impedance.observed import standard_deviation
 from roomfit.impedance.problem import Problem
 from roomfit.typing import FloatArray
 
-# Of 26 boxes with walls at random, at 40 dB, the error had this median, over what is allowed for it,
-# and this spread of its logarithm: `scripts/bench impedance rooms`.
+# Of 26 boxes with walls at random, at 40 dB, the error had this median, over what is allowed for
+# it, and this spread of its logarithm: `scripts/bench impedance rooms`.
 _MEDIAN, _LOG_SD = 0.5, 0.5
 _GRID = np.geomspace(0.06, 6.0, 47)
 
