@@ -32,6 +32,14 @@ def test_the_trace_samples_with_the_mean_scattering_of_the_bands():
     assert sampling_scattering(told) == pytest.approx(0.3)
 
 
+@pytest.mark.parametrize("s", [0.05, 0.1, 0.2, 0.7])
+def test_the_same_scattering_in_all_bands_is_traced_to_the_last_bit(s):
+    # the mean of six times 0.1 is less than 0.1, and paths would be weighed anew for nothing
+    six = MaterialKnowledge("wall", np.zeros(6), np.ones(6), scattering=np.full(6, s))
+    assert np.mean(np.full(6, s)) != s
+    assert sampling_scattering(six) == s
+
+
 def test_arrays_are_copies_that_cannot_be_changed():
     scattering = np.array([0.1, 0.2, 0.3])
     told = MaterialKnowledge("wall", MEAN, SD, scattering=scattering)

@@ -63,6 +63,7 @@ def plan_trace(
     seed: int,
     *,
     coherent: bool = False,
+    images_until_s: float | None = None,
 ) -> TracePlan:
     """Choose how to trace.
 
@@ -82,6 +83,8 @@ def plan_trace(
     seed : int
     coherent : bool
         Whether early reflections are to be added as pressures.
+    images_until_s : float, optional
+        How long image sources of every order can be had, where another plan of the scene told it.
     """
     findings = []
     untold = [k.name for k in knowledge if k.scattering is None]
@@ -114,7 +117,9 @@ def plan_trace(
         seed=seed,
         keep_unfolding=coherent,
     )
-    until_s = _images_until_s(scene, duration_s) if coherent and not images_alone else 0.0
+    until_s = 0.0
+    if coherent and not images_alone:
+        until_s = images_until_s or _images_until_s(scene, duration_s)
     if until_s > 0.0:
         settings = replace(
             settings,

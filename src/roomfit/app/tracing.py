@@ -136,7 +136,11 @@ def trace_campaign(
     )
     doubts: tuple[Finding, ...] = ()
     if assumed or chosen:
-        plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
+        plan = plan_trace(
+            *(scene, knowledge, slowest_s, latest_s, campaign.seed),
+            coherent=coherent,
+            images_until_s=plan.settings.image_until_s,
+        )
     else:
         doubts = scattering_doubts(gathered, campaign.bands, knowledge, plan.settings, start)
     done = part(progress, 0.5 if chosen else 0.0, 1.0)

@@ -84,7 +84,11 @@ def sampling_scattering(knowledge: MaterialKnowledge) -> float | None:
 
     Paths traced with it are weighed for the coefficients of each band afterwards.
     """
-    return None if knowledge.scattering is None else float(np.mean(knowledge.scattering))
+    told = knowledge.scattering
+    if told is None:
+        return None
+    # the mean of equal numbers is not always that number, to the last bit
+    return float(told[0] if np.all(told == told[0]) else np.mean(told))
 
 
 def in_bands(

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import cast
 
 import numpy as np
 
 from roomfit.bands import Bands
+from roomfit.checks import read_only
 from roomfit.errors import InputError
 from roomfit.objective.parameters import (
     Parameters,
@@ -54,7 +56,7 @@ class ValueObservation:
     spread: FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RoomValuesProblem:
     """One band: find the absorption under which the paths have the measured room parameters.
 
@@ -131,11 +133,15 @@ class RoomValuesProblem:
         T20 and T30 are read from one decay: the sum of the squared correlations of each value with
         all values of its pair, 1 where it stands alone. From where the fit starts.
         """
+        return self._counted_as_one
+
+    @cached_property
+    def _counted_as_one(self) -> FloatArray:
         counts = []
         for covariance in value_covariances(self, start_vector(self.parameters)):
             sd = np.sqrt(np.diag(covariance))
             counts.append(np.sum((covariance / np.outer(sd, sd)) ** 2, axis=1))
-        return np.concatenate(counts)
+        return read_only(np.concatenate(counts))
 
     def are_energies(self) -> BoolArray:
         """Return False for every value."""

@@ -130,7 +130,9 @@ class CoherentResponse:
     by_times: FloatArray
 
 
-def image_paths(paths: Paths, pairs: IntArray, attenuation_per_m: float) -> ImagePaths:
+def image_paths(
+    paths: Paths, pairs: IntArray, attenuation_per_m: float, longest_m: float = np.inf
+) -> ImagePaths:
     """Return the image paths of each observation's pair, fully coherent.
 
     Parameters
@@ -140,18 +142,20 @@ def image_paths(paths: Paths, pairs: IntArray, attenuation_per_m: float) -> Imag
     pairs : int array, shape (n_observations,)
     attenuation_per_m : float
         Energy attenuation of the air.
+    longest_m : float
+        Longer paths are left out.
 
     Notes
     -----
     Paths without `unfolding` get the reflection that turns the departure into the arrival in its
     place: right to first order in a source's displacement, and exact in a box.
     """
-    image = paths.batch < 0
+    image = (paths.batch < 0) & (paths.length_m <= longest_m)
     own = [np.flatnonzero(image & (paths.pair == pair)) for pair in pairs]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *own])
     length = paths.length_m[chosen]
     arrival = paths.arrival[chosen].astype(np.float64)
-    arrival /= np.linalg.norm(arrival, axis=1, keepdims=True)
+    arrival /= np.sqrt(np.einsum("ni,ni->n", arrival, arrival))[:, None]
     departure = paths.departure[chosen].astype(np.float64)
     matrices = (
         _stand_in(departure, arrival)

@@ -132,22 +132,32 @@ def window_products(
     """
     n_columns = derivatives.shape[1]
     for o in numba.prange(len(starts) - 1):
-        y = pressure[o]
+        y, dy = pressure[o], derivatives[o]
+        weighed = np.empty(len(y))
         for e in range(starts[o], starts[o + 1] - 1):
             w = e - o
             low, high = edges[e] + 0.5, edges[e + 1] + 0.5
-            first, last = math.floor(low), math.floor(high)
-            first, last = max(first, 0), min(last, len(y) - 1)
+            first, last = max(math.floor(low), 0), min(math.floor(high), len(y) - 1)
             total = 0.0
             for k in range(first, last + 1):
-                total += (min(high, k + 1.0) - max(low, 1.0 * k)) * y[k] * y[k]
+                weighed[k] = (min(high, k + 1.0) - max(low, 1.0 * k)) * y[k]
+                total += weighed[k] * y[k]
             energy[w] = total
-            for j in range(n_columns):
-                dy = derivatives[o, j]
-                total = 0.0
+            # four sums at a time need not wait for each other
+            for j in range(0, n_columns - 3, 4):
+                a, b, c, d = 0.0, 0.0, 0.0, 0.0
                 for k in range(first, last + 1):
-                    total += (min(high, k + 1.0) - max(low, 1.0 * k)) * y[k] * dy[k]
-                slopes[w, j] = 2.0 * total
+                    a += weighed[k] * dy[j, k]
+                    b += weighed[k] * dy[j + 1, k]
+                    c += weighed[k] * dy[j + 2, k]
+                    d += weighed[k] * dy[j + 3, k]
+                slopes[w, j], slopes[w, j + 1] = 2.0 * a, 2.0 * b
+                slopes[w, j + 2], slopes[w, j + 3] = 2.0 * c, 2.0 * d
+            for j in range(n_columns - n_columns % 4, n_columns):
+                a = 0.0
+                for k in range(first, last + 1):
+                    a += weighed[k] * dy[j, k]
+                slopes[w, j] = 2.0 * a
 
 
 @kernel()

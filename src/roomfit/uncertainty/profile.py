@@ -23,8 +23,9 @@ _NARROW = 0.3
 _MOST_POINTS = 6
 # Of the rise: an end is found when it is this near, 4 % of half an interval.
 _NEAR = 0.08
-# Ends within this of each other, as the absorption of a logit, need not be told apart.
-_ALIKE = 0.004
+# Ends within this of each other, as the absorption of a logit, need not be told apart; nor within
+# this share of the whole side.
+_ALIKE, _ALIKE_SHARE = 0.004, 0.03
 # Logits beyond differ by less than a millionth in absorption.
 _FARTHEST = 14.0
 # A gain of this much by following is worth a second look at the point.
@@ -162,8 +163,10 @@ class _Line:
                 here = low[0] + sign * step
             if abs(here) >= far:
                 return sign * far
-            if above and self._apart(low[0], high[0]) < _ALIKE:
-                return here
+            if above:
+                alike = max(_ALIKE, _ALIKE_SHARE * self._apart(0.0, high[0]))
+                if self._apart(low[0], high[0]) < alike:
+                    return here
             rise = self.rise(here)
             if abs(rise / RISE95 - 1.0) < _NEAR:
                 return here

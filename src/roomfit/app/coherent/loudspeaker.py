@@ -90,13 +90,15 @@ def _expected(
     shares = _band_shares(bands, fft.rfftfreq(2 * n, 1.0 / rate_hz))
     attenuation = attenuation_per_m(scene.air, bands)
     total = np.zeros(n + 1, dtype=np.complex128)
+    c = speed_of_sound_m_s(scene.air)
+    images = image_paths(paths, np.array([m.pair]), 0.0, c * (n / rate_hz - m.response.time_zero_s))
+    length_m = np.linalg.norm(images.away_m, axis=1)
+    at = np.round((length_m / c + m.response.time_zero_s) * rate_hz).astype(np.int64)
+    inside = (at >= 0) & (at < n)
     for band, share in enumerate(shares):
-        images = image_paths(paths, np.array([m.pair]), float(attenuation[band]))
-        roots = np.sqrt(image_energies(images, np.minimum(absorption[:, band], 1.0)))
-        t = np.linalg.norm(images.away_m, axis=1) / speed_of_sound_m_s(scene.air)
-        at = np.round((t + m.response.time_zero_s) * rate_hz).astype(np.int64)
-        inside = (at >= 0) & (at < n)
-        total += share * fft.rfft(np.bincount(at[inside], roots[inside], n), 2 * n)
+        energy = image_energies(images, np.minimum(absorption[:, band], 1.0))
+        roots = np.sqrt(energy * np.exp(-attenuation[band] * length_m))[inside]
+        total += share * fft.rfft(np.bincount(at[inside], roots, n), 2 * n)
     return replace(m.response, pressure=fft.irfft(total, 2 * n)[:n])
 
 

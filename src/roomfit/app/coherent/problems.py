@@ -133,9 +133,8 @@ def coherent_problem(
     first = min(float(o.edges_s[0]) for o in seen)
     last = max(float(o.edges_s[-1]) for o in seen)
     grid = band_grid(bank, first, last)
-    images = image_paths(paths, np.array([o.pair for o in seen]), attenuation_per_m)
-    travel = np.linalg.norm(images.away_m, axis=1) / c
-    images = chosen_paths(images, travel < last + 4.0 / energies.centre_hz)
+    pairs = np.array([o.pair for o in seen])
+    images = image_paths(paths, pairs, attenuation_per_m, c * (last + 4.0 / energies.centre_hz))
     travel = np.linalg.norm(images.away_m, axis=1) / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
