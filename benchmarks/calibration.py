@@ -6,14 +6,16 @@ Boxes of another program, pyroomacoustics (`other_boxes.py` says how), and conve
 simulator of pressures (`polyhedra.py`), with positions told 1 cm wrong and noise. Every room is
 written as a campaign and identified as anybody's. Each share has its own 95 % interval, in which
 values of one room count as less than independent ones. Null models: the prior's mean, and one
-absorption for all walls, from the decay.
+absorption for all walls, from the decay. A second table tells intervals apart by how they were
+made and by what was found: the spread of errors over what the intervals say is 1 where these are
+right, less where they are too wide.
 """
 
 from __future__ import annotations
 
 import argparse
 import tempfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +28,12 @@ from roomfit.materials.knowledge import DEFAULT_MEAN
 from roomfit.report.calibration_text import calibration_table, verdict
 from roomfit.testproblems.measured_polyhedron import polyhedron_plan, write_measured_polyhedron
 from roomfit.uncertainty.answer import Answer
-from roomfit.uncertainty.calibration import Calibration, calibration_rows
+from roomfit.uncertainty.calibration import (
+    Calibration,
+    calibration_rows,
+    grouped_share,
+    scaled_errors,
+)
 
 MOST_MATERIALS = 7
 SHAPES = ("slanted", "paper")
@@ -87,11 +94,47 @@ def pooled(rooms: list[Room]) -> Calibration:
 
 
 def show(rooms: list[Room]) -> None:
-    """Print the pooled table."""
-    rows = calibration_rows(pooled(rooms))
+    """Print the pooled table, and intervals told apart."""
+    found = pooled(rooms)
+    rows = calibration_rows(found)
     print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
     print(calibration_table(rows))
     print(verdict(rows[-1]))
+    _show_parts(found, rooms)
+
+
+def _show_parts(found: Calibration, rooms: list[Room]) -> None:
+    """Print how far off values are in units of their intervals, for parts of them."""
+    kinds = np.full(found.told.shape, "none", dtype="U9")
+    for i, room in enumerate(rooms):
+        for j, own in enumerate(room.answer.interval_kinds):
+            kinds[i, : len(own), j] = own
+    phi, bands = found.phi[:, None, :], np.array(found.bands.centres_hz)
+    parts = {kind: kinds == kind for kind in ("gaussian", "profile", "sampled", "none")}
+    parts |= {
+        "phi below 1": np.broadcast_to(phi < 1.0, kinds.shape),
+        "phi 1 to 1.3": np.broadcast_to((phi >= 1.0) & (phi < 1.3), kinds.shape),
+        "phi above 1.3": np.broadcast_to(phi >= 1.3, kinds.shape),
+        "true below .05": found.true < 0.05,
+        "true .05 to .5": (found.true >= 0.05) & (found.true < 0.5),
+        "true above .5": found.true >= 0.5,
+    }
+    parts |= {f"{f:g} Hz": np.broadcast_to(bands == f, kinds.shape) for f in bands}
+    print(f"{'':16}values   hold  spread of errors  median width  median |error|")
+    for name, part in parts.items():
+        told = found.told & part
+        if not told.any():
+            continue
+        held = (found.lower95 <= found.true) & (found.true <= found.upper95)
+        share = grouped_share(held, told)
+        z = scaled_errors(replace(found, told=told))
+        width = np.median((found.upper95 - found.lower95)[told])
+        error = np.median(np.abs(found.absorption - found.true)[told])
+        spread = float(np.sqrt(np.mean(z**2)))
+        print(
+            f"{name:16}{share.of:6} {100 * share.value:5.1f} %  {spread:12.2f}  {width:15.3f}"
+            f"  {error:12.4f}"
+        )
 
 
 def main() -> None:

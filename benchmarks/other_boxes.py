@@ -2,7 +2,7 @@
 
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
-        [--third-octaves] [--strength 0] [--directivity omni]
+        [--third-octaves] [--strength 0] [--directivity omni] [--posterior]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
@@ -11,8 +11,9 @@ Boxes of 4.5-9 x 3.6-7 x 2.4-3.8 m, no two sides alike, six materials from 0.01 
 the walls that absorb more than a half delay what they reflect; the other program cannot, so those
 data are made by `roomfit.testproblems.pressure_box`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
-what the campaign tells of it. The null model gives all walls of a
-room the area mean of the fitted answer.
+what the campaign tells of it. --posterior identifies every box a second time with
+`method = "posterior"`, and shows the table of either, and what became of the samples. The null
+model gives all walls of a room the area mean of the fitted answer.
 """
 
 from __future__ import annotations
@@ -146,11 +147,12 @@ def main() -> None:
     parser.add_argument("--energy", action="store_true", help="energies alone")
     parser.add_argument("--no-delays", action="store_true", help="walls that do not delay")
     parser.add_argument("--third-octaves", action="store_true")
+    parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
     told = parser.parse_args()
     more = 'positions = "fixed"\n' if told.unfitted else ""
     more += "wall_delays = false\n" if told.no_delays else ""
     more += 'model = "energy"\n' if told.energy else ""
-    done = []
+    done, sampled = [], []
     for seed in told.seeds:
         with tempfile.TemporaryDirectory() as folder:
             box = write_other_box(
@@ -165,6 +167,8 @@ def main() -> None:
                 told=told.directivity,
             )
             done.append(outcome(box, told.third_octaves, more))
+            if told.posterior:
+                sampled.append(outcome(box, False, 'method = "posterior"\n'))
         answer = done[-1].answer
         phi = " ".join(f"{p:.2f}" for p in answer.phi)
         print(f"seed {seed}: {done[-1].seconds:.1f} s, phi {phi}", end="  ")
@@ -172,7 +176,24 @@ def main() -> None:
         print(" ".join(answer.models), *sorted(codes))
         if told.delay_ms and answer.geometry is not None:
             _show_delays(done[-1])
+        if sampled:
+            _show_samples(sampled[-1])
     show(done)
+    if sampled:
+        print("\nsampled")
+        show(sampled)
+
+
+def _show_samples(o: Outcome) -> None:
+    """Print what became of each band's samples."""
+    bands = (
+        f"{f:g} Hz {s.evaluations} evaluations tau {s.autocorrelation.max():.0f} "
+        f"R-hat {s.r_hat.max():.3f} acceptance {s.acceptance:.2f}"
+        + ("" if s.converged else " NOT at rest")
+        for f, s in zip(o.answer.bands.centres_hz, o.answer.sampling, strict=True)
+        if s is not None
+    )
+    print(f"   posterior {o.seconds:.1f} s: " + "; ".join(bands), flush=True)
 
 
 def _show_delays(o: Outcome) -> None:

@@ -103,6 +103,26 @@ def test_a_walk_gains_what_it_says_and_stays_under_its_law():
     assert np.mean(there != points) > 0.5
 
 
+def test_a_compiled_walk_gains_what_the_readable_law_says():
+    """Energies of windows, data that are no energies, and a geometry that is integrated out."""
+    for problem in (
+        decay_case(np.random.default_rng(3), np.array([0.02, 0.5])),
+        linear_case(6, n_geometry=0),
+        linear_case(6),
+    ):
+        fit = fitted(problem)
+        near = surrogate(log_posterior(problem, fit), fit)
+        rng = np.random.default_rng(1)
+        points = near.centre + rng.standard_normal((50, near.centre.size))
+        # one walker stands where the law is nothing: it leaves with its first step, or stays
+        points[0, 0] = 50.0
+        there, gain = near.walk(points, 30, rng)
+        expected = near.log_density(there[1:]) - near.log_density(points[1:])
+        np.testing.assert_allclose(gain[1:], expected, rtol=1e-9, atol=1e-9)
+        assert gain[0] == np.inf or there[0, 0] == 50.0
+        assert np.mean(there != points) > 0.5
+
+
 def test_samples_have_the_quantiles_of_a_quadrature():
     """Two absorptions near 0 and in the middle, seen in twelve windows.
 
@@ -116,7 +136,7 @@ def test_samples_have_the_quantiles_of_a_quadrature():
         law,
         surrogate(law, fit),
         np.random.default_rng(1),
-        SamplingSettings(autocorrelations=40.0, inner_steps=(5, 40)),
+        SamplingSettings(autocorrelations=40.0, inner_steps=(20, 400)),
     )
     assert found.converged
     assert found.effective > 400

@@ -31,15 +31,16 @@ class SamplingSettings:
         How many times longer than the autocorrelation every walker must have walked.
     largest_r_hat : float
         How much alike the halves of all walkers must be (`split_r_hat`).
-    inner_steps : tuple of int
+    inner_steps : tuple of int, or None
         Steps under the surrogate between two evaluations, one of them at random: where the
-        surrogate is far from the posterior only short walks are taken.
+        surrogate is far from the posterior only short walks are taken. None for
+        `Surrogate.usual_steps`.
     """
 
     most_evaluations: int = 6_000
     autocorrelations: float = 20.0
     largest_r_hat: float = 1.1
-    inner_steps: tuple[int, ...] = (20, 150)
+    inner_steps: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -112,7 +113,7 @@ def sample(
     sampler = emcee.EnsembleSampler(
         *(walkers, n, quiet),
         moves=[
-            (_surrogate_move(emcee, near, settings.inner_steps, rng), 0.8),
+            (_surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng), 0.8),
             (emcee.moves.DEMove(), 0.2),
         ],
     )

@@ -11,6 +11,7 @@ from roomfit.objective.parameters import Parameters, physical_values, position_o
 from roomfit.objective.problem import BandProblem, Prediction
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.log_posterior import FARTHEST_FREE, LogPosterior, prior_information
+from roomfit.uncertainty.walk_kernels import LEAST_REFLECTED, walk_points
 
 # Of a free number, for second derivatives: large beside rounding, small beside what bends.
 _STEP = 0.05
@@ -104,6 +105,14 @@ class Surrogate:
             found += away @ self.pull - 0.5 * np.einsum("pi,ij,pj->p", away, self.data, away)
         return np.where(np.all(np.abs(kept) < FARTHEST_FREE, axis=1), found, -np.inf)
 
+    @property
+    def usual_steps(self) -> tuple[int, ...]:
+        """Lengths of walks: a short one, and one that costs less than what it is weighed by.
+
+        A random walk needs some 500 steps to forget its place under the skew laws of hard walls.
+        """
+        return (50, 4000) if self.windows is None else (50, 500)
+
     def walk(
         self, points: FloatArray, steps: int, rng: np.random.Generator
     ) -> tuple[FloatArray, FloatArray]:
@@ -119,19 +128,31 @@ class Surrogate:
         """
         n = points.shape[1]
         root = 2.38 / np.sqrt(n) * np.linalg.cholesky(self.covariance)
-        here, start = np.array(points), self.log_density(points)
-        now = start
-        for _ in range(steps):
-            # drawn whatever the place, so that each step stays reversible; small ones still move
-            # along narrow ridges
-            size = np.exp(rng.uniform(np.log(0.1), np.log(2.0)))
-            trial = here + size * rng.standard_normal(here.shape) @ root.T
-            there = self.log_density(trial)
-            with np.errstate(invalid="ignore"):
-                taken = np.log(rng.random(len(here))) < there - now
-            here = np.where(taken[:, None], trial, here)
-            now = np.where(taken, there, now)
-        return here, now - start
+        # drawn whatever the place, so that each step stays reversible; small ones still move along
+        # narrow ridges
+        sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
+        here = np.array(points, dtype=np.float64, order="C")
+        first, columns = _absorption_columns(self.parameters)
+        block = next(b for b in self.parameters.blocks if b.name == "absorption")
+        w = _no_windows(n) if self.windows is None else self.windows
+        gain = walk_points(
+            *(here, root, sizes, rng.standard_normal((steps, *here.shape))),
+            *(np.log(rng.random((steps, len(here)))), FARTHEST_FREE, first),
+            *(np.array(block.lower[columns]), np.array(block.upper[columns])),
+            *(np.array(self.centre), np.array(self.prior), np.array(self.prior_mean)),
+            *(np.array(self.data), np.array(self.pull)),
+            *(np.array(w.measured), np.array(w.signal), np.array(w.noise), np.array(w.slopes)),
+            *(np.array(w.curvature), np.array(w.weight)),
+            np.array(w.energies),
+        )
+        return here, gain
+
+
+def _no_windows(n: int) -> Windows:
+    """Return what stands for no windows of n exponents."""
+    none: FloatArray = np.zeros(0)
+    flags = np.zeros(0, dtype=np.bool_)
+    return Windows(none, none, none, np.zeros((0, n)), np.zeros((0, n, n)), none, flags)
 
 
 def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
@@ -213,5 +234,5 @@ def _exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     low, high = block.lower[columns], block.upper[columns]
     # 1 - a, without rounding where a comes near to 1
     less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
-    out[:, own] = -np.log(np.maximum(less, 1e-18))
+    out[:, own] = -np.log(np.maximum(less, LEAST_REFLECTED))
     return out
