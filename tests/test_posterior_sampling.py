@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
-from posterior_cases import decay_case, linear_case
+from posterior_cases import Linear, decay_case, linear_case
 from roomfit.app.certainty.refining import sampled
 from roomfit.app.fitting import band_answer
 from roomfit.errors import InputError
 from roomfit.identification.reweighted import fit_band
 from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.objective.parameters import prior_residuals
+from roomfit.objective.problem import Prediction
 from roomfit.uncertainty.chains import autocorrelation_steps, split_r_hat
 from roomfit.uncertainty.log_posterior import log_posterior
 from roomfit.uncertainty.sampling import SamplingSettings, check_sampler, sample
@@ -67,6 +68,31 @@ def test_arrival_times_are_integrated_out_exactly_where_all_is_linear():
     found = np.array([law(p) for p in points])
     np.testing.assert_allclose(found - found[0], np.array(expected) - expected[0], rtol=1e-8)
     assert law(np.full(3, 1e3)) == -np.inf
+
+
+@dataclass(frozen=True, eq=False)
+class StraightInExponents(Linear):
+    """Gaussian data that are linear in ``-log(1 - a)`` of 3 absorptions, and in a geometry."""
+
+    def predict(self, vector):
+        share = 1.0 / (1.0 + np.exp(-vector[:3]))
+        expected = self.matrix @ np.concatenate((-np.log1p(-share), vector[3:]))
+        jacobian = self.matrix * np.concatenate((share, np.ones(vector.size - 3)))
+        return Prediction(expected, expected, jacobian)
+
+
+def test_arrival_times_follow_to_the_best_ones_where_data_are_straight_in_the_exponents():
+    """The conditional optimum of a linear problem, by its normal equations: however far away."""
+    linear = linear_case(7)
+    problem = StraightInExponents(linear.matrix, linear.seen, linear.sd, linear.parameters)
+    fit = fitted(problem)
+    law = log_posterior(problem, replace(fit, phi=1.0))
+    of_data = problem.matrix[:, 3:] / problem.sd
+    for kept in (np.array([-6.0, 1.0, -1.0]), np.array([2.0, -5.0, 0.5])):
+        exponent = np.log1p(np.exp(kept))
+        left = (problem.seen - problem.matrix[:, :3] @ exponent) / problem.sd
+        best = np.linalg.solve(of_data.T @ of_data + np.eye(4), of_data.T @ left)
+        np.testing.assert_allclose(law.ridge(kept), best, atol=1e-4)
 
 
 def test_the_surrogate_has_the_posteriors_slope_and_curvature_at_the_fit():

@@ -7,11 +7,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.identification.reweighted import BandFit
-from roomfit.objective.parameters import Parameters, physical_values, position_of
+from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import BandProblem, Prediction
-from roomfit.typing import BoolArray, FloatArray, IntArray
-from roomfit.uncertainty.log_posterior import FARTHEST_FREE, LogPosterior, prior_information
-from roomfit.uncertainty.walk_kernels import LEAST_REFLECTED, walk_points
+from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.log_posterior import (
+    FARTHEST_FREE,
+    LogPosterior,
+    absorption_columns,
+    exponent_slopes,
+    exponents,
+    prior_information,
+)
+from roomfit.uncertainty.walk_kernels import walk_points
 
 # Of a free number, for second derivatives: large beside rounding, small beside what bends.
 _STEP = 0.05
@@ -96,7 +103,7 @@ class Surrogate:
 
     def log_density(self, kept: FloatArray) -> FloatArray:
         """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
-        away = _exponents(self.parameters, kept) - _exponents(self.parameters, self.centre[None])
+        away = exponents(self.parameters, kept) - exponents(self.parameters, self.centre[None])
         off = kept - self.prior_mean
         found = -0.5 * np.einsum("pi,ij,pj->p", off, self.prior, off)
         if self.windows is not None:
@@ -132,7 +139,7 @@ class Surrogate:
         # narrow ridges
         sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
         here = np.array(points, dtype=np.float64, order="C")
-        first, columns = _absorption_columns(self.parameters)
+        first, columns = absorption_columns(self.parameters)
         block = next(b for b in self.parameters.blocks if b.name == "absorption")
         w = _no_windows(n) if self.windows is None else self.windows
         gain = walk_points(
@@ -160,11 +167,12 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
     parameters, n = posterior.problem.parameters, posterior.n_kept
     whole = prior_information(parameters, fit.vector)
     prior = whole[:n, :n]
-    inner, cross = posterior.inner, -posterior.inner @ posterior.follow
+    inner = posterior.inner
     data = (fit.information - whole)[:n, :n] / posterior.flattening
+    slope = exponent_slopes(parameters, fit.vector)[:n]
     if inner.size:
-        data = data - cross.T @ np.linalg.solve(inner, cross)
-    slope = _slopes(parameters, fit.vector)[:n]
+        follow = posterior.follow * slope
+        data = data - follow.T @ inner @ follow
     means = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])[:n]
     pull = prior @ (fit.vector[:n] - means) / slope
     size, directions = np.linalg.eigh(0.5 * (data + data.T))
@@ -191,7 +199,7 @@ def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
 
 def _signal_slopes(problem: BandProblem, found: Prediction, vector: FloatArray) -> FloatArray:
     """Return the slopes of `Windows` at a point."""
-    by_exponent = found.jacobian / _slopes(problem.parameters, vector)
+    by_exponent = found.jacobian / exponent_slopes(problem.parameters, vector)
     least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
     scale = np.where(problem.are_energies(), np.maximum(found.signal, least), 1.0)
     return np.asarray(by_exponent / scale[:, None])
@@ -203,36 +211,7 @@ def _curvature(problem: BandProblem, slopes: FloatArray, vector: FloatArray) -> 
     for k in range(vector.size):
         moved = np.array(vector)
         moved[k] += _STEP
-        step = _exponents(problem.parameters, np.stack((vector, moved)))
+        step = exponents(problem.parameters, np.stack((vector, moved)))
         there = _signal_slopes(problem, problem.predict(moved), moved)
         out[:, :, k] = (there - slopes) / max(float(step[1, k] - step[0, k]), 1e-12)
     return 0.5 * (out + out.transpose(0, 2, 1))
-
-
-def _absorption_columns(parameters: Parameters) -> tuple[int, IntArray]:
-    """Return where the fitted absorptions begin, and which entries of their block they are."""
-    block = next(b for b in parameters.blocks if b.name == "absorption")
-    return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
-
-
-def _slopes(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    """Return the derivative of each exponent by its free number, 1 where there is no exponent."""
-    values, slopes = physical_values(parameters, vector)
-    by_exponent = slopes["absorption"] / np.maximum(1.0 - values["absorption"], 1e-12)
-    out = np.ones(vector.size)
-    first, columns = _absorption_columns(parameters)
-    out[first : first + columns.size] = np.maximum(by_exponent[columns], 1e-9)
-    return out
-
-
-def _exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
-    """Return the exponents of absorptions, all other free numbers as they are, (n_points, n)."""
-    out = np.array(kept)
-    first, columns = _absorption_columns(parameters)
-    own = slice(first, first + columns.size)
-    block = next(b for b in parameters.blocks if b.name == "absorption")
-    low, high = block.lower[columns], block.upper[columns]
-    # 1 - a, without rounding where a comes near to 1
-    less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
-    out[:, own] = -np.log(np.maximum(less, LEAST_REFLECTED))
-    return out

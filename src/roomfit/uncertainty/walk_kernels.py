@@ -8,9 +8,7 @@ import numpy as np
 
 from roomfit.compiled import kernel
 from roomfit.typing import BoolArray, FloatArray
-
-# Least 1 - a of which a log is taken; as in `roomfit.uncertainty.surrogate`.
-LEAST_REFLECTED = 1e-18
+from roomfit.uncertainty.log_posterior import LEAST_REFLECTED
 
 
 @kernel()
