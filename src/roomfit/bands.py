@@ -110,5 +110,10 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
     return np.asarray(exact)
 
 
+def steps_per_octave(kind: BandKind) -> int:
+    """Return how many bands of a kind make an octave."""
+    return _STEPS_PER_OCTAVE[kind]
+
+
 def _half_width(kind: BandKind) -> float:
     return float(10.0 ** (0.15 / _STEPS_PER_OCTAVE[kind]))

@@ -133,9 +133,17 @@ def with_coherence(
     spread += 2.0 * (_PLACE_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
     phase = (2.0 * np.pi * problem.centre_hz) ** 2 * spread
     phase += phase_sd**2 * images.hits.sum(axis=1)
-    gamma = np.exp(-phase)
+    return _with_gamma(problem, np.exp(-phase))
+
+
+def fully_coherent(problem: CoherentProblem) -> CoherentProblem:
+    """Return the problem with every path as coherent as if its arrival time were known."""
+    return _with_gamma(problem, np.ones(problem.bins.size))
+
+
+def _with_gamma(problem: CoherentProblem, gamma: FloatArray) -> CoherentProblem:
     keep = (gamma > _LEAST_COHERENCE) & (problem.bins >= 0)
-    images = replace(images, coherence=np.where(keep, gamma, 0.0))
+    images = replace(problem.images, coherence=np.where(keep, gamma, 0.0))
     return replace(
         problem,
         images=images,

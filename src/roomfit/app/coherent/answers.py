@@ -16,7 +16,7 @@ _LEAST = 1e-9
 # Where absorption runs smoothly (as a raised cosine over octaves) from one band's centre to the
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
-_ABOVE, _BELOW = 0.144, 0.078
+ABOVE, BELOW = 0.144, 0.078
 
 
 def widened_by_neighbours(
@@ -44,10 +44,10 @@ def widened_by_neighbours(
         up = None if above is None else above.absorption - answer.absorption
         down = None if below is None else below.absorption - answer.absorption
         if up is not None and down is not None:
-            sd = np.abs(_ABOVE * up + _BELOW * down)
+            sd = np.abs(ABOVE * up + BELOW * down)
         else:
             step = up if up is not None else down
-            sd = np.hypot(_ABOVE, _BELOW) * np.abs(np.asarray(step))
+            sd = np.hypot(ABOVE, BELOW) * np.abs(np.asarray(step))
         out.append(_widened(answer, np.asarray(sd), areas_m2))
     return tuple(out)
 

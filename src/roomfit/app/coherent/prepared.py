@@ -14,6 +14,7 @@ from roomfit.app.coherent.problems import (
     campaign_geometry,
     coherent_problem,
 )
+from roomfit.app.coherent.shared_errors import air_error, assumed_priors, shared_steps
 from roomfit.app.coherent.spoiled import (
     LEAST_BY_ENERGIES,
     Heard,
@@ -41,6 +42,7 @@ from roomfit.objective.problem import BandProblem
 from roomfit.scene.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
+from roomfit.uncertainty.shared_errors import allowing_for
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -252,6 +254,9 @@ def energy_answers(
         whole = joined(made_directed(problem, how), factor, own)
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
+        air = air_error(task.scene.air, task.bands, number, problem)
+        steps = shared_steps(whole, fit, problem, air, assumed_priors(task.knowledge, number))
+        noisy = allowing_for(noisy, steps)
         answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
         out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))
     return tuple(out)

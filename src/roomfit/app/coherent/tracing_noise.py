@@ -9,7 +9,6 @@ moves the answer by what its energies, weighed as the data are, say of the unkno
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -20,6 +19,7 @@ from roomfit.objective.problem import BandProblem
 from roomfit.objective.window_kernels import in_windows
 from roomfit.response.energy import batch_energies
 from roomfit.typing import FloatArray
+from roomfit.uncertainty.shared_errors import allowing_for, answer_steps
 
 
 def with_tracing_noise(
@@ -27,9 +27,8 @@ def with_tracing_noise(
 ) -> BandFit:
     """Return a fit whose information allows for the Monte-Carlo noise that windows share.
 
-    To first order the answer moves by ``H^-1 J^T W u`` if expected energies move by u, with H the
-    information, J the Jacobian and W the weights of the windows. The spread of these steps over
-    the batches of rays [1]_ is added to the covariance, and the sum is inverted again.
+    The spread of the answer's steps (`roomfit.uncertainty.shared_errors.answer_steps`) over the
+    batches of rays [1]_ is added to the covariance.
 
     Parameters
     ----------
@@ -48,14 +47,7 @@ def with_tracing_noise(
     spread = batch_spread(energies, problem.parameters, fit.vector, sources)
     if not spread.size:
         return fit
-    n = spread.shape[0]
-    weight = 1.0 / (problem.counted_as_one()[:n] * fit.variance[:n])
-    jacobian = problem.predict(fit.vector).jacobian[:n]
-    steps = np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * spread))
-    # misfit multiplies the covariance later on; rays are as noisy as they are
-    more = steps @ steps.T / max(fit.phi, 1.0)
-    information = np.linalg.inv(np.linalg.inv(fit.information) + more)
-    return replace(fit, information=0.5 * (information + information.T))
+    return allowing_for(fit, answer_steps(problem, fit, spread))
 
 
 def batch_spread(

@@ -1,0 +1,170 @@
+"""Errors that all windows of a band share: against fits of data that hold them, and other roads."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from coherent_cases import MATERIALS, SPEED_M_S, small_problem, small_scene, with_data
+from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.app.coherent.bands import CoherentBand
+from roomfit.app.coherent.shared_errors import air_error, assumed_priors, lost_coherence
+from roomfit.bands import Bands, bands_between
+from roomfit.identification.reweighted import BandFit
+from roomfit.identification.scoring import score_band
+from roomfit.materials.knowledge import MaterialKnowledge, logit_prior, unknown_material
+from roomfit.objective.coherent_problem import CoherentProblem, fully_coherent
+from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.objective.parameters import Parameters, start_vector
+from roomfit.objective.problem import BandProblem
+from roomfit.signals.filters import FilterBank, frequency_response, window_energies
+from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.shared_errors import allowing_for, answer_steps, pull_of_prior
+
+CENTRE_HZ = 1000.0
+NOBODY_TOLD = np.ones(len(MATERIALS), dtype=np.bool_)
+
+
+def energies() -> EnergyProblem:
+    """Return the energies of a small box with the data that its start expects."""
+    problem = replace(small_problem(CENTRE_HZ).energies, model_error=0.1)
+    expected = problem.predict(start_vector(problem.parameters)).expected
+    seen, first = [], 0
+    for o in problem.observations:
+        seen.append(replace(o, energy=expected[first : first + o.energy.size]))
+        first += o.energy.size
+    return replace(problem, observations=tuple(seen))
+
+
+def _with_data(problem: EnergyProblem, factor: FloatArray) -> EnergyProblem:
+    sizes = np.cumsum([o.energy.size for o in problem.observations])[:-1]
+    parts = zip(problem.observations, np.split(factor, sizes), strict=True)
+    return replace(problem, observations=tuple(replace(o, energy=o.energy * f) for o, f in parts))
+
+
+def _settled(problem: BandProblem) -> BandFit:
+    return score_band(problem, start_vector(problem.parameters), rounds=12)
+
+
+def test_the_answer_moves_as_foretold_by_an_error_of_all_windows() -> None:
+    """Against fits of data that hold the error: a decay that is faster by 1 % at 20 ms.
+
+    The first order of what moves the answer by a few hundredths of a logit; both directions of the
+    change together take out the second.
+    """
+    plain = energies()
+    fit = _settled(plain)
+    time_s = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in plain.observations])
+    error = -0.01 * time_s / 0.02
+    (foretold,) = answer_steps(plain, fit, (plain.measured() * error)[:, None]).T
+    up, down = (_settled(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
+    seen = 0.5 * (up - down)
+    # weights that follow the answer are neglected: a few percent of the step
+    np.testing.assert_allclose(foretold, seen, rtol=0.1, atol=0.05 * np.abs(seen).max())
+
+
+def test_a_shared_error_adds_its_own_step_to_the_covariance() -> None:
+    """And only that, whatever the misfit."""
+    fit = replace(_settled(energies()), phi=1.7)
+    steps = np.array([[0.3, 0.0], [-0.1, 0.2], [0.0, 0.1], [0.05, 0.0]])
+    wider = allowing_for(fit, steps)
+    more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
+    np.testing.assert_allclose(more * 1.7, steps @ steps.T, atol=1e-9)
+    assert allowing_for(fit, np.zeros((4, 1))) is fit
+
+
+def test_the_pull_of_a_prior_is_how_far_the_answer_goes_without_it() -> None:
+    """Exact data and a prior of little weight far off, which pulls all absorptions one way."""
+    start = energies()
+    absorption, gain = start.parameters.blocks
+    far = replace(absorption, prior_mean=np.full(3, 8.0), prior_sd=np.full(3, 100.0))
+    problem = replace(start, parameters=Parameters((far, gain)))
+    free = replace(absorption, prior_sd=np.full(3, 1e4))
+    without = _settled(replace(start, parameters=Parameters((free, gain))))
+    fit = _settled(problem)
+    foretold = pull_of_prior(problem.parameters, fit, NOBODY_TOLD)[:, 0]
+    seen = fit.vector - without.vector
+    assert np.abs(seen).max() > 1e-3
+    # the first order of a step of hundredths of a logit
+    np.testing.assert_allclose(foretold, seen, rtol=0.1, atol=0.03 * np.abs(seen).max())
+
+
+def test_a_prior_that_was_told_is_no_error() -> None:
+    """Nor one that is told for other materials."""
+    problem = energies()
+    fit = _settled(problem)
+    assert not pull_of_prior(problem.parameters, fit, ~NOBODY_TOLD).any()
+    mean, sd = logit_prior(np.array([0.1, 0.3]), np.array([0.05, 0.05]))
+    told = MaterialKnowledge("told", mean, sd)
+    knowledge = (unknown_material("one", 2), told)
+    assert [assumed_priors(knowledge, b).tolist() for b in (0, 1)] == [[True, False]] * 2
+
+
+@pytest.mark.parametrize("kind", ["octave", "third-octave"])
+def test_the_error_of_the_air_covers_its_mean_over_a_band(kind: str) -> None:
+    """Against ISO 9613-1 averaged over the filter: as much, or up to three times as much."""
+    air, problem = Air(), energies()
+    bands = bands_between("octave" if kind == "octave" else "third-octave", 500, 4000)
+    middle = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in problem.observations])
+    for band, centre in enumerate(bands.exact_centres_hz):
+        own = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        frequencies = np.linspace(0.4 * centre, 2.2 * centre, 4001)
+        weight = frequency_response(FilterBank(own), frequencies)[0] ** 2
+        mean = np.average(2.0 * pressure_decay_per_m(air, frequencies), weights=weight)
+        off = (mean - attenuation_per_m(air, own)[0]) * speed_of_sound_m_s(air) * middle
+        error = air_error(air, bands, band, problem)
+        assert np.all(error <= 0.0)
+        late = middle > 0.01
+        assert np.all(-error[late] >= off[late]) and np.all(-error[late] <= 3.0 * off[late])
+
+
+def _band(problem: CoherentProblem) -> tuple[CoherentBand, BandFit]:
+    """Return a band and a fit that ended at its start."""
+    vector = start_vector(problem.parameters)
+    expected = problem.predict(vector).expected
+    own = with_data(problem, expected)
+    fit = score_band(own, vector, rounds=1, steps=0)
+    return CoherentBand(own.energies, fit, np.ones(expected.size), own, ()), fit
+
+
+def test_nothing_is_lost_where_all_is_coherent() -> None:
+    """A band whose arrival times are known has no error of that kind."""
+    band, fit = _band(fully_coherent(small_problem(CENTRE_HZ)))
+    np.testing.assert_allclose(lost_coherence(band, fit), 0.0, atol=1e-9)
+
+
+def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_energies() -> None:
+    """Against the pressures of an own list of images, filtered, in slots of 40 ms."""
+    scene = small_scene()
+    band, fit = _band(small_problem(CENTRE_HZ))
+    octaves = bands_between("octave", 500, 2000)
+    walls = np.array([0.2, 0.2, 0.2, 0.2, 0.4, 0.1])
+    truth = BoxTruth(
+        *((4.0, 3.1, 2.5), octaves.centres_hz, np.tile(walls[:, None], 3), np.zeros(3)), SPEED_M_S
+    )
+    own = FilterBank(Bands("octave", np.array([CENTRE_HZ])))
+    pressures, rate_hz = [], 24_000.0
+    for (_, r), seen in zip(scene.pairs, band.energies.observations, strict=True):
+        places = scene.sources[0].position_m, scene.receivers[r].position_m
+        samples = pressure_response(truth, *places, 0.1, rate_hz, np.zeros(3))
+        response = ImpulseResponse(samples, rate_hz)
+        pressures.append(window_energies(own, response, seen.edges_s)[0])
+    energy = fit.expected
+    # the gain at the start; a path's energy at 1 m is 1 / (4 pi), its pressure as well
+    whole = 2.0 * 4.0 * np.pi * np.concatenate(pressures)
+    middle = np.concatenate(
+        [0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in band.energies.observations]
+    )
+    for low, high in ((0.0, 0.04), (0.04, 0.08)):
+        slot = (middle >= low) & (middle < high)
+        weight = (energy / fit.variance)[slot]
+        share = weight @ (whole - energy)[slot] / (weight @ energy[slot])
+        told = lost_coherence(band, fit)[slot]
+        assert np.ptp(told) == 0.0
+        assert abs(told[0] - share) < 0.01
+    # 24 % of the energy is missing there: it is not nothing that was compared
+    assert told[0] < -0.2
