@@ -7,26 +7,24 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import MATERIALS, SPEED_M_S, small_problem, small_scene, with_data
+from coherent_cases import SPEED_M_S, small_problem, small_scene, with_data
 from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.app.coherent.bands import CoherentBand
-from roomfit.app.coherent.shared_errors import air_error, assumed_priors, lost_coherence
+from roomfit.app.coherent.shared_errors import air_error, lost_coherence
 from roomfit.bands import Bands, bands_between
 from roomfit.identification.reweighted import BandFit
 from roomfit.identification.scoring import score_band
-from roomfit.materials.knowledge import MaterialKnowledge, logit_prior, unknown_material
 from roomfit.objective.coherent_problem import CoherentProblem, fully_coherent
 from roomfit.objective.energy_problem import EnergyProblem
-from roomfit.objective.parameters import Parameters, start_vector
+from roomfit.objective.parameters import start_vector
 from roomfit.objective.problem import BandProblem
 from roomfit.signals.filters import FilterBank, frequency_response, window_energies
 from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.shared_errors import allowing_for, answer_steps, pull_of_prior
+from roomfit.uncertainty.shared_errors import allowing_for, answer_steps
 
 CENTRE_HZ = 1000.0
-NOBODY_TOLD = np.ones(len(MATERIALS), dtype=np.bool_)
 
 
 def energies() -> EnergyProblem:
@@ -75,33 +73,6 @@ def test_a_shared_error_adds_its_own_step_to_the_covariance() -> None:
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
     np.testing.assert_allclose(more * 1.7, steps @ steps.T, atol=1e-9)
     assert allowing_for(fit, np.zeros((4, 1))) is fit
-
-
-def test_the_pull_of_a_prior_is_how_far_the_answer_goes_without_it() -> None:
-    """Exact data and a prior of little weight far off, which pulls all absorptions one way."""
-    start = energies()
-    absorption, gain = start.parameters.blocks
-    far = replace(absorption, prior_mean=np.full(3, 8.0), prior_sd=np.full(3, 100.0))
-    problem = replace(start, parameters=Parameters((far, gain)))
-    free = replace(absorption, prior_sd=np.full(3, 1e4))
-    without = _settled(replace(start, parameters=Parameters((free, gain))))
-    fit = _settled(problem)
-    foretold = pull_of_prior(problem.parameters, fit, NOBODY_TOLD)[:, 0]
-    seen = fit.vector - without.vector
-    assert np.abs(seen).max() > 1e-3
-    # the first order of a step of hundredths of a logit
-    np.testing.assert_allclose(foretold, seen, rtol=0.1, atol=0.03 * np.abs(seen).max())
-
-
-def test_a_prior_that_was_told_is_no_error() -> None:
-    """Nor one that is told for other materials."""
-    problem = energies()
-    fit = _settled(problem)
-    assert not pull_of_prior(problem.parameters, fit, ~NOBODY_TOLD).any()
-    mean, sd = logit_prior(np.array([0.1, 0.3]), np.array([0.05, 0.05]))
-    told = MaterialKnowledge("told", mean, sd)
-    knowledge = (unknown_material("one", 2), told)
-    assert [assumed_priors(knowledge, b).tolist() for b in (0, 1)] == [[True, False]] * 2
 
 
 @pytest.mark.parametrize("kind", ["octave", "third-octave"])

@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.checks import float_array
 from roomfit.errors import InputError
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
 DEFAULT_MEAN = 0.15
@@ -132,6 +132,19 @@ def unknown_material(name: str, n_bands: int) -> MaterialKnowledge:
     """Return what is known of a material nobody told anything about: the broad prior."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
     return MaterialKnowledge(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+
+
+def is_assumed(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
+    """Return which priors are the broad one, of walls of which nobody told anything.
+
+    Parameters
+    ----------
+    prior_logit_mean, prior_logit_sd : float arrays, any one shape
+    """
+    mean, _ = logit_prior(np.array(DEFAULT_MEAN), np.array(1.0))
+    # numbers that went through a file
+    same = np.isclose(prior_logit_mean, mean, rtol=1e-4)
+    return np.asarray(same & np.isclose(prior_logit_sd, DEFAULT_LOGIT_SD, rtol=1e-4))
 
 
 def _check_tie(knowledge: MaterialKnowledge) -> None:

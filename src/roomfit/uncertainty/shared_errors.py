@@ -12,9 +12,8 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.identification.reweighted import BandFit
-from roomfit.objective.parameters import Parameters, position_of
 from roomfit.objective.problem import BandProblem
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import FloatArray
 
 
 def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> FloatArray:
@@ -39,33 +38,6 @@ def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> Floa
     weight = 1.0 / (problem.counted_as_one()[:n] * fit.variance[:n])
     jacobian = problem.predict(fit.vector).jacobian[:n]
     return np.asarray(np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * errors)))
-
-
-def pull_of_prior(parameters: Parameters, fit: BandFit, assumed: BoolArray) -> FloatArray:
-    """Return how far the prior has moved the answer from what the data alone say.
-
-    To first order ``-H^-1 (x - mu) / sd^2``. A prior that nobody told, one for all walls, pulls
-    those that are harder than it thinks all to the same side.
-
-    Parameters
-    ----------
-    parameters : Parameters
-    fit : BandFit
-    assumed : bool array, shape (n_materials,)
-        Absorptions whose prior was assumed and not told.
-
-    Returns
-    -------
-    float array, shape (n_free, 1)
-    """
-    block = next(b for b in parameters.blocks if b.name == "absorption")
-    own = np.flatnonzero(block.fitted)
-    first = position_of(parameters, "absorption")
-    gradient = np.zeros((fit.vector.size, 1))
-    free = fit.vector[first : first + own.size]
-    pull = (free - block.prior_mean[own]) / block.prior_sd[own] ** 2
-    gradient[first : first + own.size, 0] = np.where(assumed[own], pull, 0.0)
-    return np.asarray(-np.linalg.solve(fit.information, gradient))
 
 
 def allowing_for(fit: BandFit, steps: FloatArray) -> BandFit:

@@ -18,6 +18,8 @@ def draw_along_data(
     prior_logit_sd: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
+    *,
+    looser: FloatArray | float = 1.0,
 ) -> FloatArray:
     """Return draws of absorption from a fit's answer and covariance, shape (n_draws, n_materials).
 
@@ -36,6 +38,9 @@ def draw_along_data(
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
     n_draws : int
     rng : numpy.random.Generator
+    looser : float or float array, shape (n_materials,)
+        How many times as wide the prior of the draws is as that of the answer: what the data say
+        stays as it is.
 
     Notes
     -----
@@ -60,8 +65,9 @@ def draw_along_data(
     pull = prior * (x - prior_logit_mean) / slope
     seen = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
     seen = seen + mirrored_noise(n_draws, seen.size, rng)
-    centres = prior_logit_mean + prior_logit_sd * mirrored_noise(n_draws, n, rng)
-    return _absorption(_most_likely(x, R, seen, centres, 1.0 / prior_logit_sd))
+    prior_sd = looser * prior_logit_sd
+    centres = prior_logit_mean + prior_sd * mirrored_noise(n_draws, n, rng)
+    return _absorption(_most_likely(x, R, seen, centres, 1.0 / prior_sd))
 
 
 def mirrored_noise(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:

@@ -40,7 +40,7 @@ from roomfit.app.coherent.problems import (
     cut_at,
     fitted_geometry,
 )
-from roomfit.app.coherent.shared_errors import air_error, assumed_priors, shared_steps
+from roomfit.app.coherent.shared_errors import air_error, shared_steps
 from roomfit.app.coherent.spoiled import LEAST_BY_PRESSURES, Heard, spoiled_files
 from roomfit.app.coherent.tracing_noise import with_tracing_noise
 from roomfit.app.directing.doubts import directivity_doubt, source_findings
@@ -246,10 +246,7 @@ def _coherent_answer(
         found.problem, band.energies, sources_of_band(task, number), found.fit
     )
     air = air_error(task.scene.air, task.bands, number, band.energies)
-    steps = shared_steps(
-        *(found.problem, found.fit, band.energies, air),
-        *(assumed_priors(task.knowledge, number), band),
-    )
+    steps = shared_steps(found.problem, found.fit, band.energies, air, band)
     noisy = allowing_for(noisy, steps)
     answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
     beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED

@@ -14,7 +14,7 @@ from roomfit.app.coherent.problems import (
     campaign_geometry,
     coherent_problem,
 )
-from roomfit.app.coherent.shared_errors import air_error, assumed_priors, shared_steps
+from roomfit.app.coherent.shared_errors import air_error, shared_steps
 from roomfit.app.coherent.spoiled import (
     LEAST_BY_ENERGIES,
     Heard,
@@ -255,7 +255,7 @@ def energy_answers(
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
         air = air_error(task.scene.air, task.bands, number, problem)
-        steps = shared_steps(whole, fit, problem, air, assumed_priors(task.knowledge, number))
+        steps = shared_steps(whole, fit, problem, air)
         noisy = allowing_for(noisy, steps)
         answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
         out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))

@@ -1,8 +1,6 @@
-"""What all windows of a band share beyond the noise of the rays: air, lost coherence, the prior."""
+"""What all windows of a band share beyond the noise of the rays: air, and lost coherence."""
 
 from __future__ import annotations
-
-from collections.abc import Sequence
 
 import numpy as np
 
@@ -12,12 +10,11 @@ from roomfit.app.coherent.bands import CoherentBand
 from roomfit.app.directing.unknown import made_directed
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.identification.reweighted import BandFit
-from roomfit.materials.knowledge import MaterialKnowledge, unknown_material
 from roomfit.objective.coherent_problem import fully_coherent
 from roomfit.objective.energy_problem import EnergyProblem
 from roomfit.objective.problem import BandProblem
-from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.shared_errors import answer_steps, pull_of_prior
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.shared_errors import answer_steps
 
 # Long enough for many independent values of eight files, short enough to follow a decay.
 _SLOT_S = 0.04
@@ -28,14 +25,12 @@ def shared_steps(
     fit: BandFit,
     energies: EnergyProblem,
     air: FloatArray,
-    assumed: BoolArray,
     coherent: CoherentBand | None = None,
 ) -> FloatArray:
     """Return how far the answer is moved by errors that all windows share, (n_free, n_errors).
 
-    Each column is one standard deviation, by the air's attenuation, which changes within a band;
-    by reflections that interfere and are taken for energies that add; and by a prior that nobody
-    told.
+    Each column is one standard deviation, by the air's attenuation, which changes within a band,
+    and by reflections that interfere and are taken for energies that add.
 
     Parameters
     ----------
@@ -45,8 +40,6 @@ def shared_steps(
     energies : EnergyProblem
     air : float array, shape (n_windows,)
         See `air_error`; at a gain of 1.
-    assumed : bool array, shape (n_materials,)
-        See `assumed_priors`.
     coherent : CoherentBand, optional
         The band with pressures, where these were fitted.
     """
@@ -55,9 +48,7 @@ def shared_steps(
     columns = [signal * air]
     if coherent is not None:
         columns.append(signal * lost_coherence(coherent, fit))
-    steps = answer_steps(problem, fit, np.stack(columns, axis=1))
-    pull = pull_of_prior(problem.parameters, fit, assumed)
-    return np.concatenate((steps, pull), axis=1)
+    return answer_steps(problem, fit, np.stack(columns, axis=1))
 
 
 def air_error(air: Air, bands: Bands, band: int, energies: EnergyProblem) -> FloatArray:
@@ -113,18 +104,6 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     share = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
     told = np.flatnonzero(bottom > 0.0)
     return np.asarray(share[np.minimum(slot, told[-1])])
-
-
-def assumed_priors(knowledge: Sequence[MaterialKnowledge], band: int) -> BoolArray:
-    """Return which materials' prior in a band is the one for walls of which nothing was told."""
-    plain = unknown_material("any", 1)
-    return np.array(
-        [
-            k.prior_logit_mean[band] == plain.prior_logit_mean[0]
-            and k.prior_logit_sd[band] == plain.prior_logit_sd[0]
-            for k in knowledge
-        ]
-    )
 
 
 def _middle_s(energies: EnergyProblem) -> FloatArray:
