@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 from typer.testing import CliRunner
 
+import roomfit.app.calibrating.sound
+import roomfit.app.planning
 from roomfit.app.calibrating.calibrate import calibrate
 from roomfit.app.calibrating.files import calibrate_to_folder, calibration_json, result_text
 from roomfit.app.calibrating.plan import CalibrationPlan, TabulatedPair, calibration_plan
@@ -31,8 +33,9 @@ from roomfit.files.replicates import read_replicate, replicate_path
 from roomfit.files.rooms.read import read_room
 from roomfit.files.rooms.spec import RoomSpec
 from roomfit.geometry.measures import volume_m3
+from roomfit.report.calibration_text import calibration_text
 from roomfit.testproblems.convex_cells import convex_cells
-from roomfit.testproblems.polyhedral_rooms import l_shaped_cells, paper_cells
+from roomfit.testproblems.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
 from roomfit.testproblems.polyhedron_cells import cell_volume_m3, obj_text
 from roomfit.testproblems.pressure_box import add_noise, octave_shares
 from roomfit.uncertainty.calibration import (
@@ -451,6 +454,17 @@ def test_tables_alone_are_calibrated_too(tmp_path):
     assert together.holds.count >= 4
 
 
+def test_refused_replicates_are_counted_and_told_without_their_folder():
+    rows = calibration_rows(made(np.random.default_rng(1), 1.0, n=3))
+    why = "the decay is cut short\n  where   /gone/0001.wav\n  found   12 dB\n  needed  15 dB"
+    for refused, said in (
+        ((why,), "1 replicate was refused; the first: the decay is cut short (12 dB)"),
+        (("no sound", why), "2 replicates were refused; the first: no sound"),
+    ):
+        text = calibration_text(rows, 5, 5, {BOX: 5}, {}, refused)
+        assert text.splitlines()[-1] == said
+
+
 def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):
     path = replicate_path(tmp_path, 3)
     path.parent.mkdir()
@@ -488,3 +502,30 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
     with pytest.raises(InputError, match="is a file"):
         calibrate(campaign, tmp_path / "out", CalibrationSettings(snr_db=50.0))
     assert (tmp_path / "out").read_text() == "mine"
+
+
+@pytest.mark.slow
+def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypatch):
+    """Told prior, one file, one octave; a second call finds the replicate and makes none."""
+    (tmp_path / "room.obj").write_text(obj_text(slanted_cells()))
+    text = (
+        '[room]\nfile = "room.obj"\nunit = "m"\nup = "z"\n[identify]\nfrom_hz = 500\nto_hz = 500\n'
+    )
+    text += "".join(f'[materials."{n}"]\nscattering = 0.0\n' for n in slanted_cells().materials)
+    text += "[sources.LS1]\nposition = [1.25, 1.4, 1.1]\nposition_sd = 0.01\n"
+    text += "[receivers.MP1]\nposition = [4.05, 1.35, 1.2]\nposition_sd = 0.01\n"
+    text += '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "later.wav"\n'
+    file, out = campaign_file(tmp_path, text), tmp_path / "out"
+    monkeypatch.setattr(roomfit.app.planning, "N_RAYS", 2000)
+    monkeypatch.setitem(roomfit.app.calibrating.sound._MOST_IMAGES, CONVEX, 20_000)
+    asked = ["calibrate", str(file), "--out", str(out), "--replicates", "1", "--snr-db", "50"]
+    first = CliRunner().invoke(app, asked)
+    assert first.exit_code == 0, first.exception
+    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first.output
+    written = replicate_path(out, 0).stat().st_mtime_ns
+    told = json.loads((out / "calibration.json").read_text())
+    assert told["made_by"] == {CONVEX: 1}
+    assert told["all"]["hold"]["of"] == len(slanted_cells().materials)
+    again = CliRunner().invoke(app, asked)
+    assert again.output == first.output
+    assert replicate_path(out, 0).stat().st_mtime_ns == written

@@ -77,6 +77,7 @@ def _bands(axes: Axes, rows: tuple[CalibrationRow, ...]) -> None:
         axes.tick_params(axis="x", labelrotation=90)
     axes.set_xlabel("band (Hz)")
     axes.set_ylabel("share of values (%)")
+    axes.set_xlim(-0.5, len(rows) - 0.5)
     axes.set_ylim(-2, 102)
     axes.grid(alpha=0.25, axis="y")
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8.5)

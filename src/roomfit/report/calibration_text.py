@@ -69,9 +69,17 @@ def calibration_text(
     if findings:
         lines.append("Findings: " + _counts(findings))
     if refused:
-        first = refused[0].splitlines()[0]
-        lines.append(f"{len(refused)} replicates were refused; the first: {first}")
+        lines.append(_refusals(refused))
     return "\n".join(lines)
+
+
+def _refusals(refused: Sequence[str]) -> str:
+    """Return how many replicates got no answer, and what the first was refused for."""
+    what, *more = refused[0].splitlines()
+    # where it was, a folder that is gone, says nothing
+    found = [line.split(maxsplit=1)[1] for line in more if line.split()[:1] == ["found"]]
+    number = "1 replicate was" if len(refused) == 1 else f"{len(refused)} replicates were"
+    return f"{number} refused; the first: {what}" + "".join(f" ({f})" for f in found)
 
 
 def calibration_csv(rows: Sequence[CalibrationRow]) -> str:
