@@ -97,14 +97,17 @@ def lay_trains(
                 values[k + 6] = s * d / speed
             place = (t - first_s) * rate_hz
             low = math.floor(place) - half + 1
+            inside = low >= 0 and low + TAPS <= n_grid
             for tap in range(TAPS):
                 distance = (abs(low + tap - place)) * TABLE_STEPS
                 step = int(distance)
                 share = distance - step
                 height = table[step] + share * (table[step + 1] - table[step])
-                g = int(low + tap) % n_grid
+                # a remainder costs as much as all the sums of a tap
+                g = low + tap if inside else (low + tap) % n_grid
+                row = own[g]
                 for j in range(n_columns):
-                    own[g, j] += height * values[j]
+                    row[j] += height * values[j]
 
 
 @kernel(parallel=True)
