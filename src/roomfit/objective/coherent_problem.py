@@ -35,10 +35,6 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
 _TIMING_SHARE = 1e-4
-# Windows share the errors of the model, whatever their noise: absorption that changes within a
-# band, air likewise. Counting 1.8 as one widens intervals by a third, which seven simulated boxes
-# asked for (benchmarks/other_boxes.py).
-WINDOWS_PER_INDEPENDENT_ONE = 1.8
 # The same of a place, per coordinate.
 _PLACE_SD_M = 0.5e-3
 
@@ -96,8 +92,8 @@ class CoherentProblem:
         return coherent_variance(self, vector)
 
     def counted_as_one(self) -> FloatArray:
-        """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
-        return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
+        """Return 1 for every window: what windows share is in the covariance of the answer."""
+        return np.ones(self.measured().size)
 
     def are_energies(self) -> BoolArray:
         """Return True for every window."""
