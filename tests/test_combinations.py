@@ -75,6 +75,18 @@ def test_where_every_material_is_known_only_the_room_is_left():
     assert found[0].relative < 0.01
 
 
+def test_a_mode_outside_of_the_quantiles_ends_the_interval():
+    """Read in a table, a value beside its own interval would pass for a mistake."""
+    draws = np.random.default_rng(1).uniform(0.1, 0.2, (2048, 2))
+    found = find_combinations(
+        *(np.ones(2), np.full(2, 0.25), 0.01 * np.eye(2), np.full(2, logit(0.2)), np.ones(2)),
+        np.random.default_rng(1),
+        draws=draws,
+    )
+    assert found[0].upper95 == found[0].value == pytest.approx(0.25)
+    assert found[0].lower95 < 0.15
+
+
 def test_what_only_the_prior_tells_is_no_combination():
     """A posterior as wide as the prior says nothing, however narrow the prior was."""
     sd = np.full(3, 0.02)

@@ -37,7 +37,7 @@ class Combination:
     value : float
         At the answer.
     lower95, upper95 : float
-        Quantiles of the posterior.
+        Quantiles of the posterior, or the value where it lies outside of them.
     sd : float
         Standard deviation of the posterior.
     determined : bool
@@ -125,7 +125,9 @@ def find_combinations(
         mean = drawn @ weights
         low, high = np.quantile(mean, (0.025, 0.975))
         sd = float(np.std(mean))
-        found = Combination(weights, float(weights @ a), float(low), float(high), sd)
+        value = float(weights @ a)
+        # a mode may lie outside of the quantiles of a skew law
+        found = Combination(weights, value, min(float(low), value), max(float(high), value), sd)
         sharper = sd <= _SHARE_OF_PRIOR * float(np.std(beforehand @ weights))
         known = found.relative <= within and sharper
         return replace(found, determined=known), known
