@@ -37,6 +37,9 @@ _LEAST_COHERENCE = 1e-3
 _TIMING_SHARE = 1e-4
 # The same of a place, per coordinate.
 _PLACE_SD_M = 0.5e-3
+# Windows share errors that no term of the covariance stands for, as a description that is a little
+# off; see docs/decisions/0022-how-many-windows-count-as-one.md.
+WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,8 +95,8 @@ class CoherentProblem:
         return coherent_variance(self, vector)
 
     def counted_as_one(self) -> FloatArray:
-        """Return 1 for every window: what windows share is in the covariance of the answer."""
-        return np.ones(self.measured().size)
+        """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
+        return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
     def are_energies(self) -> BoolArray:
         """Return True for every window."""
