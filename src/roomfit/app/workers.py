@@ -21,7 +21,7 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
     """Give an executor with so many processes; 1 stays in this process.
 
     When the block is left early, tasks that have not begun are dropped and those that run are
-    waited for, so that nothing is left behind.
+    waited for, so that nothing is left behind; an interrupt ends those that run as well.
 
     Notes
     -----
@@ -40,6 +40,11 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
         )
     try:
         yield pool
+    except KeyboardInterrupt:
+        # nobody waits for what runs now; what tasks write is put in its place when it is whole
+        for worker in list((getattr(pool, "_processes", None) or {}).values()):
+            worker.terminate()
+        raise
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
