@@ -34,6 +34,17 @@ def test_boxes_have_the_symmetries_of_boxes(lengths, n):
     assert len(room_symmetries(box(lengths))) == n
 
 
+@pytest.mark.parametrize("angle", [0.001, 0.003, 0.006, 0.4])
+def test_the_axes_of_a_cube_that_a_machine_finds_do_not_matter(monkeypatch, angle):
+    """Any three are principal: some lie a hair beside a wall's direction."""
+    c, s = np.cos(angle), np.sin(angle)
+    turned = np.array([(c, -s, 0), (s, c, 0), (0, 0, 1)]) @ np.array(
+        [(1, 0, 0), (0, c, -s), (0, s, c)]
+    )
+    monkeypatch.setattr(np.linalg, "eigh", lambda _: (np.ones(3), turned))
+    assert len(room_symmetries(box((3.0, 3.0, 3.0)))) == 47
+
+
 def test_materials_are_exchanged_as_their_walls_are():
     found = room_symmetries(box((5.0, 4.0, 3.0)))
     for s in found:

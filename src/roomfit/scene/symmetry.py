@@ -56,13 +56,17 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
     """
     points, material = _surface_points(room, _SAMPLES)
     middle = _middle_m(room)
+    # motions that take no point of the surface farther apart than twice the tolerance are one
+    same = 2.0 * tolerance_m / float(np.linalg.norm(points - middle, axis=1).max())
     found: list[Symmetry] = []
     for normal in _candidate_normals(room):
         matrix = np.eye(3) - 2.0 * np.outer(normal, normal)
+        if _is_among(matrix, found, same):
+            continue
         exchange = _exchange(room, points, material, matrix, middle, tolerance_m)
         if exchange is not None:
             found.append(Symmetry(matrix, middle, exchange))
-    return _closed(found)
+    return _closed(found, same)
 
 
 def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
@@ -122,15 +126,16 @@ def _candidate_normals(room: Room) -> list[FloatArray]:
         _add(directions, vectors[i] / areas[i])
         if len(directions) == _MOST_NORMALS:
             break
-    spread = corners_m(room.mesh).mean(axis=1) - _middle_m(room)
-    found = list(np.linalg.eigh((spread.T * areas) @ spread)[1].T)
-    for direction in directions:
-        _add(found, direction)
+    found = list(directions)
     for one, other in combinations(directions, 2):
         for between in (one - other, one + other):
             length = float(np.linalg.norm(between))
             if length > _SAME_DIRECTION:
                 _add(found, between / length)
+    # last: the axes of a cube are any three, and some of these nearly a wall's direction
+    spread = corners_m(room.mesh).mean(axis=1) - _middle_m(room)
+    for axis in np.linalg.eigh((spread.T * areas) @ spread)[1].T:
+        _add(found, axis)
     return found
 
 
@@ -168,8 +173,9 @@ def _exchange(
     return np.asarray(exchange, dtype=np.int64)
 
 
-def _closed(found: list[Symmetry]) -> tuple[Symmetry, ...]:
+def _closed(found: list[Symmetry], same: float) -> tuple[Symmetry, ...]:
     """Return all combinations of symmetries but the identity."""
+    identity = np.eye(3)
     group = list(found)
     grew = True
     while grew and len(group) < _MOST_SYMMETRIES:
@@ -177,9 +183,17 @@ def _closed(found: list[Symmetry]) -> tuple[Symmetry, ...]:
         for one in found:
             for other in list(group):
                 matrix = one.matrix @ other.matrix
-                known = [np.eye(3), *(g.matrix for g in group)]
-                if any(np.allclose(matrix, k, atol=1e-3) for k in known):
+                if _is_near(matrix, identity, same) or _is_among(matrix, group, same):
                     continue
                 group.append(Symmetry(matrix, one.centre_m, one.exchange[other.exchange]))
                 grew = True
     return tuple(group)
+
+
+def _is_among(matrix: FloatArray, known: list[Symmetry], same: float) -> bool:
+    return any(_is_near(matrix, k.matrix, same) for k in known)
+
+
+def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
+    """Whether two motions differ for no unit vector by more than a length."""
+    return bool(np.linalg.norm(one - other, 2) <= same)
