@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from roomfit.app.binning import bin_paths
+from roomfit.app.coherent.findings import delay_findings, place_findings
 from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
 from roomfit.app.measuring import measure
 from roomfit.files.campaign.campaign import read_campaign
@@ -99,3 +100,26 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
     assert names[1] in told[0]
     found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
     assert np.median(np.abs(found - true)) < 0.05
+
+
+def test_places_that_are_held_and_wrong_forbid_to_call_anything_identifiable(
+    box: tuple[Path, np.ndarray],
+) -> None:
+    """All coordinates are 1 cm wrong, which two octaves of pressures contradict."""
+    campaign, _ = box
+    fit = fitted(campaign, positions="fixed")
+    assert "places-move" in {f.code for f in fit.findings}
+    assert not any(a.identifiable.any() for a in fit.answers if a is not None)
+    free = fitted(campaign)
+    assert "places-move" not in {f.code for f in free.findings}
+    assert any(a.identifiable.any() for a in free.answers if a is not None)
+
+
+def test_few_units_of_likelihood_do_not_speak_for_many_unknowns() -> None:
+    """Thirty unknowns that explain nothing gain fifteen units, give or take four."""
+    assert place_findings(15.0 + 4 * 4.0, 30, 100) == ()
+    assert place_findings(60.0, 30, 100)[0].code == "places-move"
+    # of a thousand windows these are next to nothing
+    assert place_findings(60.0, 30, 1000) == ()
+    assert delay_findings(3.0 + 4 * 1.7) == ()
+    assert delay_findings(20.0)[0].code == "walls-delay"

@@ -28,7 +28,8 @@ from roomfit.app.coherent.bands import (
     upwards,
 )
 from roomfit.app.coherent.beginning import Beginning, Retrace, begun, renewed
-from roomfit.app.coherent.findings import delay_findings, geometry_findings
+from roomfit.app.coherent.findings import geometry_findings
+from roomfit.app.coherent.held import findings_of_what_is_held
 from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
 from roomfit.app.coherent.prepared import (
     CoherentTask,
@@ -64,6 +65,8 @@ from roomfit.uncertainty.shared_errors import allowing_for
 
 __all__ = ["CoherentFit", "CoherentOptions", "Retrace", "fit_coherent"]
 
+# Findings that forbid to call anything identifiable, in any band.
+_FORBIDDING = ("walls-delay", "places-move", "source-directs")
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
 
@@ -155,15 +158,12 @@ def fit_coherent(
         state = renewed(replace(state, task=replace(state.task, scene=place), origin=origin))
         fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *places_findings(stretch))
-    if not settings.delays and settings.model != "energy":
-        delaying = replace(state.task, settings=replace(settings, delays=True))
-        others, _ = upwards(renewed(replace(state, task=delaying)).bands, settings, None)
-        findings = (*findings, *delay_findings(_gain(fits, others)))
+    findings = (*findings, *findings_of_what_is_held(state, fits))
     fits, final = once_more(state.bands, fits, chosen_noise, settings)
     likelihoods = band_likelihoods(state.bands, fits)
     answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
     findings = (*findings, *_source_findings(state))
-    if any(f.code in ("walls-delay", "source-directs") for f in findings):
+    if any(f.code in _FORBIDDING for f in findings):
         answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
     told = None if geometry is None or final is None else fitted_geometry(geometry, final)
@@ -278,11 +278,3 @@ def _decided(
     better = likelihoods[1] - likelihoods[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
     return best if abs(better) >= _UNDECIDED else with_both_intervals(best, other)
-
-
-def _gain(
-    fits: Sequence[CoherentBandFit | None], others: Sequence[CoherentBandFit | None]
-) -> float:
-    """Return by how much other fits of the same bands are likelier."""
-    pairs = zip(fits, others, strict=True)
-    return sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
