@@ -149,8 +149,8 @@ def studio_values(folder: Path) -> tuple[MeasuredValues, ...]:
     lines = [",".join(["source", "receiver", "parameter", *bands])]
     for (position, name), of_band in cells.items():
         for i, label in enumerate((name, f"{name}_sd")):
-            row = [of_band[b][i] if b in of_band else "" for b in bands]
-            lines.append(",".join([position[:2], position[2:], label, *row]))
+            told = [of_band[b][i] if b in of_band else "" for b in bands]
+            lines.append(",".join([position[:2], position[2:], label, *told]))
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "measured.csv"
         path.write_text("\n".join(lines) + "\n")
