@@ -125,6 +125,8 @@ def main() -> None:
     parser.add_argument("--promise", action="store_true")
     parser.add_argument("--pictures", type=Path)
     told = parser.parse_args()
+    if told.pictures is not None:
+        told.pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         campaign = empty_campaign(Path(folder))
         designs = {}
