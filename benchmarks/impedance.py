@@ -6,7 +6,7 @@ some. Fields are exact waves of a box (`roomfit.testproblems.exact_box`) but in 
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -396,8 +396,14 @@ ALL: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ALL)}; or all")
+    rows: list[str] = parser.parse_args().rows
+    for name in rows:
+        if name not in ALL:
+            parser.error(f"no row {name!r}: there are {', '.join(ALL)}")
     print("materials in order:", ", ".join(NAMES))
-    for name in sys.argv[1:] or list(ALL):
+    for name in rows or list(ALL):
         began = time.perf_counter()
         ALL[name]()
         print(f"   {name} took {time.perf_counter() - began:.0f} s", flush=True)
