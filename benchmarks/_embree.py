@@ -76,7 +76,11 @@ def embree_hits(
     memory = np.zeros(48, np.float32)
     shift = (-memory.ctypes.data % 16) // 4
     ray = memory[shift : shift + 40]
-    return _loop(embree.intersect, embree.scene, ray, ray.view(np.uint32), starts, directions)
+    bits = ray.view(np.uint32)
+    found: tuple[np.ndarray, np.ndarray] = _loop(
+        embree.intersect, embree.scene, ray, bits, starts, directions
+    )
+    return found
 
 
 @numba.njit(nogil=True)

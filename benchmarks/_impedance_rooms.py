@@ -65,7 +65,8 @@ def random_wall(f: ComplexArray, rng: np.random.Generator) -> tuple[str, Complex
         z = resonator(f, losses, mass, depth, sigma, SPEED_M_S)
         name = "resonator"
     elif kind == 3:
-        z = panel(f, *rng.uniform([0.3, 2.0, 0.03], [3.0, 8.0, 0.1]), SPEED_M_S)
+        losses, mass, depth = rng.uniform([0.3, 2.0, 0.03], [3.0, 8.0, 0.1])
+        z = panel(f, losses, mass, depth, SPEED_M_S)
         name = "panel"
     else:
         z = 10.0 ** rng.uniform(1.0, 2.0) - 1j * rng.uniform(0.0, 20.0) * 200.0 / f
@@ -93,7 +94,7 @@ def random_case(seed: int, n_materials: int | None = None, n_pairs: int | None =
     pairs_wanted = int(rng.integers(max(n - 1, 1), 7)) if n_pairs is None else n_pairs
     owner = np.concatenate([np.arange(n), rng.integers(0, n, size=6 - n)])
     names = ["abcdef"[i] for i in rng.permutation(owner)]
-    f = complex_frequency_hz(Observed(F_HZ, TAU_S, np.ones((1, len(F_HZ)))))
+    f = complex_frequency_hz(Observed(F_HZ, TAU_S, np.ones((1, len(F_HZ)), dtype=complex)))
     walls = {m: random_wall(f, rng) for m in sorted(set(names))}
     pairs = np.array([(0, 0), (1, 1), (0, 2), (1, 3), (0, 4), (1, 5)][:pairs_wanted])
     places = rng.uniform(0.1, 0.9, size=(PLACES, 3)) * sides

@@ -27,11 +27,16 @@ from roomfit.signals.decay import decay_curve
 from roomfit.signals.filters import FilterBank
 from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.signals.onset import find_onset
-from roomfit.signals.room_parameters import room_parameters
+from roomfit.signals.room_parameters import ParameterName, room_parameters
 from roomfit.typing import FloatArray
 
 Published = Mapping[str, FloatArray]
-NAMES = {"T30_s": "T30", "T20_s": "T20", "EDT_s": "EDT", "C80_dB": "C80"}
+NAMES: dict[ParameterName, str] = {
+    "T30_s": "T30",
+    "T20_s": "T20",
+    "EDT_s": "EDT",
+    "C80_dB": "C80",
+}
 
 
 def main() -> None:

@@ -26,7 +26,11 @@ from roomfit.errors import CannotTell
 from roomfit.files.campaign.campaign import read_campaign
 from roomfit.materials.knowledge import DEFAULT_MEAN
 from roomfit.report.calibration_text import calibration_table, verdict
-from roomfit.testproblems.measured_polyhedron import polyhedron_plan, write_measured_polyhedron
+from roomfit.testproblems.measured_polyhedron import (
+    Shape,
+    polyhedron_plan,
+    write_measured_polyhedron,
+)
 from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.calibration import (
     Calibration,
@@ -36,7 +40,7 @@ from roomfit.uncertainty.calibration import (
 )
 
 MOST_MATERIALS = 7
-SHAPES = ("slanted", "paper")
+SHAPES: tuple[Shape, ...] = ("slanted", "paper")
 
 
 @dataclass(frozen=True)

@@ -35,6 +35,10 @@ from roomfit.tracing.paths import Paths
 _CASE = 2  # the only pair off the room's plane of symmetry
 # Gamma noise of this relative spread, as 25 independent squares have.
 _SPREAD = 0.2
+_OTHER_MISFITS: tuple[tuple[Misfit, str], ...] = (
+    ("gamma", "Gamma deviance"),
+    ("logarithms", "log residuals"),
+)
 
 
 def problem_of(
@@ -94,7 +98,7 @@ def main() -> None:
                 name = f"{n} materials, {window_ms} ms, {data}"
                 problem = problem_of(own, paths, DIVISIONS[n], window_ms)
                 row(name, problem, "squares", share, arguments.seconds)
-    for misfit, short in (("gamma", "Gamma deviance"), ("logarithms", "log residuals")):
+    for misfit, short in _OTHER_MISFITS:
         for n in (2, 3, 4):
             problem = problem_of(own, own, DIVISIONS[n], 5)
             loud = problem.measured * rng.gamma(_SPREAD**-2, _SPREAD**2, problem.measured.size)

@@ -103,7 +103,7 @@ def measured(
 
 def show(name: str, rows: list[tuple[float, ...]]) -> np.ndarray:
     """Print the mean over repetitions, and return it."""
-    mean = np.mean(rows, axis=0)
+    mean = np.asarray(np.mean(rows, axis=0))
     print(
         f"  {name:<16} width {mean[0]:.3f}  |error| mean {mean[1]:.4f} median {mean[2]:.4f}"
         f"  intervals hold {mean[3]:.2f}  phi {mean[4]:.2f}  {mean[5]:.0f} s a fit",
@@ -125,6 +125,8 @@ def main() -> None:
     parser.add_argument("--promise", action="store_true")
     parser.add_argument("--pictures", type=Path)
     told = parser.parse_args()
+    if told.pictures is not None:
+        told.pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         campaign = empty_campaign(Path(folder))
         designs = {}

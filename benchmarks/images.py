@@ -94,7 +94,8 @@ def main() -> None:
     asked = parser.parse_args()
     rng = np.random.default_rng(3)
     places = {
-        name: rng.uniform(*span, (asked.receivers, 3)) for name, (_, _, _, span) in ROOMS.items()
+        name: rng.uniform(low, high, (asked.receivers, 3))
+        for name, (_, _, _, (low, high)) in ROOMS.items()
     }
     for name, (cells, _, source, _) in ROOMS.items():  # compiles
         polyhedron_images(room_of(cells), np.array(source), places[name], 2, 30.0)

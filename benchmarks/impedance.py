@@ -6,7 +6,7 @@ some. Fields are exact waves of a box (`roomfit.testproblems.exact_box`) but in 
 
 from __future__ import annotations
 
-import sys
+import argparse
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -17,6 +17,7 @@ import numpy as np
 from _impedance_rooms import random_case
 from roomfit.air import Air
 from roomfit.identification.annealing import AnnealingSettings, anneal
+from roomfit.identification.fit import Fit
 from roomfit.identification.simplex import SimplexSettings, downhill_simplex, random_simplex
 from roomfit.impedance.answer import ImpedanceAnswer
 from roomfit.impedance.fit import refined, relaxed
@@ -58,7 +59,7 @@ from roomfit.typing import ComplexArray, FloatArray
 F_HZ = np.arange(100.0, 1001.0, 10.0)
 TAU_S = 0.015
 EXACT = Nuisances(0.0, 0.0)
-NOTHING = Observed(F_HZ, TAU_S, np.ones((6, len(F_HZ))))
+NOTHING = Observed(F_HZ, TAU_S, np.ones((6, len(F_HZ)), dtype=complex))
 NAMES = box_scene().room.materials  # slots, plaster, wool
 TRUE = true_r0(NOTHING, NAMES)
 
@@ -76,11 +77,16 @@ def found(answer: ImpedanceAnswer) -> ComplexArray:
 
 
 def fit(
-    observed: Observed, scene: Scene, nuisances: Nuisances, starts: int = 0, **more: object
+    observed: Observed,
+    scene: Scene,
+    nuisances: Nuisances,
+    starts: int = 0,
+    *,
+    spherical: bool = True,
 ) -> ImpedanceAnswer:
     return identify_impedance(
         scene, observed, None, nuisances,
-        rng=np.random.default_rng(1), n_random_starts=starts, **more,  # type: ignore[arg-type]
+        rng=np.random.default_rng(1), n_random_starts=starts, spherical=spherical,
     )  # fmt: skip
 
 
@@ -200,6 +206,7 @@ def a6() -> None:
     rng = np.random.default_rng(2)
     p = predicted_pressure(model, TRUE, at_rest(model))
     observed = noisy(F_HZ, TAU_S, p, 40.0, rng)
+    assert observed.noise is not None, "noisy tells it"
     for name, pairs, phase in (("one pair", 1, True), ("levels", 6, False)):
         one = Observed(
             F_HZ[40:41], TAU_S,
@@ -312,7 +319,7 @@ def a10(seeds: int = 2) -> None:
     )
     f, tau_s = np.arange(200.0, 801.0, 12.5), 0.010
     scene = hexahedron(shares)
-    empty = Observed(f, tau_s, np.ones((6, len(f))))
+    empty = Observed(f, tau_s, np.ones((6, len(f)), dtype=complex))
     true = true_r0(empty, scene.room.materials)
     for seed in range(seeds):
         rng = np.random.default_rng(seed)
@@ -350,7 +357,7 @@ def the_papers_way(seeds: int = 15) -> None:
         off = predicted_pressure(model, r0_of(x), at_rest(model), spherical=False) - data
         return float(np.sum(np.abs(off) ** 2) / scale)
 
-    ways = {
+    ways: dict[str, Callable[[np.random.Generator], Fit]] = {
         "simplex": lambda rng: downhill_simplex(
             error, random_simplex(6, rng), SimplexSettings(max_evaluations=4000)
         ),
@@ -375,9 +382,9 @@ def the_papers_way(seeds: int = 15) -> None:
     began = time.perf_counter()
     x = wave_problem(box_scene(), observed, None, EXACT, spherical=False, model_error=0.0)
     x = replace(x, model=model)
-    start, _, evaluations = relaxed(x, start_of(x))
+    start, _, n_evaluations = relaxed(x, start_of(x))
     off = np.abs(r0_matrix(x, layout_of(x), start) - true).max()
-    print(f"paper, least squares over R0: off by {off:.1e}, {evaluations} evaluations, "
+    print(f"paper, least squares over R0: off by {off:.1e}, {n_evaluations} evaluations, "
           f"{time.perf_counter() - began:.2f} s")  # fmt: skip
 
 
@@ -389,8 +396,14 @@ ALL: dict[str, Callable[[], None]] = {
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("rows", nargs="*", metavar="ROW", help=f"of {', '.join(ALL)}; or all")
+    rows: list[str] = parser.parse_args().rows
+    for name in rows:
+        if name not in ALL:
+            parser.error(f"no row {name!r}: there are {', '.join(ALL)}")
     print("materials in order:", ", ".join(NAMES))
-    for name in sys.argv[1:] or list(ALL):
+    for name in rows or list(ALL):
         began = time.perf_counter()
         ALL[name]()
         print(f"   {name} took {time.perf_counter() - began:.0f} s", flush=True)

@@ -7,6 +7,7 @@ sound alone, with the same free spectrum and gains) and one with rigid walls lea
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -86,7 +87,12 @@ def six_walls(text: str) -> str:
 
 
 def main() -> None:
-    data = Path(sys.argv[1])
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("data", type=Path, nargs="?")
+    data: Path | None = parser.parse_args().data
+    if data is None:
+        print("no folder of measurements given: nothing to do")
+        return
     three = dechorate_campaign(data / "dechorate", ())
     delft = delft_campaign(data / "tudelft_inhouse", 7, DELFT_SHIFT_M)
     for name, text, low, high in (

@@ -43,7 +43,7 @@ class Outcome:
     @property
     def error(self) -> np.ndarray:
         """Absolute error, shape (n_materials, n_bands)."""
-        return np.abs(self.answer.absorption - self.true)
+        return np.asarray(np.abs(self.answer.absorption - self.true))
 
     @property
     def held(self) -> np.ndarray:
@@ -54,13 +54,13 @@ class Outcome:
     def null_error(self) -> np.ndarray:
         """Absolute error of the room's own mean on every wall, shape (n_materials, n_bands)."""
         share = self.answer.areas_m2 / self.answer.areas_m2.sum()
-        return np.abs(share @ self.answer.absorption - self.true)
+        return np.asarray(np.abs(share @ self.answer.absorption - self.true))
 
 
 def outcome(measured: MeasuredPolyhedron, campaign: Campaign) -> Outcome:
     """Identify a campaign and set the truth beside the answer."""
     answer = identify(campaign)
-    rows = [measured.materials.index(name) for name in answer.materials]
+    rows = np.array([measured.materials.index(name) for name in answer.materials])
     bands = np.searchsorted(measured.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
     return Outcome(answer, measured.absorption[np.ix_(rows, bands)])
 

@@ -8,6 +8,7 @@ fitted, the others predicted; and all are predicted with the true absorption as 
 
 from __future__ import annotations
 
+import argparse
 import sys
 import tempfile
 from pathlib import Path
@@ -106,7 +107,9 @@ def told(title: str, pairs: list[PredictedPair]) -> str:
 
 def main() -> None:
     """Print both tables, 500 Hz and 1 kHz side by side."""
-    seed = int(sys.argv[1]) if len(sys.argv) > 1 else 11
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("seed", type=int, nargs="?", default=11)
+    seed: int = parser.parse_args().seed
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         campaign = read_campaign(write_campaign(folder, seed))

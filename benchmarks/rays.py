@@ -30,11 +30,12 @@ from roomfit.scene.scene import Point, Scene
 from roomfit.testproblems.hall import hall_room
 from roomfit.testproblems.paper_room import paper_scene
 from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.tracing.settings import Estimator, TraceSettings
 
 SCATTERINGS = (0.1, 0.3, 0.7)
 ABSORPTION = 0.2
 WINDOW_S = 0.02
+ESTIMATORS: tuple[Estimator, ...] = ("spheres", "rain")
 CR2 = Path(__file__).resolve().parents[2] / "shared" / "data" / "bras_cr2"
 
 
@@ -47,7 +48,7 @@ class Cost:
     rows: int
 
 
-def cost(scene: Scene, estimator: str, s: float, settings: TraceSettings) -> Cost:
+def cost(scene: Scene, estimator: Estimator, s: float, settings: TraceSettings) -> Cost:
     """Trace once and measure."""
     chosen = replace(settings, estimator=estimator)
     still = uniform_scattering(scene.room.materials, s)
@@ -112,9 +113,9 @@ def main() -> None:
     for name, scene in rooms(asked.room):
         for number, s in enumerate(SCATTERINGS):
             if number == 0:  # loads compiled code
-                for estimator in ("spheres", "rain"):
+                for estimator in ESTIMATORS:
                     cost(scene, estimator, s, replace(settings, n_rays=64))
-            a, b = (cost(scene, estimator, s, settings) for estimator in ("spheres", "rain"))
+            a, b = (cost(scene, estimator, s, settings) for estimator in ESTIMATORS)
             by_time = b.variance * b.seconds / (a.variance * a.seconds)
             by_rows = b.variance * b.rows / (a.variance * a.rows)
             print(

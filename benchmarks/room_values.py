@@ -38,7 +38,12 @@ from roomfit.files.rooms.read import read_room
 from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
 from roomfit.geometry.measures import surface_area_m2, volume_m3
 from roomfit.identification.start import eyring_absorption
-from roomfit.materials.knowledge import MaterialKnowledge, logit_prior, unknown_material
+from roomfit.materials.knowledge import (
+    MaterialKnowledge,
+    logit_prior,
+    prior_logits,
+    unknown_material,
+)
 from roomfit.materials.scattering import Scattering
 from roomfit.objective.problem import BandProblem, JointProblem
 from roomfit.scene.room import material_areas_m2
@@ -144,8 +149,8 @@ def studio_values(folder: Path) -> tuple[MeasuredValues, ...]:
     lines = [",".join(["source", "receiver", "parameter", *bands])]
     for (position, name), of_band in cells.items():
         for i, label in enumerate((name, f"{name}_sd")):
-            row = [of_band[b][i] if b in of_band else "" for b in bands]
-            lines.append(",".join([position[:2], position[2:], label, *row]))
+            told = [of_band[b][i] if b in of_band else "" for b in bands]
+            lines.append(",".join([position[:2], position[2:], label, *told]))
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "measured.csv"
         path.write_text("\n".join(lines) + "\n")
@@ -264,7 +269,7 @@ def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
         + " ".join(f"{a.phi:.2f}" for a in answers)
     )
-    found = band_combinations(absorption, covariance, case.knowledge, areas, 1)
+    found = band_combinations(absorption, covariance, prior_logits(case.knowledge), areas, 1)
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)
@@ -351,10 +356,7 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
     at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
     rng = np.random.default_rng(1)
     covariances = np.stack([a.logit_covariance for a in answers])
-    prior_mean, prior_sd = (
-        np.array([getattr(k, f"prior_logit_{kind}") for k in case.knowledge])
-        for kind in ("mean", "sd")
-    )
+    prior_mean, prior_sd = prior_logits(case.knowledge)
     fits = absorption_of(answers)
     draws = np.stack(
         [

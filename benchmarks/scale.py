@@ -22,7 +22,7 @@ import numpy as np
 import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.bands import Bands, bands_between
+from roomfit.bands import BandKind, Bands, bands_between
 from roomfit.geometry.mesh import Mesh, Surface, corners_m
 from roomfit.materials.scattering import uniform_scattering
 from roomfit.response.energy import weigh
@@ -140,7 +140,7 @@ def main() -> None:
     parser.add_argument("--receivers", type=int, default=10)
     parser.add_argument("--octaves", action="store_true", help="8 octaves in place of 24 thirds")
     asked = parser.parse_args()
-    kind = "octave" if asked.octaves else "third-octave"
+    kind: BandKind = "octave" if asked.octaves else "third-octave"
     bands = bands_between(kind, *((63, 8000) if asked.octaves else (50, 10_000)))
     room = divided_hall(asked.triangles)
     scene = hall_scene(room, asked.sources, asked.receivers)

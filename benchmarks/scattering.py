@@ -37,7 +37,9 @@ class Outcome:
     @property
     def chosen(self) -> float:
         """The value of the grid nearest to the scattering that the fit used."""
-        s = float(np.median(self.answer.scattering))
+        used = self.answer.scattering
+        assert used is not None, "every fit of responses tells what it traced with"
+        s = float(np.median(used))
         return min(GRID, key=lambda g: abs(np.log(max(s, 1e-3) / g)))
 
 
@@ -47,7 +49,7 @@ def outcome(box: MeasuredBox, told: str, model: str) -> Outcome:
     file = box.campaign.with_name("told.toml")
     file.write_text(text.replace("scattering = 0.0", f"scattering = {told}"))
     answer = identify(replace(read_campaign(file), model=model))
-    rows = [box.materials.index(name) for name in answer.materials]
+    rows = np.array([box.materials.index(name) for name in answer.materials])
     bands = np.searchsorted(box.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
     return Outcome(answer, box.absorption[np.ix_(rows, bands)])
 

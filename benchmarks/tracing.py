@@ -16,6 +16,7 @@ import time
 import tracemalloc
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numba
 import numpy as np
@@ -77,7 +78,7 @@ def paper_room_table() -> None:
             name = f"pyroomacoustics {pra.__version__}, specular"
             print(f"| {name} | 1 | {segments:.2f} | {theirs:.1f} | 1 |")
         for threads in (1, 2):
-            ours = segments / _on_threads(threads, lambda w=still: trace_rays(scene, settings, w))
+            ours = segments / _on_threads(threads, partial(trace_rays, scene, settings, still))
             name = "roomfit, " + ("diffuse" if s else "specular")
             print(f"| {name} | {threads} | {segments:.2f} | {ours:.1f} | {ours / theirs:.1f} |")
 
@@ -142,7 +143,7 @@ def hall_table() -> None:
         starts, directions = _segments(walls)
         n = len(starts)
         lost = int(np.isinf(distances_m(walls, starts, directions)).sum())
-        ours = n / processor_s(lambda w=walls, s=starts, d=directions: distances_m(w, s, d))
+        ours = n / processor_s(partial(distances_m, walls, starts, directions))
         print(f"| {n_triangles:,} | roomfit, float64 | {ours / 1e6:.2f} | | {lost} |")
         for name, speed, missed in _embree_speeds(room, starts, directions):
             print(f"| | {name} | {speed / 1e6:.3g} | {ours / speed:.2f} | {missed} |")
@@ -157,7 +158,7 @@ def _embree_speeds(
     for robust in (True, False):
         embree = embree_of(corners, robust=robust)
         lost = int(np.isinf(embree_hits(embree, start, direction)[0]).sum())
-        speed = n / processor_s(lambda e=embree: embree_hits(e, start, direction))
+        speed = n / processor_s(partial(embree_hits, embree, start, direction))
         rows.append((f"Embree, own loop, {'robust' if robust else 'fast'} mode", speed, lost))
     scene = EmbreeScene()
     TriangleMesh(scene, corners.astype(np.float32))
@@ -193,7 +194,8 @@ def _segments(walls: Walls) -> tuple[np.ndarray, np.ndarray]:
 
 def distances_m(walls: Walls, starts: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """Return the distance to the nearest wall of each ray."""
-    return _nearest(walls, starts, directions)[0]
+    found: np.ndarray = _nearest(walls, starts, directions)[0]
+    return found
 
 
 @numba.njit(nogil=True, error_model="numpy")

@@ -9,6 +9,7 @@ from roomfit.errors import InputError
 from roomfit.materials.knowledge import (
     MaterialKnowledge,
     logit_prior,
+    prior_logits,
     sampling_scattering,
     unknown_material,
 )
@@ -77,3 +78,12 @@ def test_the_logit_prior_agrees_with_a_finite_difference():
     down = 1.0 / (1.0 + np.exp(-(logit_mean - step)))
     # central difference: error of the order step squared
     np.testing.assert_allclose(logit_sd * (up - down) / (2 * step), sd, rtol=1e-8)
+
+
+def test_the_priors_of_all_materials_stand_side_by_side_and_a_tied_one_has_its_leaders():
+    floor = MaterialKnowledge("floor", np.array([-1.0, -2.0]), np.array([0.5, 0.6]))
+    wall = MaterialKnowledge("wall", np.zeros(2), np.ones(2), tied_to="floor")
+    door = MaterialKnowledge("door", np.array([0.3, 0.4]), np.array([1.5, 1.6]))
+    mean, sd = prior_logits((wall, floor, door))
+    assert mean.tolist() == [[-1.0, -2.0], [-1.0, -2.0], [0.3, 0.4]]
+    assert sd.tolist() == [[0.5, 0.6], [0.5, 0.6], [1.5, 1.6]]

@@ -19,7 +19,7 @@ from roomfit.app.solving import Solved
 from roomfit.app.tracing import TracedCampaign
 from roomfit.files.campaign.campaign import Campaign
 from roomfit.findings import Finding
-from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.materials.knowledge import MaterialKnowledge, prior_logits
 from roomfit.scene.room import material_areas_m2
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.answer import Answer
@@ -62,7 +62,7 @@ def assembled(
     identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, knowledge)
-    prior = _logit_prior(knowledge)
+    prior = prior_logits(knowledge)
     told = determined(
         *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
         [b.samples for b in found],
@@ -117,13 +117,6 @@ def assembled(
 def _model_of(models: tuple[str, ...]) -> str:
     """Return the most that any band's model knew."""
     return next((m for m in ("coherent", "energy", "values") if m in models), "prior")
-
-
-def _logit_prior(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
-    """Return mean and spread of logit absorption beforehand, of its leader where one is tied."""
-    by_name = {k.name: k for k in knowledge}
-    leaders = [by_name[k.tied_to or k.name] for k in knowledge]
-    return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
 
 
 def _logit_covariance(

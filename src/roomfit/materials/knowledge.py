@@ -128,6 +128,24 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
     return np.log(mean) - np.log1p(-mean), sd / (mean * (1.0 - mean))
 
 
+def prior_logits(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+    """Return mean and standard deviation of logit absorption beforehand, side by side.
+
+    Those of its leader where a material is tied.
+
+    Parameters
+    ----------
+    knowledge : tuple of MaterialKnowledge
+
+    Returns
+    -------
+    float array, shape (2, n_materials, n_bands)
+    """
+    by_name = {k.name: k for k in knowledge}
+    leaders = [by_name[k.tied_to or k.name] for k in knowledge]
+    return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
+
+
 def unknown_material(name: str, n_bands: int) -> MaterialKnowledge:
     """Return what is known of a material nobody told anything about: the broad prior."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))

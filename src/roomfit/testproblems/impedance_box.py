@@ -99,7 +99,10 @@ def noisy(
 
 
 def rms_by_material(
-    error: ComplexArray, frequency_hz: FloatArray, low_hz: float = 200.0, high_hz: float = 1000.0
+    error: ComplexArray | FloatArray,
+    frequency_hz: FloatArray,
+    low_hz: float = 200.0,
+    high_hz: float = 1000.0,
 ) -> FloatArray:
     """Return the rms over some frequencies of the error of each material."""
     own = (frequency_hz >= low_hz) & (frequency_hz <= high_hz)
