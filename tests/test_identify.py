@@ -165,6 +165,27 @@ def test_an_absorption_that_is_given_stays_exactly(tmp_path):
     np.testing.assert_allclose(answer.absorption[walls], ABSORPTION["walls"], atol=0.06)
 
 
+@pytest.mark.parametrize("code", ["scattering-suspected", "places-move", "source-directs"])
+def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
+    tmp_path, few_rays, monkeypatch, code
+):
+    """Whoever finds it; and the walls are not blamed for being inseparable."""
+
+    def doubt(_):
+        return (Finding(code, "serious", "It is.", {}),)
+
+    told = (CARPET, f"{CARPET}\nabsorption = 0.4")
+    sure = answer_to(tmp_path / "sure", told)
+    monkeypatch.setattr("roomfit.app.identify.description_findings", doubt)
+    unsure = answer_to(tmp_path / "unsure", told)
+    held = np.array(unsure.materials) == "carpet"
+    assert sure.identifiable[~held].any()
+    assert not unsure.identifiable[~held].any()
+    assert unsure.identifiable[held].all()
+    assert "materials-not-separable" not in codes(unsure)
+    np.testing.assert_array_equal(sure.absorption, unsure.absorption)
+
+
 @pytest.mark.parametrize("method", ["least-squares", "simplex", "annealing"])
 def test_nothing_left_to_fit_is_a_prediction(tmp_path, method):
     given = [

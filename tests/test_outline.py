@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from roomfit.air import Air
+from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.files.rooms.read import read_room
 from roomfit.files.rooms.spec import RoomSpec
 from roomfit.objective.outline import outline_findings
 from roomfit.scene.scene import Point, Scene
 from roomfit.signals.echoes import echo_prominence
 from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.testproblems.polyhedral_rooms import l_shaped_cells
+from roomfit.testproblems.polyhedron_cells import obj_text
 from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
 
 C = 343.0
@@ -78,3 +82,35 @@ def test_an_echo_stands_out_and_smooth_noise_does_not():
     assert int(np.argmax(prominence)) == pytest.approx(4_000, abs=5)
     assert prominence.max() > 2.0
     assert abs(np.mean(prominence)) < 0.05
+
+
+def l_shaped_echoes(tmp_path: Path) -> tuple[Scene, list[tuple[int, ImpulseResponse]]]:
+    """Return an L with echoes from 0.5 m behind its short end, also where nobody can see it."""
+    file = tmp_path / "l.obj"
+    file.write_text(obj_text(l_shaped_cells()))
+    room, _ = read_room(RoomSpec(file=file, unit="m", up="z"))
+    sources = [Point("S0", np.array((1.3, 4.9, 1.15))), Point("S1", np.array((6.1, 1.25, 1.5)))]
+    places = [(2.7, 1.1, 1.2), (1.1, 1.7, 1.45), (4.6, 2.1, 1.05), (2.9, 3.9, 1.75)]
+    receivers = [Point(f"R{i}", np.array(p)) for i, p in enumerate(places)]
+    pairs = [(s, r) for s in range(2) for r in range(4)]
+    scene = Scene(room, tuple(sources), tuple(receivers), np.array(pairs), Air())
+    c = speed_of_sound_m_s(Air())
+    rng = np.random.default_rng(8)
+    responses = []
+    for number, (s, r) in enumerate(pairs):
+        image_m = sources[s].position_m.copy()
+        image_m[1] = 2.0 * 6.5 - image_m[1]
+        at_s = np.linalg.norm(image_m - receivers[r].position_m) / c
+        pressure = rng.standard_normal(2_000)
+        pressure[round(at_s * RATE_HZ)] += 30.0
+        responses.append((number, ImpulseResponse(pressure, RATE_HZ)))
+    return scene, responses
+
+
+def test_responses_that_cannot_hear_a_wall_say_nothing_of_it(tmp_path, monkeypatch):
+    """Of the L's end at y = 6 m only those around the corner's near side have an echo."""
+    scene, responses = l_shaped_echoes(tmp_path)
+    assert outline_findings(scene, responses) == ()
+    monkeypatch.setattr("roomfit.objective.outline._is_met", lambda *_: True)
+    (finding,) = outline_findings(scene, responses)
+    assert finding.evidence["metres_outward"] == pytest.approx(0.5, abs=0.05)

@@ -26,7 +26,14 @@ from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.posterior import plain_logit_covariance
 
 # Something about the room is not as told: what is found of any wall makes up for it.
-_NOTHING_IDENTIFIABLE = ("outline-disagrees", "description-doubtful")
+_NOTHING_IDENTIFIABLE = (
+    "outline-disagrees",
+    "description-doubtful",
+    "walls-delay",
+    "places-move",
+    "source-directs",
+    "scattering-suspected",
+)
 
 
 def assembled(
@@ -50,7 +57,8 @@ def assembled(
     scene, found = gathered.scene, solved.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
-    if any(f.code in _NOTHING_IDENTIFIABLE for f in findings):
+    told_wrong = any(f.code in _NOTHING_IDENTIFIABLE for f in findings)
+    if told_wrong:
         identifiable &= np.array([[k.known is not None] for k in knowledge])
     lower, upper = (
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
@@ -68,8 +76,12 @@ def assembled(
         [b.samples for b in found],
     )
     models = tuple(b.model for b in found)
-    inseparable = inseparable_findings(
-        scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
+    inseparable = (
+        ()
+        if told_wrong
+        else inseparable_findings(
+            scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
+        )
     )
     return Answer(
         bands=campaign.bands,

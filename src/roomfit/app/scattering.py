@@ -197,9 +197,10 @@ def suspected_scattering(
     return (
         Finding(
             "scattering-suspected",
-            "warning",
+            "serious",
             f"The measurement is explained better if {', '.join(names)} scatter: a coefficient of "
-            f"{trials[best]:g} raises the log likelihood by {gains[best]:.0f}. Tell their "
+            f"{trials[best]:g} raises the log likelihood by {gains[best]:.0f}. Walls that "
+            "are told to be smooth make up for it, and nothing is called identifiable. Tell their "
             'scattering, or let it be fitted with scattering = "fit".',
             {"materials": names, "scattering": float(trials[best]), "gain": gains[best]},
         ),

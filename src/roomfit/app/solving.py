@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
 from roomfit.app.binning import BinnedPaths
-from roomfit.app.coherent.answers import nothing_identifiable
 from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
 from roomfit.app.coherent.problems import SPEED_SD
 from roomfit.app.directing.bands import FoundDirectivities, band_directivities
@@ -168,8 +167,6 @@ def _energies_alone(
         None if suspects is None else doubting(task, suspects, doubts),
     )
     findings = source_findings(suspects, doubts)
-    if findings:
-        answers = tuple(nothing_identifiable(a) for a in answers)
     return Solved(answers, None, findings, band_directivities(directing, hows, answers))
 
 

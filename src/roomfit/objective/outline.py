@@ -26,6 +26,8 @@ _LEAST_WALL_SHARE = 0.03
 _CLEAR_OF_POSITIONS_M = 0.4
 _APART_S = 1e-3
 _MASK_S = 0.25e-3
+# Two ways to the same image differ by rounding alone.
+_SAME_S = 1e-8
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
 # factor of 2 more than what comes from the stated place or any other, and in most responses.
 _LEAST_SCORE, _LEAST_LEAD, _LEAST_SHARE = 1.5, 0.7, 0.7
@@ -44,11 +46,12 @@ class _Wall:
 
 @dataclass(slots=True, eq=False)
 class _Echoes:
-    """One response: where its ends are, and how prominent every moment is."""
+    """One response: where its ends are, what is stated to arrive, how prominent every moment is."""
 
     source_m: FloatArray
     receiver_m: FloatArray
     direct_s: float
+    arrivals_s: FloatArray
     time_s: FloatArray
     prominence: FloatArray
     explained: BoolArray
@@ -61,7 +64,7 @@ def outline_findings(
 
     For every large wall, the moment at which its reflection would arrive is worked out for a wall
     moved out or in by up to 1.5 m, and the prominence of the responses at these moments is averaged
-    over all of them: at the wall's true place the echoes line up. The clearest wall is settled
+    over all that see the wall: at its true place the echoes line up. The clearest wall is settled
     first and its echoes are taken out, so that no other wall is blamed for them. What the stated
     outline explains up to the second order is no evidence against it.
 
@@ -89,13 +92,14 @@ def outline_findings(
     walls = _large_walls(scene.room)
     findings = []
     while walls:
-        scans = [_scan(wall, echoes, c) for wall in walls]
+        met = [[e for e in echoes if _is_met(wall, e, c)] for wall in walls]
+        scans = [_scan(wall, of, c) for wall, of in zip(walls, met, strict=True)]
         best = int(np.argmax([float(np.nanmax(s, initial=-np.inf)) for s in scans]))
         wall, scores = walls.pop(best), scans[best]
         if not np.any(np.isfinite(scores)):
             break
         moved_m = float(_distances_m()[int(np.nanargmax(scores))])
-        findings += _judged(wall, moved_m, scores, echoes, c)
+        findings += _judged(wall, moved_m, scores, met[best], c)
         for echo in echoes:
             arrival_s = _arrival_s(wall, moved_m, echo, c)
             echo.prominence[np.abs(echo.time_s - arrival_s) < _MASK_S] = 0.0
@@ -119,7 +123,8 @@ def _all_echoes(
             explained |= np.abs(time_s - arrival_s) < _MASK_S
         ends = scene.sources[source].position_m, scene.receivers[receiver].position_m
         direct_s = float(np.linalg.norm(ends[0] - ends[1])) / c
-        found.append(_Echoes(*ends, direct_s, time_s, echo_prominence(response), explained))
+        prominence = echo_prominence(response)
+        found.append(_Echoes(*ends, direct_s, arrivals_s, time_s, prominence, explained))
     return found
 
 
@@ -155,6 +160,12 @@ def _arrival_s(wall: _Wall, moved_m: float, echo: _Echoes, c: float) -> float:
     behind_m = wall.offset_m + moved_m - float(echo.source_m @ wall.normal)
     image_m = echo.source_m + 2.0 * behind_m * wall.normal
     return float(np.linalg.norm(image_m - echo.receiver_m)) / c
+
+
+def _is_met(wall: _Wall, echo: _Echoes, c: float) -> bool:
+    """Whether the wall reflects to the receiver where it is told; behind a corner it does not."""
+    arrival_s = _arrival_s(wall, 0.0, echo, c)
+    return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
 
 
 def _seen(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> FloatArray:

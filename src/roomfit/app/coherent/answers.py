@@ -74,11 +74,6 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
     )
 
 
-def nothing_identifiable(answer: BandAnswer) -> BandAnswer:
-    """Return an answer in which only what is held counts as identifiable."""
-    return replace(answer, identifiable=answer.upper95 <= answer.lower95)
-
-
 def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
     held = answer.upper95 <= answer.lower95
     sd = np.where(held, 0.0, sd)

@@ -15,7 +15,6 @@ import numpy as np
 from roomfit.app.binning import BinnedPaths
 from roomfit.app.certainty.certifying import affordable_certificate
 from roomfit.app.coherent.answers import (
-    nothing_identifiable,
     widened_by_neighbours,
     with_both_intervals,
 )
@@ -65,8 +64,6 @@ from roomfit.uncertainty.shared_errors import allowing_for
 
 __all__ = ["CoherentFit", "CoherentOptions", "Retrace", "fit_coherent"]
 
-# Findings that forbid to call anything identifiable, in any band.
-_FORBIDDING = ("walls-delay", "places-move", "source-directs")
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
 
@@ -163,8 +160,6 @@ def fit_coherent(
     likelihoods = band_likelihoods(state.bands, fits)
     answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
     findings = (*findings, *_source_findings(state))
-    if any(f.code in _FORBIDDING for f in findings):
-        answers = tuple(None if a is None else nothing_identifiable(a) for a in answers)
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
     told = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *geometry_findings(told))
