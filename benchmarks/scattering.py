@@ -6,7 +6,8 @@ Boxes as in `boxes.py`, s = 0.15 at every wall. Data: image sources that add as 
 by (1 - s) a hit, and noise modulated by an independent tracer (`testproblems/scattering_box.py`).
 Each room is written as a campaign and identified three times as anybody's: its walls' scattering
 told, to be fitted (which chooses among eight values by energies), and told to be none. Right is
-what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth.
+what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
+called identifiable, "wrong" how many of these lie outside their interval.
 """
 
 from __future__ import annotations
@@ -62,6 +63,7 @@ def line(name: str, done: list[Outcome]) -> str:
         for key in ("absorption", "lower95", "upper95", "identifiable")
     )
     error, held = np.abs(value - true), (low <= true) & (true <= high)
+    wrong = int(np.sum(sure & ~held))
     phi = np.median([o.answer.phi for o in done])
     null = np.stack(
         [o.answer.areas_m2 @ o.answer.absorption / o.answer.areas_m2.sum() for o in done]
@@ -70,7 +72,7 @@ def line(name: str, done: list[Outcome]) -> str:
     return (
         f"{name:<24} {np.median(error):6.3f} {np.quantile(error, 0.9):6.3f} {error.max():6.2f}"
         f" {held.mean():6.2f} {np.median(high - low):6.2f} {phi:6.2f} {sure.mean():6.2f}"
-        f" {nothing:6.3f} {np.mean([o.answer.seconds for o in done]):6.0f}"
+        f" {wrong:6d} {nothing:6.3f} {np.mean([o.answer.seconds for o in done]):6.0f}"
     )
 
 
@@ -83,7 +85,7 @@ def main() -> None:
     parser.add_argument("--scattering", type=float, default=0.15)
     asked = parser.parse_args()
     print(f"s = {asked.scattering:g}, model {asked.model}, {asked.rooms} rooms")
-    print("fit                      median   90 %    max   held  width    phi   sure   null      s")
+    print("fit                      median   90 %    max   held  width    phi   sure  wrong   null      s")
     pooled: dict[str, list[Outcome]] = {}
     fired = 0
     cases = (("known", f"{asked.scattering:g}"), ("fitted", '"fit"'), ("not thought of", "0.0"))

@@ -377,3 +377,17 @@ def test_a_hall_is_read_although_silence_comes_before_its_first_reflection(tmp_p
     answer = identify(read_campaign(path))
     # a decay of few reflections near a source tells the mean to a tenth or so
     np.testing.assert_allclose(answer.mean_absorption[0], 0.4, atol=0.1)
+
+
+def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_rays, monkeypatch):
+    """The noise of the rays and the air move the answer as a whole: intervals only widen."""
+    told = ("[identify]", '[identify]\nmodel = "energy"')
+    allowing = answer_to(tmp_path / "allowing", told)
+    monkeypatch.setattr(
+        "roomfit.app.solving.allowing_for_shared_errors", lambda _task: lambda _n, _p, fit: fit
+    )
+    sure = answer_to(tmp_path / "sure", told)
+    np.testing.assert_array_equal(allowing.absorption, sure.absorption)
+    more, less = allowing.upper95 - allowing.lower95, sure.upper95 - sure.lower95
+    assert np.all(more >= less - 1e-9)
+    assert np.any(more > 1.01 * less)

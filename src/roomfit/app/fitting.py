@@ -110,6 +110,9 @@ class BandAnswer:
 Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
 """Problem, its fit and the Gaussian answer to a better answer."""
 
+Allow: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
+"""Number of a band, its problem and its fit to the same fit, less sure."""
+
 
 def fit_bands(
     problems: Iterable[BandProblem | None],
@@ -120,6 +123,7 @@ def fit_bands(
     progress: Progress | None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
+    allow: Allow | None = None,
     refine: Refine | None = None,
 ) -> tuple[BandAnswer, ...]:
     """Fit one band after the other; where there is no problem, what was known is the answer.
@@ -134,6 +138,8 @@ def fit_bands(
         "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
+    allow : callable, optional
+        Makes intervals allow for errors that a fit cannot see.
     refine : callable, optional
         Makes better intervals while a band's problem is at hand.
     """
@@ -146,7 +152,8 @@ def fit_bands(
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         if method == "certified":
             fit, proof = certified_fit(problem, progress=done)
-            own = band_answer(problem.parameters, fit, areas_m2, "energy")
+            noisy = fit if allow is None else allow(band, problem, fit)
+            own = band_answer(problem.parameters, noisy, areas_m2, "energy")
             own = own if refine is None else refine(problem, fit, own, None)
             answers.append(replace(own, certificate=proof))
             continue
@@ -158,7 +165,8 @@ def fit_bands(
         if watch is not None:
             watch(band, problem, fit)
         model = "energy" if problem.are_energies().any() else "values"
-        own = replace(band_answer(problem.parameters, fit, areas_m2, model), starts=starts)
+        noisy = fit if allow is None else allow(band, problem, fit)
+        own = replace(band_answer(problem.parameters, noisy, areas_m2, model), starts=starts)
         if method == "auto":
             own = replace(own, certificate=affordable_certificate(problem, fit.vector))
         answers.append(own if refine is None else refine(problem, fit, own, done))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from roomfit.app.allowing import allowing_for_shared_errors
 from roomfit.app.binning import BinnedPaths
 from roomfit.app.coherent.fit import CoherentOptions, Retrace, fit_coherent
 from roomfit.app.coherent.problems import SPEED_SD
@@ -17,7 +18,7 @@ from roomfit.app.directing.energies import (
     energy_problems,
 )
 from roomfit.app.directing.unknown import Directing, campaign_directing, omnidirectional
-from roomfit.app.fitting import BandAnswer, Refine, fit_bands
+from roomfit.app.fitting import Allow, BandAnswer, Refine, fit_bands
 from roomfit.app.gathering import Gathered
 from roomfit.app.progress import part
 from roomfit.app.values import value_problems
@@ -165,6 +166,7 @@ def _energies_alone(
         refine,
         progress,
         None if suspects is None else doubting(task, suspects, doubts),
+        allowing_for_shared_errors(task),
     )
     findings = source_findings(suspects, doubts)
     return Solved(answers, None, findings, band_directivities(directing, hows, answers))
@@ -206,10 +208,12 @@ def _answers(
     refine: Refine | None,
     progress: Progress | None,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
+    allow: Allow | None = None,
 ) -> tuple[BandAnswer, ...]:
     areas = material_areas_m2(gathered.scene.room)
     return fit_bands(
         *(problems, knowledge, areas, campaign.method, campaign.seed, progress),
         watch=watch,
+        allow=allow,
         refine=refine,
     )
