@@ -44,6 +44,7 @@ from roomfit.identification.start import eyring_absorption
 from roomfit.materials.knowledge import MaterialKnowledge
 from roomfit.scene.room import material_areas_m2
 from roomfit.scene.scene import Scene
+from roomfit.threads import one_blas_thread
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.answer import Answer
 from roomfit.uncertainty.sampling import check_sampler
@@ -108,6 +109,7 @@ def identify_to_folder(
     return answer
 
 
+@one_blas_thread
 def identify(
     campaign: Campaign, *, cache: Cache | None = None, progress: Progress | None = None
 ) -> Answer:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
@@ -11,6 +10,7 @@ from multiprocessing import get_context
 from typing import TypeVar
 
 from roomfit.errors import InputError
+from roomfit.threads import keep_one_blas_thread
 from roomfit.typing import Progress
 
 T = TypeVar("T")
@@ -67,8 +67,7 @@ def in_pool(
 def _become_worker() -> None:
     # an interrupt reaches the whole group; only the parent decides what happens then
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ[name] = "1"
+    keep_one_blas_thread()
     import numba
 
     numba.set_num_threads(1)

@@ -35,6 +35,7 @@ from roomfit.impedance.starts import (
     thinned,
 )
 from roomfit.scene.scene import Scene
+from roomfit.threads import one_blas_thread
 from roomfit.typing import FloatArray, Progress
 
 N_RANDOM_STARTS = 3
@@ -42,6 +43,7 @@ N_RANDOM_STARTS = 3
 _RIVAL = 1.5
 
 
+@one_blas_thread
 def identify_impedance(
     scene: Scene,
     observed: Observed,

@@ -28,6 +28,7 @@ from roomfit.placement.information import (
 from roomfit.placement.places import least_source_distance_m
 from roomfit.scene.room import Room
 from roomfit.scene.scene import Scene
+from roomfit.threads import one_blas_thread
 from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -36,6 +37,7 @@ CHOSEN = 6
 N_RANDOM = 200
 
 
+@one_blas_thread
 def design(
     campaign: Campaign,
     *,

@@ -29,6 +29,7 @@ from roomfit.files.rooms.read import read_room
 from roomfit.findings import Finding
 from roomfit.materials.knowledge import in_bands
 from roomfit.signals.parameter_gradients import VALUE_NAMES
+from roomfit.threads import one_blas_thread
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.draws import draw_absorption
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -37,6 +38,7 @@ from roomfit.uncertainty.prediction import Predicted
 N_DRAWS = 128
 
 
+@one_blas_thread
 def predict_campaign(
     campaign: Campaign,
     absorption: AbsorptionPosterior,
