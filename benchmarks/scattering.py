@@ -85,7 +85,8 @@ def main() -> None:
     parser.add_argument("--scattering", type=float, default=0.15)
     asked = parser.parse_args()
     print(f"s = {asked.scattering:g}, model {asked.model}, {asked.rooms} rooms")
-    print("fit                      median   90 %    max   held  width    phi   sure  wrong   null      s")
+    titles = ("median", "90 %", "max", "held", "width", "phi", "sure", "wrong", "null", "s")
+    print(f"{'fit':<24}" + "".join(f" {title:>6}" for title in titles))
     pooled: dict[str, list[Outcome]] = {}
     fired = 0
     cases = (("known", f"{asked.scattering:g}"), ("fitted", '"fit"'), ("not thought of", "0.0"))
