@@ -16,7 +16,7 @@ from roomfit.files.results import result_content
 from roomfit.report.answer_text import separable_text, shares_table
 from roomfit.report.html.absorption_tables import share_tables
 from roomfit.report.html.wording import DASH
-from roomfit.uncertainty.combinations import find_combinations
+from roomfit.uncertainty.combinations import Combination, find_combinations
 from roomfit.uncertainty.shares import absorption_shares
 from roomfit.uncertainty.undetermined import (
     Difference,
@@ -82,6 +82,14 @@ def test_materials_of_which_nothing_is_known_are_named_in_one_sentence():
     found = undetermined_groups(posterior([[0.0, 0.0, 1.0]], 3), np.full(3, 1.5))
     assert found == (Undetermined((0,), 1, False), Undetermined((1,), 1, False))
     assert band_sentence(NAMES, (), found) == "floor and ceiling are not in the data"
+
+
+def test_within_a_group_they_are_named_in_one_sentence_too():
+    whole = Combination(np.full(3, 1.0 / 3.0), 0.2, 0.18, 0.22, 0.01)
+    alone = [Undetermined((0,), 1, False), Undetermined((1,), 1, False)]
+    assert band_sentence(NAMES, (whole, whole), alone) == (
+        "floor, ceiling and walls together 0.20 +- 0.02; floor and ceiling are not in the data"
+    )
 
 
 @pytest.mark.parametrize(

@@ -38,7 +38,10 @@ def band_sentence(
         own = [u for u in left_open if set(u.materials) <= members]
         told |= set(own)
         words = f"{_names(materials, sorted(members))} together {_value(group)}"
-        parts.append("; ".join([words, *(_open_in(materials, u, members) for u in own)]))
+        words_open = [_open_in(materials, u, members) for u in own if not u.nothing_known]
+        alone = sorted(i for u in own if u.nothing_known for i in u.materials)
+        words_alone = [_not_in_the_data(materials, alone)] if alone else []
+        parts.append("; ".join([words, *words_open, *words_alone]))
     rest = [u for u in left_open if u not in told]
     parts += [_open_words(materials, u) for u in rest if not u.nothing_known]
     unknown = sorted(i for u in rest if u.nothing_known for i in u.materials)
