@@ -3,6 +3,7 @@
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
         [--third-octaves] [--strength 0] [--directivity omni] [--posterior]
+        [--smoothness SD]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
@@ -12,7 +13,8 @@ the walls that absorb more than a half delay what they reflect; the other progra
 data are made by `roomfit.testproblems.pressure_box`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
 what the campaign tells of it. --posterior identifies every box a second time with
-`method = "posterior"`, and shows the table of either, and what became of the samples. The null
+`method = "posterior"`, and shows the table of either, and what became of the samples. --smoothness
+tells by how much logit absorption changes from octave to octave; it does by 0.4 there. The null
 model gives all walls of a room the area mean of the fitted answer.
 """
 
@@ -147,11 +149,14 @@ def main() -> None:
     parser.add_argument("--energy", action="store_true", help="energies alone")
     parser.add_argument("--no-delays", action="store_true", help="walls that do not delay")
     parser.add_argument("--third-octaves", action="store_true")
+    parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
     parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
     told = parser.parse_args()
     more = 'positions = "fixed"\n' if told.unfitted else ""
     more += "wall_delays = false\n" if told.no_delays else ""
     more += 'model = "energy"\n' if told.energy else ""
+    if told.smoothness is not None:
+        more += f"smoothness_per_octave = {told.smoothness}\n"
     done, sampled = [], []
     for seed in told.seeds:
         with tempfile.TemporaryDirectory() as folder:

@@ -391,3 +391,19 @@ def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_
     more, less = allowing.upper95 - allowing.lower95, sure.upper95 - sure.lower95
     assert np.all(more >= less - 1e-9)
     assert np.any(more > 1.01 * less)
+
+
+def test_smoothness_over_bands_keeps_what_is_held_and_tied(tmp_path, few_rays):
+    """Absorption held at 0 and 1 stays; tied materials stay equal; nothing is lost on the way."""
+    told = [
+        ("[identify]", "[identify]\nsmoothness_per_octave = 0.5"),
+        (CARPET, f"{CARPET}\nabsorption = [0.0, 1.0]"),
+        ("[materials.tiles]", '[materials.tiles]\nsame_absorption_as = "walls"'),
+    ]
+    answer = answer_to(tmp_path, *told)
+    row = {name: i for i, name in enumerate(answer.materials)}
+    np.testing.assert_array_equal(answer.absorption[row["carpet"]], [0.0, 1.0])
+    for array in (answer.absorption, answer.lower95, answer.upper95):
+        assert np.all(np.isfinite(array))
+        np.testing.assert_array_equal(array[row["tiles"]], array[row["walls"]])
+    assert np.all(answer.upper95[row["walls"]] > answer.lower95[row["walls"]])

@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.app.certainty.refining import LEAST_SIDE
 from roomfit.app.fitting import BandAnswer
 from roomfit.bands import Bands
-from roomfit.materials.knowledge import MaterialKnowledge
+from roomfit.materials.knowledge import MaterialKnowledge, prior_logits
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE
 from roomfit.uncertainty.profile_under import profile_under
@@ -35,12 +35,19 @@ def smoothed(
         data, and intervals hold only as far as it is true.
     areas_m2 : float array, shape (n_materials,)
     """
+    names = [k.name for k in knowledge]
+    owner = np.array([names.index(k.tied_to or k.name) for k in knowledge])
+    own, leader = np.unique(owner, return_inverse=True)
+    prior_mean, prior_sd = prior_logits(knowledge)
     means, covariances = smooth_over_bands(
-        np.stack([a.logit_mean for a in answers]),
-        np.stack([a.logit_covariance for a in answers]),
+        np.stack([a.logit_mean[own] for a in answers]),
+        np.stack([a.logit_covariance[np.ix_(own, own)] for a in answers]),
+        prior_mean[own].T,
+        prior_sd[own].T,
         sd_per_octave,
         bands,
     )
+    means, covariances = means[:, leader], covariances[:, leader][:, :, leader]
     return tuple(
         _redrawn(answer, mean, covariance, knowledge, band, areas_m2)
         for band, (answer, mean, covariance) in enumerate(

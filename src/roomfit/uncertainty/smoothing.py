@@ -8,16 +8,27 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 
+# In units of the prior's variance: what is held is known this well.
+_HELD = 1e-12
+_STIFFEST = 1.0 - 1e-9
+
 
 def smooth_over_bands(
-    means: FloatArray, covariances: FloatArray, sd_per_octave: float, bands: Bands
+    means: FloatArray,
+    covariances: FloatArray,
+    prior_mean: FloatArray,
+    prior_sd: FloatArray,
+    sd_per_octave: float,
+    bands: Bands,
 ) -> tuple[FloatArray, FloatArray]:
-    """Combine Gaussian answers of separate bands with a random walk over the bands.
+    """Combine Gaussian answers of separate bands under a prior that ties the bands together.
 
-    Each band was answered by itself: logit absorption of all materials with a joint covariance.
-    Beforehand, each material's logit absorption takes independent Gaussian steps from band to
-    band, whose variance grows with their width in octaves. The result is the exact posterior of
-    the two together: no band is counted twice, for the walk says nothing of the level.
+    Each band was answered by itself, under a prior of its own. Its data are what it says beyond
+    that prior. Beforehand, each material's logit absorption now walks from band to band: what it is
+    off its prior's mean keeps the prior's standard deviation in every band, and changes over an
+    octave by `sd_per_octave`. The result is the posterior of all data and that one prior, which
+    thus counts once; six answers under the same guess, put together as they are, would hold it six
+    times.
 
     Parameters
     ----------
@@ -25,9 +36,12 @@ def smooth_over_bands(
         Logit absorption.
     covariances : float array, shape (n_bands, n_materials, n_materials)
         Symmetric and positive semi-definite. A material of zero variance is held where it is; its
-        neighbours in frequency are still drawn towards it.
+        neighbours in frequency are still drawn towards it. No two materials tied to each other.
+    prior_mean, prior_sd : float arrays, shape (n_bands, n_materials)
+        Of logit absorption in every band by itself; `prior_sd` above 0.
     sd_per_octave : float
-        Standard deviation of the step over one octave, above 0; infinity changes nothing.
+        Standard deviation of the step over one octave, above 0. From 1.4 prior standard deviations
+        up, bands are independent, and nothing changes.
     bands : Bands
         Of length n_bands; their distances are those of their exact centres.
 
@@ -44,37 +58,67 @@ def smooth_over_bands(
 
     Notes
     -----
-    With the differences ``d = A x`` seen as zero with variance ``Q``, the posterior of ``x`` from
-    ``N(m, C)`` is ``m - K A m`` and ``C - K A C`` with ``K = C A' (A C A' + Q)^-1`` (conditioning
-    of a Gaussian [1]_, eq. A.6). This form inverts no covariance, so held materials are no
-    exception.
+    A Gaussian Markov process over the bands [1]_ (appendix B): in units of the prior's standard
+    deviations s the correlation of two neighbours is ``1 - q / (2 s1 s2)`` with the variance q of
+    the step, and not below 0. Directions in which an answer is less sure than its prior hold no
+    data.
 
     References
     ----------
     .. [1] C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT
            Press (2006).
     """
-    n_bands, n = _checked_shape(means, covariances, sd_per_octave, bands)
-    if n_bands < 2 or np.isinf(sd_per_octave):
-        return np.array(means), np.array(covariances)
-    octaves = np.diff(np.log2(bands.exact_centres_hz))
-    steps = np.eye(n_bands, k=1)[:-1] - np.eye(n_bands)[:-1]
-    A = np.kron(steps, np.eye(n))
-    C = np.zeros((n_bands * n, n_bands * n))
+    n_bands, n = _checked_shape(means, covariances, prior_mean, prior_sd, sd_per_octave, bands)
+    precision = np.zeros((n_bands, n, n_bands, n))
+    pull = np.zeros((n_bands, n))
+    held = np.zeros((n_bands, n), dtype=np.bool_)
     for b in range(n_bands):
-        C[b * n : (b + 1) * n, b * n : (b + 1) * n] = covariances[b]
-    AC = A @ C
-    Q = np.diag(np.repeat(sd_per_octave**2 * octaves, n))
-    K = np.linalg.solve(AC @ A.T + Q, AC).T
-    m = np.asarray(means, dtype=np.float64).ravel()
-    smoothed = m - K @ (A @ m)
-    joint = C - K @ AC
-    within = np.array([joint[b * n : (b + 1) * n, b * n : (b + 1) * n] for b in range(n_bands)])
-    return smoothed.reshape(n_bands, n), 0.5 * (within + np.swapaxes(within, 1, 2))
+        held[b] = np.diag(covariances[b]) <= 0.0
+        scale = np.outer(prior_sd[b], prior_sd[b])
+        own = covariances[b] / scale + np.diag(np.where(held[b], _HELD, 0.0))
+        size, direction = np.linalg.eigh(np.linalg.inv(own))
+        told = size > 1.0
+        precision[b, :, b, :] = (direction * np.where(told, size - 1.0, 0.0)) @ direction.T
+        off = (means[b] - prior_mean[b]) / prior_sd[b]
+        pull[b] = (direction * np.where(told, size, 0.0)) @ (direction.T @ off)
+    for i in range(n):
+        precision[:, i, :, i] += _walk_precision(prior_sd[:, i], sd_per_octave, bands)
+    joint = np.linalg.inv(precision.reshape(n_bands * n, n_bands * n))
+    off = (joint @ pull.ravel()).reshape(n_bands, n)
+    blocks = joint.reshape(n_bands, n, n_bands, n)
+    free = ~held
+    within = np.array(
+        [
+            blocks[b, :, b, :] * np.outer(prior_sd[b], prior_sd[b]) * np.outer(free[b], free[b])
+            for b in range(n_bands)
+        ]
+    )
+    smoothed = np.where(held, means, prior_mean + prior_sd * off)
+    return smoothed, 0.5 * (within + np.swapaxes(within, 1, 2))
+
+
+def _walk_precision(prior_sd: FloatArray, sd_per_octave: float, bands: Bands) -> FloatArray:
+    """Return the inverse correlation matrix of one material over the bands, (n_bands, n_bands)."""
+    octaves = np.diff(np.log2(bands.exact_centres_hz))
+    r = 1.0 - sd_per_octave**2 * octaves / (2.0 * prior_sd[1:] * prior_sd[:-1])
+    r = np.clip(r, 0.0, _STIFFEST)
+    out = np.eye(prior_sd.size)
+    link = 1.0 / (1.0 - r**2)
+    here = np.arange(r.size)
+    # the density is that of the first band times those of each band given the one below
+    out[here, here] += r**2 * link
+    out[here + 1, here + 1] += link - 1.0
+    out[here, here + 1] = out[here + 1, here] = -r * link
+    return out
 
 
 def _checked_shape(
-    means: FloatArray, covariances: FloatArray, sd_per_octave: float, bands: Bands
+    means: FloatArray,
+    covariances: FloatArray,
+    prior_mean: FloatArray,
+    prior_sd: FloatArray,
+    sd_per_octave: float,
+    bands: Bands,
 ) -> tuple[int, int]:
     if not sd_per_octave > 0.0:
         raise InputError(
@@ -84,10 +128,16 @@ def _checked_shape(
             hint="to fit one value for all bands, write a very small number",
         )
     shape, needed = np.shape(means), np.shape(covariances)
-    if len(shape) != 2 or shape[0] != len(bands) or needed != (*shape, shape[-1]):
+    priors = {np.shape(prior_mean), np.shape(prior_sd)}
+    if (
+        len(shape) != 2
+        or shape[0] != len(bands)
+        or needed != (*shape, shape[-1])
+        or priors != {shape}
+    ):
         raise InputError(
-            "means, covariances and bands do not belong together",
-            found=f"shapes {shape} and {needed}, {len(bands)} bands",
-            needed="(n_bands, n) and (n_bands, n, n)",
+            "means, covariances, priors and bands do not belong together",
+            found=f"shapes {shape}, {needed} and {sorted(priors)}, {len(bands)} bands",
+            needed="(n_bands, n), (n_bands, n, n) and (n_bands, n)",
         )
     return int(shape[0]), int(shape[1])
