@@ -76,7 +76,7 @@ def test_a_skew_profile_and_a_gaussian_rise_together_by_1_92() -> None:
 
 
 def test_profiles_stay_profiles_under_smoothness() -> None:
-    """One band of a hard wall between two that know little: its profile is kept, and its side."""
+    """One band of a hard wall between two others: its profile is kept, and its side."""
     bands = bands_between("octave", 500, 2000)
     knowledge = (unknown_material("wall", 3),)
     area = np.array([10.0])
@@ -105,6 +105,13 @@ def test_profiles_stay_profiles_under_smoothness() -> None:
     (_, loose, _) = smoothed(told, knowledge, bands, 1e6, area)
     np.testing.assert_allclose(loose.lower95, told[1].lower95, rtol=0.02)
     np.testing.assert_allclose(loose.upper95, told[1].upper95, rtol=0.02)
+    # bands that know only the same prior have nothing to add
+    (_, alone, _) = smoothed(told, knowledge, bands, 0.5, area)
+    np.testing.assert_allclose(alone.lower95, loose.lower95, rtol=1e-9)
+    np.testing.assert_allclose(alone.upper95, loose.upper95, rtol=1e-9)
+    for band in (0, 2):
+        own = {"logit_mean": np.array([-2.8]), "logit_covariance": np.array([[0.6**2]])}
+        told[band] = replace(told[band], model="coherent", phi=1.0, **own)
     (_, tight, _) = smoothed(told, knowledge, bands, 0.5, area)
     assert loose.kinds == tight.kinds == ("profile",)
     assert tight.lower95[0] > loose.lower95[0]
