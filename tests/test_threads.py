@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 from threadpoolctl import threadpool_info, threadpool_limits
 
 from roomfit.threads import keep_one_blas_thread, one_blas_thread
@@ -10,6 +11,9 @@ from roomfit.threads import keep_one_blas_thread, one_blas_thread
 
 def blas_threads() -> set[int]:
     return {p["num_threads"] for p in threadpool_info() if p["user_api"] == "blas"}
+
+
+pytestmark = pytest.mark.skipif(not blas_threads(), reason="a BLAS that takes no orders")
 
 
 @one_blas_thread

@@ -16,7 +16,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     """Return a function that runs with one thread for linear algebra.
 
     Its matrices are small. On two cores, BLAS's threads and those of the compiled kernels, both
-    waiting in loops, took 41 s for what takes 24 s with one of BLAS, and 31 s without any. It also
+    waiting in loops, took 41 s for what takes 25 s with one of BLAS, and 31 s without any. It also
     makes sums the same on machines of any number of cores.
     """
 

@@ -31,8 +31,7 @@ def smoothed(
     Parameters
     ----------
     sd_per_octave : float
-        Standard deviation of the step over one octave; below about 0.5 the belief outweighs most
-        data, and intervals hold only as far as it is true.
+        Standard deviation of the step over one octave; intervals hold only as far as it is true.
     areas_m2 : float array, shape (n_materials,)
     """
     names = [k.name for k in knowledge]

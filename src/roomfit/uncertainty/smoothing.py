@@ -40,8 +40,8 @@ def smooth_over_bands(
     prior_mean, prior_sd : float arrays, shape (n_bands, n_materials)
         Of logit absorption in every band by itself; `prior_sd` above 0.
     sd_per_octave : float
-        Standard deviation of the step over one octave, above 0. From 1.4 prior standard deviations
-        up, bands are independent, and nothing changes.
+        Standard deviation of the step over one octave, above 0. Where the step from one band to the
+        next reaches 1.4 prior standard deviations they are independent, and nothing changes.
     bands : Bands
         Of length n_bands; their distances are those of their exact centres.
 
@@ -68,7 +68,14 @@ def smooth_over_bands(
     .. [1] C. E. Rasmussen and C. K. I. Williams, "Gaussian Processes for Machine Learning", MIT
            Press (2006).
     """
-    n_bands, n = _checked_shape(means, covariances, prior_mean, prior_sd, sd_per_octave, bands)
+    if not sd_per_octave > 0.0:
+        raise InputError(
+            "the step between bands has no spread",
+            found=f"{sd_per_octave:g} per octave",
+            needed="above 0, in logit absorption",
+            hint="to fit one value for all bands, write a very small number",
+        )
+    n_bands, n = _checked_shape((means, prior_mean, prior_sd), covariances, len(bands))
     precision = np.zeros((n_bands, n, n_bands, n))
     pull = np.zeros((n_bands, n))
     held = np.zeros((n_bands, n), dtype=np.bool_)
@@ -113,31 +120,16 @@ def _walk_precision(prior_sd: FloatArray, sd_per_octave: float, bands: Bands) ->
 
 
 def _checked_shape(
-    means: FloatArray,
-    covariances: FloatArray,
-    prior_mean: FloatArray,
-    prior_sd: FloatArray,
-    sd_per_octave: float,
-    bands: Bands,
+    vectors: tuple[FloatArray, ...], covariances: FloatArray, n_bands: int
 ) -> tuple[int, int]:
-    if not sd_per_octave > 0.0:
-        raise InputError(
-            "the step between bands has no spread",
-            found=f"{sd_per_octave:g} per octave",
-            needed="above 0, in logit absorption",
-            hint="to fit one value for all bands, write a very small number",
-        )
-    shape, needed = np.shape(means), np.shape(covariances)
-    priors = {np.shape(prior_mean), np.shape(prior_sd)}
-    if (
-        len(shape) != 2
-        or shape[0] != len(bands)
-        or needed != (*shape, shape[-1])
-        or priors != {shape}
-    ):
+    """Return the shape that all vectors have, the covariances' but for their last axis."""
+    shapes = {np.shape(v) for v in vectors}
+    shape, square = np.shape(vectors[0]), np.shape(covariances)
+    alike = len(shapes) == 1 and len(shape) == 2 and square == (*shape, shape[-1])
+    if not alike or shape[0] != n_bands:
         raise InputError(
             "means, covariances, priors and bands do not belong together",
-            found=f"shapes {shape}, {needed} and {sorted(priors)}, {len(bands)} bands",
-            needed="(n_bands, n), (n_bands, n, n) and (n_bands, n)",
+            found=f"shapes {', '.join(map(str, sorted(shapes)))} and {square}, {n_bands} bands",
+            needed="(n_bands, n) and (n_bands, n, n)",
         )
     return int(shape[0]), int(shape[1])
