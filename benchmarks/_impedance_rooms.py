@@ -7,14 +7,13 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.air import Air
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.impedance.observed import Observed, complex_frequency_hz
-from roomfit.materials.impedance_laws import miki_layer, panel, r0_of_impedance, resonator
-from roomfit.scene.rooms import room_from_mesh
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.exact_box import damped_wavenumber_per_m, exact_box_pressure
-from roomfit.testproblems.impedance_box import SURFACES, noisy
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.impedance.data import Observed, complex_frequency_hz
+from roomfit.impedance.laws import miki_layer, panel, r0_of_impedance, resonator
+from roomfit.scene import Point, Scene, room_from_mesh
 from roomfit.typing import ComplexArray, FloatArray
+from simulated_rooms.exact_box import damped_wavenumber_per_m, exact_box_pressure
+from simulated_rooms.impedance_box import SURFACES, noisy
 
 SPEED_M_S = 343.0
 F_HZ = np.arange(100.0, 1001.0, 25.0)

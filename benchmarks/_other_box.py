@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.testproblems.pressure_box import WALLS, BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import WALLS, BoxTruth, add_noise, pressure_response
 
 RATE_HZ = 16_000
 LATE_SAMPLES = 40

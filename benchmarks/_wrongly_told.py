@@ -9,10 +9,16 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.testproblems.measured_box import BoxPlan, MeasuredBox, random_plan, write_measured_box
-from roomfit.testproblems.patched_box import Patch, patch_area_m2
-from roomfit.testproblems.scattering_box import write_scattering_box
-from roomfit.uncertainty.answer import Answer
+from roomfit.results import Answer
+from roomfit.synthetic.boxes import (
+    BoxPlan,
+    MeasuredBox,
+    Patch,
+    patch_area_m2,
+    random_plan,
+    write_measured_box,
+    write_scattering_box,
+)
 
 OCTAVES = 8  # of a plan, 63 to 8000 Hz
 TRUE_C = 20.0  # degrees, of every simulated room

@@ -21,13 +21,11 @@ import pyfar
 import pyrato
 
 from roomfit.bands import Bands, bands_between
-from roomfit.files.responses.read import read_response
-from roomfit.files.responses.spec import ResponseSpec
-from roomfit.signals.decay import decay_curve
+from roomfit.io.responses import read_response
+from roomfit.measurement import ResponseSpec
+from roomfit.signals.decay import ParameterName, decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.signals.onset import find_onset
-from roomfit.signals.room_parameters import ParameterName, room_parameters
+from roomfit.signals.response import ImpulseResponse, find_onset
 from roomfit.typing import FloatArray
 
 Published = Mapping[str, FloatArray]

@@ -16,11 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.app.identify import identify
 from roomfit.errors import CannotTell
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.testproblems.measured_box import random_plan, write_measured_box
-from roomfit.uncertainty.answer import Answer
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
+from roomfit.results import Answer
+from roomfit.synthetic.boxes import random_plan, write_measured_box
 
 BANDS = slice(1, 7)  # of the simulated octaves 63 to 8000 Hz, those that are fitted
 

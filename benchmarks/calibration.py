@@ -21,23 +21,14 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import write_other_box
-from roomfit.app.identify import identify
+from roomfit.coverage.report import calibration_table, verdict
+from roomfit.coverage.statistics import Calibration, calibration_rows, grouped_share, scaled_errors
 from roomfit.errors import CannotTell
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.materials.knowledge import DEFAULT_MEAN
-from roomfit.report.calibration_text import calibration_table, verdict
-from roomfit.testproblems.measured_polyhedron import (
-    Shape,
-    polyhedron_plan,
-    write_measured_polyhedron,
-)
-from roomfit.uncertainty.answer import Answer
-from roomfit.uncertainty.calibration import (
-    Calibration,
-    calibration_rows,
-    grouped_share,
-    scaled_errors,
-)
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
+from roomfit.materials.priors import DEFAULT_MEAN
+from roomfit.results import Answer
+from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 
 MOST_MATERIALS = 7
 SHAPES: tuple[Shape, ...] = ("slanted", "paper")

@@ -13,22 +13,24 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.identification.certified.boxes import tools_for
-from roomfit.identification.certified.certificate import certify
-from roomfit.identification.certified.question import Misfit
-from roomfit.identification.certified.questions import squares_question
-from roomfit.identification.certified.search import SearchSettings, first_guess, search
-from roomfit.objective.squares import SquaresProblem, error, squares_problem, window_energies
-from roomfit.testproblems.paper_problems import division_rows
-from roomfit.testproblems.paper_room import (
+from roomfit.certified.certificate import certify
+from roomfit.certified.question import Misfit
+from roomfit.certified.search import SearchSettings, first_guess, search, tools_for
+from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.room import (
     DIVISIONS,
     N_RAYS,
     Division,
+    SquaresProblem,
     arrivals_ms,
+    division_rows,
+    error,
     ill_defined_edges_s,
     paper_edges_s,
     paper_scene,
+    squares_problem,
     trace_paper_room,
+    window_energies,
 )
 from roomfit.tracing.paths import Paths
 
@@ -118,8 +120,7 @@ def _heard(problem: SquaresProblem) -> SquaresProblem:
 
 def picture(own: Paths, file: Path) -> None:
     """Draw the boxes left over for the narrow valley of Figure 5 at three values of delta."""
-    from roomfit.report.certificate_picture import boxes_figure
-    from roomfit.report.pictures import png
+    from roomfit.report.figures import boxes_figure, png
 
     problem = problem_of(own, own, DIVISIONS[2], 50, case=0)
     question = squares_question(problem)

@@ -8,8 +8,8 @@ The paper's room with its seven surfaces apart; nothing is known of them beforeh
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
 200 random designs from the same candidates under the same rules. Then what is: responses of the
 chosen pairs, and of some random designs, are simulated as pressures that are followed from cell to
-cell (`roomfit.testproblems.pressure_polyhedron`), with the truth of
-`roomfit.testproblems.paper_room`, places off by --position-error, a loudspeaker that is uneven by
+cell (`roomfit.synthetic.polyhedra`), with the truth of
+`roomfit.suh2001.room`, places off by --position-error, a loudspeaker that is uneven by
 --loudspeaker-db from octave to octave, and noise; and identified as anybody's. Each design is
 measured --noises times, with other errors of places, levels and noise. --promise leaves the second
 part out; --pictures draws the first design.
@@ -24,18 +24,17 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.app.designing.design import design
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import Campaign, read_campaign
-from roomfit.placement.answer import Design, mean_widths
-from roomfit.placement.choose import CRITERIA, Rules, random_design
-from roomfit.placement.places import compatible_places
-from roomfit.report.design_pictures import design_gain, design_map
-from roomfit.report.pictures import png
-from roomfit.testproblems.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
-from roomfit.testproblems.paper_room import DIVISIONS, PLANES
-from roomfit.testproblems.polyhedral_rooms import paper_cells
-from roomfit.testproblems.polyhedron_cells import obj_text
+from roomfit.experiment_design.candidates import compatible_places
+from roomfit.experiment_design.choose import CRITERIA, Design, Rules, mean_widths, random_design
+from roomfit.experiment_design.design import design
+from roomfit.experiment_design.output import design_gain, design_map
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.report.figures import png
+from roomfit.suh2001.room import DIVISIONS, PLANES
+from roomfit.synthetic.polyhedra import obj_text
+from simulated_rooms.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
+from simulated_rooms.polyhedral_rooms import paper_cells
 
 DURATION_S = 0.325
 N_OCTAVES = 8

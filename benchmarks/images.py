@@ -19,20 +19,18 @@ from typing import Any
 import numpy as np
 
 from roomfit.geometry.mesh import corners_m
-from roomfit.scene.room import Room
-from roomfit.testproblems.polyhedral_rooms import (
+from roomfit.scene import Room
+from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3
+from roomfit.tracing.image_sources import expected_images, polyhedron_images
+from roomfit.tracing.paths import ImageSet
+from roomfit.typing import FloatArray
+from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
     l_shaped_cells,
     paper_cells,
     room_of,
     slanted_cells,
 )
-from roomfit.testproblems.polyhedron_cells import Cells, cell_volume_m3
-from roomfit.testproblems.polyhedron_images import cell_images
-from roomfit.tracing.images_budget import expected_images
-from roomfit.tracing.images_polyhedron import polyhedron_images
-from roomfit.tracing.images_set import ImageSet
-from roomfit.typing import FloatArray
 
 SPEED_M_S = 343.0
 ALL_ORDERS = 1000

@@ -1,7 +1,7 @@
 """Impedances found again: the table A1 to A10 of docs/impedance.md.
 
 ``scripts/bench impedance`` runs all, half an hour on one core; ``scripts/bench impedance A3 A9``
-some. Fields are exact waves of a box (`roomfit.testproblems.exact_box`) but in A6 and A10.
+some. Fields are exact waves of a box (`simulated_rooms.exact_box`) but in A6 and A10.
 """
 
 from __future__ import annotations
@@ -16,15 +16,20 @@ import numpy as np
 
 from _impedance_rooms import random_case
 from roomfit.air import Air
-from roomfit.identification.annealing import AnnealingSettings, anneal
-from roomfit.identification.fit import Fit
-from roomfit.identification.simplex import SimplexSettings, downhill_simplex, random_simplex
-from roomfit.impedance.answer import ImpedanceAnswer
-from roomfit.impedance.fit import refined, relaxed
+from roomfit.impedance.data import Observed, complex_frequency_hz
+from roomfit.impedance.fit import distance, distinct, looked_around, refined, relaxed
 from roomfit.impedance.identify import identify_impedance, wave_problem
-from roomfit.impedance.layout import layout_of, start_of
-from roomfit.impedance.layout import r0_of as r0_matrix
-from roomfit.impedance.model import (
+from roomfit.impedance.laws import (
+    absorption_normal,
+    impedance_of_r0,
+    miki_layer,
+    r0_of_impedance,
+    resonator,
+)
+from roomfit.impedance.problem import layout_of, start_of
+from roomfit.impedance.problem import r0_of as r0_matrix
+from roomfit.impedance.result import ImpedanceAnswer
+from roomfit.impedance.wave_model import (
     Nuisances,
     State,
     at_frequencies,
@@ -33,17 +38,17 @@ from roomfit.impedance.model import (
     wave_model,
     wavenumber_per_m,
 )
-from roomfit.impedance.observed import Observed, complex_frequency_hz
-from roomfit.impedance.starts import distance, distinct, looked_around
-from roomfit.materials.impedance_laws import (
-    absorption_normal,
-    impedance_of_r0,
-    miki_layer,
-    r0_of_impedance,
-    resonator,
+from roomfit.scene import Point, Scene
+from roomfit.solvers.search import (
+    AnnealingSettings,
+    Fit,
+    SimplexSettings,
+    anneal,
+    downhill_simplex,
+    random_simplex,
 )
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.impedance_box import (
+from roomfit.typing import ComplexArray, FloatArray
+from simulated_rooms.impedance_box import (
     SURFACES,
     WALLS,
     box_scene,
@@ -52,9 +57,8 @@ from roomfit.testproblems.impedance_box import (
     rms_by_material,
     true_r0,
 )
-from roomfit.testproblems.polyhedral_rooms import room_of, slanted_cells
-from roomfit.testproblems.wave_images import bulk_reacting, image_pressure, locally_reacting
-from roomfit.typing import ComplexArray, FloatArray
+from simulated_rooms.polyhedral_rooms import room_of, slanted_cells
+from simulated_rooms.wave_images import bulk_reacting, image_pressure, locally_reacting
 
 F_HZ = np.arange(100.0, 1001.0, 10.0)
 TAU_S = 0.015

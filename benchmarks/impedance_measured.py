@@ -15,13 +15,12 @@ from pathlib import Path
 import numpy as np
 
 from measured_rooms import DELFT_SHIFT_M, bras_campaign, dechorate_campaign, delft_campaign
-from roomfit.app.impedance.campaign import identify_campaign_impedance
-from roomfit.app.impedance.observing import campaign_pressures
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.rooms.read import read_room
+from roomfit.impedance.campaign import campaign_pressures, identify_campaign_impedance
 from roomfit.impedance.identify import wave_problem
-from roomfit.impedance.model import at_rest, predicted_pressure
-from roomfit.impedance.rows import source_spectra
+from roomfit.impedance.problem import source_spectra
+from roomfit.impedance.wave_model import at_rest, predicted_pressure
+from roomfit.io.campaign import read_campaign
+from roomfit.io.rooms import read_room
 
 TAU_S = 0.012
 _ALTERNATIONS = 30

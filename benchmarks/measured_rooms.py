@@ -30,12 +30,12 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
-from roomfit.app.gathering import gather
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.rooms.read import read_room
-from roomfit.report.answer_text import absorption_table, directivity_text, separable_text
-from roomfit.uncertainty.answer import Answer
+from roomfit.inversion.identify import identify
+from roomfit.inversion.measurements import gather
+from roomfit.io.campaign import read_campaign
+from roomfit.io.rooms import read_room
+from roomfit.report.text import absorption_table, directivity_text, separable_text
+from roomfit.results import Answer
 
 DECHORATE_ROOM = """
 [room]

@@ -3,7 +3,7 @@
     python benchmarks/polyhedra.py [--rooms paper slanted l-shaped] [--seeds 1 2 3]
         [--position-error 0.01] [--plane-error 0] [--loudspeaker-db 3] [--no-energy]
 
-Responses come from `roomfit.testproblems.pressure_polyhedron`, which follows pressures from cell to
+Responses come from `roomfit.synthetic.polyhedra`, which follows pressures from cell to
 cell, shares no code with the search for image sources, and goes on for longer than any fit; files
 are written as a campaign and read back as anybody's. Sources and receivers stand some
 --position-error away from where they are told, in each coordinate, and the planes of the drawing
@@ -21,14 +21,14 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import Campaign, read_campaign
-from roomfit.testproblems.measured_polyhedron import (
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.results import Answer
+from simulated_rooms.measured_polyhedron import (
     MeasuredPolyhedron,
     polyhedron_plan,
     write_measured_polyhedron,
 )
-from roomfit.uncertainty.answer import Answer
 
 ROOMS = ("paper", "slanted", "l-shaped")
 

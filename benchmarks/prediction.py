@@ -17,16 +17,15 @@ import numpy as np
 import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.identify import identify
-from roomfit.app.predicting.predict import predict_campaign
 from roomfit.bands import bands_between
-from roomfit.files.campaign.campaign import input_files, read_campaign
-from roomfit.files.result_reader import read_result
-from roomfit.files.results import write_result
-from roomfit.signals.parameter_gradients import ValueName
-from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.results import read_result, write_result
+from roomfit.prediction.predict import predict_campaign
+from roomfit.prediction.prediction import PredictedPair
+from roomfit.signals.iso3382 import ValueName
+from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior
-from roomfit.uncertainty.prediction import PredictedPair
 
 LENGTHS_M = (3.9, 3.1, 2.5)
 SOURCE_M = (1.0, 1.2, 1.1)

@@ -20,17 +20,15 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.response.energy import monte_carlo_sd, weigh
-from roomfit.response.rows import energy_rows
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.hall import hall_room
-from roomfit.testproblems.paper_room import paper_scene
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import Estimator, TraceSettings
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.energy import energy_rows, monte_carlo_sd, weigh
+from roomfit.scene import Point, Room, Scene
+from roomfit.suh2001.room import paper_scene
+from roomfit.tracing.paths import Estimator, TraceSettings
+from roomfit.tracing.trace import trace
+from simulated_rooms.hall import hall_room
 
 SCATTERINGS = (0.1, 0.3, 0.7)
 ABSORPTION = 0.2

@@ -18,13 +18,10 @@ import numba
 import numpy as np
 
 from roomfit.geometry.mesh import corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.objective.squares import residuals, squares_problem
-from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, energy_rows
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.paper_room import (
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.energy import EnergyRows, energy_rows, weigh
+from roomfit.scene import Room, Scene
+from roomfit.suh2001.room import (
     DIVISIONS,
     DURATION_S,
     N_RAYS,
@@ -34,9 +31,11 @@ from roomfit.testproblems.paper_room import (
     arrivals_ms,
     paper_edges_s,
     paper_scene,
+    residuals,
+    squares_problem,
     trace_paper_room,
 )
-from roomfit.tracing.images import trace_images
+from roomfit.tracing.image_sources import trace_images
 
 REPETITIONS = 7
 

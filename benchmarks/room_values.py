@@ -25,34 +25,34 @@ import numpy as np
 
 from measured_rooms import bras_campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.binning import BinnedPaths, bin_paths
-from roomfit.app.certainty.combinations import band_combinations
-from roomfit.app.fitting import BandAnswer, fit_bands
-from roomfit.app.measuring import measure
-from roomfit.app.problems import band_problems
-from roomfit.app.values import compared_values, predicted_values, value_problems
 from roomfit.bands import bands_between
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.parameters import read_parameters
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
-from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.identification.start import eyring_absorption
-from roomfit.materials.knowledge import (
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.compare import compared_values
+from roomfit.io.campaign import read_campaign
+from roomfit.io.iso3382 import read_parameters
+from roomfit.io.measurements import measure
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.materials.priors import (
     MaterialKnowledge,
+    Scattering,
     logit_prior,
     prior_logits,
     unknown_material,
 )
-from roomfit.materials.scattering import Scattering
+from roomfit.objective.observation import band_problems
 from roomfit.objective.problem import BandProblem, JointProblem
-from roomfit.scene.room import material_areas_m2
-from roomfit.scene.scene import Point, Scene
-from roomfit.signals.measured_values import MeasuredValues
-from roomfit.signals.parameter_gradients import VALUE_NAMES, ValueName
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
-from roomfit.uncertainty.straight_draws import draw_along_data
+from roomfit.objective.room_parameters import predicted_values, value_problems
+from roomfit.response.binned import BinnedPaths, bin_paths
+from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
+from roomfit.solvers.least_squares import eyring_absorption
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
+from roomfit.uncertainty.combinations import band_combinations
+from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.posterior import draw_along_data
 
 BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000

@@ -24,16 +24,14 @@ import soundfile
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import BandKind, Bands, bands_between
 from roomfit.geometry.mesh import Mesh, Surface, corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.response.energy import weigh
-from roomfit.response.rows import energy_rows
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.energy import energy_rows, weigh
+from roomfit.scene import Point, Room, Scene
 from roomfit.signals.filters import FilterBank, filter_pressure
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.testproblems.hall import hall_room
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.signals.response import ImpulseResponse
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
+from simulated_rooms.hall import hall_room
 
 N_MATERIALS = 20
 RATE_HZ = 32_000

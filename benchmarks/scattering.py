@@ -19,11 +19,10 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.testproblems.measured_box import MeasuredBox, random_plan
-from roomfit.testproblems.scattering_box import write_scattering_box
-from roomfit.uncertainty.answer import Answer
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
+from roomfit.results import Answer
+from roomfit.synthetic.boxes import MeasuredBox, random_plan, write_scattering_box
 
 GRID = (0.05, 0.15, 0.3, 0.5)
 

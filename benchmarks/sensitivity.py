@@ -2,7 +2,7 @@
 
     python benchmarks/sensitivity.py [--first SEED] [--rooms N] [--faults NAME ...]
 
-Boxes of `roomfit.testproblems.measured_box` (pressures of image sources, noise, eight pairs, six
+Boxes of `roomfit.synthetic.boxes` (pressures of image sources, noise, eight pairs, six
 octaves, places 1 cm wrong), one fault at a time in what the campaign says of them. Where a wall is
 of two materials and told as one, the truth is its mean over the area. "wrong" are values called
 identifiable whose 95 % interval does not hold the truth; "far" those of them that miss it by more
@@ -21,9 +21,9 @@ from pathlib import Path
 import numpy as np
 
 from _wrongly_told import FAULTS, Fault, truth_of, write_wrongly_told
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.uncertainty.answer import Answer
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
+from roomfit.results import Answer
 
 # Findings that short decays and low bands have in any of these rooms.
 QUIET = {"decay-range-too-small", "below-schroeder-frequency"}

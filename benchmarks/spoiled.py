@@ -17,8 +17,8 @@ import numpy as np
 import soundfile
 
 from _other_box import OtherBox, write_other_box
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import read_campaign
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
 
 KINDS = ("whole", "clipped", "room", "gain", "swapped", "place")
 TARGET = "LS1_MP2.wav"

@@ -27,15 +27,13 @@ from embreex.rtcore_scene import EmbreeScene
 from _embree import embree_hits, embree_of
 from roomfit.air import Air
 from roomfit.geometry.mesh import corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.hall import hall_room
-from roomfit.testproblems.paper_room import SPEED_OF_SOUND_M_S, paper_scene
-from roomfit.tracing.acceleration import Walls, next_wall, walls_of
-from roomfit.tracing.directions import fibonacci_directions
-from roomfit.tracing.rays import path_bytes, trace_rays
-from roomfit.tracing.settings import TraceSettings
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import Point, Room, Scene
+from roomfit.suh2001.room import SPEED_OF_SOUND_M_S, paper_scene
+from roomfit.tracing.bvh import Walls, next_wall, walls_of
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.rays import fibonacci_directions, path_bytes, trace_rays
+from simulated_rooms.hall import hall_room
 
 REPEATS = 3
 

@@ -6,10 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.identification.certified.question import Misfit, Question
-from roomfit.identification.certified.questions import squares_question
-from roomfit.objective.squares import SquaresProblem, squares_problem
-from roomfit.response.rows import EnergyRows
+from roomfit.certified.question import Misfit, Question
+from roomfit.response.energy import EnergyRows
+from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.room import SquaresProblem, squares_problem
 from roomfit.typing import FloatArray
 
 _ORDER = 8

@@ -8,31 +8,22 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from roomfit.air import Air
-from roomfit.app.binning import BinnedPaths, bin_paths, in_band
-from roomfit.app.coherent.problems import coherent_problem
 from roomfit.bands import Bands
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.objective.coherent_geometry import Geometry
-from roomfit.objective.coherent_problem import CoherentProblem
-from roomfit.objective.energy_problem import (
-    EnergyProblem,
-    Observation,
-    fine_edges_s,
-    in_air,
-    lone_rows,
-)
-from roomfit.objective.parameters import Block, Parameters
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.materials.priors import uniform_scattering
+from roomfit.objective.coherent import CoherentProblem, coherent_problem
+from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.parameters import Block, Geometry, Parameters
 from roomfit.objective.windows import window_edges_s
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
+from roomfit.response.binned import BinnedPaths, bin_paths, in_band
+from roomfit.scene import Point, Room, Scene
 from roomfit.signals.filters import (
     FilterBank,
     energy_share,
     smearing_kernel,
     statistical_bandwidth_hz,
 )
-from roomfit.tracing.images import trace_images
+from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 
 SPEED_M_S = 340.0

@@ -12,10 +12,8 @@ import numpy as np
 
 from roomfit.air import Air
 from roomfit.geometry.build import Face, build_mesh
-from roomfit.geometry.mesh import Mesh, Surface, corners_m, is_double_sided
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.scene.room import Room, triangle_material
-from roomfit.scene.scene import Point, Scene
+from roomfit.geometry.mesh import Mesh, Surface, corners_m, is_double_sided, shoebox_mesh
+from roomfit.scene import Point, Room, Scene, triangle_material
 from roomfit.typing import FloatArray
 
 SPEED_M_S = 340.0

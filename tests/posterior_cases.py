@@ -6,8 +6,13 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.objective.coherent_geometry import GEOMETRY
-from roomfit.objective.parameters import Block, Parameters, fitted_columns, physical_values
+from roomfit.objective.parameters import (
+    GEOMETRY,
+    Block,
+    Parameters,
+    fitted_columns,
+    physical_values,
+)
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
 from roomfit.typing import BoolArray, FloatArray
 

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.geometry.mesh import Mesh, Surface, corners_m
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.scene.room import Room, triangle_material
-from roomfit.scene.scene import Scene
+from roomfit.geometry.mesh import Mesh, Surface, corners_m, shoebox_mesh
+from roomfit.scene import Room, Scene, triangle_material
 from roomfit.typing import FloatArray
 
 

@@ -15,11 +15,10 @@ import numpy as np
 from roomfit.air import Air
 from roomfit.bands import bands_between
 from roomfit.findings import Finding
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.scene.room import Room, material_areas_m2
-from roomfit.scene.scene import Point, Scene
-from roomfit.signals.jnd import in_jnd
-from roomfit.uncertainty.answer import Answer, Compared, ComparedPair, Decay
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.results import Answer, Compared, ComparedPair, Decay
+from roomfit.scene import Point, Room, Scene, material_areas_m2
+from roomfit.signals.decay import in_jnd
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser"))), None)
 VALUES = {

@@ -11,7 +11,7 @@ import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
 
 RATE_HZ = 8000
 LENGTHS_M = (3.9, 3.1, 2.5)

@@ -16,15 +16,13 @@ import pytest
 
 from images_reference import BOX_M, BOX_MATERIALS, SPEED_M_S, box_room, l_shaped_room, scene_of
 from roomfit.geometry.mesh import corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.response.energy import weigh
-from roomfit.response.rows import energy_rows
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.paper_room import paper_scene
-from roomfit.tracing.images import trace_images
-from roomfit.tracing.join import trace
-from roomfit.tracing.paths import Paths
-from roomfit.tracing.settings import TraceSettings
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.energy import energy_rows, weigh
+from roomfit.scene import Scene
+from roomfit.suh2001.room import paper_scene
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
 
 pra = pytest.importorskip("pyroomacoustics")

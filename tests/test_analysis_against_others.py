@@ -11,14 +11,22 @@ import pytest
 
 from roomfit.air import Air, attenuation_per_m
 from roomfit.bands import bands_between
-from roomfit.files.responses.read import read_response
-from roomfit.files.responses.spec import ResponseSpec
-from roomfit.signals.decay import decay_curve
+from roomfit.io.responses import read_response
+from roomfit.measurement import ResponseSpec
+from roomfit.signals.decay import (
+    RoomParameters,
+    check_decay_range,
+    check_is_response,
+    decay_curve,
+    room_parameters,
+)
 from roomfit.signals.filters import FilterBank
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.signals.onset import compare_onset, find_onset, time_zero_from_direct
-from roomfit.signals.plausibility import check_decay_range, check_is_response
-from roomfit.signals.room_parameters import RoomParameters, room_parameters
+from roomfit.signals.response import (
+    ImpulseResponse,
+    compare_onset,
+    find_onset,
+    time_zero_from_direct,
+)
 
 OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))
 

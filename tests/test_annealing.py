@@ -8,8 +8,13 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError
-from roomfit.identification.annealing import AnnealingSettings, accepts, anneal
-from roomfit.identification.simplex import downhill_simplex, random_simplex
+from roomfit.solvers.search import (
+    AnnealingSettings,
+    accepts,
+    anneal,
+    downhill_simplex,
+    random_simplex,
+)
 from roomfit.typing import FloatArray
 
 TRUE = np.array([0.62, 0.27])

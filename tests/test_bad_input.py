@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 from scipy.io import savemat
 
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.store import CACHE_FOLDER
+from roomfit.cache import CACHE_FOLDER
+from roomfit.io.campaign import read_campaign
 from small_campaign import (
     MATERIALS,
     RATE_HZ,
@@ -248,15 +248,15 @@ def test_an_interruption_ends_with_130_and_leaves_no_result(tmp_path, monkeypatc
 
     What stays is the cache, from which the next run goes on.
     """
-    import roomfit.app.cached_trace
-    import roomfit.app.identify
-    import roomfit.report.pictures
+    import roomfit.commands
+    import roomfit.inversion.trace_plan
+    import roomfit.report.figures
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
-    owners = {"trace": roomfit.app.cached_trace, "png": roomfit.report.pictures}
-    monkeypatch.setattr(owners.get(when, roomfit.app.identify), when, interrupted)
+    owners = {"trace": roomfit.inversion.trace_plan, "png": roomfit.report.figures}
+    monkeypatch.setattr(owners.get(when, roomfit.commands), when, interrupted)
     campaign = write_campaign(tmp_path / "campaign")
     before = files_of(tmp_path)
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "a" / "out") == 130
@@ -271,12 +271,12 @@ def files_of(folder: Path) -> list[Path]:
 
 
 def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
-    import roomfit.files.store
+    import roomfit.cache
 
     def full(_descriptor: int) -> None:
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(roomfit.files.store.os, "fsync", full)
+    monkeypatch.setattr(roomfit.cache.os, "fsync", full)
     campaign = write_campaign(tmp_path / "campaign")
     before = sorted(p for p in tmp_path.rglob("*") if p.is_file())
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 2
@@ -286,7 +286,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
 
 def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     """20 cm from the wall a sphere of 50 cm does not fit; scattering walls call for rays."""
-    from roomfit.app.identify import identify
+    from roomfit.inversion.identify import identify
 
     campaign = write_campaign(
         tmp_path / "campaign",
@@ -304,7 +304,7 @@ def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
 
 
 def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
-    from roomfit.app.identify import identify
+    from roomfit.inversion.identify import identify
 
     campaign = write_campaign(tmp_path / "campaign", (FIRST_FILE, f"{FIRST_FILE}\nlatency_s=-0.02"))
     late = [f for f in identify(read_campaign(campaign)).findings if f.code.startswith("time-zero")]

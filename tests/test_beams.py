@@ -14,25 +14,20 @@ from hypothesis import strategies as st
 from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.room import Room
-from roomfit.testproblems.polyhedral_rooms import (
-    l_shaped_cells,
-    paper_cells,
-    room_of,
-    slanted_cells,
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import Room
+from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3, with_moved_planes
+from roomfit.tracing.image_sources import (
+    affordable_duration_s,
+    expected_images,
+    polyhedron_images,
+    shoebox_images,
+    trace_images,
 )
-from roomfit.testproblems.polyhedron_cells import Cells, cell_volume_m3, with_moved_planes
-from roomfit.testproblems.polyhedron_images import cell_images
-from roomfit.tracing.images import trace_images
-from roomfit.tracing.images_budget import affordable_duration_s, expected_images
-from roomfit.tracing.images_outline import convex_pieces
-from roomfit.tracing.images_polyhedron import polyhedron_images
-from roomfit.tracing.images_set import ImageSet
-from roomfit.tracing.images_shoebox import shoebox_images
-from roomfit.tracing.images_walls import mirrors_of
-from roomfit.tracing.paths import Paths, concatenate, select
+from roomfit.tracing.paths import ImageSet, Paths, concatenate, select
+from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray, IntArray
+from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, room_of, slanted_cells
 
 ALL_ORDERS = 1000
 # Some 30 mirrorings of coordinates of some 50 m: 30 * 50 * 2**-53 = 2e-13.

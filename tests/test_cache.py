@@ -17,18 +17,25 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.air import Air
-from roomfit.app.cached_trace import cached_trace
+from roomfit.cache import (
+    CACHE_FOLDER,
+    BrokenRecordError,
+    Cache,
+    cache_of,
+    cached,
+    check_output_folder,
+    digest,
+    load_record,
+    save_record,
+    whole_output_folder,
+)
 from roomfit.errors import InputError
-from roomfit.files.cache import Cache, cache_of, cached
-from roomfit.files.digests import digest
-from roomfit.files.records import BrokenRecordError, load_record, save_record
-from roomfit.files.store import CACHE_FOLDER, check_output_folder, whole_output_folder
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.rooms import room_from_mesh
-from roomfit.scene.scene import Point, Scene
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.trace_plan import cached_trace
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import Point, Scene, room_from_mesh
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
 from small_campaign import ABSORPTION, write_campaign
 
 

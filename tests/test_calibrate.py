@@ -13,38 +13,52 @@ from hypothesis import strategies as st
 from scipy.stats import binomtest
 from typer.testing import CliRunner
 
-import roomfit.app.calibrating.sound
-import roomfit.app.planning
-from roomfit.app.calibrating.calibrate import calibrate
-from roomfit.app.calibrating.files import calibrate_to_folder, calibration_json, result_text
-from roomfit.app.calibrating.plan import CalibrationPlan, TabulatedPair, calibration_plan
-from roomfit.app.calibrating.recording import made_rate_hz, recorded
-from roomfit.app.calibrating.settings import CalibrationSettings
-from roomfit.app.calibrating.sound import BOX, CONVEX, TRACED, Sound, made_sound, road_of
-from roomfit.app.calibrating.tables import made_table
-from roomfit.app.calibrating.traced_sound import traced_pressures
-from roomfit.app.calibrating.truth import draw_truth
+import roomfit.coverage.simulate
+import roomfit.inversion.trace_plan
 from roomfit.bands import bands_between
 from roomfit.cli.commands import app
-from roomfit.errors import InputError
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.parameters import read_parameters
-from roomfit.files.replicates import read_replicate, replicate_path
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.geometry.measures import volume_m3
-from roomfit.report.calibration_text import calibration_text
-from roomfit.testproblems.convex_cells import convex_cells
-from roomfit.testproblems.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
-from roomfit.testproblems.polyhedron_cells import cell_volume_m3, obj_text
-from roomfit.testproblems.pressure_box import add_noise, octave_shares
-from roomfit.uncertainty.calibration import (
+from roomfit.coverage.calibrate import calibrate, read_replicate, replicate_path
+from roomfit.coverage.report import (
+    calibrate_to_folder,
+    calibration_json,
+    calibration_text,
+    result_text,
+)
+from roomfit.coverage.simulate import (
+    BOX,
+    CONVEX,
+    TRACED,
+    Sound,
+    made_rate_hz,
+    made_sound,
+    made_table,
+    recorded,
+    road_of,
+    traced_pressures,
+)
+from roomfit.coverage.statistics import (
     Calibration,
     calibration_rows,
     coverage_at,
     grouped_share,
     scaled_errors,
 )
+from roomfit.coverage.truth import (
+    CalibrationPlan,
+    CalibrationSettings,
+    TabulatedPair,
+    calibration_plan,
+    draw_truth,
+)
+from roomfit.errors import InputError
+from roomfit.geometry.mesh import volume_m3
+from roomfit.io.campaign import read_campaign
+from roomfit.io.iso3382 import read_parameters
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.synthetic.boxes import add_noise, octave_shares
+from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
+from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
 from small_campaign import small_responses, write_campaign, write_wav
 
 CAMPAIGN = """
@@ -516,8 +530,8 @@ def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypa
     text += "[receivers.MP1]\nposition = [4.05, 1.35, 1.2]\nposition_sd = 0.01\n"
     text += '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "later.wav"\n'
     file, out = campaign_file(tmp_path, text), tmp_path / "out"
-    monkeypatch.setattr(roomfit.app.planning, "N_RAYS", 2000)
-    monkeypatch.setitem(roomfit.app.calibrating.sound._MOST_IMAGES, CONVEX, 20_000)
+    monkeypatch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
+    monkeypatch.setitem(roomfit.coverage.simulate._MOST_IMAGES, CONVEX, 20_000)
     asked = ["calibrate", str(file), "--out", str(out), "--replicates", "1", "--snr-db", "50"]
     first = CliRunner().invoke(app, asked)
     assert first.exit_code == 0, first.exception

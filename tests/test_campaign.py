@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.campaign.materials import material_knowledge
+from roomfit.io.campaign import read_campaign
+from roomfit.io.materials import material_knowledge
 from roomfit.materials.catalogue import catalogue, catalogue_prior
-from roomfit.materials.knowledge import logit_prior, sampling_scattering
+from roomfit.materials.priors import logit_prior, sampling_scattering
 
 GOOD = """
 [room]

@@ -15,21 +15,19 @@ from roomfit.bands import bands_between
 from roomfit.cli import main
 from roomfit.errors import InputError
 from roomfit.materials.catalogue import (
-    catalogue,
-    catalogue_from,
-    catalogue_prior,
-    find_material,
-    search_catalogue,
-)
-from roomfit.materials.knowledge import logit_prior
-from roomfit.materials.typical import (
     HIGH_WIDENING,
     LOW_WIDENING,
     OCTAVES_HZ,
+    catalogue,
+    catalogue_from,
+    catalogue_prior,
     distinct,
+    find_material,
     logit,
+    search_catalogue,
     typical_logit,
 )
+from roomfit.materials.priors import logit_prior
 
 # Names in the table of Vorlaender, "Auralization" (Springer 2008), as pyroomacoustics spells them.
 SAME_MATERIAL = {

@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, scene_of
-from roomfit.report.certainty_pictures import (
+from roomfit.report.figures import (
     corner_figure,
     identifiability_figure,
     profiles_figure,
+    shown_profiles,
 )
-from roomfit.report.html.absorption_tables import prior_tables
-from roomfit.report.html.certainty_plots import corner_plot, identifiability_plot, profile_plot
-from roomfit.uncertainty.choice import shown_profiles
+from roomfit.report.html.figures import corner_plot, identifiability_plot, profile_plot
+from roomfit.report.html.tables import prior_tables
 from roomfit.uncertainty.profile import Profile
 
 

@@ -11,32 +11,28 @@ import pytest
 from scipy.optimize import minimize
 
 from certified_cases import misfit_of, random_case, reaching_black
+from roomfit.certified import search as boxes_module
+from roomfit.certified.bounds import planes_over, powers
+from roomfit.certified.certificate import certify, touching
+from roomfit.certified.convex import is_convex, least_over, priors_over
+from roomfit.certified.question import Misfit, Question
+from roomfit.certified.search import Lowest, Searched, SearchSettings, examine, search, tools_for
 from roomfit.errors import InputError
-from roomfit.identification.certified import boxes as boxes_module
-from roomfit.identification.certified.boxes import Lowest, examine, tools_for
-from roomfit.identification.certified.certificate import certify, touching
-from roomfit.identification.certified.convex import least_over
-from roomfit.identification.certified.convexity import is_convex
-from roomfit.identification.certified.priors import priors_over
-from roomfit.identification.certified.question import Misfit, Question
-from roomfit.identification.certified.questions import squares_question
-from roomfit.identification.certified.rows import powers
-from roomfit.identification.certified.sandwich import planes_over
-from roomfit.identification.certified.search import Searched, SearchSettings, search
-from roomfit.identification.least_squares import fit_least_squares
-from roomfit.objective.squares import (
+from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.room import (
+    DIVISIONS,
     SquaresProblem,
+    division_rows,
+    ill_defined_edges_s,
+    paper_problem,
+    paper_scene,
     residuals,
     squares_problem,
+    trace_paper_room,
+    walls_apart_problem,
     window_energies,
 )
-from roomfit.testproblems.paper_problems import division_rows, paper_problem, walls_apart_problem
-from roomfit.testproblems.paper_room import (
-    DIVISIONS,
-    ill_defined_edges_s,
-    paper_scene,
-    trace_paper_room,
-)
+from roomfit.suh2001.searches import fit_least_squares
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
@@ -300,7 +296,7 @@ def test_an_interrupt_loses_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
             raise KeyboardInterrupt
         return examine(*arguments)
 
-    monkeypatch.setattr("roomfit.identification.certified.search.examine", interrupted)
+    monkeypatch.setattr("roomfit.certified.search.examine", interrupted)
     found = search(question, SearchSettings(1e-3))
     assert found.n_open > 0
     points = np.random.default_rng(2).random((20_000, 3)) * 0.9995

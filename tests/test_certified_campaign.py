@@ -11,25 +11,24 @@ import numpy as np
 import pytest
 
 import roomfit
-from roomfit.app import fitting
-from roomfit.app.certainty.certifying import (
+from roomfit.bands import Bands
+from roomfit.certified.certificate import (
+    Certificate,
     CertifyLimits,
     affordable_certificate,
     certificate_findings,
     certified_fit,
     tracing_delta,
 )
-from roomfit.bands import Bands
-from roomfit.identification.certified.boxes import tools_for
-from roomfit.identification.certified.certificate import Certificate
-from roomfit.identification.certified.descent import total_misfit
-from roomfit.identification.certified.questions import energy_question, free_vector
-from roomfit.identification.reweighted import fit_band
-from roomfit.identification.solvers import gauss_newton
-from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.certified.convex import total_misfit
+from roomfit.certified.question import energy_question, free_vector
+from roomfit.certified.search import tools_for
+from roomfit.inversion import bands as fitting
+from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import JointProblem
-from roomfit.report.answer_text import certificate_text
+from roomfit.report.text import certificate_text
+from roomfit.solvers.least_squares import fit_band, gauss_newton
 from small_campaign import write_campaign
 
 # one band, and one material known, so that two absorptions and a gain are left

@@ -142,12 +142,12 @@ def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypat
 
 def test_a_demo_that_cannot_be_finished_leaves_nothing(tmp_path, monkeypatch):
     """Its campaign is written before it is identified: both appear, or neither."""
-    import roomfit.app.demo
+    import roomfit.commands
 
     def interrupted(*_args: object, **_settings: object) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(roomfit.app.demo, "write_measured_box", interrupted)
+    monkeypatch.setattr(roomfit.commands, "write_measured_box", interrupted)
     assert run_command(monkeypatch, "demo", "--out", tmp_path / "demo") == 130
     assert list(tmp_path.iterdir()) == []
 

@@ -8,22 +8,22 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_problem, with_data
-from roomfit.app.coherent.answers import widened_by_neighbours
-from roomfit.app.fitting import BandAnswer
-from roomfit.identification.coherence_rounds import without_band
-from roomfit.identification.scoring import marginal, score_band
-from roomfit.objective.coherent_geometry import GEOMETRY, whole_covariance
-from roomfit.objective.coherent_problem import with_coherence
+from roomfit.inversion.sequential import without_band
+from roomfit.inversion.systematics import widened_by_neighbours
+from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import (
+    GEOMETRY,
     Block,
     JointPrior,
     Parameters,
     prior_residuals,
     start_vector,
+    whole_covariance,
 )
-from roomfit.objective.problem import Prediction
-from roomfit.objective.softened import SoftenedProblem
+from roomfit.objective.problem import Prediction, SoftenedProblem
+from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.gaussian import BandAnswer
 
 N_OWN, N_SHARED = 2, 3
 

@@ -16,18 +16,17 @@ from coherent_cases import (
     small_problem,
     small_scene,
 )
-from roomfit.app.binning import bin_paths, in_band
 from roomfit.bands import Bands
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
-from roomfit.objective.energy_problem import first_windows, predict_windows, window_variance
+from roomfit.materials.priors import uniform_scattering
+from roomfit.objective.coherent import CoherentProblem, with_coherence
+from roomfit.objective.energy import first_windows, predict_windows, window_variance
 from roomfit.objective.parameters import start_vector
-from roomfit.objective.window_kernels import in_windows
-from roomfit.objective.windows import window_edges_s
+from roomfit.objective.windows import in_windows, window_edges_s
+from roomfit.response.binned import bin_paths, in_band
 from roomfit.response.energy import weigh
 from roomfit.signals.filters import FilterBank, share_matrix, smearing_kernel
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
 
 CUT_S = 0.03
 

@@ -9,10 +9,9 @@ import pytest
 
 from coherent_cases import small_geometry, small_problem
 from roomfit.bands import Bands
-from roomfit.objective.coherent_geometry import whole_covariance
-from roomfit.objective.coherent_problem import with_coherence
-from roomfit.objective.energy_problem import predict_windows, window_variance
-from roomfit.objective.parameters import start_vector
+from roomfit.objective.coherent import with_coherence
+from roomfit.objective.energy import predict_windows, window_variance
+from roomfit.objective.parameters import start_vector, whole_covariance
 from roomfit.response.coherent import ImagePaths, Times, band_grid, coherent_response
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
 

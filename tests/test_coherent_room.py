@@ -7,17 +7,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.app.binning import bin_paths
-from roomfit.app.coherent.findings import delay_findings, place_findings
-from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
-from roomfit.app.measuring import measure
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.campaign.materials import material_knowledge
-from roomfit.files.rooms.read import read_room
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.measured_box import demo_plan, write_measured_box
-from roomfit.tracing.images import trace_images
+from roomfit.inversion.coherent import CoherentFit, fit_coherent
+from roomfit.inversion.geometry_checks import delay_findings, place_findings
+from roomfit.inversion.sequential import CoherentOptions
+from roomfit.io.campaign import read_campaign
+from roomfit.io.materials import material_knowledge
+from roomfit.io.measurements import measure
+from roomfit.io.rooms import read_room
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.binned import bin_paths
+from roomfit.scene import Scene
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.tracing.image_sources import trace_images
 
 pytestmark = pytest.mark.slow
 

@@ -8,16 +8,15 @@ import numpy as np
 import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.coherent.loudspeaker import without_loudspeakers
-from roomfit.app.measuring import measure
 from roomfit.bands import bands_between
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.rooms.read import read_room
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.measured_box import campaign_text, demo_plan
-from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
-from roomfit.tracing.images import trace_images
+from roomfit.inversion.equalise import without_loudspeakers
+from roomfit.io.campaign import read_campaign
+from roomfit.io.measurements import measure
+from roomfit.io.rooms import read_room
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import Scene
+from roomfit.synthetic.boxes import BoxTruth, campaign_text, demo_plan, pressure_response
+from roomfit.tracing.image_sources import trace_images
 from roomfit.typing import FloatArray
 
 RATE_HZ, DURATION_S, IMAGES_S = 8000.0, 0.5, 0.13

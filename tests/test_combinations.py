@@ -6,11 +6,14 @@ import numpy as np
 import pytest
 from scipy.optimize import least_squares
 
-from roomfit.app.certainty.combinations import band_combinations, inseparable_findings
 from roomfit.errors import InputError
-from roomfit.uncertainty.combinations import Combination, find_combinations
-from roomfit.uncertainty.draws import band_draws
-from roomfit.uncertainty.straight_draws import draw_along_data
+from roomfit.uncertainty.combinations import (
+    Combination,
+    band_combinations,
+    find_combinations,
+    inseparable_findings,
+)
+from roomfit.uncertainty.posterior import band_draws, draw_along_data
 
 
 def logit(a):

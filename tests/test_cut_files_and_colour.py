@@ -8,9 +8,9 @@ import pytest
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, filter_pressure
-from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.signals.loudspeaker import Colour, power_gain, source_colour, without_colour
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
+from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ = 16_000.0
 DECAY_S = 0.5

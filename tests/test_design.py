@@ -14,16 +14,7 @@ from hypothesis import strategies as st
 
 import roomfit
 from roomfit.errors import InputError
-from roomfit.placement.choose import Rules, allowed, choose, random_design, score
-from roomfit.placement.elimination import about_geometry, by_all_pairs, without_geometry
-from roomfit.placement.information import (
-    PairInformation,
-    Unknowns,
-    information_of,
-    interval_widths,
-    material_widths,
-)
-from roomfit.placement.places import (
+from roomfit.experiment_design.candidates import (
     Region,
     compatible_places,
     even_part,
@@ -32,7 +23,18 @@ from roomfit.placement.places import (
     region_of,
     spread_places,
 )
-from roomfit.testproblems.paper_room import paper_scene
+from roomfit.experiment_design.choose import Rules, allowed, choose, random_design, score
+from roomfit.experiment_design.information import (
+    PairInformation,
+    Unknowns,
+    about_geometry,
+    by_all_pairs,
+    information_of,
+    interval_widths,
+    material_widths,
+    without_geometry,
+)
+from roomfit.suh2001.room import paper_scene
 from small_campaign import run_command, write_campaign
 
 N_DRAWS, N_BANDS, N = 2, 2, 3

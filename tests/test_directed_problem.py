@@ -8,22 +8,19 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_paths, small_problem
-from roomfit.app.directing.bands import moved_start
-from roomfit.identification.across_bands import Told, others_say, told_by
-from roomfit.identification.reweighted import BandFit
-from roomfit.objective.coherent_geometry import whole_covariance
-from roomfit.objective.coherent_problem import CoherentProblem, with_coherence
-from roomfit.objective.directed_problem import (
+from roomfit.inversion.directivity import Told, moved_start, others_say, told_by
+from roomfit.objective.coherent import CoherentProblem, with_coherence
+from roomfit.objective.directivity import (
     DirectedProblem,
     UnknownDirectivities,
     directed,
     directivity_block,
     with_unknown,
 )
-from roomfit.objective.energy_problem import EnergyProblem
-from roomfit.objective.parameters import Parameters, position_of, start_vector
-from roomfit.response.directed import amplitude_and_slope
-from roomfit.response.directivity import FirstOrder, with_directivity
+from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
+from roomfit.response.directivity import FirstOrder, amplitude_and_slope, with_directivity
+from roomfit.solvers.least_squares import BandFit
 
 B = np.array([0.5, -0.4, 0.3])
 

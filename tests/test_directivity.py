@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from images_reference import SPEED_M_S, box_room, scene_of
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.files.directivity import read_directivity
-from roomfit.materials.scattering import uniform_scattering
+from roomfit.io.directivity import read_directivity
+from roomfit.materials.priors import uniform_scattering
 from roomfit.response.directivity import (
     FirstOrder,
     aimed,
@@ -22,20 +22,16 @@ from roomfit.response.directivity import (
     first_order_amplitude,
     first_order_factor,
     first_order_slope,
-    with_directivity,
-)
-from roomfit.response.energy import weigh
-from roomfit.response.measured_directivity import (
     loudspeaker_axes,
     measured_directivity,
     measured_factor,
     sphere_mean,
+    with_directivity,
 )
-from roomfit.response.rows import energy_rows
-from roomfit.tracing.directions import fibonacci_directions
-from roomfit.tracing.join import trace
-from roomfit.tracing.paths import Paths
-from roomfit.tracing.settings import TraceSettings
+from roomfit.response.energy import energy_rows, weigh
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.rays import fibonacci_directions
+from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
 
 SPHERE = fibonacci_directions(4000)

@@ -1,7 +1,7 @@
 """A source whose directivity is fitted: found, carried into intervals, and missed where untold.
 
 The data come from image sources that add as pressures, enumerated and directed by code that shares
-nothing with the fit (`roomfit.testproblems.pressure_box`).
+nothing with the fit (`roomfit.synthetic.boxes`).
 """
 
 from __future__ import annotations
@@ -17,44 +17,49 @@ import pytest
 
 from report_cases import answer_of, scene_of
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.binning import bin_paths
-from roomfit.app.coherent.fit import CoherentFit, CoherentOptions, fit_coherent
-from roomfit.app.directing.bands import FoundDirectivities, band_directivities
-from roomfit.app.directing.doubts import DirectivityDoubt, source_findings
-from roomfit.app.directing.energies import (
+from roomfit.bands import Bands, bands_between
+from roomfit.commands import identify_to_folder
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.coherent import CoherentFit, fit_coherent
+from roomfit.inversion.directivity import (
+    DirectivityDoubt,
     EnergyTask,
+    FoundDirectivities,
+    band_directivities,
+    campaign_directing,
     directed_energies,
     doubting,
     energy_problems,
+    omnidirectional,
+    source_findings,
 )
-from roomfit.app.directing.unknown import campaign_directing, omnidirectional
-from roomfit.app.fitting import BandAnswer, fit_bands
-from roomfit.app.identify import identify, identify_to_folder
-from roomfit.app.measuring import measure
-from roomfit.app.predicting.sources import directed_as_found
-from roomfit.bands import Bands, bands_between
-from roomfit.errors import InputError
-from roomfit.files.campaign.campaign import Campaign, read_campaign
-from roomfit.files.campaign.materials import material_knowledge
-from roomfit.files.result_reader import read_result
-from roomfit.files.rooms.read import read_room
-from roomfit.findings import Finding
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.report.answer_text import directivity_text
-from roomfit.report.html.source_tables import source_tables
+from roomfit.inversion.identify import identify
+from roomfit.inversion.sequential import CoherentOptions
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.materials import material_knowledge
+from roomfit.io.measurements import measure
+from roomfit.io.results import read_result
+from roomfit.io.rooms import read_room
+from roomfit.materials.priors import uniform_scattering
+from roomfit.objective.directivity import FittedDirectivity
+from roomfit.prediction.setup import directed_as_found
+from roomfit.report.html.tables import source_tables
+from roomfit.report.text import directivity_text
+from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import FirstOrderBands
-from roomfit.scene.room import material_areas_m2
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.pressure_box import (
+from roomfit.scene import Scene, material_areas_m2
+from roomfit.synthetic.boxes import (
     BoxTruth,
     add_noise,
     box_departures,
     box_images,
     pressure_response,
 )
-from roomfit.tracing.images import trace_images
+from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.answer import FittedDirectivity
+from roomfit.uncertainty.gaussian import BandAnswer
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, LENGTHS_M, SMALL, SOURCE_M, write_wav
 

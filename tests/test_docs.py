@@ -19,15 +19,15 @@ import typer.main
 from pydantic import BaseModel
 
 import roomfit
-from roomfit.app.planning import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
-from roomfit.app.problems import UNTOLD_POSITION_SD_M
 from roomfit.cli.commands import app
-from roomfit.files.campaign import schema
-from roomfit.files.campaign.materials import material_knowledge
-from roomfit.geometry.doctor import LEAK_LIMIT
-from roomfit.materials.knowledge import DEFAULT_LOGIT_SD, DEFAULT_MEAN
-from roomfit.objective.energy_problem import EnergyProblem
-from roomfit.testproblems.measured_box import demo_plan, write_measured_box
+from roomfit.geometry.check import LEAK_LIMIT
+from roomfit.inversion.trace_plan import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
+from roomfit.io import campaign as schema
+from roomfit.io.materials import material_knowledge
+from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
+from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE
 
 ROOT = Path(__file__).resolve().parents[1]

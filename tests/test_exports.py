@@ -14,15 +14,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.app.exporting import export_result
 from roomfit.bands import bands_between
 from roomfit.cli import main
+from roomfit.commands import export_result
 from roomfit.errors import InputError
-from roomfit.files.exports.names import short_names
-from roomfit.files.exports.raven import RAVEN_BANDS
-from roomfit.files.exports.resample import resample
-from roomfit.files.exports.table import read_material_table
-from roomfit.files.exports.write import FORMATS
+from roomfit.io.exports import FORMATS, RAVEN_BANDS, read_material_table, resample, short_names
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ABSORPTION = {

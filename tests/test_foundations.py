@@ -8,10 +8,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from absorption_reference import Absorption, amplitude_reflection, surviving_energy
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import OCTAVES_HZ, THIRD_OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError
-from roomfit.materials.absorption import Absorption, amplitude_reflection, surviving_energy
 
 coefficients = arrays(np.float64, (3, 2), elements=st.floats(0.0, 1.0))
 hits = arrays(np.uint16, (5, 3), elements=st.integers(0, 40))

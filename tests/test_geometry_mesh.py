@@ -10,17 +10,23 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError
-from roomfit.geometry.build import Face, build_mesh
-from roomfit.geometry.doctor import examine
-from roomfit.geometry.edges import edges_of, unmatched
-from roomfit.geometry.faults import refuse
+from roomfit.geometry.build import Face, build_mesh, oriented
+from roomfit.geometry.check import examine, leak_fraction
 from roomfit.geometry.inside import distance_to_walls_m, interior_points, is_inside
-from roomfit.geometry.leaks import leak_fraction
-from roomfit.geometry.measures import mean_free_path_m, surface_area_m2, volume_m3
-from roomfit.geometry.mesh import Mesh, Surface, area_vectors_m2
-from roomfit.geometry.orientation import oriented
-from roomfit.geometry.shoebox import SHOEBOX_SURFACES, shoebox_mesh
-from roomfit.geometry.weld import weld
+from roomfit.geometry.mesh import (
+    SHOEBOX_SURFACES,
+    Mesh,
+    Surface,
+    area_vectors_m2,
+    edges_of,
+    mean_free_path_m,
+    refuse,
+    shoebox_mesh,
+    surface_area_m2,
+    unmatched,
+    volume_m3,
+    weld,
+)
 
 LENGTHS = (5.0, 4.0, 3.0)
 WALL = Surface("wall", None, "plaster")

@@ -27,13 +27,12 @@ from report_cases import (
     scene_of,
 )
 from roomfit.air import attenuation_per_m
-from roomfit.report.html import wording
-from roomfit.report.html.page import report_html
-from roomfit.report.html.plots import page_json
-from roomfit.report.html.room_outline import outline_m
-from roomfit.report.html.wording import DASH
-from roomfit.signals.jnd import in_jnd
-from roomfit.uncertainty.answer import Compared
+from roomfit.report.html import parts as wording
+from roomfit.report.html import report_html
+from roomfit.report.html.figures import outline_m
+from roomfit.report.html.parts import DASH, page_json
+from roomfit.results import Compared
+from roomfit.signals.decay import in_jnd
 
 HOSTILE = "<script>document.title='taken'</script><img src=x onerror=alert(1)> & \"quoted\" %{y}"
 JND = {"T20_s": 0.05, "T30_s": 0.05, "EDT_s": 0.05, "C50_dB": 1.0, "C80_dB": 1.0,

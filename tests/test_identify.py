@@ -10,15 +10,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import roomfit.app.planning
+import roomfit.inversion.trace_plan
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-from roomfit.app.identify import identify, identify_to_folder
 from roomfit.bands import bands_between
-from roomfit.files.campaign.campaign import input_files, read_campaign
-from roomfit.files.results import absorption_csv, result_content
+from roomfit.commands import identify_to_folder
 from roomfit.findings import Finding
-from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
-from roomfit.uncertainty.answer import Answer
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.results import absorption_csv, result_content
+from roomfit.results import Answer
+from roomfit.synthetic.boxes import BoxTruth, pressure_response
 from small_campaign import (
     ABSORPTION,
     RATE_HZ,
@@ -48,7 +49,7 @@ def assert_same_absorption(answer: Answer, other: Answer, tolerance: float) -> N
 @pytest.fixture
 def few_rays(monkeypatch):
     """Fewer rays than an answer deserves, where only what becomes of them is looked at."""
-    monkeypatch.setattr(roomfit.app.planning, "N_RAYS", 4000)
+    monkeypatch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 4000)
 
 
 @pytest.fixture(scope="module")
@@ -176,7 +177,7 @@ def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
 
     told = (CARPET, f"{CARPET}\nabsorption = 0.4")
     sure = answer_to(tmp_path / "sure", told)
-    monkeypatch.setattr("roomfit.app.identify.description_findings", doubt)
+    monkeypatch.setattr("roomfit.inversion.identify.description_findings", doubt)
     unsure = answer_to(tmp_path / "unsure", told)
     held = np.array(unsure.materials) == "carpet"
     assert sure.identifiable[~held].any()
@@ -384,7 +385,7 @@ def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_
     told = ("[identify]", '[identify]\nmodel = "energy"')
     allowing = answer_to(tmp_path / "allowing", told)
     monkeypatch.setattr(
-        "roomfit.app.solving.allowing_for_shared_errors", lambda _task: lambda _n, _p, fit: fit
+        "roomfit.inversion.solve.allowing_for_shared_errors", lambda _task: lambda _n, _p, fit: fit
     )
     sure = answer_to(tmp_path / "sure", told)
     np.testing.assert_array_equal(allowing.absorption, sure.absorption)

@@ -9,9 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.app.demo import run_demo
-from roomfit.app.identify import identify
-from roomfit.files.campaign.campaign import read_campaign
+from roomfit.commands import run_demo
+from roomfit.inversion.identify import identify
+from roomfit.io.campaign import read_campaign
 from small_campaign import run_command
 
 

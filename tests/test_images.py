@@ -25,15 +25,13 @@ from images_reference import (
     scene_of,
 )
 from roomfit.errors import InputError
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.materials.scattering import Scattering, uniform_scattering
-from roomfit.scene.room import Room, triangle_material
-from roomfit.testproblems.paper_room import paper_scene
-from roomfit.tracing.images import trace_images
-from roomfit.tracing.images_polyhedron import polyhedron_images
-from roomfit.tracing.images_set import ImageSet
-from roomfit.tracing.images_shoebox import shoebox_images
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.materials.priors import Scattering, uniform_scattering
+from roomfit.scene import Room, triangle_material
+from roomfit.suh2001.room import paper_scene
+from roomfit.tracing.image_sources import polyhedron_images, shoebox_images, trace_images
+from roomfit.tracing.paths import ImageSet
 from roomfit.typing import FloatArray
 
 FAR_M = 1e3

@@ -10,13 +10,11 @@ from hypothesis import strategies as st
 from images_reference import all_images, hits_of, scene_of
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.testproblems.hall import hall_room
-from roomfit.tracing.images import trace_images
-from roomfit.tracing.images_budget import affordable_order
-from roomfit.tracing.images_outline import convex_pieces
-from roomfit.tracing.images_walls import mirrors_of
+from roomfit.materials.priors import uniform_scattering
+from roomfit.tracing.image_sources import affordable_order, trace_images
+from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray
+from simulated_rooms.hall import hall_room
 
 SOURCE = [2.71, 1.13, 1.57]
 RECEIVERS = [[11.3, -2.17, 5.21], [23.9, 4.31, 6.07]]

@@ -9,28 +9,21 @@ import numpy as np
 import pytest
 import soundfile
 
-from roomfit.app.impedance.campaign import identify_campaign_impedance, impedance_to_folder
-from roomfit.app.impedance.observing import campaign_pressures
 from roomfit.errors import InputError
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.impedance_results import impedance_content
-from roomfit.files.rooms.read import read_room
-from roomfit.files.spectra import read_spectrum
-from roomfit.impedance.identify import identify_impedance
-from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
-from roomfit.impedance.observed import Observed
-from roomfit.materials.impedance_laws import r0_of_impedance
-from roomfit.report.impedance_text import impedance_text
-from roomfit.signals.damped import damped_noise, damped_spectrum
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.testproblems.impedance_box import (
-    PAIRS,
-    RECEIVERS_M,
-    SOURCES_M,
-    box_scene,
-    noisy,
-    true_r0,
+from roomfit.impedance.campaign import (
+    campaign_pressures,
+    identify_campaign_impedance,
+    impedance_to_folder,
 )
+from roomfit.impedance.data import Observed, damped_noise, damped_spectrum, read_spectrum
+from roomfit.impedance.identify import identify_impedance
+from roomfit.impedance.laws import r0_of_impedance
+from roomfit.impedance.output import impedance_content, impedance_text
+from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
+from roomfit.io.campaign import read_campaign
+from roomfit.io.rooms import read_room
+from roomfit.signals.response import ImpulseResponse
+from simulated_rooms.impedance_box import PAIRS, RECEIVERS_M, SOURCES_M, box_scene, noisy, true_r0
 
 TAU_S = 0.006
 F_HZ = np.arange(200.0, 801.0, 20.0)
@@ -120,7 +113,7 @@ def test_the_same_by_hand_in_python_is_the_same(finished):
 
 
 def test_identify_refuses_spectra_and_names_the_command(finished, tmp_path):
-    from roomfit.app.identify import identify_to_folder
+    from roomfit.commands import identify_to_folder
 
     folder, _, _ = finished
     with pytest.raises(InputError, match="damped spectra tell impedances"):

@@ -10,19 +10,28 @@ import pytest
 from images_reference import l_shaped_room
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.impedance.cost import check_cost
+from roomfit.impedance.data import Observed, level_at, model_error
 from roomfit.impedance.fit import refined
 from roomfit.impedance.identify import identify_impedance, wave_problem
-from roomfit.impedance.intervals import material_answer
-from roomfit.impedance.layout import layout_of, start_of
-from roomfit.impedance.misfit import Whitened, evident_model_error, honest_covariance
-from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
-from roomfit.impedance.noise import estimated_noise
-from roomfit.impedance.observed import Observed, level_at, model_error
-from roomfit.materials.impedance_laws import absorption_normal
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.hall import hall_room
-from roomfit.testproblems.impedance_box import box_scene, noisy, rms_by_material, true_r0
+from roomfit.impedance.laws import absorption_normal
+from roomfit.impedance.problem import (
+    Whitened,
+    evident_model_error,
+    honest_covariance,
+    layout_of,
+    start_of,
+)
+from roomfit.impedance.result import estimated_noise, material_answer
+from roomfit.impedance.wave_model import (
+    Nuisances,
+    at_rest,
+    check_cost,
+    predicted_pressure,
+    wave_model,
+)
+from roomfit.scene import Point, Scene
+from simulated_rooms.hall import hall_room
+from simulated_rooms.impedance_box import box_scene, noisy, rms_by_material, true_r0
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
 TAU_S = 0.005

@@ -7,20 +7,13 @@ import pytest
 
 from impedance_cases import exact
 from roomfit.errors import InputError
-from roomfit.impedance.choose import WallModel
-from roomfit.impedance.curves import spline
+from roomfit.impedance.data import Observed, complex_frequency_hz
+from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import identify_impedance
-from roomfit.impedance.model import Nuisances, at_rest, predicted_pressure, wave_model
-from roomfit.impedance.observed import Observed, complex_frequency_hz
-from roomfit.materials.impedance_laws import absorption_normal, impedance_of_r0
-from roomfit.testproblems.impedance_box import (
-    WALLS,
-    box_scene,
-    noisy,
-    rms_by_material,
-    true_r0,
-)
-from roomfit.testproblems.wave_images import bulk_reacting, image_pressure, locally_reacting
+from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
+from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
+from simulated_rooms.impedance_box import WALLS, box_scene, noisy, rms_by_material, true_r0
+from simulated_rooms.wave_images import bulk_reacting, image_pressure, locally_reacting
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
 TAU_S = 0.006

@@ -9,32 +9,33 @@ from scipy.special import wofz
 from impedance_cases import exact
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.impedance.curves import constant, spline
-from roomfit.impedance.laws import law_curve
-from roomfit.impedance.layout import layout_of, start_of
-from roomfit.impedance.model import (
-    Nuisances,
-    State,
-    at_rest,
-    predicted_pressure,
-    wave_model,
-    wavenumber_per_m,
-)
-from roomfit.impedance.observed import Observed, complex_frequency_hz, standard_deviation
-from roomfit.impedance.problem import Problem
-from roomfit.impedance.reflection import boundary_loss, plane_reflection, spherical_reflection
-from roomfit.impedance.rows import data_rows, prior_rows
-from roomfit.materials.impedance_laws import (
+from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
+from roomfit.impedance.laws import (
     absorption_random,
+    constant,
     impedance_of_r0,
+    law_curve,
     miki_layer,
     panel,
     r0_of_impedance,
     resonator,
+    spline,
 )
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.exact_box import damped_wavenumber_per_m, exact_box_pressure
-from roomfit.testproblems.impedance_box import (
+from roomfit.impedance.problem import Problem, data_rows, layout_of, prior_rows, start_of
+from roomfit.impedance.wave_model import (
+    Nuisances,
+    State,
+    at_rest,
+    boundary_loss,
+    plane_reflection,
+    predicted_pressure,
+    spherical_reflection,
+    wave_model,
+    wavenumber_per_m,
+)
+from roomfit.scene import Point, Scene
+from simulated_rooms.exact_box import damped_wavenumber_per_m, exact_box_pressure
+from simulated_rooms.impedance_box import (
     LENGTHS_M,
     PAIRS,
     RECEIVERS_M,
@@ -44,8 +45,8 @@ from roomfit.testproblems.impedance_box import (
     box_scene,
     true_r0,
 )
-from roomfit.testproblems.polyhedral_rooms import room_of, slanted_cells
-from roomfit.testproblems.wave_images import image_pressure, locally_reacting
+from simulated_rooms.polyhedral_rooms import room_of, slanted_cells
+from simulated_rooms.wave_images import image_pressure, locally_reacting
 
 
 def test_a_passive_wall_gives_back_no_more_than_it_gets_at_any_angle():

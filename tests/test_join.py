@@ -23,18 +23,15 @@ from images_reference import (
 from roomfit.errors import InputError
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.geometry.mesh import Mesh
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.response.energy import monte_carlo_sd, weigh
-from roomfit.response.rows import energy_rows
+from roomfit.materials.priors import uniform_scattering
+from roomfit.response.energy import energy_rows, monte_carlo_sd, weigh
 from roomfit.response.scattering import with_scattering
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Scene
-from roomfit.testproblems.paper_room import paper_scene
-from roomfit.tracing.images import trace_images
-from roomfit.tracing.join import Trace, covered_by_images, fitting_radii_m, trace
-from roomfit.tracing.paths import Paths, select
+from roomfit.scene import Room, Scene
+from roomfit.suh2001.room import paper_scene
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, TraceSettings, select
 from roomfit.tracing.rays import trace_rays
-from roomfit.tracing.settings import TraceSettings
+from roomfit.tracing.trace import Trace, covered_by_images, fitting_radii_m, trace
 from roomfit.typing import FloatArray
 
 ERRORS_ALLOWED = 5.0

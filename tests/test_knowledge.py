@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.materials.knowledge import (
+from roomfit.materials.priors import (
     MaterialKnowledge,
     logit_prior,
     prior_logits,

@@ -7,10 +7,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.identification.landscape import descend, grid_minima, landscape, minima_of_descents
-from roomfit.identification.least_squares import fit_least_squares
-from roomfit.identification.simplex import SimplexSettings, downhill_simplex, simplex_around
-from roomfit.identification.start import decay_rate_per_s, eyring_absorption, starts
+from roomfit.solvers.least_squares import decay_rate_per_s, eyring_absorption, starts
+from roomfit.solvers.search import SimplexSettings, downhill_simplex, simplex_around
+from roomfit.suh2001.landscape import descend, grid_minima, landscape, minima_of_descents
+from roomfit.suh2001.searches import fit_least_squares
 from roomfit.typing import FloatArray
 
 TIMES = np.linspace(0.0, 2.0, 20)

@@ -13,7 +13,7 @@ from types import ModuleType
 import numpy as np
 import pytest
 
-from roomfit.uncertainty.answer import Answer
+from roomfit.results import Answer
 
 pytestmark = pytest.mark.slow
 

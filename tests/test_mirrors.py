@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
-from roomfit.app.certainty.mirrors import mirror_findings
-from roomfit.app.gathering import Gathered
 from roomfit.bands import Bands
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.materials.knowledge import unknown_material
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
-from roomfit.signals.measured_values import MeasuredValues
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.measurements import Gathered
+from roomfit.inversion.symmetry import mirror_findings
+from roomfit.materials.priors import unknown_material
+from roomfit.scene import Point, Room, Scene
+from roomfit.signals.iso3382 import MeasuredValues
 
 LENGTHS = (5.0, 4.0, 3.0)
 NAMES = ("walls", "floor", "ceiling")

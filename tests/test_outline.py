@@ -8,15 +8,14 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.objective.outline import outline_findings
-from roomfit.scene.scene import Point, Scene
-from roomfit.signals.echoes import echo_prominence
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.testproblems.polyhedral_rooms import l_shaped_cells
-from roomfit.testproblems.polyhedron_cells import obj_text
-from roomfit.testproblems.pressure_box import BoxTruth, add_noise, pressure_response
+from roomfit.inversion.room_outline import outline_findings
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.scene import Point, Scene
+from roomfit.signals.response import ImpulseResponse, echo_prominence
+from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.polyhedra import obj_text
+from simulated_rooms.polyhedral_rooms import l_shaped_cells
 
 C = 343.0
 RATE_HZ = 16_000.0
@@ -111,6 +110,6 @@ def test_responses_that_cannot_hear_a_wall_say_nothing_of_it(tmp_path, monkeypat
     """Of the L's end at y = 6 m only those around the corner's near side have an echo."""
     scene, responses = l_shaped_echoes(tmp_path)
     assert outline_findings(scene, responses) == ()
-    monkeypatch.setattr("roomfit.objective.outline._is_met", lambda *_: True)
+    monkeypatch.setattr("roomfit.inversion.room_outline._is_met", lambda *_: True)
     (finding,) = outline_findings(scene, responses)
     assert finding.evidence["metres_outward"] == pytest.approx(0.5, abs=0.05)

@@ -16,19 +16,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roomfit.app.suh2001.independent import (
+from roomfit._numba import in_pool, worker_pool
+from roomfit.errors import InputError
+from roomfit.suh2001.independent import (
     IndependentFit,
     fit_with_other_rays,
     mean_measurement,
     measurement_part,
     summarise,
 )
-from roomfit.app.suh2001.room import problems_of
-from roomfit.app.suh2001.searches import METHODS, Run, record, search_seeds
-from roomfit.app.workers import in_pool, worker_pool
-from roomfit.errors import InputError
-from roomfit.testproblems.paper_problems import SPECIFICATIONS, PaperProblem
-from roomfit.testproblems.paper_room import paper_scene, trace_paper_room
+from roomfit.suh2001.repeat import METHODS, Run, problems_of, record, search_seeds
+from roomfit.suh2001.room import SPECIFICATIONS, PaperProblem, paper_scene, trace_paper_room
 
 COMMAND = (sys.executable, "-m", "roomfit.cli", "paper", "--out")
 

@@ -9,45 +9,36 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.app.suh2001.room import (
-    problem_landscape,
-    problems_of,
-    table2,
-    walls_apart,
-)
 from roomfit.errors import InputError
-from roomfit.geometry.measures import volume_m3
-from roomfit.identification.least_squares import fit_least_squares
-from roomfit.objective.squares import (
+from roomfit.geometry.mesh import volume_m3
+from roomfit.response.energy import EnergyRows, energy_rows
+from roomfit.scene import material_areas_m2
+from roomfit.suh2001.repeat import problem_landscape, problems_of, table2, walls_apart
+from roomfit.suh2001.room import (
+    CASES,
+    DIVISIONS,
+    MATERIAL_PROBLEMS,
+    PLANES,
+    PRINTED_ARRIVALS_MS,
+    SPECIFICATIONS,
+    WALLS_APART,
+    PaperProblem,
     SquaresProblem,
+    arrivals_ms,
     error,
+    exchanged_walls,
     grouped_rows,
     in_unit,
     joined_rows,
-    residuals,
-    squares_problem,
-    window_energies,
-)
-from roomfit.response.rows import EnergyRows, energy_rows
-from roomfit.scene.room import material_areas_m2
-from roomfit.testproblems.paper_problems import (
-    MATERIAL_PROBLEMS,
-    SPECIFICATIONS,
-    PaperProblem,
-    exchanged_walls,
-    walls_apart_problem,
-)
-from roomfit.testproblems.paper_room import (
-    CASES,
-    DIVISIONS,
-    PLANES,
-    PRINTED_ARRIVALS_MS,
-    WALLS_APART,
-    arrivals_ms,
     paper_edges_s,
     paper_scene,
+    residuals,
+    squares_problem,
     trace_paper_room,
+    walls_apart_problem,
+    window_energies,
 )
+from roomfit.suh2001.searches import fit_least_squares
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 

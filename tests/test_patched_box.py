@@ -8,8 +8,15 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.testproblems.patched_box import Patch, patch_hits, patched_response
-from roomfit.testproblems.pressure_box import WALLS, BoxTruth, box_lattice, pressure_response
+from roomfit.synthetic.boxes import (
+    WALLS,
+    BoxTruth,
+    Patch,
+    box_lattice,
+    patch_hits,
+    patched_response,
+    pressure_response,
+)
 
 LENGTHS = (5.2, 4.1, 2.9)
 SOURCE, RECEIVER = np.array([1.1, 2.7, 1.3]), np.array([4.0, 1.2, 1.9])

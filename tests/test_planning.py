@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
-from roomfit.app.planning import N_RAYS, N_RAYS_BESIDE_IMAGES, TracePlan, plan_trace
-from roomfit.materials.knowledge import MaterialKnowledge
-from roomfit.testproblems.pressure_box import BoxTruth, box_images
-from roomfit.tracing.join import trace
+from roomfit.inversion.trace_plan import N_RAYS, N_RAYS_BESIDE_IMAGES, TracePlan, plan_trace
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.synthetic.boxes import BoxTruth, box_images
+from roomfit.tracing.trace import trace
 
 LENGTHS_M = (5.7, 6.5, 2.7)
 SOURCE, RECEIVER = [1.2, 1.5, 1.1], [4.1, 4.9, 1.6]

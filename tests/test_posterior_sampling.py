@@ -9,17 +9,21 @@ import numpy as np
 import pytest
 
 from posterior_cases import Linear, decay_case, linear_case
-from roomfit.app.certainty.refining import sampled
-from roomfit.app.fitting import band_answer
 from roomfit.errors import InputError
-from roomfit.identification.reweighted import fit_band
-from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
 from roomfit.objective.parameters import prior_residuals
 from roomfit.objective.problem import Prediction
-from roomfit.uncertainty.chains import autocorrelation_steps, split_r_hat
-from roomfit.uncertainty.log_posterior import log_posterior
-from roomfit.uncertainty.sampling import SamplingSettings, check_sampler, sample
-from roomfit.uncertainty.surrogate import surrogate
+from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.uncertainty.gaussian import band_answer
+from roomfit.uncertainty.intervals import sampled
+from roomfit.uncertainty.sampling import (
+    SamplingSettings,
+    autocorrelation_steps,
+    check_sampler,
+    log_posterior,
+    sample,
+    split_r_hat,
+    surrogate,
+)
 
 
 def fitted(problem):

@@ -10,30 +10,26 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air, speed_of_sound_m_s
-from roomfit.app.changes import read_change
-from roomfit.app.duplicates import duplicate_findings, unmet_findings
-from roomfit.app.measuring import measure
-from roomfit.app.predicting.predict import predict_campaign
-from roomfit.app.predicting.scene import prediction_scene
-from roomfit.app.predicting.trace import eyring_time_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.result_reader import read_result
-from roomfit.files.rooms.read import read_room
+from roomfit.inversion.measurements import duplicate_findings, unmet_findings
+from roomfit.io.campaign import read_campaign
+from roomfit.io.measurements import measure
+from roomfit.io.results import read_result
+from roomfit.io.rooms import read_room
 from roomfit.materials.catalogue import catalogue_prior
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.response.energy import weigh
-from roomfit.response.rows import energy_rows
-from roomfit.response.thinning import thinned_rows
-from roomfit.scene.scene import Point, Scene
-from roomfit.testproblems.pressure_box import add_noise
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
-from roomfit.uncertainty.draws import draw_absorption
+from roomfit.materials.priors import uniform_scattering
+from roomfit.prediction.predict import predict_campaign
+from roomfit.prediction.setup import eyring_time_s, prediction_scene, read_change
+from roomfit.response.energy import energy_rows, thinned_rows, weigh
+from roomfit.scene import Point, Scene
+from roomfit.synthetic.boxes import add_noise
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
 from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
     covariance_from_intervals,
+    draw_absorption,
     logit,
     plain_logit_covariance,
 )

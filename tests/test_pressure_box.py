@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.testproblems.pressure_box import BoxTruth, add_noise, box_images, pressure_response
+from roomfit.synthetic.boxes import BoxTruth, add_noise, box_images, pressure_response
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 

@@ -9,32 +9,29 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.geometry.measures import volume_m3
-from roomfit.testproblems.measured_polyhedron import (
-    Shape,
-    polyhedron_plan,
-    write_measured_polyhedron,
+from roomfit.geometry.mesh import volume_m3
+from roomfit.io.campaign import read_campaign
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.synthetic.boxes import BoxTruth, box_images, pressure_response
+from roomfit.synthetic.polyhedra import (
+    Cells,
+    PolyhedronTruth,
+    cell_arrays,
+    cell_images,
+    cell_volume_m3,
+    obj_text,
+    pressure_responses,
+    with_moved_planes,
 )
-from roomfit.testproblems.polyhedral_rooms import (
+from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
+from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
     l_shaped_cells,
     paper_cells,
     room_of,
     slanted_cells,
 )
-from roomfit.testproblems.polyhedron_cells import (
-    Cells,
-    cell_arrays,
-    cell_volume_m3,
-    obj_text,
-    with_moved_planes,
-)
-from roomfit.testproblems.polyhedron_images import cell_images
-from roomfit.testproblems.pressure_box import BoxTruth, box_images, pressure_response
-from roomfit.testproblems.pressure_polyhedron import PolyhedronTruth, pressure_responses
 from test_beams import their_images
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])

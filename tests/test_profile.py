@@ -16,14 +16,12 @@ from posterior_cases import (
     exchangeable_case,
     linear_case,
 )
-from roomfit.app.certainty.refining import LEAST_SIDE, Refinement, profiled
-from roomfit.app.certainty.starts import from_random_starts, starts_findings
-from roomfit.app.fitting import band_answer
 from roomfit.bands import Bands
-from roomfit.identification.reweighted import BandFit, fit_band
-from roomfit.identification.solvers import few_gauss_newton_steps, gauss_newton
+from roomfit.inversion.bands import from_random_starts, starts_findings
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
-from roomfit.uncertainty.gaussian import absorption_intervals
+from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.uncertainty.gaussian import absorption_intervals, band_answer
+from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
 

@@ -8,12 +8,11 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from roomfit.app.fitting import untold_band
-from roomfit.app.smoothing import smoothed
 from roomfit.bands import bands_between
-from roomfit.materials.knowledge import unknown_material
-from roomfit.uncertainty.profile import RISE95, Profile
-from roomfit.uncertainty.profile_under import profile_under
+from roomfit.materials.priors import unknown_material
+from roomfit.uncertainty.gaussian import untold_band
+from roomfit.uncertainty.profile import RISE95, Profile, profile_under
+from roomfit.uncertainty.smoothing import smoothed
 
 Z95 = 1.959963984540054
 

@@ -11,12 +11,11 @@ import pytest
 
 from images_reference import BOX_M, SPEED_M_S, box_room, box_with_sheet, l_shaped_room, scene_of
 from roomfit.errors import InputError
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.scene.scene import Scene
-from roomfit.tracing.join import trace
-from roomfit.tracing.paths import Paths
+from roomfit.materials.priors import uniform_scattering
+from roomfit.scene import Scene
+from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import expected_paths, trace_rays
-from roomfit.tracing.settings import TraceSettings
+from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
 
 BATCHES = 32

@@ -10,15 +10,18 @@ from scipy.stats import kstest
 from images_reference import SPEED_M_S, box_room, box_with_sheet, l_shaped_room, scene_of
 from rays_reference import box_without, crossings, direct_energy_per_m2
 from roomfit.errors import InputError
-from roomfit.materials.scattering import Scattering, uniform_scattering
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Scene
-from roomfit.tracing.bounce import scattered
-from roomfit.tracing.directions import fibonacci_directions, sobol_directions
-from roomfit.tracing.paths import Paths, hits, select
-from roomfit.tracing.random import ray_key, uniform
-from roomfit.tracing.rays import RayTrace, expected_paths, path_bytes, trace_rays
-from roomfit.tracing.settings import TraceSettings
+from roomfit.materials.priors import Scattering, uniform_scattering
+from roomfit.scene import Room, Scene
+from roomfit.tracing.paths import Paths, TraceSettings, hits, select
+from roomfit.tracing.rays import (
+    RayTrace,
+    expected_paths,
+    fibonacci_directions,
+    path_bytes,
+    sobol_directions,
+    trace_rays,
+)
+from roomfit.tracing.walls import ray_key, scattered, uniform
 from roomfit.typing import FloatArray
 
 SOURCE, RECEIVER = [1.1, 0.9, 1.3], [4.2, 3.1, 1.6]

@@ -9,18 +9,24 @@ import pytest
 from images_reference import box_room, box_with_sheet, l_shaped_room
 from rays_reference import box_with_two_floors, box_without, flights_m, rotated
 from roomfit.errors import InputError
-from roomfit.geometry.measures import volume_m3
-from roomfit.geometry.mesh import Mesh, corners_m
-from roomfit.scene.room import Room, triangle_material
-from roomfit.testproblems.hall import hall_room, hall_volume_m3
-from roomfit.testproblems.paper_room import paper_scene
-from roomfit.tracing import vector
-from roomfit.tracing.acceleration import next_wall, wall_material, walls_of
-from roomfit.tracing.facets import facet_distance, facets_of
-from roomfit.tracing.planes import Planes, convex_planes
-from roomfit.tracing.tree import Tree, tree_of
-from roomfit.tracing.vector import NODE_FLOATS, WIDTH, boxes_hit, local_floats
+from roomfit.geometry.mesh import Mesh, corners_m, volume_m3
+from roomfit.scene import Room, triangle_material
+from roomfit.suh2001.room import paper_scene
+from roomfit.tracing import bvh as vector
+from roomfit.tracing.bvh import (
+    NODE_FLOATS,
+    WIDTH,
+    Tree,
+    boxes_hit,
+    local_floats,
+    next_wall,
+    tree_of,
+    wall_material,
+    walls_of,
+)
+from roomfit.tracing.walls import Planes, convex_planes, facet_distance, facets_of
 from roomfit.typing import FloatArray, IntArray
+from simulated_rooms.hall import hall_room, hall_volume_m3
 
 
 @numba.njit(error_model="numpy")

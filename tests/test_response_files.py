@@ -15,8 +15,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError, StoreError
-from roomfit.files.responses.read import read_response
-from roomfit.files.responses.spec import ResponseSpec
+from roomfit.io.responses import read_response
+from roomfit.measurement import ResponseSpec
 
 RATE_HZ = 8000
 

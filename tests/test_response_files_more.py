@@ -15,10 +15,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
-from roomfit.files.responses.read import read_response
-from roomfit.files.responses.spec import ResponseSpec
-from roomfit.files.responses.sweep import band_of
-from roomfit.signals.impulse_response import ImpulseResponse, times_s
+from roomfit.io.responses import read_response
+from roomfit.io.responses.sweeps import band_of
+from roomfit.measurement import ResponseSpec
+from roomfit.signals.response import ImpulseResponse, times_s
 
 RATE_HZ = 24000
 

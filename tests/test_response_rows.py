@@ -8,13 +8,9 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.materials.scattering import Scattering
-from roomfit.response.rows import energy_rows, first_rows
-from roomfit.response.scattering import (
-    effective_sample_size,
-    scattering_weights,
-    with_scattering,
-)
+from roomfit.materials.priors import Scattering
+from roomfit.response.energy import energy_rows, first_rows
+from roomfit.response.scattering import effective_sample_size, scattering_weights, with_scattering
 from roomfit.tracing.paths import Paths
 
 

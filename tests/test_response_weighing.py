@@ -8,10 +8,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from absorption_reference import surviving_energy
 from roomfit.errors import CannotTell, InputError
-from roomfit.materials.absorption import surviving_energy
-from roomfit.response.energy import batch_energies, monte_carlo_sd, weigh
-from roomfit.response.rows import EnergyRows, merge_equal_rows, rows_in_air, window_of_rows
+from roomfit.response.energy import (
+    EnergyRows,
+    batch_energies,
+    merge_equal_rows,
+    monte_carlo_sd,
+    rows_in_air,
+    weigh,
+    window_of_rows,
+)
 from roomfit.typing import FloatArray
 
 EXTREMES = st.sampled_from([0.0, 1.0, 1.0 - 1e-9, 1e-9])

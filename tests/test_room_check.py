@@ -11,15 +11,14 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from roomfit.app.check import check_room
 from roomfit.cli.commands import app
+from roomfit.commands import check_room
 from roomfit.errors import InputError
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.geometry.faults import refuse
-from roomfit.report.room_text import room_text
-from roomfit.scene.positions import position_findings
-from roomfit.scene.scene import Point
+from roomfit.geometry.mesh import refuse
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.report.text import room_text
+from roomfit.scene import Point, position_findings
 
 BOX = """usemtl plaster
 v 0 0 0

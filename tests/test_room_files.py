@@ -9,11 +9,10 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.files.rooms.read import read_mesh, read_room
-from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
-from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.scene.room import material_areas_m2
-from roomfit.scene.rooms import material_areas
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.scene import material_areas, material_areas_m2
 
 # A room over an L-shaped floor of 7 m2, 3 m high: 21 m3 and 62 m2; no corner of the floor sees all
 # of it but two, so a fan would cover the notch.

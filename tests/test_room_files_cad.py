@@ -16,13 +16,12 @@ from ezdxf.render.forms import cube
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomfit.app.check import check_room
+from roomfit.commands import check_room
 from roomfit.errors import InputError, RoomfitError
-from roomfit.files.rooms.catt.parts import area_m2, cut_parts
-from roomfit.files.rooms.read import read_mesh, read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.geometry.mesh import is_double_sided, triangle_areas_m2
+from roomfit.geometry.mesh import is_double_sided, surface_area_m2, triangle_areas_m2, volume_m3
+from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.rooms.catt import area_m2, cut_parts
+from roomfit.io.rooms.model import RoomSpec
 
 # As exported by a Blender add-on: lower-case keywords, two more bands behind a colon, colours.
 BOX = """;MASTER.GEO

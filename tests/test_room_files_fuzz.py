@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.app.check import check_room
+from roomfit.commands import check_room
 from roomfit.errors import RoomfitError
-from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
+from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 
 QUADS = ((0, 4, 6, 2), (1, 3, 7, 5), (0, 1, 5, 4), (2, 6, 7, 3), (0, 2, 3, 1), (4, 5, 7, 6))
 POINTS = [(x, y, z) for z in (0, 3) for y in (0, 4) for x in (0, 5)]

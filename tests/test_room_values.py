@@ -10,29 +10,31 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.air import Air
-from roomfit.app.binning import bin_paths
-from roomfit.app.fitting import fit_bands
-from roomfit.app.values import compared_values, predicted_values, value_problems
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.files.parameters import read_parameters
-from roomfit.files.rooms.read import read_room
-from roomfit.files.rooms.spec import RoomSpec
-from roomfit.materials.knowledge import unknown_material
-from roomfit.materials.scattering import Scattering
+from roomfit.inversion.bands import fit_bands
+from roomfit.inversion.compare import compared_values
+from roomfit.io.iso3382 import read_parameters
+from roomfit.io.rooms import read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.materials.priors import Scattering, unknown_material
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.problem import JointProblem
-from roomfit.objective.room_values_problem import RoomValuesProblem, value_covariances
-from roomfit.objective.smearing import band_smearing, before_smearing, smear
-from roomfit.response.rows import EnergyRows
-from roomfit.scene.scene import Point, Scene
-from roomfit.signals.decay import echogram_decay_curve
+from roomfit.objective.room_parameters import (
+    RoomValuesProblem,
+    predicted_values,
+    value_covariances,
+    value_problems,
+)
+from roomfit.objective.windows import band_smearing, before_smearing, smear
+from roomfit.response.binned import bin_paths
+from roomfit.response.energy import EnergyRows
+from roomfit.scene import Point, Scene
+from roomfit.signals.decay import PARAMETER_NAMES, echogram_decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
-from roomfit.signals.measured_values import MeasuredValues
-from roomfit.signals.parameter_gradients import VALUE_NAMES, value_gradients
-from roomfit.signals.room_parameters import PARAMETER_NAMES, room_parameters
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
 
 ONE_BAND = Bands("octave", np.array([1000.0]))
 HEAD = "source,receiver,parameter,125,250\n"

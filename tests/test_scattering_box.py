@@ -7,9 +7,10 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from roomfit.testproblems.pressure_box import BoxTruth, box_images
-from roomfit.testproblems.scattering_box import (
+from roomfit.synthetic.boxes import (
+    BoxTruth,
     _lambert,
+    box_images,
     diffuse_echogram,
     scattered_response,
 )

@@ -6,12 +6,16 @@ import numpy as np
 import pytest
 
 from images_reference import box_room, scene_of
-from roomfit.app.retracing import scene_retracer
-from roomfit.app.scattering import GRID, choose_scattering, suspected_scattering
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.tracing.settings import TraceSettings
+from roomfit.inversion.scattering import (
+    GRID,
+    choose_scattering,
+    scene_retracer,
+    suspected_scattering,
+)
+from roomfit.materials.priors import uniform_scattering
+from roomfit.tracing.paths import TraceSettings
 from roomfit.typing import FloatArray
 
 MATERIALS = ("a", "b", "c")

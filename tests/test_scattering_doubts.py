@@ -8,14 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from roomfit.app.choosing import scattering_doubts
-from roomfit.app.gathering import gather
-from roomfit.app.planning import plan_trace
-from roomfit.files.campaign.campaign import read_campaign
-from roomfit.files.campaign.materials import material_knowledge
-from roomfit.files.rooms.read import read_room
-from roomfit.testproblems.measured_box import demo_plan
-from roomfit.testproblems.scattering_box import write_scattering_box
+from roomfit.inversion.measurements import gather
+from roomfit.inversion.scattering import scattering_doubts
+from roomfit.inversion.trace_plan import plan_trace
+from roomfit.io.campaign import read_campaign
+from roomfit.io.materials import material_knowledge
+from roomfit.io.rooms import read_room
+from roomfit.synthetic.boxes import demo_plan, write_scattering_box
 
 
 @pytest.mark.slow

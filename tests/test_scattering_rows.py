@@ -7,9 +7,8 @@ import pytest
 
 from images_reference import SPEED_M_S, box_room, scene_of
 from roomfit.errors import InputError
-from roomfit.materials.scattering import Scattering, uniform_scattering
-from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, energy_rows, grouped_rows, merge_equal_rows
+from roomfit.materials.priors import Scattering, uniform_scattering
+from roomfit.response.energy import EnergyRows, energy_rows, grouped_rows, merge_equal_rows, weigh
 from roomfit.response.scattering import (
     LEAST_SAMPLE_SHARE,
     rows_for_band,
@@ -17,9 +16,8 @@ from roomfit.response.scattering import (
     scattering_derivative,
     with_scattering,
 )
-from roomfit.tracing.join import trace
-from roomfit.tracing.paths import Paths
-from roomfit.tracing.settings import TraceSettings
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
 
 EDGES_S = np.linspace(0.0, 0.06, 13)

@@ -9,20 +9,19 @@ import pytest
 
 from coherent_cases import SPEED_M_S, small_problem, small_scene, with_data
 from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
-from roomfit.app.coherent.bands import CoherentBand
-from roomfit.app.coherent.shared_errors import air_error, lost_coherence
 from roomfit.bands import Bands, bands_between
-from roomfit.identification.reweighted import BandFit
-from roomfit.identification.scoring import score_band
-from roomfit.objective.coherent_problem import CoherentProblem, fully_coherent
-from roomfit.objective.energy_problem import EnergyProblem
+from roomfit.inversion.sequential import CoherentBand
+from roomfit.inversion.systematics import air_error, lost_coherence
+from roomfit.objective.coherent import CoherentProblem, fully_coherent
+from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.problem import BandProblem
 from roomfit.signals.filters import FilterBank, frequency_response, window_energies
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.testproblems.pressure_box import BoxTruth, pressure_response
+from roomfit.signals.response import ImpulseResponse
+from roomfit.solvers.least_squares import BandFit, score_band
+from roomfit.synthetic.boxes import BoxTruth, pressure_response
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.shared_errors import allowing_for, answer_steps
+from roomfit.uncertainty.gaussian import allowing_for, answer_steps
 
 CENTRE_HZ = 1000.0
 

@@ -9,12 +9,18 @@ from hypothesis import strategies as st
 
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
-from roomfit.signals.decay import decay_curve, decay_curve_db, echogram_decay_curve
+from roomfit.signals.decay import (
+    PARAMETER_NAMES,
+    check_decay_range,
+    decay_curve,
+    decay_curve_db,
+    echogram_decay_curve,
+    range_findings,
+    room_parameters,
+)
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, filter_pressure
-from roomfit.signals.impulse_response import ImpulseResponse
 from roomfit.signals.noise import estimate_noise
-from roomfit.signals.plausibility import check_decay_range
-from roomfit.signals.room_parameters import PARAMETER_NAMES, range_findings, room_parameters
+from roomfit.signals.response import ImpulseResponse
 
 RATE_HZ = 48_000.0
 OCTAVES = FilterBank(bands_between("octave", 125.0, 4000.0))

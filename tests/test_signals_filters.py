@@ -24,7 +24,7 @@ from roomfit.signals.filters import (
     statistical_bandwidth_hz,
     window_energies,
 )
-from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.signals.response import ImpulseResponse
 
 KINDS: tuple[BandKind, ...] = ("octave", "third-octave")
 RATE_HZ = 48_000.0

@@ -9,14 +9,16 @@ from hypothesis import strategies as st
 from scipy.signal import chirp, fftconvolve
 
 from roomfit.errors import InputError
-from roomfit.signals.impulse_response import ImpulseResponse, padded, times_s
-from roomfit.signals.onset import (
+from roomfit.signals.decay import check_is_response
+from roomfit.signals.response import (
+    ImpulseResponse,
     check_travel,
     compare_onset,
     find_onset,
+    padded,
     time_zero_from_direct,
+    times_s,
 )
-from roomfit.signals.plausibility import check_is_response
 
 RATE_HZ = 48_000.0
 

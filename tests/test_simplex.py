@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from scipy.optimize import minimize
 
 from roomfit.errors import InputError
-from roomfit.identification.simplex import (
+from roomfit.solvers.search import (
     Simplex,
     SimplexSettings,
     downhill_simplex,

@@ -6,13 +6,13 @@ import json
 
 import pytest
 
-from roomfit.errors import InputError, StoreError
-from roomfit.files.store import (
+from roomfit.cache import (
     check_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
+from roomfit.errors import InputError, StoreError
 
 
 def test_a_file_is_replaced_whole_and_nothing_is_left_beside_it(tmp_path):

@@ -7,12 +7,17 @@ import json
 import numpy as np
 import pytest
 
-import roomfit.app.planning
-from roomfit.app.certainty.priors import prior_findings, prior_intervals
-from roomfit.app.certainty.reasons import interval_words, reasons, sampling_findings
-from roomfit.app.identify import identify_to_folder
+import roomfit.inversion.trace_plan
 from roomfit.bands import Bands
-from roomfit.materials.knowledge import MaterialKnowledge, unknown_material
+from roomfit.commands import identify_to_folder
+from roomfit.inversion.model_checks import (
+    interval_words,
+    prior_findings,
+    prior_intervals,
+    reasons,
+    sampling_findings,
+)
+from roomfit.materials.priors import MaterialKnowledge, unknown_material
 from small_campaign import write_campaign
 from test_coherent_fit import _answer
 
@@ -26,7 +31,7 @@ def told(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sure")
     campaign = write_campaign(folder / "c", QUICK, TOLD)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(roomfit.app.planning, "N_RAYS", 2000)
+        patch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
         answer = identify_to_folder(campaign, folder / "out", keep=False)
     return answer, json.loads((folder / "out" / "result.json").read_text()), folder / "out"
 

@@ -6,11 +6,10 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Point, Scene
-from roomfit.scene.symmetry import deviation_m, room_symmetries
-from roomfit.testproblems.paper_room import paper_scene
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.symmetry import deviation_m, room_symmetries
+from roomfit.scene import Point, Room, Scene
+from roomfit.suh2001.room import paper_scene
 
 SIX = ("west", "east", "south", "north", "floor", "ceiling")
 

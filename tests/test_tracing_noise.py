@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 from coherent_cases import END_S, MATERIALS, energy_problem, small_problem, small_scene
-from roomfit.app.binning import bin_paths, in_band
-from roomfit.app.coherent.tracing_noise import batch_spread, with_tracing_noise
 from roomfit.bands import Bands
-from roomfit.identification.scoring import score_band
-from roomfit.materials.scattering import uniform_scattering
-from roomfit.objective.energy_problem import EnergyProblem, tracing_variance
+from roomfit.inversion.systematics import batch_spread, with_tracing_noise
+from roomfit.materials.priors import uniform_scattering
+from roomfit.objective.energy import EnergyProblem, tracing_variance
 from roomfit.objective.parameters import start_vector
-from roomfit.tracing.join import trace
-from roomfit.tracing.settings import TraceSettings
+from roomfit.response.binned import bin_paths, in_band
+from roomfit.solvers.least_squares import score_band
+from roomfit.tracing.paths import TraceSettings
+from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray
 
 CENTRE_HZ = 1000.0

@@ -10,17 +10,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
-from roomfit.app.certainty.combinations import determined
-from roomfit.app.certainty.telling import band_sentence
-from roomfit.files.results import result_content
-from roomfit.report.answer_text import separable_text, shares_table
-from roomfit.report.html.absorption_tables import share_tables
-from roomfit.report.html.wording import DASH
-from roomfit.uncertainty.combinations import Combination, find_combinations
-from roomfit.uncertainty.shares import absorption_shares
-from roomfit.uncertainty.undetermined import (
+from roomfit.io.results import result_content
+from roomfit.report.html.parts import DASH
+from roomfit.report.html.tables import share_tables
+from roomfit.report.text import separable_text, shares_table
+from roomfit.uncertainty.combinations import (
+    Combination,
     Difference,
     Undetermined,
+    absorption_shares,
+    band_sentence,
+    determined,
+    find_combinations,
     information_directions,
     undetermined_groups,
 )

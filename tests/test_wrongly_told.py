@@ -9,13 +9,12 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
-from roomfit.app.certainty.fit_doubts import description_findings
-from roomfit.app.coherent.looser import looser_places, places_findings, places_stretch
-from roomfit.app.fitting import untold_band
-from roomfit.geometry.shoebox import shoebox_mesh
-from roomfit.materials.knowledge import unknown_material
-from roomfit.scene.rooms import room_from_mesh
-from roomfit.scene.scene import Point, Scene
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.geometry_checks import looser_places, places_findings, places_stretch
+from roomfit.inversion.model_checks import description_findings
+from roomfit.materials.priors import unknown_material
+from roomfit.scene import Point, Scene, room_from_mesh
+from roomfit.uncertainty.gaussian import untold_band
 
 N_PLACES, N_OTHERS = 18, 3
 

@@ -12,7 +12,7 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import roomfit
-from roomfit.report.room_text import room_text
+from roomfit.report.text import room_text
 
 plan = ((0, 0), (5, 0), (5, 3), (3, 3), (3, 4), (0, 4))
 height_m = 2.6

@@ -16,7 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import roomfit
-from roomfit.testproblems.measured_box import demo_plan, write_measured_box
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
 plan = demo_plan()
 plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})

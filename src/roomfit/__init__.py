@@ -16,51 +16,45 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
-    from roomfit.app.calibrating.calibrate import CalibrationResult, calibrate
-    from roomfit.app.calibrating.settings import CalibrationSettings
-    from roomfit.app.changes import Change, read_change
-    from roomfit.app.check import check_room
-    from roomfit.app.designing.design import design
-    from roomfit.app.exporting import export_result
-    from roomfit.app.gathering import campaign_scene
-    from roomfit.app.identify import identify
-    from roomfit.app.impedance.campaign import identify_campaign_impedance
-    from roomfit.app.predicting.predict import predict_campaign
     from roomfit.bands import Bands, bands_between
+    from roomfit.cache import Cache, cache_of
+    from roomfit.commands import check_room, export_result
+    from roomfit.coverage.calibrate import CalibrationResult, calibrate
+    from roomfit.coverage.truth import CalibrationSettings
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
-    from roomfit.files.cache import Cache, cache_of
-    from roomfit.files.campaign.campaign import Campaign, read_campaign
-    from roomfit.files.parameters import read_parameters
-    from roomfit.files.responses.read import read_response
-    from roomfit.files.responses.spec import ResponseSpec
-    from roomfit.files.result_reader import read_result
-    from roomfit.files.results import write_result
-    from roomfit.files.rooms.read import read_room
-    from roomfit.files.rooms.spec import PolygonSpec, RoomSpec
+    from roomfit.experiment_design.choose import Design
+    from roomfit.experiment_design.design import design
     from roomfit.findings import Finding
-    from roomfit.impedance.answer import ImpedanceAnswer
-    from roomfit.impedance.choose import WallModel
+    from roomfit.impedance.campaign import identify_campaign_impedance
+    from roomfit.impedance.data import Observed
+    from roomfit.impedance.fit import WallModel
     from roomfit.impedance.identify import identify_impedance
-    from roomfit.impedance.model import Nuisances
-    from roomfit.impedance.observed import Observed
-    from roomfit.materials.absorption import Absorption
+    from roomfit.impedance.result import ImpedanceAnswer
+    from roomfit.impedance.wave_model import Nuisances
+    from roomfit.inversion.identify import identify
+    from roomfit.inversion.measurements import campaign_scene
+    from roomfit.io.campaign import Campaign, read_campaign
+    from roomfit.io.iso3382 import read_parameters
+    from roomfit.io.responses import read_response
+    from roomfit.io.results import read_result, write_result
+    from roomfit.io.rooms import read_room
+    from roomfit.io.rooms.model import PolygonSpec, RoomSpec
     from roomfit.materials.catalogue import catalogue, find_material
-    from roomfit.materials.scattering import Scattering, uniform_scattering
-    from roomfit.placement.answer import Design
-    from roomfit.report.answer_text import answer_text
-    from roomfit.report.html.page import report_html
-    from roomfit.response.energy import weigh
-    from roomfit.response.rows import energy_rows
-    from roomfit.scene.room import Room
-    from roomfit.scene.scene import Point, Scene
-    from roomfit.signals.measured_values import MeasuredValues
-    from roomfit.signals.room_parameters import room_parameters
-    from roomfit.tracing.join import trace
-    from roomfit.tracing.paths import Paths
-    from roomfit.tracing.settings import TraceSettings
-    from roomfit.uncertainty.answer import Answer
+    from roomfit.materials.priors import Scattering, uniform_scattering
+    from roomfit.measurement import ResponseSpec
+    from roomfit.prediction.predict import predict_campaign
+    from roomfit.prediction.prediction import Predicted
+    from roomfit.prediction.setup import Change, read_change
+    from roomfit.report.html import report_html
+    from roomfit.report.text import answer_text
+    from roomfit.response.energy import energy_rows, weigh
+    from roomfit.results import Answer
+    from roomfit.scene import Point, Room, Scene
+    from roomfit.signals.decay import room_parameters
+    from roomfit.signals.iso3382 import MeasuredValues
+    from roomfit.tracing.paths import Paths, TraceSettings
+    from roomfit.tracing.trace import trace
     from roomfit.uncertainty.posterior import AbsorptionPosterior
-    from roomfit.uncertainty.prediction import Predicted
     from roomfit.uncertainty.smoothing import smooth_over_bands
 
 __version__ = "0.1.0"
@@ -69,18 +63,18 @@ _HOME = {
     "Air": "air",
     "attenuation_per_m": "air",
     "speed_of_sound_m_s": "air",
-    "calibrate": "app.calibrating.calibrate",
-    "CalibrationResult": "app.calibrating.calibrate",
-    "CalibrationSettings": "app.calibrating.settings",
-    "read_change": "app.changes",
-    "Change": "app.changes",
-    "check_room": "app.check",
-    "design": "app.designing.design",
-    "export_result": "app.exporting",
-    "campaign_scene": "app.gathering",
-    "identify": "app.identify",
-    "identify_campaign_impedance": "app.impedance.campaign",
-    "predict_campaign": "app.predicting.predict",
+    "calibrate": "coverage.calibrate",
+    "CalibrationResult": "coverage.calibrate",
+    "CalibrationSettings": "coverage.truth",
+    "read_change": "prediction.setup",
+    "Change": "prediction.setup",
+    "check_room": "commands",
+    "design": "experiment_design.design",
+    "export_result": "commands",
+    "campaign_scene": "inversion.measurements",
+    "identify": "inversion.identify",
+    "identify_campaign_impedance": "impedance.campaign",
+    "predict_campaign": "prediction.predict",
     "Bands": "bands",
     "bands_between": "bands",
     "CannotTell": "errors",
@@ -88,45 +82,44 @@ _HOME = {
     "NotConverged": "errors",
     "RoomfitError": "errors",
     "StoreError": "errors",
-    "Cache": "files.cache",
-    "cache_of": "files.cache",
-    "Campaign": "files.campaign.campaign",
-    "read_campaign": "files.campaign.campaign",
-    "read_parameters": "files.parameters",
-    "read_response": "files.responses.read",
-    "ResponseSpec": "files.responses.spec",
-    "read_result": "files.result_reader",
-    "write_result": "files.results",
-    "read_room": "files.rooms.read",
-    "PolygonSpec": "files.rooms.spec",
-    "RoomSpec": "files.rooms.spec",
+    "Cache": "cache",
+    "cache_of": "cache",
+    "Campaign": "io.campaign",
+    "read_campaign": "io.campaign",
+    "read_parameters": "io.iso3382",
+    "read_response": "io.responses",
+    "ResponseSpec": "measurement",
+    "read_result": "io.results",
+    "write_result": "io.results",
+    "read_room": "io.rooms",
+    "PolygonSpec": "io.rooms.model",
+    "RoomSpec": "io.rooms.model",
     "Finding": "findings",
-    "ImpedanceAnswer": "impedance.answer",
-    "WallModel": "impedance.choose",
+    "ImpedanceAnswer": "impedance.result",
+    "WallModel": "impedance.fit",
     "identify_impedance": "impedance.identify",
-    "Nuisances": "impedance.model",
-    "Observed": "impedance.observed",
-    "Absorption": "materials.absorption",
+    "Nuisances": "impedance.wave_model",
+    "Observed": "impedance.data",
     "catalogue": "materials.catalogue",
     "find_material": "materials.catalogue",
-    "Scattering": "materials.scattering",
-    "uniform_scattering": "materials.scattering",
-    "Design": "placement.answer",
-    "answer_text": "report.answer_text",
-    "report_html": "report.html.page",
+    "Scattering": "materials.priors",
+    "uniform_scattering": "materials.priors",
+    "Design": "experiment_design.choose",
+    "answer_text": "report.text",
+    "report_html": "report.html",
     "weigh": "response.energy",
-    "energy_rows": "response.rows",
-    "Room": "scene.room",
-    "Point": "scene.scene",
-    "Scene": "scene.scene",
-    "MeasuredValues": "signals.measured_values",
-    "room_parameters": "signals.room_parameters",
-    "trace": "tracing.join",
+    "energy_rows": "response.energy",
+    "Room": "scene",
+    "Point": "scene",
+    "Scene": "scene",
+    "MeasuredValues": "signals.iso3382",
+    "room_parameters": "signals.decay",
+    "trace": "tracing.trace",
     "Paths": "tracing.paths",
-    "TraceSettings": "tracing.settings",
-    "Answer": "uncertainty.answer",
+    "TraceSettings": "tracing.paths",
+    "Answer": "results",
     "AbsorptionPosterior": "uncertainty.posterior",
-    "Predicted": "uncertainty.prediction",
+    "Predicted": "prediction.prediction",
     "smooth_over_bands": "uncertainty.smoothing",
 }
 

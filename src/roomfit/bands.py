@@ -8,7 +8,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit.checks import float_array
+from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 

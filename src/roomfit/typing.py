@@ -1,4 +1,9 @@
-"""Names for the array types that every layer uses."""
+"""Names for the array types that every layer uses.
+
+One bar for several steps of a job.
+"""
+
+from __future__ import annotations
 
 from collections.abc import Callable
 from typing import Any, TypeAlias
@@ -13,3 +18,15 @@ BoolArray: TypeAlias = NDArray[np.bool_]
 
 Progress: TypeAlias = Callable[[float], None]
 """Called with the fraction of a long job that is done, rising from 0 to 1."""
+
+
+def part(progress: Progress | None, begin: float, end: float) -> Progress | None:
+    """Return a progress function for the part of a job from one fraction to another."""
+    if progress is None:
+        return None
+    whole = progress
+
+    def report(fraction: float) -> None:
+        whole(begin + (end - begin) * fraction)
+
+    return report

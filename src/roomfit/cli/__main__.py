@@ -1,5 +1,7 @@
 """``python -m roomfit.cli``."""
 
+from __future__ import annotations
+
 from roomfit.cli import main
 
 main()

@@ -42,9 +42,9 @@ def calibrate(
 
     A run that was stopped goes on where it was. Slices of one folder may run on many machines.
     """
-    from roomfit.app.calibrating.files import calibrate_to_folder, result_text
-    from roomfit.app.calibrating.settings import CalibrationSettings
     from roomfit.cli.progress import progress_bar
+    from roomfit.coverage.report import calibrate_to_folder, result_text
+    from roomfit.coverage.truth import CalibrationSettings
 
     settings = CalibrationSettings(
         replicates=replicates,

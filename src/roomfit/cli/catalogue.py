@@ -15,7 +15,7 @@ def catalogue(
 ) -> None:
     """List common materials, or show one with the spread of its absorption and the sources."""
     from roomfit.materials.catalogue import find_material, search_catalogue
-    from roomfit.report.catalogue_text import catalogue_text, entry_text
+    from roomfit.report.text import catalogue_text, entry_text
 
     found = search_catalogue(words or [])
     name = "-".join(words or [])

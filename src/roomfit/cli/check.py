@@ -22,11 +22,11 @@ def check(
 
     Of a campaign, the places of its sources and receivers are examined, too.
     """
-    from roomfit.app.check import check_campaign, check_room
+    from roomfit.commands import check_campaign, check_room
     from roomfit.errors import InputError
-    from roomfit.files.campaign.campaign import read_campaign
-    from roomfit.files.rooms.spec import RoomSpec
-    from roomfit.report.room_text import room_text
+    from roomfit.io.campaign import read_campaign
+    from roomfit.io.rooms.model import RoomSpec
+    from roomfit.report.text import room_text
 
     if room.suffix.lower() == ".toml":
         if unit is not None or up is not None:

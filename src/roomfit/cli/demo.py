@@ -18,9 +18,8 @@ def demo(
     ] = False,
 ) -> None:
     """Simulate a measured room by another road than the fit's own model, and identify it."""
-    from roomfit.app.demo import run_demo
     from roomfit.cli.progress import progress_bar
-    from roomfit.report.demo_text import demo_text
+    from roomfit.commands import demo_text, run_demo
 
     with progress_bar("simulating and identifying") as progress:
         result = run_demo(out, seed, overwrite=overwrite, progress=progress)

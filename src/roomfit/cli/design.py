@@ -35,9 +35,9 @@ def design(
     ] = False,
 ) -> None:
     """Choose where to measure, so that absorption is found with the narrowest intervals."""
-    from roomfit.app.designing.files import criterion_of, design_to_folder
     from roomfit.cli.progress import progress_bar
-    from roomfit.report.design_text import design_text
+    from roomfit.commands import criterion_of, design_to_folder
+    from roomfit.experiment_design.output import design_text
 
     wanted = criterion_of(criterion)
     with progress_bar("choosing where to measure") as progress:

@@ -24,8 +24,8 @@ def export(
     ] = False,
 ) -> None:
     """Write the absorption that was found as materials of another program."""
-    from roomfit.app.exporting import export_result
-    from roomfit.app.planning import DEFAULT_SCATTERING
+    from roomfit.commands import export_result
+    from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 
     written = export_result(
         result,

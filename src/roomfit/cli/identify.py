@@ -19,9 +19,9 @@ def identify(
     ] = False,
 ) -> None:
     """Find the absorption of a measured room, per material and band, with intervals."""
-    from roomfit.app.identify import identify_to_folder
     from roomfit.cli.progress import progress_bar
-    from roomfit.report.answer_text import answer_text
+    from roomfit.commands import identify_to_folder
+    from roomfit.report.text import answer_text
 
     with progress_bar("identifying") as progress:
         answer = identify_to_folder(

@@ -16,9 +16,9 @@ def impedance(
     ] = False,
 ) -> None:
     """Find the acoustic impedance of a measured room's walls over frequency, with intervals."""
-    from roomfit.app.impedance.campaign import impedance_to_folder
     from roomfit.cli.progress import progress_bar
-    from roomfit.report.impedance_text import impedance_text
+    from roomfit.impedance.campaign import impedance_to_folder
+    from roomfit.impedance.output import impedance_text
 
     with progress_bar("identifying impedances") as progress:
         answer = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)

@@ -19,10 +19,9 @@ def paper(
     ] = False,
 ) -> None:
     """Repeat the paper on its reconstructed room, then ask what other rays would have said."""
-    from roomfit.app.suh2001.files import run_paper
-    from roomfit.app.suh2001.repeat import PaperSettings
-    from roomfit.app.suh2001.text import paper_text
     from roomfit.cli.progress import progress_bar
+    from roomfit.suh2001.output import paper_text, run_paper
+    from roomfit.suh2001.repeat import PaperSettings
 
     with progress_bar("repeating the paper") as progress:
         result = run_paper(

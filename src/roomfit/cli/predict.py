@@ -34,11 +34,10 @@ def predict(
     ] = False,
 ) -> None:
     """Predict reverberation and clarity with their intervals, as the room is or with changes."""
-    from roomfit.app.changes import read_change
-    from roomfit.app.predicting.files import predict_to_folder
-    from roomfit.app.predicting.scene import pair_choice
     from roomfit.cli.progress import progress_bar
-    from roomfit.report.predict_text import predict_text
+    from roomfit.commands import predict_to_folder
+    from roomfit.prediction.output import predict_text
+    from roomfit.prediction.setup import pair_choice, read_change
 
     wanted = [read_change(text) for text in changes or []]
     chosen = pair_choice(pairs)

@@ -1,1 +1,0 @@
-"""Shapes: meshes, polygons, planes, and the checks that make a mesh a room."""

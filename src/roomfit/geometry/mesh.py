@@ -1,14 +1,93 @@
-"""The surface of a room as triangles that remember where they came from."""
+"""The edges where triangles meet, also where a long edge meets several short ones.
+
+Faults: findings so serious that a room cannot be traced, and how they become errors.
+
+Volume, area and mean free path of a room.
+
+The surface of a room as triangles that remember where they came from.
+
+Flat polygons with any outline: their plane, their area and their triangles.
+
+A box, the simplest room.
+
+Corners that are meant to be one point are made one.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
+from typing import Any
 
+import mapbox_earcut
 import numpy as np
+from numpy.typing import ArrayLike
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
-from roomfit.checks import float_array, int_array
+from roomfit._checks import float_array, int_array
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.typing import FloatArray, IntArray
+
+
+def fault(
+    code: str,
+    what: str,
+    *,
+    where: str | None = None,
+    found: str | None = None,
+    needed: str | None = None,
+    hint: str | None = None,
+    **evidence: Any,
+) -> Finding:
+    """Return a serious finding that keeps the parts of an error message apart.
+
+    `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
+    """
+    parts = {"where": where, "found": found, "needed": needed, "try": hint}
+    told = {key: text for key, text in parts.items() if text}
+    place = f" at {where}" if where else ""
+    count = f": {found}" if found else ""
+    return Finding(code, "serious", f"{what}{place}{count}.", {"what": what, **told, **evidence})
+
+
+def refuse(findings: Iterable[Finding]) -> None:
+    """Raise the first serious finding as an error; return where there is none.
+
+    Raises
+    ------
+    InputError
+        Says what, where, found, needed and try, and how many more faults there are.
+    """
+    serious = [f for f in findings if f.severity == "serious"]
+    if not serious:
+        return
+    told = serious[0].evidence
+    hints = [str(told["try"])] if "try" in told else []
+    if len(serious) > 1:
+        others = sorted({f.code for f in serious[1:]})
+        hints.append(f"there are {len(serious) - 1} more faults ({', '.join(others)})")
+    raise InputError(
+        str(told.get("what", serious[0].sentence)),
+        where=told.get("where"),
+        found=told.get("found"),
+        needed=told.get("needed"),
+        hint="; ".join(hints) or None,
+    )
+
+
+def place(point_m: FloatArray) -> str:
+    """Return a point as text, in metres to the millimetre.
+
+    Examples
+    --------
+    >>> place(np.array([1.0, 2.5, -0.00001]))
+    '(1.000, 2.500, 0.000) m'
+    """
+    x, y, z = np.round(np.asarray(point_m, dtype=np.float64), 3) + 0.0  # no "-0.000"
+    return f"({x:.3f}, {y:.3f}, {z:.3f}) m"
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,3 +170,267 @@ def is_double_sided(mesh: Mesh) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
     """Return for every triangle whether it is a double-sided sheet, shape (n_triangles,)."""
     flags = np.array([s.double_sided for s in mesh.surfaces], dtype=np.bool_)
     return np.asarray(flags[mesh.triangle_surface])
+
+
+def volume_m3(mesh: Mesh) -> float:
+    """Return the enclosed volume; negative where the normals point into the air.
+
+    The divergence theorem over the triangles that enclose (sheets in the air are left out). It is
+    taken about the middle of the room: exact for a closed mesh wherever that is, and for a mesh
+    with small gaps the choice that counts each missing piece least.
+    """
+    walls = ~is_double_sided(mesh)
+    if not walls.any():
+        return 0.0
+    vectors = area_vectors_m2(mesh)[walls]
+    middles = corners_m(mesh)[walls].mean(axis=1)
+    areas = np.linalg.norm(vectors, axis=1)
+    total = areas.sum()
+    middle = (areas @ middles) / total if total > 0.0 else middles.mean(axis=0)
+    return float(np.einsum("ij,ij->", middles - middle, vectors) / 3.0)
+
+
+def surface_area_m2(mesh: Mesh) -> float:
+    """Return the area that sound can strike: both sides of sheets in the air, one of walls."""
+    return float(triangle_areas_m2(mesh) @ np.where(is_double_sided(mesh), 2.0, 1.0))
+
+
+def mean_free_path_m(mesh: Mesh) -> float:
+    """Return the mean distance between two reflections in a diffuse field, ``4 V / S`` [1]_.
+
+    References
+    ----------
+    .. [1] C. W. Kosten, "The mean free path in room acoustics", Acustica 10, 245-250 (1960).
+    """
+    return 4.0 * volume_m3(mesh) / surface_area_m2(mesh)
+
+
+_NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon without area
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Triangulation:
+    """The triangles of one polygon.
+
+    Attributes
+    ----------
+    triangles : int array, shape (n_triangles, 3)
+        Indices into the polygon's corners, turning as the polygon does. Empty where it has no area.
+    area_m2 : float
+        Area of the polygon seen along its normal.
+    off_plane_m : float
+        Largest distance of a corner from the best plane.
+    crosses_itself : bool
+        The triangles do not cover the polygon's area: its outline is no simple one.
+    """
+
+    triangles: IntArray
+    area_m2: float
+    off_plane_m: float
+    crosses_itself: bool
+
+
+def area_vector_m2(corners_m: FloatArray) -> FloatArray:
+    """Return normal times area of a polygon, shape (3,), by Newell's sum over its edges.
+
+    Counter-clockwise corners give a vector that points to the viewer. Exact for flat polygons of
+    any outline; the area of a warped one is that of its shadow along the mean normal.
+
+    Parameters
+    ----------
+    corners_m : float array, shape (n_corners, 3)
+    """
+    from_first = corners_m - corners_m[0]
+    return np.asarray(0.5 * np.cross(from_first, np.roll(from_first, -1, axis=0)).sum(axis=0))
+
+
+def triangulate(corners_m: FloatArray) -> Triangulation:
+    """Cut a polygon into triangles with the ear-cutting method.
+
+    The polygon may be concave, hold corners that stand on a straight line, or the same corner
+    twice. A fan from the first corner, as many readers cut it, would cover the notch of an
+    L-shaped floor.
+
+    Parameters
+    ----------
+    corners_m : float array, shape (n_corners, 3)
+        In order around the polygon, the last one not repeating the first.
+    """
+    vector = area_vector_m2(corners_m)
+    area = float(np.linalg.norm(vector))
+    edges = np.roll(corners_m, -1, axis=0) - corners_m
+    perimeter = float(np.linalg.norm(edges, axis=1).sum())
+    if len(corners_m) < 3 or not area > _NO_AREA * perimeter**2:
+        return Triangulation(np.zeros((0, 3), dtype=np.int64), area, 0.0, False)
+    normal = vector / area
+    from_middle = corners_m - corners_m.mean(axis=0)
+    off_plane = float(np.abs(from_middle @ normal).max())
+    if len(corners_m) == 3:
+        return Triangulation(np.array([[0, 1, 2]]), area, off_plane, False)
+    flat = np.ascontiguousarray(from_middle @ _plane_axes(normal).T)
+    ring = np.array([len(flat)], dtype=np.uint32)
+    cut = mapbox_earcut.triangulate_float64(flat, ring).astype(np.int64).reshape(-1, 3)
+    twice = _twice_areas(flat, cut)
+    cut[twice < 0.0] = cut[twice < 0.0][:, ::-1]
+    covered = 0.5 * float(np.abs(twice).sum())
+    triangles = cut[np.abs(twice) > _NO_AREA * perimeter**2]
+    return Triangulation(triangles, area, off_plane, abs(covered - area) > 1e-6 * area)
+
+
+def _plane_axes(normal: FloatArray) -> FloatArray:
+    """Return two unit vectors that with the normal form a right-handed frame, shape (2, 3)."""
+    helper = np.zeros(3)
+    helper[np.argmin(np.abs(normal))] = 1.0
+    u = np.cross(helper, normal)
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(normal, u)])
+
+
+def _twice_areas(flat: FloatArray, triangles: IntArray) -> FloatArray:
+    a, b, c = (flat[triangles[:, k]] for k in range(3))
+    ab, ac = b - a, c - a
+    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+
+
+SHOEBOX_SURFACES = ("west", "east", "south", "north", "floor", "ceiling")
+
+# corner k of the unit box stands at the binary digits of k: x = bit 0, y = bit 1, z = bit 2
+_QUADS = (
+    *((0, 4, 6, 2), (1, 3, 7, 5)),  # west x = 0, east
+    *((0, 1, 5, 4), (2, 6, 7, 3)),  # south y = 0, north
+    *((0, 2, 3, 1), (4, 5, 7, 6)),  # floor z = 0, ceiling
+)
+
+
+def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
+    """Return a box with one corner at the origin.
+
+    Parameters
+    ----------
+    lengths_m : array_like, shape (3,)
+        Lengths along x, y and z, each 1 mm to 10 km.
+
+    Returns
+    -------
+    Mesh
+        12 triangles, outward normals; surfaces west (x = 0), east, south (y = 0), north, floor
+        and ceiling, in that order. Each carries its own name as material; the four upright ones
+        form the group "walls", so that one key can name them all.
+    """
+    lengths = float_array("length of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
+    corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) * lengths
+    triangles = [t for a, b, c, d in _QUADS for t in ((a, b, c), (a, c, d))]
+    surfaces = tuple(
+        Surface(name, "walls" if i < 4 else None, name) for i, name in enumerate(SHOEBOX_SURFACES)
+    )
+    return Mesh(corners, np.array(triangles), np.repeat(np.arange(6), 2), surfaces)
+
+
+WELD_TOLERANCE_M = 1e-4
+"""Corners nearer than 0.1 mm are one corner.
+
+An absolute length, because what is welded is the rounding of drawing programs (six decimals of a
+metre, three of a millimetre), which does not grow with the room, and because it must stay far
+below anything that sound can notice (the wavelength at 16 kHz is 21 mm) or a room is drawn with.
+"""
+
+
+def weld(points_m: FloatArray, tolerance_m: float = WELD_TOLERANCE_M) -> IntArray:
+    """Return for every point the index of the point that stands for it, shape (n_points,).
+
+    Points nearer than the tolerance belong together, and so do chains of them. The earliest point
+    stands for its group, so that coordinates of the file stay as they were written.
+
+    Parameters
+    ----------
+    points_m : float array, shape (n_points, 3)
+    """
+    # equal points first: a file that repeats each corner for every face has thousands of pairs
+    _, first, inverse = np.unique(points_m, axis=0, return_index=True, return_inverse=True)
+    pairs = cKDTree(points_m[first]).query_pairs(tolerance_m, output_type="ndarray")
+    n = len(first)
+    links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(n, n))
+    n_groups, group = connected_components(links, directed=False)
+    earliest = np.full(n_groups, len(points_m))
+    np.minimum.at(earliest, group, first)
+    return np.asarray(earliest[group[inverse.reshape(-1)]])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Edges:
+    """Directed edges of the enclosing triangles (sheets in the air are left out).
+
+    An edge on which corners of others stand is split there, so that edges match piece by piece.
+
+    Attributes
+    ----------
+    ends : int array, shape (n_edges, 2)
+        Corner from which and to which each edge runs.
+    triangle : int array, shape (n_edges,)
+        Triangle whose border it is.
+    line : int array, shape (n_edges,)
+        Equal for edges between the same two corners, in whichever direction.
+    """
+
+    ends: IntArray
+    triangle: IntArray
+    line: IntArray
+
+
+def edges_of(mesh: Mesh, tolerance_m: float = WELD_TOLERANCE_M) -> Edges:
+    """Return the directed edges, split wherever a corner stands on one within the tolerance."""
+    enclosing = np.flatnonzero(~is_double_sided(mesh))
+    corners = mesh.triangles[enclosing].astype(np.int64)
+    ends: IntArray = np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2)
+    triangle: IntArray = np.repeat(enclosing, 3)
+    lonely = np.flatnonzero(np.bincount(_lines(ends))[_lines(ends)] != 2)
+    if len(lonely):
+        ends, triangle = _split(mesh.vertices_m, ends, triangle, lonely, tolerance_m)
+    return Edges(ends, triangle, _lines(ends))
+
+
+def unmatched(edges: Edges) -> IntArray:
+    """Return the indices of edges that no other edge runs along in the opposite direction.
+
+    None are left in a closed, consistently oriented mesh.
+    """
+    if not len(edges.ends):
+        return np.zeros(0, dtype=np.int64)
+    forward = np.where(edges.ends[:, 0] < edges.ends[:, 1], 1, -1)
+    balance = np.bincount(edges.line, forward)
+    return np.flatnonzero(balance[edges.line] * forward > 0)
+
+
+def _lines(ends: IntArray) -> IntArray:
+    if not len(ends):
+        return np.zeros(0, dtype=np.int64)
+    _, line = np.unique(np.sort(ends, axis=1), axis=0, return_inverse=True)
+    return np.asarray(line.reshape(-1))
+
+
+def _split(
+    vertices_m: FloatArray, ends: IntArray, triangle: IntArray, lonely: IntArray, tolerance_m: float
+) -> tuple[IntArray, IntArray]:
+    posts = np.unique(ends[lonely])
+    tree = cKDTree(vertices_m[posts])
+    pieces, owners = [np.delete(ends, lonely, axis=0)], [np.delete(triangle, lonely)]
+    for edge in lonely:
+        a, b = vertices_m[ends[edge]]
+        near = tree.query_ball_point((a + b) / 2, np.linalg.norm(b - a) / 2)
+        chain = _chain(vertices_m, ends[edge], posts[near], tolerance_m)
+        pieces.append(np.stack([chain[:-1], chain[1:]], axis=1))
+        owners.append(np.full(len(chain) - 1, triangle[edge]))
+    return np.concatenate(pieces), np.concatenate(owners)
+
+
+def _chain(vertices_m: FloatArray, ends: IntArray, posts: IntArray, tolerance_m: float) -> IntArray:
+    """Return the corners along an edge, from its start to its end, both included."""
+    start, end = vertices_m[ends]
+    length = np.linalg.norm(end - start)
+    direction = (end - start) / length
+    from_start = vertices_m[posts] - start
+    along = from_start @ direction
+    aside = np.linalg.norm(from_start - along[:, None] * direction, axis=1)
+    on_edge = (aside < tolerance_m) & (along > tolerance_m) & (along < length - tolerance_m)
+    between = posts[on_edge][np.argsort(along[on_edge])]
+    return np.concatenate([ends[:1], between, ends[1:]])

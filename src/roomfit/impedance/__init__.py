@@ -1,1 +1,0 @@
-"""Acoustic impedance of walls from complex pressures: image sources that carry phase."""

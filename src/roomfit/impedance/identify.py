@@ -8,34 +8,41 @@ from dataclasses import replace
 
 import numpy as np
 
+from roomfit._numba import one_blas_thread
 from roomfit.errors import InputError
-from roomfit.geometry.measures import mean_free_path_m
-from roomfit.impedance.answer import ImpedanceAnswer
-from roomfit.impedance.choose import WallModel, first_curves, with_laws
-from roomfit.impedance.enough import data_findings
-from roomfit.impedance.fit import ImpedanceFit, reduced_chi2, refined, relaxed
-from roomfit.impedance.judged import answer_without_fit, judged_answer
-from roomfit.impedance.layout import start_of
-from roomfit.impedance.model import Nuisances, WaveModel, model_without_paths, wave_model
-from roomfit.impedance.noise import estimated_noise
-from roomfit.impedance.observed import (
+from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.impedance.data import (
     MODEL_ERROR,
     PLANE_MODEL_ERROR,
     Observed,
     level_at,
     standard_deviation,
 )
-from roomfit.impedance.problem import Problem
-from roomfit.impedance.starts import (
+from roomfit.impedance.fit import (
     SAME_WITHIN,
+    ImpedanceFit,
     Start,
+    WallModel,
     distance,
     distinct,
+    first_curves,
     looked_around,
+    reduced_chi2,
+    refined,
+    relaxed,
     thinned,
+    with_laws,
 )
-from roomfit.scene.scene import Scene
-from roomfit.threads import one_blas_thread
+from roomfit.impedance.problem import Problem, start_of
+from roomfit.impedance.result import (
+    ImpedanceAnswer,
+    answer_without_fit,
+    data_findings,
+    estimated_noise,
+    judged_answer,
+)
+from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
+from roomfit.scene import Scene
 from roomfit.typing import FloatArray, Progress
 
 N_RANDOM_STARTS = 3

@@ -1,16 +1,311 @@
-"""Physical laws of walls as curves of R0 over frequency."""
+"""How the reflection coefficient of a material may run over frequency; splines.
+
+Physical laws of walls as curves of R0 over frequency.
+
+Impedance of locally reacting walls, and what it makes of sound that strikes them.
+
+Impedances are normalised by that of the air (rho c) and follow ``exp(+j w t)``. Frequencies may be
+complex, ``f - j / (2 pi tau)``, for spectra behind an exponential window.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from types import MappingProxyType
+from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import BSpline
 from scipy.special import expit
 
-from roomfit.materials.impedance_laws import miki_layer, panel, r0_of_impedance, resonator
+from roomfit.errors import InputError
 from roomfit.typing import ComplexArray, FloatArray, IntArray
+
+_KNOTS_PER_OCTAVE = 4
+_CLOSEST_KNOTS_HZ = 25.0
+
+
+class Curve(Protocol):
+    """R0 over frequency as a function of real numbers x."""
+
+    @property
+    def kind(self) -> str:
+        """Name of the curve in a campaign."""
+
+    @property
+    def start(self) -> FloatArray:
+        """Where to begin, shape (n,)."""
+
+    @property
+    def roughness(self) -> FloatArray:
+        """Rows whose products with x are wanted small, shape (n_rows, n)."""
+
+    @property
+    def prior_sd(self) -> float:
+        """Standard deviation of each x about its start, infinite where nothing is known."""
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        """Return R0, shape (n_frequencies,)."""
+
+    def slope(self, x: FloatArray) -> ComplexArray:
+        """Return the derivative of R0 by x, shape (n_frequencies, n)."""
+
+    def at(self, chosen: IntArray) -> Curve:
+        """Return the curve at some of its frequencies."""
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        """Return R0 and slope where it must be held passive, between the frequencies as well."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Spline:
+    """R0 as a combination of real functions of frequency: x holds real, then imaginary parts.
+
+    Attributes
+    ----------
+    kind : str
+        "spline", or "constant" where the one function is 1.
+    basis : float array, shape (n_frequencies, n_functions)
+    dense : float array, shape (n_places, n_functions)
+        The functions on a finer grid, where R0 is held passive.
+    start_r0 : complex
+    """
+
+    kind: str
+    basis: FloatArray
+    dense: FloatArray
+    start_r0: complex = 0.8
+
+    @property
+    def start(self) -> FloatArray:
+        n = self.basis.shape[1]
+        return np.repeat(np.array([self.start_r0.real, self.start_r0.imag], np.float64), n)
+
+    @property
+    def roughness(self) -> FloatArray:
+        n = self.basis.shape[1]
+        if n < 3:
+            return np.zeros((0, 2 * n))
+        return np.asarray(np.kron(np.eye(2), np.diff(np.eye(n), 2, axis=0)), dtype=np.float64)
+
+    @property
+    def prior_sd(self) -> float:
+        return math.inf
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        return _complex(self.basis, x)
+
+    def slope(self, x: FloatArray) -> ComplexArray:  # noqa: ARG002 -- the same everywhere
+        return np.hstack([self.basis, 1j * self.basis])
+
+    def at(self, chosen: IntArray) -> Spline:
+        return replace(self, basis=self.basis[chosen])
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        return _complex(self.dense, x), np.hstack([self.dense, 1j * self.dense])
+
+
+def _complex(basis: FloatArray, x: FloatArray) -> ComplexArray:
+    n = basis.shape[1]
+    return np.asarray(basis @ (x[:n] + 1j * x[n:]))
+
+
+def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
+    """Return a cubic B-spline over the logarithm of frequency.
+
+    Knots every quarter octave, but at least 25 Hz apart and no more than the frequencies allow; of
+    fewer than four frequencies each is free.
+
+    Raises
+    ------
+    InputError
+        A start that is not passive.
+    """
+    _check_passive(start_r0)
+    if len(frequency_hz) < 4:
+        eye = np.eye(len(frequency_hz))
+        return Spline("spline", eye, eye, start_r0)
+    knots = _knots_hz(float(frequency_hz[0]), float(frequency_hz[-1]))
+    if len(knots) + 2 > len(frequency_hz):
+        knots = np.geomspace(frequency_hz[0], frequency_hz[-1], len(frequency_hz) - 2)
+    t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
+    fine = np.exp(np.linspace(t[0], t[-1], 8 * len(knots)))
+    dense = np.concatenate([frequency_hz, fine])
+
+    def at(f: FloatArray) -> FloatArray:
+        inside = np.clip(np.log(f), t[0], t[-1])
+        return np.asarray(BSpline.design_matrix(inside, t, 3).toarray())
+
+    return Spline("spline", at(frequency_hz), at(dense), start_r0)
+
+
+def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
+    """Return a reflection coefficient that does not change with frequency."""
+    _check_passive(start_r0)
+    return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
+
+
+def _check_passive(r0: complex) -> None:
+    if not abs(r0) <= 1.0:
+        raise InputError(
+            "a wall cannot give back more than it gets",
+            found=f"a start of |R0| = {abs(r0):.4g}",
+            needed="|R0| <= 1",
+        )
+
+
+def _knots_hz(low: float, high: float) -> FloatArray:
+    """Return knots from low to high, a quarter octave and at least 25 Hz apart."""
+    knots = [low]
+    while knots[-1] < high:
+        knots.append(max(knots[-1] * 2.0 ** (1 / _KNOTS_PER_OCTAVE), knots[-1] + _CLOSEST_KNOTS_HZ))
+    # drawn together, so that the last one ends where the data do
+    shrink = math.log(high / low) / math.log(knots[-1] / low)
+    return np.asarray(low * (np.array(knots) / low) ** shrink)
+
+
+_ANGLES = 64
+
+
+def r0_of_impedance(impedance: ComplexArray) -> ComplexArray:
+    """Return the reflection coefficient at normal incidence, ``(Z - 1) / (Z + 1)``."""
+    z = np.asarray(impedance, dtype=np.complex128)
+    return np.asarray((z - 1.0) / (z + 1.0))
+
+
+def impedance_of_r0(r0: ComplexArray) -> ComplexArray:
+    """Return ``Z = (1 + R0) / (1 - R0)``; infinite where R0 is 1."""
+    r = np.asarray(r0, dtype=np.complex128)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.asarray((1.0 + r) / (1.0 - r))
+
+
+def absorption_normal(r0: ComplexArray) -> FloatArray:
+    """Return the share of energy that a wall takes at normal incidence, ``1 - |R0|**2``."""
+    return np.asarray(1.0 - np.abs(r0) ** 2)
+
+
+def absorption_random(r0: ComplexArray) -> FloatArray:
+    """Return the absorption for random incidence on an infinite wall, by Paris's integral [1]_.
+
+    ``integral of (1 - |R(theta)|**2) sin(2 theta)`` over 0 to 90 degrees, by Gauss's rule in
+    ``cos(theta)**2`` with 64 nodes in its root.
+
+    References
+    ----------
+    .. [1] E. T. Paris, "On the coefficient of sound-absorption measured by the reverberation
+           method", Phil. Mag. 5, 489-497 (1928).
+    """
+    node, weight = np.polynomial.legendre.leggauss(_ANGLES)
+    cosine, weight = 0.5 * (node + 1.0), 0.5 * weight
+    r = np.asarray(r0, dtype=np.complex128)[..., None]
+    q = (1.0 - cosine) / (1.0 + cosine)
+    reflected = np.abs((r - q) / (1.0 - q * r)) ** 2
+    return np.asarray(np.sum((1.0 - reflected) * 2.0 * cosine * weight, axis=-1))
+
+
+def miki_layer(
+    frequency_hz: ComplexArray,
+    flow_resistivity: complex,
+    thickness_m: complex,
+    air_gap_m: complex,
+    speed_m_s: float,
+) -> ComplexArray:
+    """Return the impedance of a porous layer before a rigid wall, with or without a gap of air.
+
+    Miki's model of the material [1]_ and the transfer of an impedance through a layer. Good for
+    ``0.01 < f / flow_resistivity < 1`` (m3/kg), used a little beyond.
+
+    Parameters
+    ----------
+    frequency_hz : complex array
+    flow_resistivity : complex
+        Pa s/m2.
+    thickness_m, air_gap_m : complex
+        Complex where derivatives are taken.
+    speed_m_s : float
+
+    References
+    ----------
+    .. [1] Y. Miki, "Acoustical properties of porous materials - modifications of Delany-Bazley
+           models", J. Acoust. Soc. Jpn (E) 11, 19-24 (1990).
+    """
+    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
+    x = np.asarray(frequency_hz) / flow_resistivity
+    own, wave = miki_material(x)
+    phase = wave * k * thickness_m
+    # admittance of the gap, 0 where there is none: no cotangent of nothing
+    behind = 1j * np.tan(k * air_gap_m)
+    sine, cosine = np.sin(phase), np.cos(phase)
+    return np.asarray(
+        own * (cosine + 1j * own * behind * sine) / (own * behind * cosine + 1j * sine)
+    )
+
+
+def miki_material(x: ComplexArray) -> tuple[ComplexArray, ComplexArray]:
+    """Return characteristic impedance and wavenumber, over those of air, at ``x = f / sigma``."""
+    return (
+        1.0 + (0.070 - 0.107j) * x**-0.632,
+        1.0 + (0.109 - 0.160j) * x**-0.618,
+    )
+
+
+def resonator(
+    frequency_hz: ComplexArray,
+    resistance: complex,
+    mass_m: complex,
+    depth_m: complex,
+    flow_resistivity: complex,
+    speed_m_s: float,
+) -> ComplexArray:
+    """Return the impedance of a perforated plate or Helmholtz resonators before a filled cavity.
+
+    ``Z = r + j k m + Z_cavity``, the cavity holding a porous material (`miki_layer`).
+
+    Parameters
+    ----------
+    frequency_hz : complex array
+    resistance : complex
+        Over rho c.
+    mass_m : complex
+        Effective length of the necks over the share of open area, m.
+    depth_m : complex
+    flow_resistivity : complex
+        Of what fills the cavity, Pa s/m2; 10 and less is as good as air.
+    speed_m_s : float
+    """
+    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
+    cavity = miki_layer(frequency_hz, flow_resistivity, depth_m, 0.0, speed_m_s)
+    return np.asarray(resistance + 1j * k * mass_m + cavity)
+
+
+def panel(
+    frequency_hz: ComplexArray,
+    resistance: complex,
+    mass_m: complex,
+    depth_m: complex,
+    speed_m_s: float,
+) -> ComplexArray:
+    """Return the impedance of a panel that moves as a mass on the spring of the air behind it.
+
+    ``Z = r + j k m - j cot(k d)``.
+
+    Parameters
+    ----------
+    frequency_hz : complex array
+    resistance : complex
+        Losses over rho c.
+    mass_m : complex
+        Mass per area over the density of air, m: 1 m is 1.2 kg/m2.
+    depth_m : complex
+        Of the air behind.
+    speed_m_s : float
+    """
+    k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
+    return np.asarray(resistance + 1j * k * mass_m - 1j / np.tan(k * depth_m))
+
 
 # Of a step in the logarithm of a law's parameter; the error of the slope is its fourth power.
 _STEP = 1e-3
@@ -69,7 +364,7 @@ class LawCurve:
     kind : str
         A key of `LAWS`.
     frequency_hz : complex array, shape (n_frequencies,)
-        At the window, see `roomfit.impedance.observed.complex_frequency_hz`.
+        At the window, see `roomfit.impedance.data.complex_frequency_hz`.
     speed_m_s : float
     parameters : tuple of Parameter
     """

@@ -1,1 +1,0 @@
-"""What walls do to sound: absorption and scattering, kept apart."""

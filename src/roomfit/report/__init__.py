@@ -1,1 +1,0 @@
-"""Results as words, tables and pictures."""

@@ -1,1 +1,0 @@
-"""Paths and wall properties to energy responses, with derivatives."""

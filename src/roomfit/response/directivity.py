@@ -1,4 +1,11 @@
-"""What a source sends into each direction, as a factor on the energy of paths.
+"""The directivity of a loudspeaker as measured around it, read for any direction in the room.
+
+First-order sources whose directivity is not known: rows and images weighed anew, with slopes.
+
+The amplitude in direction u is ``a = (1 + b . u) / sqrt(1 + |b|**2 / 3)``, the energy its square.
+Pressures are linear in a, energies of paths that add quadratic: slopes are exact for both.
+
+What a source sends into each direction, as a factor on the energy of paths.
 
 Factors are relative to an omnidirectional source of the same sound power: their mean over all
 directions is 1. So a level that is told as "absolute" is that of the sound power, not that on the
@@ -10,16 +17,287 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+import numba
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
+from scipy import fft
+from scipy.interpolate import RBFInterpolator
 
-from roomfit.checks import float_array
+from roomfit._checks import float_array
+from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.response.energy import weigh
-from roomfit.response.measured_directivity import MeasuredDirectivity, measured_factor
-from roomfit.response.rows import EnergyRows, reweighed_rows
+from roomfit.response.coherent import (
+    TABLE_STEPS,
+    TAPS,
+    BandGrid,
+    ImagePaths,
+    Times,
+    image_energies,
+    window_products,
+)
+from roomfit.response.energy import EnergyRows, reweighed_rows, weigh
 from roomfit.tracing.paths import Paths
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
+
+
+def amplitude_and_slope(
+    b: FloatArray, departure: NDArray[np.float32] | FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the amplitude a of every direction, (n,), and its derivative by b, (n, 3).
+
+    Parameters
+    ----------
+    b : float array, shape (3,)
+    departure : float array, shape (n, 3)
+        Unit vectors away from the source.
+    """
+    u = departure.astype(np.float64)
+    root = np.sqrt(1.0 + b @ b / 3.0)
+    amplitude = (1.0 + u @ b) / root
+    return np.asarray(amplitude), u / root - amplitude[:, None] * b / (3.0 * root**2)
+
+
+def image_departure(images: ImagePaths) -> NDArray[np.float32]:
+    """Return where every image path leaves its source, unit vectors, shape (n_paths, 3)."""
+    toward = images.away_m / np.linalg.norm(images.away_m, axis=1)[:, None]
+    u = np.einsum("nij,ni->nj", images.unfolding.reshape(-1, 3, 3), toward)
+    return np.asarray(u, dtype=np.float32)
+
+
+def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
+    """Return rows with every weight times a factor of its own, shape (n_rows,), of either sign."""
+    return replace(rows, weight_per_m2=rows.weight_per_m2 * factor)
+
+
+def directed_images(images: ImagePaths, amplitude: FloatArray) -> ImagePaths:
+    """Return images whose pressures are multiplied by amplitudes of either sign, (n_paths,)."""
+    return replace(images, weight=images.weight * amplitude**2, sign=np.sign(amplitude))
+
+
+def coherent_slopes(
+    images: ImagePaths,
+    absorption: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
+    amplitude: FloatArray,
+    slope: FloatArray,
+) -> FloatArray:
+    """Return the derivative of the energies of the coherent pressure by b of each own source.
+
+    Parameters
+    ----------
+    images : ImagePaths
+        With the weights of omnidirectional sources.
+    absorption : float array, shape (n_materials,)
+    times, grid, edges_s
+        As for `roomfit.response.coherent.coherent_response`.
+    amplitude, slope : float arrays, shapes (n_paths,) and (n_paths, 3)
+        From `amplitude_and_slope`.
+
+    Returns
+    -------
+    float array, shape (n_windows, 3)
+        ``2 * integral of y dy/db`` over every window, observations end to end.
+    """
+    root = np.sqrt(image_energies(images, absorption) * images.coherence)
+    heights = np.column_stack([amplitude, slope]) * root[:, None]
+    trains = np.zeros((len(edges_s), 4, grid.n))
+    arrivals = arrival_times_s(images, times)
+    lay_spikes(images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, trains)
+    pressure = fft.irfft(fft.rfft(trains, axis=-1, workers=2) * grid.filter, grid.n, workers=2)
+    starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
+    edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
+    n_windows = int(starts[-1]) - len(edges_s)
+    energy, slopes = np.zeros(n_windows), np.zeros((n_windows, 3))
+    own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
+    window_products(starts, edges, own, moved, energy, slopes)
+    return np.asarray(slopes / grid.rate_hz)
+
+
+def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
+    """Return when every image path arrives, shape (n_paths,)."""
+    counts = np.diff(images.offsets)
+    shift = np.repeat(times.shifts_m, counts, axis=0)
+    turned = np.einsum("nij,nj->ni", images.unfolding.reshape(-1, 3, 3), shift[:, :3])
+    length = np.linalg.norm(images.away_m + shift[:, 3:] - turned, axis=1)
+    late = np.repeat(times.latency_s, counts) + images.hits @ times.delays_s
+    return np.asarray(length / times.speed_m_s + late)
+
+
+@kernel(parallel=True)
+def lay_spikes(
+    offsets: IntArray,
+    time_s: FloatArray,
+    heights: FloatArray,
+    first_s: float,
+    rate_hz: float,
+    table: FloatArray,
+    trains: FloatArray,
+) -> None:
+    """Lay spikes of several heights at each path's time upon the grids of its observation.
+
+    Parameters
+    ----------
+    offsets : shape (n_observations + 1,)
+    time_s : shape (n_paths,)
+    heights : shape (n_paths, n_columns)
+    trains : shape (n_observations, n_columns, n_grid)
+        Zeros; filled.
+    """
+    n_grid = trains.shape[2]
+    for o in numba.prange(len(offsets) - 1):
+        own = trains[o]
+        for i in range(offsets[o], offsets[o + 1]):
+            place = (time_s[i] - first_s) * rate_hz
+            low = int(np.floor(place)) - TAPS // 2 + 1
+            for tap in range(TAPS):
+                distance = abs(low + tap - place) * TABLE_STEPS
+                step = int(distance)
+                height = table[step] + (distance - step) * (table[step + 1] - table[step])
+                g = (low + tap) % n_grid
+                for j in range(heights.shape[1]):
+                    own[j, g] += height * heights[i, j]
+
+
+# A measured directivity is laid on a grid of directions so fine once, and read from it linearly.
+_STEP_DEG = 2.5
+_NEIGHBOURS = 16
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredDirectivity:
+    """Energy that a loudspeaker was measured to send into each direction, of unit sound power.
+
+    Attributes
+    ----------
+    centres_hz : float array, shape (n_bands,)
+    factor : float array, shape (n_bands, n_polar, n_azimuth)
+        On polar angles from 0 (the axis that the loudspeaker faces) to pi and azimuths from 0
+        (left, from up across the axis) to 2 pi, both ends included.
+    axes : float array, shape (3, 3)
+        Rows: where the loudspeaker's axis, its left and its top point in the room.
+    """
+
+    centres_hz: FloatArray
+    factor: FloatArray
+    axes: FloatArray
+
+    def __post_init__(self) -> None:
+        axes = float_array("axes of a loudspeaker", self.axes, (3, 3), low=-1.0, high=1.0)
+        if not np.allclose(axes @ axes.T, np.eye(3), atol=1e-9):
+            raise InputError("the axes of a loudspeaker are not perpendicular unit vectors")
+        centres = float_array("centres", self.centres_hz, (None,), low=0.0, unit="Hz")
+        factor = float_array("directivity", self.factor, (len(centres), None, None), low=0.0)
+        object.__setattr__(self, "centres_hz", centres)
+        object.__setattr__(self, "factor", factor)
+        object.__setattr__(self, "axes", axes)
+
+
+def loudspeaker_axes(aim: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatArray:
+    """Return unit vectors of front, left and top, rows of (3, 3); `up` need not be square to `aim`.
+
+    Raises
+    ------
+    InputError
+        `up` and `aim` are parallel, or one has no length.
+    """
+    front = float_array("aim", aim, (3,), low=-1e6, high=1e6)
+    left = np.cross(float_array("up", up, (3,), low=-1e6, high=1e6), front)
+    if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(front):
+        raise InputError(
+            "aim and up of a loudspeaker do not tell how it stands",
+            found=f"aim {np.array(aim).tolist()} and up {np.array(up).tolist()}",
+            needed="two directions that are not parallel",
+            hint="a loudspeaker that faces up needs another up",
+        )
+    front, left = front / np.linalg.norm(front), left / np.linalg.norm(left)
+    return np.stack([front, left, np.cross(front, left)])
+
+
+def measured_directivity(
+    directions: FloatArray, energy: FloatArray, centres_hz: FloatArray, axes: FloatArray
+) -> MeasuredDirectivity:
+    """Return a directivity from energies measured in directions spread over the sphere.
+
+    Between directions it is interpolated by radial functions through the nearest sixteen, which
+    keeps the measured values, and never below 0.
+
+    Parameters
+    ----------
+    directions : float array, shape (n_directions, 3)
+        In the loudspeaker's own frame: x front, y left, z top; of any length.
+    energy : float array, shape (n_directions, n_bands)
+        In any unit: the mean over the sphere becomes 1.
+    centres_hz : float array, shape (n_bands,)
+    axes : float array, shape (3, 3)
+        From `loudspeaker_axes`.
+
+    Raises
+    ------
+    InputError
+        Fewer than six directions, some hemisphere without any, or a band without energy.
+    """
+    points = float_array("directions", directions, (None, 3), low=-1e6, high=1e6)
+    length = np.linalg.norm(points, axis=1)
+    values = float_array("energy", energy, (len(points), len(centres_hz)), low=0.0)
+    if len(points) < 6 or not np.all(length > 0.0):
+        raise InputError(
+            "too few directions for a directivity", found=str(len(points)), needed="6 or more"
+        )
+    points, first = np.unique(np.round(points / length[:, None], 6), axis=0, return_index=True)
+    polar, azimuth, grid = _grid()
+    if np.min(np.max(grid @ points.T, axis=1)) < 0.5:
+        raise InputError(
+            "the directions of a directivity leave a hole wider than 60 degrees",
+            needed="directions all around the loudspeaker",
+        )
+    neighbours = min(_NEIGHBOURS, len(points))
+    # linear radial functions in space: as smooth as few directions permit, exact at each of them
+    smooth = RBFInterpolator(points, values[first], neighbors=neighbours, kernel="linear")
+    factor = np.maximum(smooth(grid), 0.0).T.reshape(-1, polar.size, azimuth.size)
+    mean = sphere_mean(factor)
+    if not np.all(mean > 0.0):
+        raise InputError("a directivity has a band without energy")
+    return MeasuredDirectivity(centres_hz, factor / mean[:, None, None], axes)
+
+
+def sphere_mean(factor: FloatArray) -> FloatArray:
+    """Return the mean over all directions of values on the grid, shape (n_bands,)."""
+    polar = np.linspace(0.0, np.pi, factor.shape[1])
+    # exact for what is linear in cos(polar) between grid lines
+    edges = np.concatenate(([0.0], 0.5 * (polar[1:] + polar[:-1]), [np.pi]))
+    share = -0.5 * np.diff(np.cos(edges))
+    return np.asarray(factor[:, :, :-1].mean(axis=2) @ share)
+
+
+def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: int) -> FloatArray:
+    """Return the factor of one band for directions in the room, shape (n_paths,).
+
+    Parameters
+    ----------
+    departure : float array, shape (n_paths, 3)
+        Unit vectors away from the source.
+    band : int
+    """
+    front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
+    table = source.factor[band]
+    polar = np.arctan2(np.hypot(left, top), front) / np.pi * (table.shape[0] - 1)
+    azimuth = (np.arctan2(top, left) / (2.0 * np.pi) % 1.0) * (table.shape[1] - 1)
+    i = np.minimum(polar.astype(np.int64), table.shape[0] - 2)
+    j = np.minimum(azimuth.astype(np.int64), table.shape[1] - 2)
+    x, y = polar - i, azimuth - j
+    near = (1.0 - y) * table[i, j] + y * table[i, j + 1]
+    far = (1.0 - y) * table[i + 1, j] + y * table[i + 1, j + 1]
+    return np.asarray((1.0 - x) * near + x * far)
+
+
+def _grid() -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return polar angles, azimuths and all their unit vectors, polar angle slowest."""
+    polar = np.linspace(0.0, np.pi, round(180.0 / _STEP_DEG) + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, round(360.0 / _STEP_DEG) + 1)
+    p, a = (x.ravel() for x in np.meshgrid(polar, azimuth, indexing="ij"))
+    return polar, azimuth, np.stack([np.cos(p), np.sin(p) * np.cos(a), np.sin(p) * np.sin(a)], 1)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -8,11 +8,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numba import prange
 
-from roomfit.compiled import kernel
+from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.materials.scattering import Scattering
-from roomfit.response.energy import weigh
-from roomfit.response.rows import EnergyRows, reweighed_rows
+from roomfit.materials.priors import Scattering
+from roomfit.response.energy import EnergyRows, reweighed_rows, weigh
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 

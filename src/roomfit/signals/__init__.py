@@ -1,1 +1,0 @@
-"""Measured pressure: responses, filters, onsets, noise, decay curves. No files are read here."""

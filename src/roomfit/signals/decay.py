@@ -1,19 +1,27 @@
-"""Backward-integrated decay curves, from measured pressure and from predicted energies."""
+"""Backward-integrated decay curves, from measured pressure and from predicted energies.
+
+Just noticeable differences: the scale on which a prediction's error matters to a listener.
+
+Whether a recording is an impulse response at all, and whether its decay is long enough.
+
+Room-acoustical parameters of ISO 3382-1 from decay curves.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from roomfit._checks import float_array
 from roomfit.bands import Bands
-from roomfit.checks import float_array
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.signals.filters import FilterBank, filter_pressure, ringing_s
-from roomfit.signals.impulse_response import ImpulseResponse, padded
 from roomfit.signals.noise import estimate_noise
-from roomfit.signals.onset import check_travel
+from roomfit.signals.response import ImpulseResponse, check_travel, padded
 from roomfit.typing import BoolArray, FloatArray
 
 # Beyond this share of `ringing_s` (4 periods of an octave) lies less than 1e-4 of an impulse.
@@ -194,3 +202,284 @@ def _tail(
     r = np.where(falls, last / np.where(falls, before, 1.0), 0.5)
     tail = np.where(falls, last * r / (1.0 - r), 0.0)
     return tail, np.where(falls, tail, left[:, 0]), np.where(falls, -step_s / np.log(r), 0.0)
+
+
+# ISO 3382-1:2009, table A.1: 5 % of EDT (taken for T20 and T30 as well), 1 dB of C80 (and C50) and
+# G, 0.05 of D50, 10 ms of TS.
+_RELATIVE = {"T20_s": 0.05, "T30_s": 0.05, "EDT_s": 0.05}
+_ABSOLUTE = {"C50_dB": 1.0, "C80_dB": 1.0, "D50_percent": 5.0, "TS_ms": 10.0, "G_dB": 1.0}
+
+
+def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> FloatArray:
+    """Return predicted minus measured in just noticeable differences of ISO 3382-1.
+
+    Examples
+    --------
+    A reverberation time 10 % too long is two just noticeable differences off.
+
+    >>> in_jnd("T20_s", np.array([1.0]), np.array([1.1])).round(6)
+    array([2.])
+    """
+    difference = np.asarray(predicted) - np.asarray(measured)
+    return np.asarray(difference / jnd_of(parameter, measured))
+
+
+def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
+    """Return one just noticeable difference of a parameter, in its own unit, at given values.
+
+    Parameters
+    ----------
+    parameter : str
+        "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms" or "G_dB".
+    values : float array
+
+    Raises
+    ------
+    InputError
+        The standard names none for this parameter.
+
+    Examples
+    --------
+    >>> float(jnd_of("EDT_s", np.array(2.0)))
+    0.1
+    """
+    if parameter in _RELATIVE:
+        return np.asarray(_RELATIVE[parameter] * np.asarray(values))
+    if parameter in _ABSOLUTE:
+        return np.full(np.shape(values), _ABSOLUTE[parameter])
+    raise InputError(
+        "no just noticeable difference is known for this parameter",
+        found=repr(parameter),
+        needed=", ".join((*_RELATIVE, *_ABSOLUTE)),
+    )
+
+
+_PLAUSIBILITY_LEAST_RANGE_DB = 15.0
+_N_BLOCKS = 12
+# Nobody excites a room for less; in a dry room nearly all energy comes within a few ms.
+_SHORTEST_EXCITATION_S = 0.05
+
+
+def check_is_response(response: ImpulseResponse, where: str | None = None) -> None:
+    """Refuse a recording of the excitation that nobody has deconvolved.
+
+    Two signs are looked for between the instants by which 5 and 95 % of the energy have come. A
+    sweep climbs: the median frequency rises from block to block by two octaves or more in all. A
+    long excitation of any kind does not decay: half its energy comes in more than 0.6 of the time
+    of the other half (an exponential decay: 0.28), and no peak stands out of its mean by 16 dB.
+
+    Raises
+    ------
+    InputError
+    """
+    pressure = response.pressure - np.mean(response.pressure)
+    cumulative = np.cumsum(pressure**2)
+    begin, middle, end = np.searchsorted(cumulative, cumulative[-1] * np.array([0.05, 0.5, 0.95]))
+    loud = pressure[begin : end + 1]
+    if len(loud) < _SHORTEST_EXCITATION_S * response.sampling_rate_hz:
+        return
+    crest = float(np.max(loud**2) / np.mean(loud**2))
+    lasting = bool(middle - begin > 0.6 * (end - middle)) and crest < 40.0
+    if not (lasting or _climbs(loud)):
+        return
+    raise InputError(
+        "this looks like a recording of the excitation, not like an impulse response",
+        where=where,
+        found=f"sound that lasts {len(loud) / response.sampling_rate_hz:.2f} s without decaying",
+        needed="the response after deconvolution: one onset, then a decay",
+        hint="divide the recorded spectrum by that of the sweep, and give the result",
+    )
+
+
+def check_decay_range(curve: DecayCurve, where: str | None = None) -> None:
+    """Refuse a response of which no band has 15 dB of decay above its noise and before its end.
+
+    Single bands that fall short of T20 are told by `room_parameters.range_findings` instead.
+
+    Raises
+    ------
+    InputError
+        Says whether the file is cut short or drowned in noise.
+    """
+    deepest = int(np.argmax(curve.usable_db))
+    if curve.usable_db[deepest] >= _PLAUSIBILITY_LEAST_RANGE_DB:
+        return
+    cut = not curve.noise_reached[deepest]
+    raise InputError(
+        "the decay is cut short" if cut else "the decay drowns in noise",
+        where=where,
+        found=f"{curve.usable_db[deepest]:.0f} dB of decay at "
+        f"{curve.bands.centres_hz[deepest]:g} Hz, and no more in any other band",
+        needed=f"at least {_PLAUSIBILITY_LEAST_RANGE_DB:g} dB in some band, 25 dB for T20",
+        hint="give the whole response" if cut else "measure with a longer sweep, or louder",
+    )
+
+
+def _climbs(loud: FloatArray) -> bool:
+    size = len(loud) // _N_BLOCKS
+    if size < 64:
+        return False
+    power = np.abs(np.fft.rfft(loud[: size * _N_BLOCKS].reshape(_N_BLOCKS, size), axis=1)) ** 2
+    cumulative = np.cumsum(power, axis=1)
+    median = np.argmax(cumulative >= 0.5 * cumulative[:, -1:], axis=1) + 0.5
+    rises = int(np.sum(np.diff(median) > 0.0))
+    return rises >= _N_BLOCKS - 3 and bool(median[-1] > 4.0 * median[0])
+
+
+ParameterName = Literal["EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"]
+PARAMETER_NAMES: tuple[ParameterName, ...] = get_args(ParameterName)
+
+# Levels between which each decay time is read, below the curve's beginning.
+FIT_RANGES_DB: dict[str, tuple[float, float]] = {
+    "EDT_s": (0.0, 10.0),
+    "T20_s": (5.0, 25.0),
+    "T30_s": (5.0, 35.0),
+}
+POINTS_OF_A_FIT = 512
+# Energy after the usable end is extrapolated; where it is a hundredth of all, it can be 20 % wrong
+# without moving D50, TS or C80 around 0 dB by more than a tenth of a just noticeable difference.
+_ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomParameters:
+    """Parameters of one source and receiver in every band.
+
+    Attributes
+    ----------
+    bands : Bands
+    values : float array, shape (7, n_bands)
+        In the order of `PARAMETER_NAMES`, in the units these names tell; nan where not valid.
+    valid : bool array, shape (7, n_bands)
+        Whether the decay range holds the parameter.
+    nonlinearity_permille : float array, shape (2, n_bands)
+        Of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not straight
+        (ISO 3382-2, annex B). nan where not valid.
+    curvature_percent : float array, shape (n_bands,)
+        100 (T30 / T20 - 1); above 10 the decay is far from straight, below 0 noise is suspect.
+    """
+
+    bands: Bands
+    values: FloatArray
+    valid: BoolArray
+    nonlinearity_permille: FloatArray
+    curvature_percent: FloatArray
+
+    def of(self, name: ParameterName) -> FloatArray:
+        """Return one parameter in every band, nan where not valid, shape (n_bands,)."""
+        if name not in PARAMETER_NAMES:
+            raise InputError(
+                "unknown room parameter", found=repr(name), needed=", ".join(PARAMETER_NAMES)
+            )
+        return np.asarray(self.values[PARAMETER_NAMES.index(name)])
+
+
+def room_parameters(curve: DecayCurve) -> RoomParameters:
+    """Return EDT, T20, T30, C50, C80, D50 and TS of every band.
+
+    The same function serves measured and predicted curves, so that neither is favoured.
+
+    Notes
+    -----
+    Decay times come from a straight line through the curve by least squares, every instant of the
+    range with the same weight: 0 to -10 dB from the onset on (EDT), -5 to -25 dB (T20), -5 to
+    -35 dB (T30) [1]_. A range that reaches deeper than `curve.usable_db` is not evaluated; nor
+    are C, D and TS where that is less than 20 dB, or C where the late part lies below it.
+
+    References
+    ----------
+    .. [1] ISO 3382-1:2009, "Measurement of room acoustic parameters - Performance spaces"; ISO
+           3382-2:2008, annex B, for the non-linearity and the curvature.
+    """
+    levels_db = decay_curve_db(curve)
+    n_bands = len(curve.bands)
+    values = np.full((len(PARAMETER_NAMES), n_bands), np.nan)
+    nonlinearity = np.full((2, n_bands), np.nan)
+    for band in range(n_bands):
+        for row, (_, fit_range_db) in enumerate(FIT_RANGES_DB.items()):
+            found = _decay_time_s(curve, levels_db[band], band, fit_range_db)
+            if found is not None:
+                values[row, band] = found[0]
+                if row > 0:
+                    nonlinearity[row - 1, band] = found[1]
+        values[3:, band] = _early_to_late(curve, band)
+    t20_s, t30_s = values[1], values[2]
+    return RoomParameters(
+        curve.bands, values, np.isfinite(values), nonlinearity, 100.0 * (t30_s / t20_s - 1.0)
+    )
+
+
+def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...]:
+    """Return a finding for the bands in which T20 could not be evaluated.
+
+    Parameters
+    ----------
+    parameters : RoomParameters
+    where : str
+        Names the response in the sentence.
+    """
+    missing = parameters.bands.centres_hz[~parameters.valid[PARAMETER_NAMES.index("T20_s")]]
+    if not missing.size:
+        return ()
+    names = ", ".join(f"{f:g}" for f in missing)
+    return (
+        Finding(
+            "decay-range-too-small",
+            "warning",
+            f"{where}: noise or the end of the file leaves less than 25 dB of decay at {names} Hz; "
+            "T20 is not evaluated there.",
+            {"bands_hz": missing.tolist()},
+        ),
+    )
+
+
+def _decay_time_s(
+    curve: DecayCurve, level_db: FloatArray, band: int, fit_range_db: tuple[float, float]
+) -> tuple[float, float] | None:
+    """Return reverberation time and non-linearity over one range, or None beyond the usable."""
+    upper_db, lower_db = fit_range_db
+    if lower_db > curve.usable_db[band]:
+        return None
+    start = int(np.searchsorted(curve.time_s, curve.onset_s))
+    begin_s = max(curve.onset_s, _first_below_s(curve.time_s, level_db, upper_db))
+    end_s = _first_below_s(curve.time_s, level_db, lower_db)
+    if not end_s > begin_s or start >= len(curve.time_s):
+        return None
+    # the curve is known at unequal times: the line is drawn through equally spaced ones
+    times = np.linspace(begin_s, end_s, POINTS_OF_A_FIT)
+    levels = np.interp(times, curve.time_s, level_db)
+    t, y = times - times.mean(), levels - levels.mean()
+    slope = float(t @ y / (t @ t))
+    if not slope < 0.0:
+        return None
+    r_squared = slope**2 * float(t @ t) / float(y @ y)
+    return -60.0 / slope, 1000.0 * (1.0 - r_squared)
+
+
+def _first_below_s(time_s: FloatArray, level_db: FloatArray, depth_db: float) -> float:
+    """Return when the curve first falls below a depth, between its points by a straight line."""
+    below = np.flatnonzero(level_db < -depth_db)
+    if not below.size or below[0] == 0:
+        return float(time_s[0])
+    i = int(below[0])
+    high, low = level_db[i - 1], max(level_db[i], -300.0)
+    share = (high + depth_db) / (high - low)
+    return float(time_s[i - 1] + share * (time_s[i] - time_s[i - 1]))
+
+
+def _early_to_late(curve: DecayCurve, band: int) -> list[float]:
+    """Return C50 and C80 in dB, D50 in percent, TS in ms; nan beyond the usable range."""
+    left, usable_db = curve.energy_left[band], float(curve.usable_db[band])
+    values = [np.nan] * 4
+    if usable_db < _ROOM_PARAMETERS_LEAST_RANGE_DB:
+        return values
+    total, tail = float(left[0]), float(left[0]) * 10.0 ** (-0.1 * usable_db)
+    late = np.interp(curve.onset_s + np.array([0.05, 0.08]), curve.time_s, left, right=0.0)
+    for row in (0, 1):
+        if tail < late[row] < total:
+            values[row] = float(10.0 * np.log10(total / late[row] - 1.0))
+    values[2] = float(100.0 * (1.0 - late[0] / total))
+    # the first moment by parts: the integral of what is left, with the exponential tail's share
+    area = float(np.trapezoid(left, curve.time_s)) + tail * curve.tail_time_constant_s[band]
+    values[3] = float(1000.0 * (area / total - (curve.onset_s - curve.time_s[0])))
+    return values

@@ -8,9 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft
 
-from roomfit.checks import float_array
+from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.signals.impulse_response import ImpulseResponse
+from roomfit.signals.response import ImpulseResponse
 from roomfit.typing import ComplexArray, FloatArray
 
 # Levels are told every half octave, each over an octave that fades to either side: fine enough for

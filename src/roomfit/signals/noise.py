@@ -7,8 +7,13 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
-from roomfit.signals.impulse_response import ImpulseResponse
-from roomfit.signals.silence import TAIL_SHARE, before_rise, evidence_of_noise, level_before
+from roomfit.signals.response import (
+    TAIL_SHARE,
+    ImpulseResponse,
+    before_rise,
+    evidence_of_noise,
+    level_before,
+)
 from roomfit.typing import BoolArray, FloatArray
 
 _MOST_ROUNDS = 8

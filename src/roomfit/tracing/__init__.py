@@ -1,1 +1,0 @@
-"""Scene to paths: image sources, rays, and the two joined. No absorption is seen here."""

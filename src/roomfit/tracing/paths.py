@@ -1,15 +1,20 @@
-"""Sound paths: the one thing that tracing makes and that every reader weighs."""
+"""Sound paths: the one thing that tracing makes and that every reader weighs.
+
+What both kinds of image sources hand over: the exact specular paths of one pair.
+
+How finely to trace.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit.checks import float_array, int_array
+from roomfit._checks import float_array, int_array
 from roomfit.errors import InputError
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -241,3 +246,163 @@ def _joined_unfolding(parts: Sequence[Paths]) -> NDArray[np.float32] | None:
         for p in parts
     ]
     return np.concatenate(blank)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImageSet:
+    """Exact specular paths from one source to one receiver, shortest first.
+
+    Attributes
+    ----------
+    length_m : float array, shape (n_paths,)
+    hits : uint16 array, shape (n_paths, n_materials)
+    departure, arrival : float arrays, shape (n_paths, 3)
+        Unit vectors: away from the source, and the direction in which sound travels on arrival.
+    reflections : Reflections or None
+        Every path's hits in order, where they were asked for.
+    unfolding : float array, shape (n_paths, 3, 3), or None
+        Product of the reflections, see `Paths`, where it was asked for.
+    normals : float array, shape (n_hits, 3), or None
+        Normal of the wall of each hit as the receiver sees it, mirrored by all later hits, in the
+        order of `reflections`: its product with `arrival` is the cosine of incidence, for moved
+        sources and receivers, too. Only of rooms that are no boxes.
+    """
+
+    length_m: FloatArray
+    hits: IntArray
+    departure: FloatArray
+    arrival: FloatArray
+    reflections: Reflections | None = None
+    unfolding: FloatArray | None = None
+    normals: FloatArray | None = None
+
+
+def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
+    """Return the normals of walls as the receiver sees them, mirrored by all later hits.
+
+    Parameters
+    ----------
+    normal : float array, shape (n_hits, 3)
+        Unit normal of each hit's wall, either side, first hit of a path first.
+    first : int array, shape (n_paths + 1,)
+        Path i owns the hits ``first[i]:first[i + 1]``.
+    """
+    unfolded = np.empty_like(normal)
+    later = np.tile(np.eye(3), (len(first) - 1, 1, 1))
+    for back in range(1, int(np.max(np.diff(first), initial=0)) + 1):
+        path = np.flatnonzero(np.diff(first) >= back)
+        hit = first[path + 1] - back
+        own = np.einsum("pij,pj->pi", later[path], normal[hit])
+        unfolded[hit] = own
+        # A (1 - 2 n n^T) = A - 2 (A n) n^T
+        later[path] -= 2.0 * own[:, :, None] * normal[hit][:, None, :]
+    return unfolded
+
+
+def reflections_in_order(
+    path: IntArray, place: FloatArray, material: IntArray, cosine: FloatArray, n_paths: int
+) -> Reflections:
+    """Return hits given in any order as ordered lists.
+
+    Parameters
+    ----------
+    path : int array, shape (n_hits,)
+        To which path each hit belongs.
+    place : float array, shape (n_hits,)
+        Rises along the path from source to receiver.
+    material, cosine : arrays, shape (n_hits,)
+    n_paths : int
+    """
+    order = np.lexsort((place, path))
+    counts = np.bincount(path, minlength=n_paths)
+    return Reflections(
+        np.concatenate(([0], np.cumsum(counts))),
+        material[order].astype(np.int32),
+        # a quotient of rounded lengths may pass 1 by an ulp
+        np.minimum(cosine[order], 1.0),
+    )
+
+
+Directions = Literal["fibonacci", "sobol"]
+Estimator = Literal["spheres", "rain"]
+
+
+@dataclass(frozen=True, slots=True)
+class TraceSettings:
+    """Settings of one trace. What ends a ray is time or hits, never energy.
+
+    Attributes
+    ----------
+    duration_s : float
+        Sound travels this long, counted from emission.
+    n_rays : int
+        Rays per source, all batches together; 0 leaves rays out.
+    image_order : int
+        Highest reflection order done by image sources; -1 leaves image sources out, so that even
+        the direct sound comes from rays.
+    image_until_s : float or None
+        Image sources end here, and rays bring all that is later; None for the whole duration.
+    receiver_radius_m : float
+        Radius of the spheres that catch rays.
+    max_hits : int
+        A ray ends after so many wall hits, at most 65535.
+    directions : {"sobol", "fibonacci"}
+        Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
+        batches (its batches are not independent: it is there for the paper, and for pictures).
+    n_batches : int
+        Independent parts whose spread measures the Monte-Carlo noise.
+    seed : int
+        Same seed, same paths, bit by bit, for any number of threads.
+    keep_unfolding : bool
+        Image paths keep what moves their images with the source.
+    estimator : {"spheres", "rain"}
+        "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
+        spheres catch only what was last reflected specularly, or not at all. It costs half to all
+        of the tracing for the same Monte-Carlo error, the less the more walls scatter, but 1.1 to
+        1.6 times as many paths to weigh (`benchmarks/rays.py`).
+    """
+
+    duration_s: float
+    n_rays: int = 20_000
+    image_order: int = 2
+    receiver_radius_m: float = 0.5
+    max_hits: int = 65_535
+    directions: Directions = "sobol"
+    n_batches: int = 16
+    seed: int = 1
+    estimator: Estimator = "spheres"
+    image_until_s: float | None = None
+    keep_unfolding: bool = False
+
+    def __post_init__(self) -> None:
+        limits: tuple[tuple[str, float, float, float], ...] = (
+            ("duration_s", self.duration_s, 1e-4, 100.0),
+            ("n_rays", self.n_rays, 0, 10**9),
+            ("image_order", self.image_order, -1, 1000),
+            ("receiver_radius_m", self.receiver_radius_m, 1e-3, 100.0),
+            ("max_hits", self.max_hits, 1, 65_535),
+            ("n_batches", self.n_batches, 1, 10_000),
+            ("seed", self.seed, 0, 2**63 - 1),
+        )
+        if self.image_until_s is not None:
+            limits = (*limits, ("image_until_s", self.image_until_s, 0.0, 100.0))
+        for name, value, low, high in limits:
+            if not low <= value <= high:
+                raise InputError(
+                    "trace setting is out of range",
+                    where=name,
+                    found=f"{value:g}",
+                    needed=f"{low:g} to {high:g}",
+                )
+        if self.directions not in ("sobol", "fibonacci"):
+            raise InputError(
+                "unknown set of directions",
+                found=repr(self.directions),
+                needed='"sobol" or "fibonacci"',
+            )
+        if self.estimator not in ("spheres", "rain"):
+            raise InputError(
+                "unknown way to bring rays to receivers",
+                found=repr(self.estimator),
+                needed='"spheres" or "rain"',
+            )

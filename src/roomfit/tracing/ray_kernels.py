@@ -1,19 +1,228 @@
-"""The loop over rays, walls and receivers."""
+"""The loop over rays, walls and receivers.
 
+Diffuse rain: what each diffuse reflection sends straight to each receiver.
+
+A wall that scatters by Lambert's law sends the share ``cos / pi`` of its energy into each unit of
+solid angle; at a point r metres away that arrives on ``cos / (pi r**2)`` of it per square metre.
+Every diffuse reflection that sees a receiver thus adds a path, exact in time and direction, where a
+sphere catches one ray of many. Only paths whose last reflection is diffuse can be had so; the
+others are still caught by spheres. The method is "diffuse rain" of D. Schroeder, "Physically based
+real-time auralization of interactive virtual environments", Aachen 2011, section 5.3, or next-event
+estimation of path tracing.
+
+Receivers as spheres that catch rays, sorted into a grid where there are many.
+"""
+
+# ruff: noqa: ARG001, ARG005 -- numba matches overloads by the names of all their arguments
 from __future__ import annotations
 
-from typing import NamedTuple
+import math
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import prange
+from numba.extending import overload
 
-from roomfit.compiled import kernel
-from roomfit.tracing.acceleration import Walls, next_wall, wall_material
-from roomfit.tracing.bounce import Vector, after_wall
-from roomfit.tracing.rain import towards, unobstructed
-from roomfit.tracing.random import mixed, ray_key, uniform
-from roomfit.tracing.spheres import Spheres, cell_at, chord, enters_grid, leaves_cell
+from roomfit._numba import kernel
+from roomfit.tracing.bvh import Tree, Walls, nearest_in_tree, next_wall, wall_material
+from roomfit.tracing.walls import Planes, Vector, after_wall, mixed, ray_key, uniform
 from roomfit.typing import FloatArray, IntArray
+
+# Up to so many spheres it is quicker to try each one than to walk through a grid (measured).
+_TRY_EACH = 24
+_CELLS_PER_SPHERE = 0.5
+# Spheres are entered into the grid this much larger, so that rounding hides none from a cell.
+_MARGIN_M = 1e-6
+
+
+class Spheres(NamedTuple):
+    """The receivers of one source, and a grid of boxes around them.
+
+    Attributes
+    ----------
+    centre_m : float array, shape (n_spheres, 3)
+    radius_m : float array, shape (n_spheres,)
+    pair : int32 array, shape (n_spheres,)
+        Pair of the scene that each stands for.
+    low_m, cell_m : float arrays, shape (3,)
+        Lowest corner of the grid, and lengths of a cell.
+    cells : int64 array, shape (3,)
+        Number of cells along each axis; 1, 1, 1 where every sphere is tried in turn.
+    first : int64 array, shape (n_cells + 1,)
+        Cell c holds the spheres ``members[first[c]:first[c + 1]]``; z runs fastest.
+    members : int32 array
+    """
+
+    centre_m: FloatArray
+    radius_m: FloatArray
+    pair: IntArray
+    low_m: FloatArray
+    cell_m: FloatArray
+    cells: IntArray
+    first: IntArray
+    members: IntArray
+
+
+def spheres(centre_m: FloatArray, radius_m: FloatArray, pair: IntArray) -> Spheres:
+    """Return the spheres with a grid of about one cell for every two, if they are many."""
+    n = len(radius_m)
+    reach = radius_m[:, None] + _MARGIN_M
+    low, high = (centre_m - reach).min(axis=0), (centre_m + reach).max(axis=0)
+    cells = np.ones(3, dtype=np.int64)
+    if n > _TRY_EACH:
+        edge = np.cbrt(np.prod(high - low) / (_CELLS_PER_SPHERE * n))
+        cells = np.clip(np.ceil((high - low) / edge), 1, 1024).astype(np.int64)
+    cell = (high - low) / cells
+    lowest = np.floor((centre_m - reach - low) / cell).clip(0, cells - 1).astype(np.int64)
+    highest = np.floor((centre_m + reach - low) / cell).clip(0, cells - 1).astype(np.int64)
+    lists: list[list[int]] = [[] for _ in range(int(np.prod(cells)))]
+    for k in range(n):
+        spans = [range(a, b + 1) for a, b in zip(lowest[k], highest[k], strict=True)]
+        for x in spans[0]:
+            for y in spans[1]:
+                for z in spans[2]:
+                    lists[int((x * cells[1] + y) * cells[2] + z)].append(k)
+    first = np.concatenate(([0], np.cumsum([len(members) for members in lists])))
+    members = np.array([k for members in lists for k in members], dtype=np.int32)
+    return Spheres(
+        centre_m, radius_m, pair.astype(np.int32), low, cell, cells, first.astype(np.int64), members
+    )
+
+
+@kernel(allocates=False)
+def chord(spheres: Spheres, k: int, o: Vector, d: Vector, flight_m: float) -> tuple[float, float]:
+    """Return where a flight comes nearest to the centre of a sphere and its chord within.
+
+    Parameters
+    ----------
+    o, d : vector
+        Start and unit direction.
+    flight_m : float
+        Length of the flight.
+
+    Returns
+    -------
+    tuple of float
+        Distance from the start to the point of the flight nearest to the centre, and the length
+        inside the sphere, both in metres; the length is 0 for a miss. Both ends of the flight may
+        lie inside.
+    """
+    x = spheres.centre_m[k, 0] - o[0]
+    y = spheres.centre_m[k, 1] - o[1]
+    z = spheres.centre_m[k, 2] - o[2]
+    nearest = x * d[0] + y * d[1] + z * d[2]
+    radius = spheres.radius_m[k]
+    square = radius * radius - (x * x + y * y + z * z - nearest * nearest)
+    if square <= 0.0:
+        return 0.0, 0.0
+    half = math.sqrt(square)
+    start, end = max(nearest - half, 0.0), min(nearest + half, flight_m)
+    return min(max(nearest, 0.0), flight_m), max(end - start, 0.0)
+
+
+@kernel(allocates=False)
+def enters_grid(spheres: Spheres, o: Vector, d: Vector, flight_m: float) -> tuple[float, float]:
+    """Return where a flight enters and leaves the grid, in metres; swapped for a miss."""
+    start, end = 0.0, flight_m
+    for axis in range(3):
+        low = spheres.low_m[axis]
+        high = low + spheres.cell_m[axis] * spheres.cells[axis]
+        if d[axis] == 0.0:
+            if o[axis] < low or o[axis] > high:
+                return 1.0, 0.0
+            continue
+        a, b = (low - o[axis]) / d[axis], (high - o[axis]) / d[axis]
+        start, end = max(start, min(a, b)), min(end, max(a, b))
+    return start, end
+
+
+@kernel(allocates=False)
+def cell_at(spheres: Spheres, x: float, axis: int) -> int:
+    """Return the cell along one axis in which a coordinate lies, the nearest one if outside."""
+    cell = math.floor((x - spheres.low_m[axis]) / spheres.cell_m[axis])
+    return int(min(max(cell, 0), spheres.cells[axis] - 1))
+
+
+@kernel(allocates=False)
+def leaves_cell(spheres: Spheres, cell: int, axis: int, o: float, d: float) -> float:
+    """Return the distance at which a ray passes the wall of its cell across one axis, in metres."""
+    if d == 0.0:
+        return math.inf
+    wall = cell + 1 if d > 0.0 else cell
+    return float((spheres.low_m[axis] + wall * spheres.cell_m[axis] - o) / d)
+
+
+# What lies nearer to the receiver than this share of the way is no screen but rounding.
+_SAME_PLACE = 1e-9
+
+
+def unobstructed(walls: Planes | Tree, o: Vector, d: Vector, last: int, distance_m: float) -> bool:
+    """Return whether nothing stands in a straight way; only for use in kernels.
+
+    Parameters
+    ----------
+    o, d : vector
+        Start, on wall `last`, and unit direction.
+    distance_m : float
+        Length of the way.
+    """
+    raise TypeError("only compiled code may call this")
+
+
+@overload(unobstructed, strict=False)
+def _unobstructed(walls: Any, o: Any, d: Any, last: Any, distance_m: Any) -> Any:
+    kind = getattr(walls, "instance_class", None)
+    if kind is Planes:  # a convex room hides nothing
+        return lambda walls, o, d, last, distance_m: True
+    if kind is Tree:
+        return lambda walls, o, d, last, distance_m: (
+            nearest_in_tree(walls, o, d, last)[0] >= distance_m * (1.0 - _SAME_PLACE)
+        )
+    return None
+
+
+@kernel(allocates=False)
+def towards(
+    spheres: Spheres, k: int, o: Vector, d: Vector, normal: Vector
+) -> tuple[float, Vector, float]:
+    """Return how a wall that scatters rains on the centre of a sphere.
+
+    Parameters
+    ----------
+    o : vector
+        Point on the wall.
+    d : vector
+        Direction before the hit: the wall scatters to the side from which it came.
+    normal : vector
+        Unit normal, of either sense.
+
+    Returns
+    -------
+    float
+        Distance to the centre in metres.
+    vector
+        Unit direction.
+    float
+        ``cos / pi / distance**2`` in 1/m2, 0 where the centre lies behind the wall.
+
+    Notes
+    -----
+    The variance of the sum of many is finite for every receiver that is off the walls; nothing is
+    clamped. Towards a wall at distance h it grows as ``1 / h**2``.
+    """
+    x = spheres.centre_m[k, 0] - o[0]
+    y = spheres.centre_m[k, 1] - o[1]
+    z = spheres.centre_m[k, 2] - o[2]
+    square = x * x + y * y + z * z
+    if square <= 0.0:
+        return 0.0, d, 0.0
+    distance = math.sqrt(square)
+    x, y, z = x / distance, y / distance, z / distance
+    cosine = x * normal[0] + y * normal[1] + z * normal[2]
+    if d[0] * normal[0] + d[1] * normal[1] + d[2] * normal[2] > 0.0:
+        cosine = -cosine
+    return distance, (x, y, z), max(cosine, 0.0) / (math.pi * square)
+
 
 CHUNK_RAYS = 256
 ESCAPES_KEPT = 4

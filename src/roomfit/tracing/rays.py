@@ -3,32 +3,287 @@
 The same seed gives the same bits for any number of threads. A wall or the source may cut a sphere:
 what counts is the part of the chord inside the room. Rays that leave through a leak are counted and
 dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3.
+
+In which directions the rays of a source start.
+
+Blocks of rays: room for what they record, traced, and packed into path arrays.
+
+What a trace tells of its room beside the paths.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.stats import qmc
 
+from roomfit._checks import float_array, read_only
 from roomfit.air import speed_of_sound_m_s
-from roomfit.checks import float_array
 from roomfit.errors import InputError
-from roomfit.geometry.measures import surface_area_m2, volume_m3
-from roomfit.materials.scattering import Scattering
-from roomfit.scene.room import Room
-from roomfit.scene.scene import Scene
-from roomfit.tracing.acceleration import Walls, walls_of
-from roomfit.tracing.directions import start_directions
-from roomfit.tracing.paths import Paths
-from roomfit.tracing.ray_blocks import Piece, bytes_per_path, joined, packed, trace_block
-from roomfit.tracing.ray_kernels import CHUNK_RAYS, FAINTEST, Job, Tally
-from roomfit.tracing.ray_statistics import RayStatistics, ray_statistics
-from roomfit.tracing.settings import TraceSettings
-from roomfit.tracing.spheres import Spheres, spheres
-from roomfit.typing import FloatArray, Progress
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.materials.priors import Scattering
+from roomfit.scene import Room, Scene
+from roomfit.tracing.bvh import Walls, walls_of
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.ray_kernels import (
+    CHUNK_RAYS,
+    ESCAPES_KEPT,
+    FAINTEST,
+    Caught,
+    Job,
+    Spheres,
+    Tally,
+    spheres,
+    trace_chunks,
+)
+from roomfit.typing import FloatArray, IntArray, Progress
+
+_GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
+
+
+def start_directions(settings: TraceSettings, source: int) -> FloatArray:
+    """Return the unit vectors in which the rays of one source start, shape (n_rays, 3).
+
+    Ray i belongs to batch ``i % n_batches``. Sources differ in their Sobol points; the Fibonacci
+    spiral is the same for all.
+    """
+    if settings.directions == "fibonacci":
+        return fibonacci_directions(settings.n_rays)
+    return sobol_directions(settings.n_rays, settings.n_batches, (settings.seed, source))
+
+
+def fibonacci_directions(n_rays: int) -> FloatArray:
+    """Return the Fibonacci sphere: one spiral of points of equal area, shape (n_rays, 3).
+
+    Point i has ``z = 1 - (2 i + 1) / n`` and azimuth ``i`` times the golden angle.
+    """
+    i = np.arange(n_rays)
+    return _on_sphere(1.0 - (2.0 * i + 1.0) / max(n_rays, 1), i * _GOLDEN_ANGLE)
+
+
+def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> FloatArray:
+    """Return scrambled Sobol points on the sphere, another scramble for each batch.
+
+    Each point alone is uniform on the sphere, so each batch gives an unbiased estimate, and
+    batches are independent, so their spread measures the error. A batch takes the first points of
+    its sequence: any number will do, but one whose number of rays is a power of two covers the
+    sphere most evenly.
+
+    Parameters
+    ----------
+    n_rays : int
+        All batches together; they differ in size by at most one ray.
+    n_batches : int
+    seed : tuple of int
+        Feeds the scrambles.
+
+    Returns
+    -------
+    float array, shape (n_rays, 3)
+        Ray i is point ``i // n_batches`` of batch ``i % n_batches``.
+    """
+    directions = np.empty((n_rays, 3))
+    for batch in range(min(n_batches, n_rays)):
+        rng = np.random.default_rng((*seed, batch))
+        own = directions[batch::n_batches]
+        points = qmc.Sobol(2, scramble=True, rng=rng).random_base2(
+            max(len(own) - 1, 0).bit_length()
+        )
+        u = points[: len(own)]
+        own[:] = _on_sphere(1.0 - 2.0 * u[:, 0], 2.0 * np.pi * u[:, 1])
+    return directions
+
+
+def _on_sphere(z: FloatArray, azimuth: FloatArray) -> FloatArray:
+    """Return unit vectors; equal areas in (z, azimuth) are equal areas on the sphere."""
+    across = np.sqrt(np.maximum(0.0, 1.0 - z * z))
+    return np.stack((across * np.cos(azimuth), across * np.sin(azimuth), z), axis=1)
+
+
+Float32Array: TypeAlias = np.ndarray[tuple[int, int], np.dtype[np.float32]]
+
+
+class Piece(NamedTuple):
+    """Part of the arrays of `Paths`, in their order; the first axis is the path."""
+
+    pair: IntArray
+    length_m: FloatArray
+    weight_per_m2: FloatArray
+    hits_specular: IntArray
+    hits_diffuse: IntArray
+    departure: Float32Array
+    arrival: Float32Array
+    batch: IntArray
+
+
+def bytes_per_path(n_materials: int) -> int:
+    """Return the memory of one recorded path in bytes."""
+    return 48 + 4 * n_materials
+
+
+def new_tally(n_chunks: int) -> Tally:
+    """Return zeroed counters for so many chunks."""
+    return Tally(
+        np.zeros(n_chunks, np.int64),
+        np.zeros(n_chunks, np.int64),
+        np.zeros(n_chunks, np.int64),
+        np.zeros(n_chunks),
+        np.zeros(n_chunks),
+        np.zeros((n_chunks, ESCAPES_KEPT, 3)),
+        np.zeros((n_chunks, ESCAPES_KEPT, 3)),
+    )
+
+
+def trace_block(
+    walls: Walls,
+    spheres: Spheres,
+    job: Job,
+    directions: FloatArray,
+    rays: range,
+    capacity: int,
+) -> tuple[Caught, Tally]:
+    """Trace the rays of a block and return what they recorded and counted.
+
+    Parameters
+    ----------
+    directions : float array, shape (n_rays, 3)
+        Of all rays of the source.
+    rays : range
+        Those of this block.
+    capacity : int
+        Crossings that each chunk is expected to find at most. Where one finds more, the block is
+        traced a second time with room for all; its rays go the same ways.
+    """
+    n_chunks = -(-len(rays) // CHUNK_RAYS)
+    own = directions[rays.start : rays.stop]
+    while True:
+        caught, tally = _new_caught(n_chunks, capacity, len(job.scattering)), new_tally(n_chunks)
+        trace_chunks(walls, spheres, job, own, rays.start, caught, tally)
+        found = int(caught.found.max(initial=0))
+        if found <= capacity:
+            return caught, tally
+        capacity = found
+
+
+def packed(caught: Caught, spheres: Spheres, directions: FloatArray, n_batches: int) -> Piece:
+    """Return the recorded crossings of a block as paths, in the order of chunks."""
+    filled = np.arange(caught.ray.shape[1]) < caught.found[:, None]
+    ray, sphere = caught.ray[filled], caught.sphere[filled]
+    share = 1.0 / (len(directions) * 4.0 / 3.0 * np.pi * spheres.radius_m**3)
+    return Piece(
+        spheres.pair[sphere],
+        caught.length_m[filled],
+        caught.chord_m[filled] * share[sphere],
+        caught.hits_specular[filled],
+        caught.hits_diffuse[filled],
+        directions[ray].astype(np.float32),
+        np.asarray(caught.arrival[filled], dtype=np.float32),
+        (ray % n_batches).astype(np.int32),
+    )
+
+
+def joined(pieces: list[Piece], n_materials: int) -> Piece:
+    """Join pieces array by array, emptying the list and letting go of each array once copied."""
+    columns = [list(column) for column in zip(_no_paths(n_materials), *pieces, strict=True)]
+    pieces.clear()
+    arrays = []
+    for column in columns:
+        arrays.append(np.concatenate(column))
+        column.clear()
+    return Piece(*arrays)
+
+
+def _no_paths(n_materials: int) -> Piece:
+    return Piece(
+        np.empty(0, np.int32),
+        np.empty(0),
+        np.empty(0),
+        np.empty((0, n_materials), np.uint16),
+        np.empty((0, n_materials), np.uint16),
+        np.empty((0, 3), np.float32),
+        np.empty((0, 3), np.float32),
+        np.empty(0, np.int32),
+    )
+
+
+def _new_caught(n_chunks: int, capacity: int, n_materials: int) -> Caught:
+    size = (n_chunks, capacity)
+    return Caught(
+        np.zeros(n_chunks, np.int64),
+        np.empty(size, np.int32),
+        np.empty(size, np.int64),
+        np.empty(size),
+        np.empty(size),
+        np.empty((*size, n_materials), np.uint16),
+        np.empty((*size, n_materials), np.uint16),
+        np.empty((*size, 3), np.float32),
+    )
+
+
+_ESCAPES_TOLD = 8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RayStatistics:
+    """Counts of a trace.
+
+    Free paths run from one wall to the next. Each that begins before a ray's time is up counts in
+    full, even where it ends later: counting only those that fit would favour short ones.
+
+    Attributes
+    ----------
+    n_rays, n_hits, n_escaped : int
+        Rays of all sources; their wall hits; how many met no wall and were dropped.
+    n_free_paths : int
+    mean_free_path_m : float
+        Mean length of the free paths; 0 where there is none.
+    relative_variance : float
+        Variance of the free paths over their squared mean, gamma squared in Kuttruff's formula; 0
+        where there is no free path.
+    escapes_from_m, escape_directions : float arrays, shape (n_told, 3)
+        Where the first escaped rays began their last flight, and in which direction.
+    """
+
+    n_rays: int
+    n_hits: int
+    n_escaped: int
+    n_free_paths: int
+    mean_free_path_m: float
+    relative_variance: float
+    escapes_from_m: FloatArray
+    escape_directions: FloatArray
+
+    @property
+    def escape_fraction(self) -> float:
+        """Share of flights that met no wall."""
+        return self.n_escaped / max(self.n_hits + self.n_escaped, 1)
+
+
+def ray_statistics(n_rays: int, tallies: Sequence[Tally]) -> RayStatistics:
+    """Return the sum of all chunks of all blocks."""
+    hits = sum(int(t.hits.sum()) for t in tallies)
+    escapes = sum(int(t.escapes.sum()) for t in tallies)
+    n = sum(int(t.free_paths.sum()) for t in tallies)
+    mean = sum(float(t.sum_m.sum()) for t in tallies) / max(n, 1)
+    square = sum(float(t.sum_m2.sum()) for t in tallies) / max(n, 1)
+    kept = [np.arange(ESCAPES_KEPT) < t.escapes[:, None] for t in tallies]
+    starts = [t.escape_from_m[k] for t, k in zip(tallies, kept, strict=True)]
+    directions = [t.escape_direction[k] for t, k in zip(tallies, kept, strict=True)]
+    return RayStatistics(
+        n_rays,
+        hits,
+        escapes,
+        n,
+        mean,
+        max(square / mean**2 - 1.0, 0.0) if mean > 0.0 else 0.0,
+        read_only(np.concatenate([np.empty((0, 3)), *starts])[:_ESCAPES_TOLD].copy()),
+        read_only(np.concatenate([np.empty((0, 3)), *directions])[:_ESCAPES_TOLD].copy()),
+    )
+
 
 MEMORY_LIMIT_BYTES = 4 * 2**30
 # A block is what runs between two moves of the progress bar or two chances to interrupt: well

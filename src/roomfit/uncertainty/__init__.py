@@ -1,1 +1,0 @@
-"""How sure: intervals, and what the data can tell apart."""

@@ -1,4 +1,13 @@
-"""What is sure where single materials are not: means over groups of them."""
+"""What is sure where single materials are not: means over groups of them.
+
+What each band of an answer determines: means of materials, and shares of the absorption.
+
+What the data of a band determine and what they leave open, in words.
+
+How much of the room's absorption each material contributes.
+
+What the data of a band leave open: groups of materials that can change without being noticed.
+"""
 
 from __future__ import annotations
 
@@ -9,11 +18,192 @@ from itertools import combinations
 
 import numpy as np
 
-from roomfit.checks import float_array
+from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.typing import FloatArray
-from roomfit.uncertainty.draws import band_draws, prior_draws
-from roomfit.uncertainty.undetermined import Difference, Undetermined, undetermined_groups
+from roomfit.findings import Finding
+from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.uncertainty.posterior import band_draws, prior_draws
+
+
+def absorption_shares(
+    areas_m2: FloatArray, absorption: FloatArray, draws: FloatArray
+) -> FloatArray:
+    """Return the share of each material in the sum of absorption areas, with its 95 % interval.
+
+    ``A_i / sum A`` with ``A_i = alpha_i S_i``; the air is left out. Errors of two materials that
+    the data know only together go against each other, so that no interval can be had from those of
+    the coefficients.
+
+    Parameters
+    ----------
+    areas_m2 : float array, shape (n_materials,)
+    absorption : float array, shape (n_materials,)
+        The answer of one band, 0 to 1.
+    draws : float array, shape (n_draws, n_materials)
+        Of the posterior.
+
+    Returns
+    -------
+    float array, shape (3, n_materials)
+        Share, its lower and its upper bound, 0 to 1; zeros where nothing absorbs.
+
+    Examples
+    --------
+    >>> areas, a = np.array([10.0, 30.0]), np.array([0.3, 0.1])
+    >>> print(absorption_shares(areas, a, np.tile(a, (10, 1)))[0].round(3))
+    [0.5 0.5]
+    """
+    n = len(areas_m2)
+    areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
+    a = float_array("absorption", absorption, (n,), low=0.0, high=1.0)
+    shares = [_shares(areas * x) for x in (a[None], np.asarray(draws))]
+    low, high = np.quantile(shares[1], (0.025, 0.975), axis=0)
+    value = shares[0][0]
+    # a mode may lie outside of the quantiles of a skew law; a table that says so would be read as
+    # a mistake
+    return np.stack([value, np.minimum(low, value), np.maximum(high, value)])
+
+
+def _shares(parts: FloatArray) -> FloatArray:
+    total = parts.sum(axis=1, keepdims=True)
+    return np.asarray(np.divide(parts, total, out=np.zeros_like(parts), where=total > 0.0))
+
+
+# A direction of which the data leave this share of what was beforehand is not in the data.
+OPEN_SHARE = 0.8
+# Of a projector's entries: what a material must take part in a direction to be named with it.
+_TAKES_PART = 0.1
+_LOOSE_ENDS = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class Undetermined:
+    """Materials whose absorptions can be exchanged for each other as far as the data can tell.
+
+    Attributes
+    ----------
+    materials : tuple of int
+        In rising order.
+    directions : int
+        How many independent ways there are to change them unnoticed: as many as materials where
+        nothing is known of any, one less where only one mean of all of them is known.
+    against : bool
+        Whether more of one goes with less of another.
+    """
+
+    materials: tuple[int, ...]
+    directions: int
+    against: bool
+
+    @property
+    def nothing_known(self) -> bool:
+        """Whether the data say nothing of any of these materials."""
+        return self.directions >= len(self.materials)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Difference:
+    """The absorption of one material less that of another.
+
+    Attributes
+    ----------
+    weights : float array, shape (n_materials,)
+        1, -1 and zeros: the first is the one that absorbs more at the answer.
+    value, lower95, upper95 : float
+        -1 to 1; the value is not below 0.
+    determined : bool
+        Whether the data at least halve what was unknown of it beforehand, and it is known within
+        10 % of the larger of both.
+    """
+
+    weights: FloatArray
+    value: float
+    lower95: float
+    upper95: float
+    determined: bool
+
+
+def information_directions(
+    covariance_logit: FloatArray, prior_logit_sd: FloatArray
+) -> tuple[FloatArray, FloatArray, IntArray]:
+    """Return how much each direction is known, the best known first.
+
+    In units of the prior's spread the posterior covariance of logit absorption is taken apart into
+    its own directions: those of the Fisher information of the data.
+
+    Parameters
+    ----------
+    covariance_logit : float array, shape (n_materials, n_materials)
+        Zeros where an absorption is held, equal rows where two are tied.
+    prior_logit_sd : float array, shape (n_materials,)
+
+    Returns
+    -------
+    left : float array, shape (n_own,)
+        Standard deviation along each direction over that of the prior: 0 known, 1 not in the data.
+    directions : float array, shape (n_own, n_own)
+        In columns, of unit length, in units of the prior's spread.
+    own : int array, shape (n_own,)
+        The materials that vary, of those tied to each other the first.
+    """
+    n = len(prior_logit_sd)
+    covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
+    sd = float_array("prior sd of logit absorption", prior_logit_sd, (n,), low=0.0)
+    own = _own(covariance)
+    scaled = covariance[np.ix_(own, own)] / np.outer(sd[own], sd[own])
+    size, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
+    return np.sqrt(np.maximum(size, 0.0)), directions, own
+
+
+def undetermined_groups(
+    covariance_logit: FloatArray, prior_logit_sd: FloatArray
+) -> tuple[Undetermined, ...]:
+    """Return the groups of materials that the data leave open, each by itself.
+
+    Directions that keep `OPEN_SHARE` of the prior's spread span what the data do not see. Where
+    there are several their basis is arbitrary; what they span is not, so materials are put
+    together that the projector onto it connects.
+
+    Parameters
+    ----------
+    covariance_logit : float array, shape (n_materials, n_materials)
+    prior_logit_sd : float array, shape (n_materials,)
+        See `information_directions`.
+    """
+    left, directions, own = information_directions(covariance_logit, prior_logit_sd)
+    unseen = directions[:, left >= OPEN_SHARE]
+    projector = unseen @ unseen.T
+    found = []
+    for members in _connected(np.abs(projector) > _TAKES_PART):
+        part = projector[np.ix_(members, members)]
+        count = int(np.floor(np.trace(part) + _LOOSE_ENDS))
+        if count:
+            against = bool(part.min() < -_TAKES_PART)
+            found.append(Undetermined(tuple(int(i) for i in own[members]), count, against))
+    return tuple(found)
+
+
+def _own(covariance: FloatArray) -> IntArray:
+    """Return the materials that vary, of those tied to each other the first."""
+    free = np.flatnonzero(np.diag(covariance) > 0.0)
+    _, first = np.unique(covariance[free], axis=0, return_index=True)
+    return np.asarray(free[np.sort(first)])
+
+
+def _connected(linked: BoolArray) -> list[list[int]]:
+    """Return the connected parts of a symmetric relation, without what is not even its own."""
+    todo = {int(i) for i in np.flatnonzero(np.diag(linked))}
+    parts = []
+    while todo:
+        part, frontier = set(), {min(todo)}
+        while frontier:
+            part |= frontier
+            near = np.flatnonzero(linked[sorted(frontier)].any(axis=0))
+            frontier = {int(i) for i in near} & todo - part
+        todo -= part
+        parts.append(sorted(part))
+    return parts
+
 
 # A combination counts as determined where its 95 % interval reaches this far to either side ...
 WITHIN = 0.1
@@ -102,7 +292,7 @@ def find_combinations(
 
     Notes
     -----
-    Intervals are quantiles of `roomfit.uncertainty.draws.band_draws`, or of the draws given.
+    Intervals are quantiles of `roomfit.uncertainty.posterior.band_draws`, or of the draws given.
     """
     n = len(areas_m2)
     areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
@@ -196,3 +386,205 @@ def _with_differences(
             own = out[smallest]
             out[smallest] = replace(own, differences=(*own.differences, difference))
     return tuple(out)
+
+
+def band_sentence(
+    materials: tuple[str, ...],
+    combinations: Sequence[Combination],
+    left_open: Sequence[Undetermined],
+) -> str:
+    """Return which means of materials are known and which of their changes are not in the data.
+
+    "+-" stands before half of the 95 % interval.
+
+    Parameters
+    ----------
+    materials : tuple of str
+    combinations : sequence of Combination
+        Of one band, the mean of the whole room first.
+    left_open : sequence of Undetermined
+        Of the same band.
+
+    Returns
+    -------
+    str
+        Empty where every material is determined by itself.
+    """
+    parts, told = [], set()
+    for group in combinations[1:]:
+        members = {int(i) for i in np.flatnonzero(group.weights > 0.0)}
+        own = [u for u in left_open if set(u.materials) <= members]
+        told |= set(own)
+        words = f"{_names(materials, sorted(members))} together {_value(group)}"
+        words_open = [_open_in(materials, u, members) for u in own if not u.nothing_known]
+        alone = sorted(i for u in own if u.nothing_known for i in u.materials)
+        words_alone = [_not_in_the_data(materials, alone)] if alone else []
+        parts.append("; ".join([words, *words_open, *words_alone]))
+    rest = [u for u in left_open if u not in told]
+    parts += [_open_words(materials, u) for u in rest if not u.nothing_known]
+    unknown = sorted(i for u in rest if u.nothing_known for i in u.materials)
+    if unknown:
+        parts.append(_not_in_the_data(materials, unknown))
+    return "; ".join(parts)
+
+
+def _open_in(materials: tuple[str, ...], left_open: Undetermined, members: set[int]) -> str:
+    """Say what is open among materials that the sentence has just named."""
+    if set(left_open.materials) != members or left_open.nothing_known or not left_open.against:
+        return _open_words(materials, left_open)
+    if len(members) == 2:
+        return "their difference is not in the data"
+    if left_open.directions == len(members) - 1:
+        return "how it is shared among them is not in the data"
+    return _open_words(materials, left_open)
+
+
+def _open_words(materials: tuple[str, ...], left_open: Undetermined) -> str:
+    names, n = _names(materials, left_open.materials), len(left_open.materials)
+    if left_open.nothing_known:
+        return _not_in_the_data(materials, left_open.materials)
+    if n == 2:
+        what = "difference" if left_open.against else "sum"
+        return f"the {what} of {names} is not in the data"
+    known = n - left_open.directions
+    means = "one mean" if known == 1 else f"{known} means"
+    return f"of {names} only {means} {'is' if known == 1 else 'are'} in the data"
+
+
+def _not_in_the_data(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
+    names = _names(materials, chosen)
+    return f"{names} {'is' if len(chosen) == 1 else 'are'} not in the data"
+
+
+def _value(group: Combination) -> str:
+    half = 0.5 * (group.upper95 - group.lower95)
+    digits = 3 if half < 0.01 else 2
+    return f"{group.value:.{digits}f} +- {half:.{digits}f}"
+
+
+def _names(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
+    names = [materials[i] for i in chosen]
+    return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Determined:
+    """What the bands of an answer determine, where single materials may not be.
+
+    Attributes
+    ----------
+    combinations : tuple of tuples of Combination, one a band
+        That of the whole room first.
+    sentences : tuple of str, one a band
+        What is known of groups and what is left open; empty where every material is determined.
+    shares : float array, shape (3, n_materials, n_bands)
+        Share of each material in the room's absorption, its lower and its upper 95 % bound.
+    """
+
+    combinations: tuple[tuple[Combination, ...], ...]
+    sentences: tuple[str, ...]
+    shares: FloatArray
+
+
+def determined(
+    materials: tuple[str, ...],
+    absorption: FloatArray,
+    logit_covariance: FloatArray,
+    logit_prior: FloatArray,
+    areas_m2: FloatArray,
+    seed: int,
+    samples: Sequence[FloatArray | None] = (),
+) -> Determined:
+    """Return what every band determines.
+
+    Parameters
+    ----------
+    materials : tuple of str
+    absorption, logit_covariance, logit_prior, areas_m2, seed
+        See `band_combinations`.
+    samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
+        Draws of absorption where the posterior was sampled.
+    """
+    combinations, sentences, shares = [], [], []
+    for band, covariance in enumerate(logit_covariance):
+        a, prior = absorption[:, band], logit_prior[:, :, band]
+        drawn = samples[band] if band < len(samples) else None
+        if drawn is None:
+            drawn = band_draws(
+                a, covariance, prior[0], prior[1], N_DRAWS, np.random.default_rng(seed)
+            )
+        rng = np.random.default_rng(seed)
+        found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
+        combinations.append(found)
+        left_open = undetermined_groups(covariance, prior[1])
+        sentences.append(band_sentence(materials, found, left_open))
+        shares.append(absorption_shares(areas_m2, a, drawn))
+    return Determined(tuple(combinations), tuple(sentences), np.stack(shares, axis=-1))
+
+
+def band_combinations(
+    absorption: FloatArray,
+    logit_covariance: FloatArray,
+    logit_prior: FloatArray,
+    areas_m2: FloatArray,
+    seed: int,
+) -> tuple[tuple[Combination, ...], ...]:
+    """Return the combinations of every band, that of the whole room first; see `find_combinations`.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
+        Of logit absorption between 0 and 1, whatever the bounds of the fit; see
+        `roomfit.uncertainty.posterior.plain_logit_covariance`.
+    logit_prior : float array, shape (2, n_materials, n_bands)
+        Mean and standard deviation of logit absorption beforehand.
+    areas_m2 : float array, shape (n_materials,)
+    seed : int
+    """
+    return tuple(
+        find_combinations(
+            areas_m2,
+            absorption[:, band],
+            covariance,
+            logit_prior[0, :, band],
+            logit_prior[1, :, band],
+            np.random.default_rng(seed),
+        )
+        for band, covariance in enumerate(logit_covariance)
+    )
+
+
+def inseparable_findings(
+    materials: tuple[str, ...],
+    centres_hz: FloatArray,
+    identifiable: BoolArray,
+    found: Sequence[tuple[Combination, ...]],
+) -> tuple[Finding, ...]:
+    """Return a finding where no material is identifiable by itself but the room's mean is known.
+
+    Parameters
+    ----------
+    materials : tuple of str
+    centres_hz : float array, shape (n_bands,)
+    identifiable : bool array, shape (n_materials, n_bands)
+    found : sequence of tuple of Combination
+        From `band_combinations`.
+    """
+    bands = [
+        band
+        for band, group in enumerate(found)
+        if not identifiable[:, band].any() and group[0].relative <= WITHIN
+    ]
+    if not bands or len(materials) < 2:
+        return ()
+    told = ", ".join(f"{centres_hz[b]:g} Hz ({100 * found[b][0].relative:.0f} %)" for b in bands)
+    return (
+        Finding(
+            "materials-not-separable",
+            "warning",
+            f"The data do not tell the {len(materials)} materials apart, only their mean "
+            f"absorption by area, with its 95 % interval to either side, at {told}.",
+            {"bands_hz": [float(centres_hz[b]) for b in bands], "materials": list(materials)},
+        ),
+    )

@@ -1,20 +1,37 @@
-"""Gaussian intervals of a fit, in the free numbers, carried over to physical values."""
+"""Gaussian intervals of a fit, in the free numbers, carried over to physical values.
+
+Errors that all data of a band share, in the covariance of its answer.
+
+Variances of single windows know how far each of them may be off, and not that all are off together.
+Such errors hardly show in what a fit leaves over, for the answer follows them, and the sums that
+data determine best, as the mean absorption of the room, are moved by them most of all.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
+from roomfit.certified.certificate import Certificate
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
     Block,
     Parameters,
     leaders,
     physical_values,
     position_of,
+    to_free,
     to_physical,
 )
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.objective.problem import BandProblem
+from roomfit.solvers.least_squares import BandFit
+from roomfit.typing import BoolArray, FloatArray, Progress
+from roomfit.uncertainty.profile import Profile
+from roomfit.uncertainty.sampling import Sampled
 
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
 WIDEST_IDENTIFIABLE = 0.2
@@ -120,3 +137,228 @@ def _free_values(block: Block, fitted: FloatArray) -> FloatArray:
     free = np.zeros(len(block.labels))
     free[block.fitted] = fitted
     return free
+
+
+def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> FloatArray:
+    """Return how far the answer moves if what is expected of the data is wrong by given errors.
+
+    To first order ``H^-1 J^T W u`` for an error u, with H the information, J the Jacobian and W the
+    weights of the data.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    fit : BandFit
+        Its answer.
+    errors : float array, shape (n, n_errors)
+        Of the first n data, in their unit.
+
+    Returns
+    -------
+    float array, shape (n_free, n_errors)
+    """
+    n = errors.shape[0]
+    weight = 1.0 / (problem.counted_as_one()[:n] * fit.variance[:n])
+    jacobian = problem.predict(fit.vector).jacobian[:n]
+    return np.asarray(np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * errors)))
+
+
+def allowing_for(fit: BandFit, steps: FloatArray) -> BandFit:
+    """Return a fit whose covariance has the outer products of steps of its answer added.
+
+    Parameters
+    ----------
+    fit : BandFit
+    steps : float array, shape (n_free, n_errors)
+        One standard deviation each, independent of each other.
+    """
+    if not np.any(steps):
+        return fit
+    # misfit multiplies the covariance later on; these errors are as large as they are
+    more = steps @ steps.T / max(fit.phi, 1.0)
+    information = np.linalg.inv(np.linalg.inv(fit.information) + more)
+    return replace(fit, information=0.5 * (information + information.T))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Starts:
+    """Where least squares from random starts ended.
+
+    Attributes
+    ----------
+    number : int
+        Of random starts.
+    agreeing : int
+        How many of them ended within the interval of the best.
+    other : float array, shape (n_materials,), or None
+        The likeliest absorption outside of it that explains the data alike.
+    loss : float
+        By how much its log-likelihood, prior included, is lower.
+    """
+
+    number: int
+    agreeing: int
+    other: FloatArray | None
+    loss: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MirrorTrial:
+    """Where a second fit ended that began with absorptions exchanged by a symmetry.
+
+    Attributes
+    ----------
+    absorption : float array, shape (n_materials,)
+    gain : float
+        Its log-likelihood less that of the first fit.
+    """
+
+    absorption: FloatArray
+    gain: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandAnswer:
+    """What one band's fit says of the walls.
+
+    Attributes
+    ----------
+    absorption, lower95, upper95 : float arrays, shape (n_materials,)
+    identifiable : bool array, shape (n_materials,)
+    logit_mean : float array, shape (n_materials,)
+        Logit of the absorption.
+    logit_covariance : float array, shape (n_materials, n_materials)
+        Its posterior covariance, misfit included; zeros where an absorption is held.
+    mean : tuple of three floats
+        Area-weighted mean absorption, its lower and its upper 95 % bound.
+    phi, cost : float
+        Zeros where nothing was fitted.
+    evaluations : int
+    converged : bool
+    model : str
+        "energy", "coherent", "values", or "prior" where nothing was fitted.
+    directivity : tuple of float arrays (n,) and (n, n), or None
+        Free numbers of the sources' unknown directivity and their covariance, misfit included.
+    kinds : tuple of str
+        How each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
+        data tell nothing; empty: all Gaussian.
+    profiles : tuple of Profile
+        Of the absorptions that were looked at, `entry` counting materials.
+    samples : float array, shape (n_draws, n_materials), or None
+        Absorption drawn from the posterior, where that was asked for and came to rest.
+    sampling : Sampled or None
+        How the samples came about.
+    mirrors : tuple of MirrorTrial, one a symmetry
+    starts : Starts or None
+        Where least squares from random starts ended, where they were tried.
+    """
+
+    absorption: FloatArray
+    lower95: FloatArray
+    upper95: FloatArray
+    identifiable: BoolArray
+    logit_mean: FloatArray
+    logit_covariance: FloatArray
+    mean: tuple[float, float, float]
+    phi: float
+    cost: float
+    evaluations: int
+    converged: bool
+    model: str
+    directivity: tuple[FloatArray, FloatArray] | None = None
+    certificate: Certificate | None = None
+    kinds: tuple[str, ...] = ()
+    profiles: tuple[Profile, ...] = ()
+    samples: FloatArray | None = None
+    sampling: Sampled | None = None
+    mirrors: tuple[MirrorTrial, ...] = ()
+    starts: Starts | None = None
+
+
+Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
+
+Allow: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
+
+
+def band_answer(
+    parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
+) -> BandAnswer:
+    """Return what one band's fit says of each material and of the room as a whole."""
+    found = absorption_intervals(parameters, fit.vector, fit.information, fit.phi)
+    mean = weighted_mean_interval(
+        parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
+    )
+    block = next(b for b in parameters.blocks if b.name == "absorption")
+    own: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
+    fitted = np.flatnonzero(block.fitted)
+    first = position_of(parameters, "absorption")
+    chosen = slice(first, first + fitted.size)
+    own[np.ix_(fitted, fitted)] = found.covariance[chosen, chosen]
+    leader = leaders(block)
+    covariance = own[np.ix_(leader, leader)]
+    return BandAnswer(
+        found.absorption,
+        found.lower95,
+        found.upper95,
+        found.identifiable,
+        to_free(block, found.absorption),
+        covariance,
+        mean,
+        fit.phi,
+        fit.cost,
+        fit.evaluations,
+        fit.converged,
+        model,
+        _directivity(parameters, fit.vector, found.covariance),
+        kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
+    )
+
+
+def _kinds(lower: FloatArray, upper: FloatArray, fitted: BoolArray) -> tuple[str, ...]:
+    untold = (lower == 0.0) & (upper == 1.0)
+    return tuple(
+        "given" if not own else "none" if nothing else "gaussian"
+        for own, nothing in zip(fitted, untold, strict=True)
+    )
+
+
+def _directivity(
+    parameters: Parameters, vector: FloatArray, covariance: FloatArray
+) -> tuple[FloatArray, FloatArray] | None:
+    block = next((b for b in parameters.blocks if b.name == DIRECTIVITY), None)
+    if block is None:
+        return None
+    first = position_of(parameters, DIRECTIVITY)
+    own = slice(first, first + len(block.labels))
+    return vector[own], covariance[own, own]
+
+
+def untold_band(
+    knowledge: tuple[MaterialKnowledge, ...], band: int, areas_m2: FloatArray
+) -> BandAnswer:
+    """Return what is left of a band without data: what was known beforehand, and no more."""
+    held = np.array([k.known is not None for k in knowledge])
+    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
+    logit = np.array([k.prior_logit_mean[band] for k in knowledge])
+    lower = np.array([k.lower for k in knowledge])
+    upper = np.array([k.upper for k in knowledge])
+    expected = lower + (upper - lower) / (1.0 + np.exp(-logit))
+    absorption = np.where(held, known, expected)
+    least, most = np.where(held, known, 0.0), np.where(held, known, 1.0)
+    share = areas_m2 / areas_m2.sum()
+    sd = np.where(held, 0.0, [k.prior_logit_sd[band] for k in knowledge])
+    return BandAnswer(
+        absorption,
+        least,
+        most,
+        held,
+        logit,
+        np.diag(sd**2),
+        (float(share @ absorption), float(share @ least), float(share @ most)),
+        0.0,
+        0.0,
+        0,
+        True,
+        "prior",
+        kinds=_kinds(least, most, ~held),
+    )

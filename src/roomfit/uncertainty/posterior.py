@@ -1,4 +1,9 @@
-"""Absorption as it is known after a fit."""
+"""Absorption as it is known after a fit.
+
+Random draws of absorption as it is known after a fit.
+
+Draws of absorption that stay where the data are, however far the prior lets them go.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +13,11 @@ from types import MappingProxyType
 
 import numpy as np
 
+from roomfit._checks import float_array, unique_names
 from roomfit.bands import Bands
-from roomfit.checks import float_array, unique_names
 from roomfit.errors import InputError
-from roomfit.materials.knowledge import DEFAULT_LOGIT_SD
-from roomfit.typing import FloatArray
+from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_assumed
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
@@ -137,3 +142,246 @@ def plain_logit_covariance(
     plain = ((lower <= 0.0) & (upper >= 1.0))[:, None]
     slope = np.where(plain, 1.0, width * share * (1.0 - share) / (a * (1.0 - a))).T
     return np.asarray(covariance * slope[:, :, None] * slope[:, None, :])
+
+
+_STEPS = 30
+_LONGEST_STEP = 2.0
+
+
+def draw_along_data(
+    absorption: FloatArray,
+    covariance_logit: FloatArray,
+    prior_logit_mean: FloatArray,
+    prior_logit_sd: FloatArray,
+    n_draws: int,
+    rng: np.random.Generator,
+    *,
+    looser: FloatArray | float = 1.0,
+) -> FloatArray:
+    """Return draws of absorption from a fit's answer and covariance, shape (n_draws, n_materials).
+
+    A decay determines sums of ``-log(1 - a)`` very well and their parts hardly. Draws that are
+    Gaussian in logit absorption leave such a sum as soon as they go far along it: in rooms of five
+    materials, seen by one decay within 3 %, their 95 % intervals of the mean absorption held the
+    truth in 30 of 100. Here what the data say is Gaussian in ``-log(1 - a)``, the exponents in
+    which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to 96.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials,)
+        The most likely values.
+    covariance_logit : float array, shape (n_materials, n_materials)
+        Of logit absorption, prior included; positive definite.
+    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
+    n_draws : int
+    rng : numpy.random.Generator
+    looser : float or float array, shape (n_materials,)
+        How many times as wide the prior of the draws is as that of the answer: what the data say
+        stays as it is.
+
+    Notes
+    -----
+    Each draw disturbs data and prior by their own noise and finds the most likely values again
+    [1]_: exact where the problem is linear, and close to the posterior elsewhere. The data are
+    those of a linear problem with the information and the maximum of the given one.
+
+    References
+    ----------
+    .. [1] J. M. Bardsley, A. Solonen, H. Haario, M. Laine, "Randomize-then-optimize: a method for
+           sampling from posterior distributions in nonlinear inverse problems", SIAM J. Sci.
+           Comput. 36, A1895-A1910 (2014).
+    """
+    x, n = logit(absorption), absorption.size
+    slope = np.maximum(absorption, 1e-6)  # d(-log(1 - a)) / d(logit a)
+    prior = 1.0 / prior_logit_sd**2
+    information = (np.linalg.inv(covariance_logit) - np.diag(prior)) / np.outer(slope, slope)
+    size, direction = np.linalg.eigh(0.5 * (information + information.T))
+    told = size > 1e-9 * max(float(size.max()), 1e-300)
+    R = np.sqrt(size[told])[:, None] * direction[:, told].T
+    # at the maximum the data pull as much as the prior does
+    pull = prior * (x - prior_logit_mean) / slope
+    seen = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
+    seen = seen + mirrored_noise(n_draws, seen.size, rng)
+    prior_sd = looser * prior_logit_sd
+    centres = prior_logit_mean + prior_sd * mirrored_noise(n_draws, n, rng)
+    return _absorption(_most_likely(x, R, seen, centres, 1.0 / prior_sd))
+
+
+def mirrored_noise(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
+    """Return standard normal numbers, shape (n_draws, n), the second half minus the first.
+
+    Mirrored draws take the linear part of their scatter out of every mean over them.
+    """
+    half = rng.standard_normal(((n_draws + 1) // 2, n))
+    return np.concatenate((half, -half))[:n_draws]
+
+
+def _most_likely(
+    start: FloatArray, R: FloatArray, seen: FloatArray, centres: FloatArray, weight: FloatArray
+) -> FloatArray:
+    """Minimise ``|R e(x) - seen|^2 + |weight (x - centre)|^2`` for all draws at once.
+
+    By Levenberg and Marquardt, e the exponents of absorption; shape (n_draws, n_materials).
+    """
+    n_draws, n = centres.shape
+    x = np.tile(start, (n_draws, 1))
+    damping = np.full(n_draws, 1e-3)
+    below = np.broadcast_to(np.diag(weight), (n_draws, n, n))
+    diagonal = np.arange(n)
+
+    def residuals(x: FloatArray) -> FloatArray:
+        return np.concatenate((_exponent(x) @ R.T - seen, weight * (x - centres)), axis=1)
+
+    r = residuals(x)
+    cost = np.sum(r**2, axis=1)
+    for _ in range(_STEPS):
+        J = np.concatenate((R[None] * _absorption(x)[:, None, :], below), axis=1)
+        H = np.swapaxes(J, 1, 2) @ J
+        gradient = np.einsum("dij,di->dj", J, r)
+        H[:, diagonal, diagonal] *= (1.0 + damping)[:, None]
+        step = np.linalg.solve(H, gradient[..., None])[..., 0]
+        trial = x - np.clip(step, -_LONGEST_STEP, _LONGEST_STEP)
+        r_trial = residuals(trial)
+        trial_cost = np.sum(r_trial**2, axis=1)
+        better = trial_cost < cost
+        x[better], r[better], cost[better] = trial[better], r_trial[better], trial_cost[better]
+        damping = np.where(better, 0.2 * damping, 5.0 * damping)
+    return x
+
+
+def _exponent(x: FloatArray) -> FloatArray:
+    """Return ``-log(1 - a)`` of absorption given by its logit."""
+    return np.asarray(np.logaddexp(0.0, x))
+
+
+def _absorption(x: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
+
+
+# A prior that nobody told may as well be so many times as wide.
+LOOSER = 2.0
+
+
+def draw_absorption(
+    posterior: AbsorptionPosterior, n_draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of absorption, each band by itself.
+
+    Where the posterior tells what was known beforehand they stay where the data are (`band_draws`);
+    without, they are Gaussian in logit absorption. Draws come in mirrored pairs.
+
+    Parameters
+    ----------
+    posterior : AbsorptionPosterior
+    n_draws : int
+        2 or more; an odd number is raised by one.
+    rng : numpy Generator
+
+    Returns
+    -------
+    float array, shape (n_draws, n_materials, n_bands)
+        0 to 1; a held material keeps its absorption exactly.
+    """
+    n = 2 * ((max(n_draws, 2) + 1) // 2)
+    draws = np.empty((n, *posterior.absorption.shape))
+    for band, covariance in enumerate(posterior.logit_covariance):
+        a = posterior.absorption[:, band]
+        if posterior.prior_logit_mean is None or posterior.prior_logit_sd is None:
+            draws[:, :, band] = _gaussian_draws(a, covariance, n, rng)
+        else:
+            mean, sd = posterior.prior_logit_mean[:, band], posterior.prior_logit_sd[:, band]
+            draws[:, :, band] = band_draws(a, covariance, mean, sd, n, rng)
+    return draws
+
+
+def band_draws(
+    absorption: FloatArray,
+    covariance_logit: FloatArray,
+    prior_logit_mean: FloatArray,
+    prior_logit_sd: FloatArray,
+    n_draws: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws of one band that stay where the data are, shape (n_draws, n_materials).
+
+    The prior of a wall of which nobody told anything is a guess. In a room with many hard walls it
+    pulls them all one way, and then their sum lies farther off than its parts. The draws take such
+    a prior for up to twice as wide as the answer did: by as much as the data know of the wall.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials,)
+    covariance_logit : float array, shape (n_materials, n_materials)
+        Positive semi-definite: zeros where absorption is held, equal rows where two materials are
+        tied to each other.
+    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
+    n_draws : int
+    rng : numpy Generator
+
+    See Also
+    --------
+    roomfit.uncertainty.posterior.draw_along_data : what is done for materials that vary.
+    """
+    held = np.diag(covariance_logit) <= 0.0
+    draws = np.tile(absorption, (n_draws, 1))
+    own, twin = _own(absorption, covariance_logit, held)
+    if own.size:
+        mean, sd = prior_logit_mean[own], prior_logit_sd[own]
+        answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
+        # where the data say little a wider prior would let other walls go wherever they like
+        told = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
+        looser = np.where(is_assumed(mean, sd), 1.0 + (LOOSER - 1.0) * told, 1.0)
+        drawn = draw_along_data(*answer, n_draws, rng, looser=looser)
+        draws[:, ~held] = drawn[:, twin]
+    return draws
+
+
+def prior_draws(
+    absorption: FloatArray,
+    covariance_logit: FloatArray,
+    prior_logit_mean: FloatArray,
+    prior_logit_sd: FloatArray,
+    n_draws: int,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return draws from the prior alone, held and tied as in `band_draws`."""
+    held = np.diag(covariance_logit) <= 0.0
+    draws = np.tile(absorption, (n_draws, 1))
+    own, twin = _own(absorption, covariance_logit, held)
+    if own.size:
+        noise = mirrored_noise(n_draws, own.size, rng)
+        drawn = _share(prior_logit_mean[own] + prior_logit_sd[own] * noise)
+        draws[:, ~held] = drawn[:, twin]
+    return draws
+
+
+def _gaussian_draws(
+    absorption: FloatArray, covariance: FloatArray, n_draws: int, rng: np.random.Generator
+) -> FloatArray:
+    size, direction = np.linalg.eigh(covariance)
+    step = mirrored_noise(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
+    share = _share(logit(absorption) + step @ direction.T)
+    return np.asarray(np.where(np.diag(covariance) == 0.0, absorption, share))
+
+
+def _share(x: FloatArray) -> FloatArray:
+    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
+
+
+def _own(
+    absorption: FloatArray, covariance: FloatArray, held: BoolArray
+) -> tuple[IntArray, IntArray]:
+    """Return which materials vary by themselves, and for each that varies which of them it is."""
+    varying = np.flatnonzero(~held)
+    own: list[int] = []
+    twin: list[int] = []
+    for i in varying:
+        same = [
+            k
+            for k, j in enumerate(own)
+            if absorption[j] == absorption[i] and np.allclose(covariance[j], covariance[i])
+        ]
+        if not same:
+            own.append(int(i))
+        twin.append(same[0] if same else len(own) - 1)
+    return np.array(own, dtype=np.int64), np.array(twin, dtype=np.int64)

@@ -1,18 +1,565 @@
-"""Samples of a band's posterior, and whether they may be trusted."""
+"""A law near to a band's posterior that costs nothing: what proposals are drawn from.
+
+Whether Markov chains have come to rest: how often, how long, how much alike.
+
+The posterior of one band's free numbers, what is not asked for integrated out.
+
+Samples of a band's posterior, and whether they may be trusted.
+
+Compiled walks under the law that proposals for a band's posterior are drawn from.
+"""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
+from roomfit._checks import float_array
+from roomfit._numba import kernel
 from roomfit.errors import InputError
-from roomfit.typing import FloatArray, Progress
-from roomfit.uncertainty.chains import autocorrelation_steps, split_r_hat
-from roomfit.uncertainty.log_posterior import LogPosterior
-from roomfit.uncertainty.surrogate import Surrogate
+from roomfit.objective.parameters import (
+    GEOMETRY,
+    Parameters,
+    physical_values,
+    position_of,
+    prior_residuals,
+)
+from roomfit.objective.problem import BandProblem, Prediction
+from roomfit.solvers.least_squares import BandFit
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
+
+
+def split_r_hat(chains: FloatArray) -> FloatArray:
+    """Return Gelman and Rubin's R-hat of chains cut in halves, for each unknown.
+
+    The root of how much larger the variance over all halves is than the mean variance within one:
+    1 where all halves tell the same [1]_.
+
+    Parameters
+    ----------
+    chains : float array, shape (n_steps, n_chains, n_unknowns)
+        4 steps or more.
+
+    Returns
+    -------
+    float array, shape (n_unknowns,)
+        1 where nothing moves and all agree.
+
+    References
+    ----------
+    .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, section 11.4.
+    """
+    told = float_array("chains", chains, (None, None, None))
+    half = len(told) // 2
+    parts = np.concatenate((told[:half], told[-half:]), axis=1)
+    within = parts.var(axis=0, ddof=1).mean(axis=0)
+    between = parts.mean(axis=0).var(axis=0, ddof=1)
+    pooled = (half - 1) / half * within + between
+    return np.asarray(np.sqrt(np.where(within > 0.0, pooled / np.where(within > 0, within, 1), 1)))
+
+
+def autocorrelation_steps(chains: FloatArray) -> FloatArray:
+    """Return the integrated autocorrelation time of each unknown in steps, 1 or more.
+
+    The autocorrelation is averaged over the chains and summed up to the first lag beyond five times
+    the sum [1]_.
+
+    Parameters
+    ----------
+    chains : float array, shape (n_steps, n_chains, n_unknowns)
+
+    Returns
+    -------
+    float array, shape (n_unknowns,)
+
+    References
+    ----------
+    .. [1] A. Sokal, "Monte Carlo methods in statistical mechanics", in: Functional Integration,
+           1997, section 3; as in emcee.
+    """
+    told = float_array("chains", chains, (None, None, None))
+    n = len(told)
+    away = told - told.mean(axis=(0, 1))
+    spectrum = np.abs(np.fft.rfft(away, 2 * n, axis=0)) ** 2
+    # dividing by n at every lag, as usual, keeps far lags quiet
+    correlation = np.fft.irfft(spectrum, axis=0)[:n].mean(axis=1)
+    size = correlation[0]
+    correlation = np.where(size > 0.0, correlation / np.where(size > 0.0, size, 1.0), 0.0)
+    sums = 2.0 * np.cumsum(correlation, axis=0) - 1.0
+    enough = np.arange(n)[:, None] >= 5.0 * sums
+    last = np.where(enough.any(axis=0), enough.argmax(axis=0), n - 1)
+    return np.maximum(sums[last, np.arange(sums.shape[1])], 1.0)
+
+
+# An absorption this near to 1 or 0 can no more be told from it: a wall beyond is none of sound.
+FARTHEST_FREE = 40.0
+# Least 1 - a of which a log is taken.
+LEAST_REFLECTED = 1e-18
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogPosterior:
+    """Log density of a band's absorptions, gains and directivity, up to a constant.
+
+    The data count as the fit counts them: neighbours that share information once, and a misfit
+    flattens their likelihood by phi. Their variances are those of each point, with every constant.
+
+    Arrival times (dozens of unknowns, of which no number is asked for) are integrated out by
+    Laplace's rule: they follow the other numbers along the fit's own ridge, and what one Newton
+    step would still gain there is added. The fit's curvature is kept, so that its determinant
+    is a constant. The ridge is straight in the exponents ``-log(1 - a)``, as the data are: one in
+    logits leaves them where a wall is hard, and the step would promise what it does not gain.
+
+    Attributes
+    ----------
+    problem : BandProblem
+    centre : float array, shape (n_free,)
+        The fit's answer.
+    n_kept : int
+        Entries of the free vector, from its beginning, whose density this is.
+    follow : float array, shape (n_free - n_kept, n_kept)
+        By how much arrival times follow the exponents.
+    inner : float array, shape (n_free - n_kept, n_free - n_kept)
+        Their information, given the others.
+    flattening : float
+        max(phi, 1).
+    """
+
+    problem: BandProblem
+    centre: FloatArray
+    n_kept: int
+    follow: FloatArray
+    inner: FloatArray
+    flattening: float
+
+    def __call__(self, kept: FloatArray) -> float:
+        """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
+        if not np.all(np.abs(kept) < FARTHEST_FREE):
+            return -np.inf
+        vector = np.concatenate((kept, self.ridge(kept)))
+        prediction = self.problem.predict(vector)
+        variance = self.problem.variance(vector)
+        neighbours = self.problem.counted_as_one()
+        each = self.problem.log_likelihood(prediction.expected, variance)
+        prior, rows = prior_residuals(self.problem.parameters, vector)
+        found = float(np.sum(each / neighbours)) / self.flattening - 0.5 * float(prior @ prior)
+        if self.inner.size:
+            spread = neighbours * variance * self.flattening
+            off = (self.problem.measured() - prediction.expected) / spread
+            slope = (prediction.jacobian.T @ off - rows.T @ prior)[self.n_kept :]
+            found += 0.5 * float(slope @ np.linalg.solve(self.inner, slope))
+        return found if np.isfinite(found) else -np.inf
+
+    def ridge(self, kept: FloatArray) -> FloatArray:
+        """Return where arrival times follow kept numbers, shape (n_free - n_kept,)."""
+        parameters, centre = self.problem.parameters, self.centre[: self.n_kept]
+        here, there = exponents(parameters, np.stack((centre, kept)))
+        return np.asarray(self.centre[self.n_kept :] + self.follow @ (there - here))
+
+
+def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
+    """Return the posterior of all unknowns of a band but its arrival times.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    fit : BandFit
+        Its answer.
+    """
+    parameters, flattening = problem.parameters, max(fit.phi, 1.0)
+    n = fit.vector.size
+    timed = any(b.name == GEOMETRY for b in parameters.blocks)
+    kept = position_of(parameters, GEOMETRY) if timed else n
+    prior = prior_information(parameters, fit.vector)
+    # the data are flattened, what was known beforehand is not
+    whole = (fit.information - prior) / flattening + prior
+    inner = whole[kept:, kept:]
+    follow = -np.linalg.solve(inner, whole[kept:, :kept]) if kept < n else np.zeros((0, kept))
+    follow = follow / exponent_slopes(parameters, fit.vector)[:kept]
+    return LogPosterior(problem, fit.vector, kept, np.asarray(follow), inner, flattening)
+
+
+def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
+    """Return the information of what was known beforehand, shape (n_free, n_free)."""
+    _, rows = prior_residuals(parameters, vector)
+    return np.asarray(rows.T @ rows)
+
+
+def absorption_columns(parameters: Parameters) -> tuple[int, IntArray]:
+    """Return where the fitted absorptions begin, and which entries of their block they are."""
+    block = next(b for b in parameters.blocks if b.name == "absorption")
+    return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+
+
+def exponent_slopes(parameters: Parameters, vector: FloatArray) -> FloatArray:
+    """Return the derivative of each exponent by its free number, 1 where there is no exponent."""
+    values, slopes = physical_values(parameters, vector)
+    by_exponent = slopes["absorption"] / np.maximum(1.0 - values["absorption"], 1e-12)
+    out = np.ones(vector.size)
+    first, columns = absorption_columns(parameters)
+    out[first : first + columns.size] = np.maximum(by_exponent[columns], 1e-9)
+    return out
+
+
+def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
+    """Return the exponents of absorptions, all other free numbers as they are, (n_points, n)."""
+    out = np.array(kept)
+    first, columns = absorption_columns(parameters)
+    own = slice(first, first + columns.size)
+    block = next(b for b in parameters.blocks if b.name == "absorption")
+    low, high = block.lower[columns], block.upper[columns]
+    # 1 - a, without rounding where a comes near to 1
+    less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
+    out[:, own] = -np.log(np.maximum(less, LEAST_REFLECTED))
+    return out
+
+
+@kernel()
+def walk_points(
+    points: FloatArray,
+    root: FloatArray,
+    sizes: FloatArray,
+    noise: FloatArray,
+    chances: FloatArray,
+    farthest: float,
+    first: int,
+    low: FloatArray,
+    high: FloatArray,
+    centre: FloatArray,
+    prior: FloatArray,
+    prior_mean: FloatArray,
+    data: FloatArray,
+    pull: FloatArray,
+    measured: FloatArray,
+    signal: FloatArray,
+    background: FloatArray,
+    slopes: FloatArray,
+    curvature: FloatArray,
+    weight: FloatArray,
+    energies: BoolArray,
+) -> FloatArray:
+    """Move points by Metropolis steps under a law and return what each has gained, (n_points,).
+
+    Parameters
+    ----------
+    points : shape (n_points, n)
+        Moved in place.
+    root : shape (n, n)
+        A step of size 1 has the covariance ``root @ root.T``.
+    sizes, chances, noise : shapes (n_steps,), (n_steps, n_points), (n_steps, n_points, n)
+        The chance of every step: its size, the log of an even number from 0 to 1, normal numbers.
+    farthest : float
+        No free number may be farther from zero.
+    first : int
+        Where the absorptions begin, whose bounds are `low` and `high`.
+    centre, prior_mean, pull : shape (n,)
+    prior, data : shape (n, n)
+    measured, signal, background, weight, energies : shape (n_data,)
+        Of no data where `data` and `pull` say all.
+    slopes, curvature : shapes (n_data, n), (n_data, n, n)
+        See `roomfit.uncertainty.sampling.Windows`.
+    """
+    n = points.shape[1]
+    zero = np.empty(n)
+    _exponents(centre, first, low, high, zero)
+    gain = np.empty(len(points))
+    here, trial, away = np.empty(n), np.empty(n), np.empty(n)
+    for p in range(len(points)):
+        here[:] = points[p]
+        now = start = _log_density(
+            *(here, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
+            *(measured, signal, background, slopes, curvature, weight, energies),
+        )
+        for s in range(len(sizes)):
+            for i in range(n):
+                step = 0.0
+                for j in range(i + 1):  # a Cholesky root is zero above its diagonal
+                    step += root[i, j] * noise[s, p, j]
+                trial[i] = here[i] + sizes[s] * step
+            there = _log_density(
+                *(trial, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
+                *(measured, signal, background, slopes, curvature, weight, energies),
+            )
+            if chances[s, p] < there - now:  # false where both are minus infinity, whose gap is nan
+                now = there
+                here[:] = trial
+        points[p] = here
+        gain[p] = now - start
+    return gain
+
+
+@kernel()
+def _exponents(
+    kept: FloatArray, first: int, low: FloatArray, high: FloatArray, out: FloatArray
+) -> None:
+    """Fill in ``-log(1 - a)`` of absorptions, all other free numbers as they are."""
+    out[:] = kept
+    for i in range(len(low)):
+        share = 0.5 * (1.0 - math.tanh(0.5 * kept[first + i]))
+        less = (1.0 - high[i]) + (high[i] - low[i]) * share
+        out[first + i] = -math.log(max(less, LEAST_REFLECTED))
+
+
+@kernel()
+def _log_density(
+    kept: FloatArray,
+    away: FloatArray,
+    zero: FloatArray,
+    farthest: float,
+    first: int,
+    low: FloatArray,
+    high: FloatArray,
+    prior: FloatArray,
+    prior_mean: FloatArray,
+    data: FloatArray,
+    pull: FloatArray,
+    measured: FloatArray,
+    signal: FloatArray,
+    background: FloatArray,
+    slopes: FloatArray,
+    curvature: FloatArray,
+    weight: FloatArray,
+    energies: BoolArray,
+) -> float:
+    """Return `roomfit.uncertainty.sampling.Surrogate.log_density` of one point; `away` is scratch.
+
+    Minus infinity far outside, and where a window's likelihood is no number.
+    """
+    n = len(kept)
+    for i in range(n):
+        if not abs(kept[i]) < farthest:
+            return -math.inf
+    _exponents(kept, first, low, high, away)
+    total = 0.0
+    for i in range(n):
+        away[i] -= zero[i]
+        of_prior = 0.0
+        for j in range(n):
+            of_prior += prior[i, j] * (kept[j] - prior_mean[j])
+        total -= 0.5 * (kept[i] - prior_mean[i]) * of_prior
+    if len(measured) == 0:
+        for i in range(n):
+            of_data = 0.0
+            for j in range(n):
+                of_data += data[i, j] * away[j]
+            total += away[i] * (pull[i] - 0.5 * of_data)
+        return total
+    for w in range(len(measured)):
+        change = 0.0
+        for i in range(n):
+            bend = 0.0
+            for j in range(n):
+                bend += curvature[w, i, j] * away[j]
+            change += away[i] * (slopes[w, i] + 0.5 * bend)
+        if energies[w]:
+            grown = signal[w] * math.exp(change) + background[w]
+            total += weight[w] * (-math.log(grown) - measured[w] / grown)
+        else:
+            off = measured[w] - background[w] - signal[w] - change
+            total -= 0.5 * weight[w] * off * off
+    return total if math.isfinite(total) else -math.inf
+
+
+# Of a free number, for second derivatives: large beside rounding, small beside what bends.
+_STEP = 0.05
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Data whose expectation without noise is known to second order in the exponents.
+
+    Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
+    covariance of their counts of hits are its first two derivatives.
+
+    Attributes
+    ----------
+    measured, signal, noise : float arrays, shape (n_data,)
+        `signal` at the centre; `noise` is what is expected besides.
+    slopes : float array, shape (n_data, n_kept)
+        Of the log of the signal by the exponents; of data that are no energies, of the signal.
+    curvature : float array, shape (n_data, n_kept, n_kept)
+        Second derivative of the same.
+    weight : float array, shape (n_data,)
+        Of energies the shape of their Gamma law, else one over the variance; neighbours that share
+        information counted once, flattened by the misfit.
+    energies : bool array, shape (n_data,)
+    """
+
+    measured: FloatArray
+    signal: FloatArray
+    noise: FloatArray
+    slopes: FloatArray
+    curvature: FloatArray
+    weight: FloatArray
+    energies: BoolArray
+
+    def log_likelihood(self, away: FloatArray) -> FloatArray:
+        """Return it, up to a constant, at exponents this far from the centre, (n_points, n)."""
+        change = away @ self.slopes.T
+        change += 0.5 * np.einsum("pi,wij,pj->pw", away, self.curvature, away, optimize=True)
+        with np.errstate(over="ignore", invalid="ignore"):
+            grown = self.signal * np.exp(np.where(self.energies, change, 0.0)) + self.noise
+            ratio = self.measured / np.where(self.energies, grown, 1.0)
+            gamma = -np.log(np.where(self.energies, grown, 1.0)) - ratio
+            off = self.measured - self.noise - self.signal - change
+            each = np.where(self.energies, gamma, -0.5 * off**2)
+            found = each @ self.weight
+        return np.where(np.isfinite(found), found, -np.inf)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Surrogate:
+    """A law near to a posterior, with the fit's curvature.
+
+    A path's energy is linear in the exponents ``-log(1 - a)``, and in the logs of gains. Where the
+    data are windows alone, the log of each window's energy is taken as quadratic in them. Where
+    arrival times are integrated out, so that windows hang together, the whole log-likelihood is
+    taken as quadratic in them. Only the prior is Gaussian in the logits; see
+    `roomfit.uncertainty.posterior`.
+
+    Attributes
+    ----------
+    parameters : Parameters
+    centre : float array, shape (n_kept,)
+    windows : Windows or None
+    data : float array, shape (n_kept, n_kept)
+        Information of the data in the exponents; used without windows.
+    pull : float array, shape (n_kept,)
+        Slope of the data's log-likelihood at the centre; used without windows.
+    prior : float array, shape (n_kept, n_kept)
+    prior_mean : float array, shape (n_kept,)
+    covariance : float array, shape (n_kept, n_kept)
+        Of the free numbers, Gaussian at the centre.
+    """
+
+    parameters: Parameters
+    centre: FloatArray
+    windows: Windows | None
+    data: FloatArray
+    pull: FloatArray
+    prior: FloatArray
+    prior_mean: FloatArray
+    covariance: FloatArray
+
+    def log_density(self, kept: FloatArray) -> FloatArray:
+        """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
+        away = exponents(self.parameters, kept) - exponents(self.parameters, self.centre[None])
+        off = kept - self.prior_mean
+        found = -0.5 * np.einsum("pi,ij,pj->p", off, self.prior, off)
+        if self.windows is not None:
+            found += self.windows.log_likelihood(away)
+        else:
+            found += away @ self.pull - 0.5 * np.einsum("pi,ij,pj->p", away, self.data, away)
+        return np.where(np.all(np.abs(kept) < FARTHEST_FREE, axis=1), found, -np.inf)
+
+    @property
+    def usual_steps(self) -> tuple[int, ...]:
+        """Lengths of walks: a short one, and one that costs less than what it is weighed by.
+
+        A random walk needs some 500 steps to forget its place under the skew laws of hard walls.
+        """
+        return (50, 4000) if self.windows is None else (50, 500)
+
+    def walk(
+        self, points: FloatArray, steps: int, rng: np.random.Generator
+    ) -> tuple[FloatArray, FloatArray]:
+        """Return points after Metropolis steps under this law, and their gain in log density.
+
+        The walk is reversible under the law, so a proposal made by it is weighed by that gain
+        alone [1]_.
+
+        References
+        ----------
+        .. [1] J. S. Liu, Monte Carlo Strategies in Scientific Computing, 2001, section 9.4.3
+               ("surrogate transition").
+        """
+        n = points.shape[1]
+        root = 2.38 / np.sqrt(n) * np.linalg.cholesky(self.covariance)
+        # drawn whatever the place, so that each step stays reversible; small ones still move along
+        # narrow ridges
+        sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
+        here = np.array(points, dtype=np.float64, order="C")
+        first, columns = absorption_columns(self.parameters)
+        block = next(b for b in self.parameters.blocks if b.name == "absorption")
+        w = _no_windows(n) if self.windows is None else self.windows
+        gain = walk_points(
+            *(here, root, sizes, rng.standard_normal((steps, *here.shape))),
+            *(np.log(rng.random((steps, len(here)))), FARTHEST_FREE, first),
+            *(np.array(block.lower[columns]), np.array(block.upper[columns])),
+            *(np.array(self.centre), np.array(self.prior), np.array(self.prior_mean)),
+            *(np.array(self.data), np.array(self.pull)),
+            *(np.array(w.measured), np.array(w.signal), np.array(w.noise), np.array(w.slopes)),
+            *(np.array(w.curvature), np.array(w.weight)),
+            np.array(w.energies),
+        )
+        return here, gain
+
+
+def _no_windows(n: int) -> Windows:
+    """Return what stands for no windows of n exponents."""
+    none: FloatArray = np.zeros(0)
+    flags = np.zeros(0, dtype=np.bool_)
+    return Windows(none, none, none, np.zeros((0, n)), np.zeros((0, n, n)), none, flags)
+
+
+def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
+    """Return the law that proposals for a band's posterior are drawn from."""
+    parameters, n = posterior.problem.parameters, posterior.n_kept
+    whole = prior_information(parameters, fit.vector)
+    prior = whole[:n, :n]
+    inner = posterior.inner
+    data = (fit.information - whole)[:n, :n] / posterior.flattening
+    slope = exponent_slopes(parameters, fit.vector)[:n]
+    if inner.size:
+        follow = posterior.follow * slope
+        data = data - follow.T @ inner @ follow
+    means = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])[:n]
+    pull = prior @ (fit.vector[:n] - means) / slope
+    size, directions = np.linalg.eigh(0.5 * (data + data.T))
+    data = (directions * np.maximum(size, 0.0)) @ directions.T
+    free = data + prior + 1e-6 * np.eye(n)
+    return Surrogate(
+        *(parameters, np.array(fit.vector[:n]), None if inner.size else _windows(posterior, fit)),
+        *(data / np.outer(slope, slope), pull, prior, means, np.asarray(np.linalg.inv(free))),
+    )
+
+
+def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
+    problem = posterior.problem
+    found, energies = problem.predict(fit.vector), problem.are_energies()
+    count = problem.counted_as_one() * posterior.flattening
+    variance = np.maximum(fit.variance, np.where(energies, (1e-3 * fit.expected) ** 2, 0.0))
+    slopes = _signal_slopes(problem, found, fit.vector)
+    weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
+    return Windows(
+        *(problem.measured(), found.signal, found.expected - found.signal, slopes),
+        *(_curvature(problem, slopes, fit.vector), weight, energies),
+    )
+
+
+def _signal_slopes(problem: BandProblem, found: Prediction, vector: FloatArray) -> FloatArray:
+    """Return the slopes of `Windows` at a point."""
+    by_exponent = found.jacobian / exponent_slopes(problem.parameters, vector)
+    least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
+    scale = np.where(problem.are_energies(), np.maximum(found.signal, least), 1.0)
+    return np.asarray(by_exponent / scale[:, None])
+
+
+def _curvature(problem: BandProblem, slopes: FloatArray, vector: FloatArray) -> FloatArray:
+    """Return the curvature of `Windows` from one more prediction an unknown."""
+    out = np.empty((*slopes.shape, vector.size))
+    for k in range(vector.size):
+        moved = np.array(vector)
+        moved[k] += _STEP
+        step = exponents(problem.parameters, np.stack((vector, moved)))
+        there = _signal_slopes(problem, problem.predict(moved), moved)
+        out[:, :, k] = (there - slopes) / max(float(step[1, k] - step[0, k]), 1e-12)
+    return 0.5 * (out + out.transpose(0, 2, 1))
+
 
 # Of the first steps; the walkers begin close to the posterior.
 _FORGOTTEN = 0.2

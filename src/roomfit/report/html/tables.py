@@ -1,63 +1,533 @@
-"""A table as the template draws it: captions, heads and cells of text, no numbers."""
+"""Absorption in tables: coefficients with intervals, their mean, and absorption areas.
+
+The table of what was proven of the lowest cost in each band.
+
+How far predictions are off on average, beside a guess that knows no room model.
+
+Predicted parameters beside measured ones, in just noticeable differences, pair by pair.
+
+How sources were found to radiate, in tables.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.report.html.wording import hertz
-from roomfit.typing import FloatArray, IntArray
+from roomfit.air import attenuation_per_m
+from roomfit.geometry.mesh import volume_m3
+from roomfit.objective.directivity import FittedDirectivity
+from roomfit.report.html.parts import (
+    DASH,
+    PARAMETERS,
+    Cell,
+    Row,
+    Table,
+    area,
+    band_blocks,
+    band_heads,
+    block_caption,
+    coefficient,
+    count,
+    hertz,
+    number,
+    parameter,
+)
+from roomfit.results import Answer, Compared, ComparedPair, Use, certificate_distance
+from roomfit.scene import Scene
+from roomfit.signals.decay import in_jnd
+from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.uncertainty.gaussian import LARGEST_PHI
 
-BANDS_AT_MOST = 8
-"""Columns that fit on a sheet of A4; further bands go into a table below."""
+NOT_IDENTIFIABLE = "not identif."
+
+
+def given(answer: Answer) -> BoolArray:
+    """Return which coefficients were held fixed, shape (n_materials, n_bands)."""
+    return np.asarray(answer.lower95 == answer.upper95)
+
+
+def absorption_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
+    centres = answer.bands.centres_hz
+    return tuple(
+        Table(
+            block_caption(
+                f"Absorption coefficient, 95 % interval ({answer.interval_kind})", centres, block
+            ),
+            "material",
+            band_heads(centres, block),
+            (*_material_rows(answer, block), _mean_row(answer, block)),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
+    held = given(answer)
+    return [
+        Row(
+            name,
+            tuple(
+                coefficient_cell(
+                    answer.absorption[i, j],
+                    answer.lower95[i, j],
+                    answer.upper95[i, j],
+                    sure=bool(answer.identifiable[i, j]),
+                    held=bool(held[i, j]),
+                )
+                for j in block
+            ),
+            small=f"{area(float(answer.areas_m2[i]))} m²",
+        )
+        for i, name in enumerate(answer.materials)
+    ]
+
+
+def _mean_row(answer: Answer, block: IntArray) -> Row:
+    total = float(np.sum(answer.areas_m2))
+    cells = tuple(
+        coefficient_cell(*answer.mean_absorption[:, j], sure=True, held=False) for j in block
+    )
+    return Row("mean of the room", cells, small=f"by area, {area(total)} m²", style="total")
+
+
+def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, held: bool) -> Cell:
+    """Return an absorption with its interval; doubt and given values are told in words."""
+    if not np.isfinite(value):
+        return Cell(DASH, ("not determined",), "unsure")
+    if held:
+        return Cell(coefficient(value, upper), ("given",), "given")
+    text = coefficient(value, upper)
+    interval = f"{coefficient(lower, upper)}{DASH}{coefficient(upper, upper)}"
+    if sure:
+        return Cell(text, (interval,))
+    return Cell(f"({text})", (interval, NOT_IDENTIFIABLE), "unsure")
+
+
+def fit_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return how well the model fits each band, and whether the fit came to rest."""
+    centres = answer.bands.centres_hz
+    return tuple(
+        Table(
+            block_caption("How well the model explains the data", centres, block),
+            "",
+            band_heads(centres, block),
+            (
+                Row("φ", tuple(_phi_cell(float(answer.phi[j])) for j in block), "1: as expected"),
+                Row("the fit came to rest", tuple(_rest_cell(answer, j) for j in block)),
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _phi_cell(phi: float) -> Cell:
+    if not np.isfinite(phi):
+        return Cell(DASH, ("too few data",), "unsure")
+    if phi > LARGEST_PHI:
+        return Cell(number(phi, 1), ("does not fit",), "far")
+    return Cell(number(phi, 1), ("fits",), "near")
+
+
+def _rest_cell(answer: Answer, band: int) -> Cell:
+    return Cell("yes") if answer.converged[band] else Cell("no", style="far")
+
+
+def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
+    """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
+
+    The interval of the sum is that of the mean absorption times the whole area. The air's part is
+    the last term of the reverberation formula of ISO 354:2003, equation 6.
+    """
+    centres = answer.bands.centres_hz
+    areas = answer.absorption * answer.areas_m2[:, None]
+    walls = areas.sum(axis=0)
+    air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_m3(scene.room.mesh)
+    bounds = answer.mean_absorption[1:] * float(np.sum(answer.areas_m2))
+    return tuple(
+        Table(
+            block_caption(
+                "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²", centres, block
+            ),
+            "material",
+            ("S in m²", *band_heads(centres, block)),
+            (
+                *_area_rows(answer, areas, block),
+                _wall_row(answer, walls, bounds, block),
+                _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
+                _sum_row("total", walls + air, block, "surfaces and air", "total"),
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _area_rows(answer: Answer, areas: FloatArray, block: IntArray) -> list[Row]:
+    rows = []
+    for i, name in enumerate(answer.materials):
+        cells = [Cell(area(float(answer.areas_m2[i])), style="first")]
+        for j in block:
+            cell = _area_cell(float(areas[i, j]))
+            if np.isfinite(areas[i, j]) and not answer.identifiable[i, j]:
+                cell = Cell(f"({cell.text})", style="unsure")
+            cells.append(cell)
+        rows.append(Row(name, tuple(cells)))
+    return rows
+
+
+def _wall_row(answer: Answer, walls: FloatArray, bounds: FloatArray, block: IntArray) -> Row:
+    cells = []
+    for j in block:
+        known = bool(np.isfinite(bounds[:, j]).all())
+        interval = f"{area(bounds[0, j])}{DASH}{area(bounds[1, j])}" if known else ""
+        cells.append(_area_cell(float(walls[j]), interval))
+    whole = Cell(area(float(np.sum(answer.areas_m2))), style="first")
+    return Row("all surfaces", (whole, *cells), "95 % interval below", style="total")
+
+
+def _sum_row(head: str, values: FloatArray, block: IntArray, small: str, style: str = "") -> Row:
+    cells = tuple(_area_cell(float(values[j])) for j in block)
+    return Row(head, (Cell("", style="first"), *cells), small, style=style)
+
+
+def share_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return what share of the room's absorption each material contributes, with its interval."""
+    if answer.shares is None:
+        return ()
+    centres, shares = answer.bands.centres_hz, answer.shares
+    return tuple(
+        Table(
+            block_caption(
+                "Share of the surfaces' absorption in %, 95 % interval below", centres, block
+            ),
+            "material",
+            band_heads(centres, block),
+            tuple(
+                Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
+                for i, name in enumerate(answer.materials)
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def prior_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return what was known beforehand, in the order of `absorption_tables`."""
+    if answer.prior is None:
+        return ()
+    centres, prior, held = answer.bands.centres_hz, answer.prior, given(answer)
+    return tuple(
+        Table(
+            block_caption("Known or assumed beforehand, 95 % interval", centres, block),
+            "material",
+            band_heads(centres, block),
+            tuple(
+                Row(
+                    name,
+                    tuple(
+                        coefficient_cell(*prior[:, i, j], sure=True, held=bool(held[i, j]))
+                        for j in block
+                    ),
+                )
+                for i, name in enumerate(answer.materials)
+            ),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _share_cell(value: float, lower: float, upper: float) -> Cell:
+    told = [number(100.0 * x, 0) for x in (value, lower, upper)]
+    return Cell(told[0], (f"{told[1]}{DASH}{told[2]}",))
+
+
+def _area_cell(value_m2: float, interval: str = "") -> Cell:
+    if not np.isfinite(value_m2):
+        return Cell(DASH, ("not determined",), "unsure")
+    return Cell(area(value_m2), (interval,) if interval else ())
+
+
+_STATUS = {"certified": "proven", "stopped": "stopped early", "unresolved": "not resolved"}
+
+
+def certificate_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return one table with a row a band, or none where nothing was to be proven."""
+    rows = []
+    for band, proof in enumerate(answer.certificates):
+        if proof is None:
+            continue
+        places = [
+            ", ".join(
+                f"{name} {number(float(value), 2)}"
+                for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
+            )
+            for cluster in proof.clusters
+        ]
+        rows.append(
+            Row(
+                hertz(float(answer.bands.centres_hz[band])),
+                (
+                    Cell(_STATUS[proof.status]),
+                    Cell(number(proof.value, 3)),
+                    Cell(number(proof.lower_bound, 3)),
+                    Cell(str(len(places)), tuple(places)),
+                    Cell(number(certificate_distance(answer, band), 3)),
+                ),
+            )
+        )
+    if not rows:
+        return ()
+    columns = ("status", "lowest cost found", "proven bound", "places", "answer differs by")
+    caption = (
+        "How low the cost of the energies can be, their weights held, and in how many places "
+        "it comes within what other rays would change"
+    )
+    return (Table(caption, "band", columns, tuple(rows)),)
+
+
+NEAR_JND, FAR_JND = 1.0, 2.0
+"""Up to the first nobody hears a difference; above the second it is plain."""
 
 
 @dataclass(frozen=True, slots=True)
-class Cell:
-    """Text, smaller lines below it, and the style sheet's name for what it means."""
+class PairSection:
+    """What the report shows of one pair below its name."""
 
-    text: str
-    small: tuple[str, ...] = ()
-    style: str = ""
-
-
-@dataclass(frozen=True, slots=True)
-class Row:
-    """The head of a row, a colour beside it (CSS, or none), and its cells."""
-
-    head: str
-    cells: tuple[Cell, ...]
-    small: str = ""
-    colour: str = ""
-    style: str = ""
+    title: str
+    tables: tuple[Table, ...]
+    open: bool
 
 
-@dataclass(frozen=True, slots=True)
-class Table:
-    """A captioned table; `corner` heads the column of row heads."""
-
-    caption: str
-    corner: str
-    columns: tuple[str, ...]
-    rows: tuple[Row, ...]
+def pair_title(pair: ComparedPair) -> str:
+    """Return "LS1 to MP2", and whether the pair was kept out of the fit."""
+    return f"{pair.source} to {pair.receiver}{'' if pair.use == 'fit' else ' (not fitted)'}"
 
 
-def band_blocks(n_bands: int) -> Iterator[IntArray]:
-    """Yield the indices of the bands of each table, evenly shared out."""
-    n_blocks = -(-n_bands // BANDS_AT_MOST)
-    yield from np.array_split(np.arange(n_bands), n_blocks)
+def parameter_keys(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:
+    """Return the parameters that any pair has a number for, in the order of ISO 3382-1."""
+    found = {
+        key
+        for pair in pairs
+        for key, c in pair.parameters.items()
+        if np.isfinite(c.measured).any() or np.isfinite(c.predicted).any()
+    }
+    known = tuple(key for key in PARAMETERS if key in found)
+    return (*known, *sorted(found - set(known)))
 
 
-def band_heads(centres_hz: FloatArray, block: IntArray) -> tuple[str, ...]:
-    """Return the column heads of the bands of a block."""
-    return tuple(hertz(float(f)) for f in centres_hz[block])
+def null_jnd(key: str, compared: Compared) -> FloatArray:
+    """Return the null model's error in just noticeable differences, shape (n_bands,)."""
+    if key not in PARAMETERS:
+        return np.full(compared.measured.shape, np.nan)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return in_jnd(key, compared.measured, compared.null)
 
 
-def block_caption(caption: str, centres_hz: FloatArray, block: IntArray) -> str:
-    """Return a caption that tells the bands where one table does not hold them all."""
-    if len(block) == len(centres_hz):
-        return caption
-    low, high = (hertz(float(centres_hz[j])) for j in (block[0], block[-1]))
-    return f"{caption}; {low} to {high}"
+def mean_abs_jnd(pair: ComparedPair) -> float:
+    """Return the mean |JND| over all parameters and bands that can be compared; NaN where none."""
+    return known_mean(
+        np.concatenate([np.zeros(0), *(abs(c.jnd) for c in pair.parameters.values())])
+    )
+
+
+def known_mean(values: FloatArray) -> float:
+    """Return the mean of the finite values, NaN where there are none."""
+    known = values[np.isfinite(values)]
+    return float(known.mean()) if known.size else float("nan")
+
+
+def pair_sections(answer: Answer, *, opened: int = 2) -> tuple[PairSection, ...]:
+    """Return the tables of every pair; the first few are shown unfolded."""
+    keys = parameter_keys(answer.pairs)
+    return tuple(
+        PairSection(pair_title(pair), _pair_tables(answer, pair, keys), number_of < opened)
+        for number_of, pair in enumerate(answer.pairs)
+    )
+
+
+def _pair_tables(answer: Answer, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
+    centres = answer.bands.centres_hz
+    caption = f"{pair_title(pair)}: predicted minus measured in JND"
+    return tuple(
+        Table(
+            block_caption(caption, centres, block),
+            "parameter",
+            band_heads(centres, block),
+            tuple(_parameter_row(pair, key, block) for key in keys),
+        )
+        for block in band_blocks(len(centres))
+    )
+
+
+def _parameter_row(pair: ComparedPair, key: str, block: IntArray) -> Row:
+    how = parameter(key)
+    compared = pair.parameters.get(key)
+    if compared is None:
+        return Row(how.symbol, tuple(Cell(DASH, ("not given",), "missing") for _ in block))
+    null = null_jnd(key, compared)
+    cells = tuple(_jnd_cell(compared, float(null[j]), j, how.decimals) for j in block)
+    return Row(how.symbol, cells, small=f"in {how.unit}" if how.unit else "")
+
+
+def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell:
+    measured, predicted = float(compared.measured[band]), float(compared.predicted[band])
+    if not np.isfinite(measured):
+        guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
+        return Cell(DASH, ("not measured", *guess), "missing")
+    if not np.isfinite(predicted):
+        told = number(measured, decimals)
+        return Cell(DASH, ("not predicted", f"measured {told}"), "missing")
+    values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
+    beside = f"others {number(null, 1, signed=True)}" if np.isfinite(null) else "no others"
+    jnd = float(compared.jnd[band])
+    return Cell(number(jnd, 1, signed=True), (values, beside), jnd_style(jnd))
+
+
+def jnd_style(jnd: float) -> str:
+    """Return the style sheet's name for how audible an error is."""
+    if not np.isfinite(jnd):
+        return "missing"
+    size = abs(round(jnd, 1))
+    return "near" if size <= NEAR_JND else "middle" if size <= FAR_JND else "far"
+
+
+def overview_table(answer: Answer) -> Table | None:
+    """Return the mean |JND| over bands of every pair and parameter beside the null model's."""
+    keys = parameter_keys(answer.pairs)
+    if not keys:
+        return None
+    return Table(
+        "Mean size of the error over all bands in JND, beside that of the mean of the others",
+        "pair",
+        tuple(parameter(key).symbol for key in keys),
+        tuple(
+            Row(pair_title(pair), tuple(_overview_cell(pair, key) for key in keys))
+            for pair in answer.pairs
+        ),
+    )
+
+
+def _overview_cell(pair: ComparedPair, key: str) -> Cell:
+    compared = pair.parameters.get(key)
+    if compared is None:
+        return Cell(DASH, ("not given",), "missing")
+    ours, null = known_mean(abs(compared.jnd)), known_mean(abs(null_jnd(key, compared)))
+    if not np.isfinite(ours):
+        why = "not predicted" if np.isfinite(compared.measured).any() else "not measured"
+        return Cell(DASH, (why,), "missing")
+    beside = f"others {number(null, 1)}" if np.isfinite(null) else "no others"
+    return Cell(number(ours, 1), (beside,), jnd_style(ours))
+
+
+WORSE = "▲"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Absolute errors of one parameter, percent or in its unit; shape (n_pairs, n_bands).
+
+    NaN where one of the two cannot be compared. Where any null model exists, `model` holds
+    only what `null` holds as well, so that both are means over the same pairs.
+    """
+
+    model: FloatArray
+    null: FloatArray
+
+
+def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
+    """Return the errors of the model's and of the null model's predictions of a parameter."""
+    compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
+    measured = np.array([c.measured for c in compared])
+    scale = np.where(measured == 0.0, np.nan, measured) / 100.0
+    if parameter(key).error_unit != "%":
+        scale = np.ones_like(measured)
+    model = np.abs(np.array([c.predicted for c in compared]) - measured) / scale
+    null = np.abs(np.array([c.null for c in compared]) - measured) / scale
+    both = np.isfinite(model) & np.isfinite(null)
+    if not both.any():
+        return Errors(model, np.full_like(model, np.nan))
+    return Errors(np.where(both, model, np.nan), np.where(both, null, np.nan))
+
+
+def error_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return mean |error| per parameter and band, model beside null model, by use of the pairs."""
+    uses: tuple[tuple[Use, str], ...] = (("validate", "not fitted"), ("fit", "fitted"))
+    tables: list[Table] = []
+    for use, words in uses:
+        pairs = [pair for pair in answer.pairs if pair.use == use]
+        if parameter_keys(pairs):
+            tables += _tables(answer, pairs, f"Mean error over {count(len(pairs), 'pair')} {words}")
+    return tuple(tables)
+
+
+def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> list[Table]:
+    centres = answer.bands.centres_hz
+    keys = parameter_keys(pairs)
+    found = {key: errors_of(pairs, key) for key in keys}
+    everything = list(range(len(centres)))
+    tables = []
+    for block in band_blocks(len(centres)):
+        last = ["all bands"] if block[-1] == everything[-1] else []
+        groups = [[int(j)] for j in block] + [everything for _ in last]
+        rows = tuple(
+            Row(
+                parameter(key).symbol,
+                tuple(_cell(key, found[key], group) for group in groups),
+                small=f"in {parameter(key).error_unit}",
+            )
+            for key in keys
+        )
+        columns = (*band_heads(centres, block), *last)
+        tables.append(Table(block_caption(caption, centres, block), "parameter", columns, rows))
+    return tables
+
+
+def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
+    model, null = known_mean(errors.model[:, bands]), known_mean(errors.null[:, bands])
+    if not np.isfinite(model):
+        return Cell(DASH, ("not comparable",), "missing")
+    decimals = parameter(key).error_decimals
+    text = number(model, decimals)
+    if not np.isfinite(null):
+        return Cell(text, ("no others",))
+    if round(model, decimals) > round(null, decimals):
+        return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "worse")
+    return Cell(text, (f"others {number(null, decimals)}",))
+
+
+def source_tables(answer: Answer) -> tuple[Table, ...]:
+    """Return a table of every source whose directivity was fitted, none where none was."""
+    centres = answer.bands.centres_hz
+    return tuple(
+        Table(
+            block_caption(
+                f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
+                centres,
+                block,
+            ),
+            "b",
+            band_heads(centres, block),
+            _rows(found, block),
+        )
+        for found in answer.directivities
+        for block in band_blocks(len(centres))
+    )
+
+
+def _rows(found: FittedDirectivity, block: IntArray) -> tuple[Row, ...]:
+    length = np.linalg.norm(found.b, axis=1)
+    whole = tuple(Cell(number(float(length[j]), 2)) for j in block)
+    rows = [Row("strength |b|", whole, "0 omnidirectional, 1 cardioid")]
+    for axis, name in enumerate("xyz"):
+        cells = tuple(
+            Cell(
+                number(float(found.b[j, axis]), 2, signed=True),
+                (f"± {number(float(found.sd[j, axis]), 2)}",),
+            )
+            for j in block
+        )
+        rows.append(Row(f"along {name}", cells, "± standard deviation"))
+    return tuple(rows)

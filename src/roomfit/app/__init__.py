@@ -1,1 +1,0 @@
-"""One plain function per use case: all that the command line may call."""

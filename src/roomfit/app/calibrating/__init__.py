@@ -1,1 +1,0 @@
-"""Campaigns made anew with a known truth, to see whether intervals hold what they promise."""

@@ -1,1 +1,0 @@
-"""Partly coherent image sources and positions, fitted together over all bands."""

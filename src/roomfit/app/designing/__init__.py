@@ -1,1 +1,0 @@
-"""Use case: where to measure next."""

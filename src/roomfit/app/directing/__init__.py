@@ -1,1 +1,0 @@
-"""Sources whose directivity is fitted, or asked about."""

@@ -1,1 +1,0 @@
-"""Impedances of walls, from a campaign to files."""

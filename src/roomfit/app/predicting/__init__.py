@@ -1,1 +1,0 @@
-"""Decays and room parameters of any pair, for absorptions fitted or assumed."""

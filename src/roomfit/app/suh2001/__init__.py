@@ -1,1 +1,0 @@
-"""Use case: repeat Suh (2001), and what the paper left open."""

@@ -1,0 +1,558 @@
+"""Writing that never leaves half a file: aside first, then renamed.
+
+Intermediate results kept on disk by what they depend on, so that a killed run continues.
+
+One number for everything that a result depends on.
+
+Records of numbers in a file: dataclasses of arrays, numbers, text and other records.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import shutil
+import struct
+import tempfile
+import zipfile
+import zlib
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, fields, is_dataclass
+from functools import cache
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.findings import Finding
+
+_LIBRARIES = ("numpy", "scipy", "numba")
+
+
+def digest(*parts: object) -> str:
+    """Return the SHA-256 of values, in hexadecimal: the same for equal values, and only for those.
+
+    Parameters
+    ----------
+    *parts
+        None, truth values, numbers, text, bytes, arrays, paths (by their text), and dataclasses,
+        sequences and mappings of these. Each is marked with its kind and length, so that
+        ("ab", "c") and ("a", "bc") differ, and so do 1, 1.0 and True.
+
+    Raises
+    ------
+    TypeError
+        A value of another kind: a fault of the calling code.
+    """
+    seen = hashlib.sha256()
+    for part in parts:
+        _feed(seen, part)
+    return seen.hexdigest()
+
+
+@cache
+def code_digest() -> str:
+    """Return the SHA-256 of roomfit's own code and of the versions that it computes with.
+
+    Any change of the code makes a cache of numbers worthless; which change alters which number,
+    nobody keeps track of without fail. Read once a process: about 20 ms.
+    """
+    folder = Path(__file__).parent
+    files = sorted(p for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
+    contents = {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
+    return digest(contents, {name: version(name) for name in _LIBRARIES})
+
+
+def _feed(seen: hashlib._Hash, value: object) -> None:
+    kind, content = _plain(value)
+    if isinstance(content, bytes):
+        seen.update(f"{kind}:{len(content)}:".encode())
+        seen.update(content)
+        return
+    seen.update(f"{kind}:[{len(content)}]:".encode())
+    for item in content:
+        _feed(seen, item)
+
+
+def _plain(value: object) -> tuple[str, bytes | list[Any]]:
+    """Return the kind of a value, and its bytes or the values that it is made of."""
+    if value is None:
+        return "none", b""
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise TypeError("an array of objects has no digest")
+        # zeros of either sign weigh the same but are other bytes: a needless second run, no error
+        return f"array {value.dtype.str} {value.shape}", np.ascontiguousarray(value).tobytes()
+    if isinstance(value, bool | np.bool_):
+        return "bool", b"1" if value else b"0"
+    if isinstance(value, int | np.integer):
+        return "int", str(int(value)).encode()
+    if isinstance(value, float | np.floating):
+        return "float", struct.pack("<d", float(value))
+    if isinstance(value, str | Path):
+        return "text", str(value).encode()
+    if isinstance(value, bytes):
+        return "bytes", value
+    if is_dataclass(value) and not isinstance(value, type):
+        told = [[f.name, getattr(value, f.name)] for f in fields(value)]
+        return f"record {type(value).__qualname__}", told
+    if isinstance(value, Mapping):
+        return "mapping", [[k, value[k]] for k in sorted(value, key=str)]
+    if isinstance(value, list | tuple):
+        return "list", list(value)
+    raise TypeError(f"no digest for {type(value).__name__}")
+
+
+_OUTLINE = "outline"
+# What reading damaged bytes as an archive, as arrays, as JSON, as a record can raise.
+_DAMAGE = (
+    *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
+    *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error),
+    *(zipfile.BadZipFile, zlib.error, RoomfitError),
+)
+
+
+class BrokenRecordError(ValueError):
+    """A file that does not hold the record it should; caught within `roomfit.files`."""
+
+
+def save_record(path: Path, value: object) -> None:
+    """Write a record as a NumPy archive: arrays as they are, all else as one text in JSON.
+
+    Parameters
+    ----------
+    path : Path
+        Written directly: write aside and rename, see `roomfit.cache`.
+    value : object
+        None, truth values, numbers, text, arrays, and dataclasses, tuples, lists and mappings
+        (with text as keys) of these. Lists come back as tuples.
+
+    Raises
+    ------
+    TypeError
+        A value of another kind: a fault of the calling code.
+    """
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    outline = json.dumps(_outlined(value, arrays))
+    with path.open("wb") as stream:
+        np.savez(stream, allow_pickle=False, **{_OUTLINE: np.array(outline), **arrays})
+
+
+def load_record(path: Path, classes: Iterable[type]) -> Any:
+    """Return the record of a file, made of no other classes than those given.
+
+    Arrays are read-only. The archive holds a checksum of each array, so that a file that was cut
+    short or altered is found out.
+
+    Raises
+    ------
+    BrokenRecordError
+        The file is no such record, or damaged, or of another class.
+    """
+    known = {c.__qualname__: c for c in classes}
+    try:
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = {name: archive[name] for name in archive.files}
+        return _rebuilt(json.loads(str(arrays[_OUTLINE])), arrays, known)
+    except FileNotFoundError:
+        raise
+    except _DAMAGE as error:
+        raise BrokenRecordError(f"{path}: {error}") from error
+
+
+def size_bytes(value: object) -> int:
+    """Return the size of a record's arrays: about what its file will take."""
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    _outlined(value, arrays)
+    return sum(a.nbytes for a in arrays.values())
+
+
+def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
+    """Return what JSON can hold of a value, its arrays put aside under numbers."""
+    if isinstance(value, np.ndarray):
+        if value.dtype.hasobject:
+            raise TypeError("an array of objects cannot be kept")
+        name = f"a{len(arrays)}"
+        arrays[name] = value
+        return {"array": name}
+    if isinstance(value, np.generic):
+        return _outlined(value.item(), arrays)
+    if value is None or isinstance(value, bool | int | float | str):
+        return value
+    if is_dataclass(value) and not isinstance(value, type):
+        told = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+        return {
+            "record": type(value).__qualname__,
+            "fields": {name: _outlined(item, arrays) for name, item in told.items()},
+        }
+    if isinstance(value, Mapping):
+        if not all(isinstance(key, str) for key in value):
+            raise TypeError("a mapping is kept only with text as keys")
+        return {"mapping": {key: _outlined(item, arrays) for key, item in value.items()}}
+    if isinstance(value, list | tuple):
+        return [_outlined(item, arrays) for item in value]
+    raise TypeError(f"{type(value).__name__} cannot be kept")
+
+
+def _rebuilt(
+    outline: Any, arrays: Mapping[str, np.ndarray[Any, Any]], known: Mapping[str, type]
+) -> Any:
+    if isinstance(outline, list):
+        return tuple(_rebuilt(item, arrays, known) for item in outline)
+    if not isinstance(outline, dict):
+        return outline
+    if "array" in outline:
+        array = arrays[outline["array"]]
+        array.setflags(write=False)
+        return array
+    if "mapping" in outline:
+        return {key: _rebuilt(item, arrays, known) for key, item in outline["mapping"].items()}
+    told = {name: _rebuilt(item, arrays, known) for name, item in outline["fields"].items()}
+    return known[outline["record"]](**told)
+
+
+# Within an output folder: intermediate results of a run, see `roomfit.cache`.
+CACHE_FOLDER = ".roomfit-cache"
+
+
+def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
+    """Refuse a folder that results cannot go into, before the work and without making it.
+
+    Raises
+    ------
+    InputError
+        The folder exists and holds something other than the cache of an unfinished run, and
+        `overwrite` is false; or a file is in its place.
+    StoreError
+        Nothing can be written there.
+    """
+    path = Path(path)
+    try:
+        nearest = _nearest_existing(path)
+        filled = path.is_dir() and not _holds_only_cache(path)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    if not nearest.is_dir():
+        raise InputError(
+            "the output folder is a file" if nearest == path else "the output folder is in a file",
+            where=str(path),
+            found=None if nearest == path else f"{nearest} is a file",
+            hint="choose another name",
+        )
+    if filled and not overwrite:
+        raise InputError(
+            "the output folder exists and is not empty",
+            where=str(path),
+            needed="a new or an empty folder, so that no earlier result is lost",
+            hint="choose another folder, or add --overwrite",
+        )
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise StoreError(
+            "the output folder cannot be written to",
+            where=str(path),
+            found=f"no permission to write in {nearest}",
+            hint="choose another folder",
+        )
+
+
+@contextmanager
+def whole_output_folder(
+    path: Path, *, overwrite: bool = False, own: Sequence[str] = ()
+) -> Iterator[Path]:
+    """Give a folder to fill, which takes its place and name when the block ends well.
+
+    It is made aside, hidden, on the same disk. An error or an interruption within the block leaves
+    nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files of the
+    same name are replaced, those that an earlier run of the same command wrote and this one did
+    not are removed, and all others stay, as does the cache.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+    own : sequence of str
+        Patterns of the names that the command writes, as in ``"decay_[0-9]*.png"``.
+
+    Raises
+    ------
+    InputError, StoreError
+        See `check_output_folder`.
+    """
+    path = Path(path)
+    check_output_folder(path, overwrite=overwrite)
+    try:
+        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=_nearest_existing(path.parent)))
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    try:
+        yield aside
+        written = {p.name for p in aside.iterdir()}
+        _put_in_place(aside, path)
+        _remove_stale(path, own, written)
+    finally:
+        shutil.rmtree(aside, ignore_errors=True)
+
+
+def write_bytes_atomically(path: Path, content: bytes) -> Path:
+    """Write a file aside and rename it, so that readers see the old file or the new one.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    path = Path(path)
+    aside = None
+    try:
+        handle, aside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        with os.fdopen(handle, "wb") as stream:
+            stream.write(content)
+            stream.flush()
+            os.fsync(stream.fileno())
+        _give_usual_permissions(Path(aside), 0o666)
+        Path(aside).replace(path)
+    except OSError as error:
+        raise StoreError("a file cannot be written", where=str(path), found=str(error)) from error
+    finally:
+        if aside is not None:
+            Path(aside).unlink(missing_ok=True)
+    return path
+
+
+def write_text_atomically(path: Path, text: str) -> Path:
+    """Write a UTF-8 text file aside and rename it; see `write_bytes_atomically`."""
+    return write_bytes_atomically(path, text.encode())
+
+
+def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
+    """Write JSON that any parser reads: an unknown value must be None, never NaN.
+
+    Raises
+    ------
+    ValueError
+        The content holds NaN or infinity: a fault of the caller's code, not of a user.
+    """
+    return write_text_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+
+
+def _nearest_existing(path: Path) -> Path:
+    """Return the path itself, or the nearest folder above it that exists."""
+    return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
+
+
+def _cannot_be_made(path: Path, error: OSError) -> StoreError:
+    return StoreError("the output folder cannot be made", where=str(path), found=str(error))
+
+
+def _give_usual_permissions(path: Path, most: int) -> None:
+    """What is made aside, only its owner may read; give what any new file or folder gets."""
+    umask = os.umask(0)
+    os.umask(umask)
+    path.chmod(most & ~umask)
+
+
+def _holds_only_cache(path: Path) -> bool:
+    return all(p.name == CACHE_FOLDER for p in path.iterdir())
+
+
+def _put_in_place(aside: Path, path: Path) -> None:
+    """Rename a folder; where there is one of that name, move every file into its place there."""
+    if _renamed(aside, path):
+        return
+    try:
+        for file in sorted(p for p in aside.rglob("*") if p.is_file()):
+            place = path / file.relative_to(aside)
+            place.parent.mkdir(parents=True, exist_ok=True)
+            file.replace(place)
+    except OSError as error:
+        raise StoreError(
+            "the results cannot be put into the output folder", where=str(path), found=str(error)
+        ) from error
+
+
+def _renamed(aside: Path, path: Path) -> bool:
+    """Take a place that is free, or holds nothing but a cache, by one renaming if that is possible.
+
+    Another run that finishes at the same moment may be quicker.
+    """
+    try:
+        if path.exists():
+            if not _holds_only_cache(path):
+                return False
+            if (path / CACHE_FOLDER).exists():
+                (path / CACHE_FOLDER).rename(aside / CACHE_FOLDER)
+            path.rmdir()
+        path.parent.mkdir(parents=True, exist_ok=True)
+        _give_usual_permissions(aside, 0o777)
+        aside.rename(path)
+    except OSError:
+        return False
+    return True
+
+
+def _remove_stale(path: Path, own: Sequence[str], written: set[str]) -> None:
+    """Remove what an earlier run wrote and this one did not, so that no answer is a mixture."""
+    for pattern in own:
+        for file in path.glob(pattern):
+            if file.name not in written and file.is_file():
+                file.unlink(missing_ok=True)
+
+
+T = TypeVar("T")
+DEFAULT_LIMIT_BYTES = 2 * 2**30
+_SUFFIX = ".npz"
+
+
+@dataclass(frozen=True, slots=True)
+class Cache:
+    """A folder for intermediate results; it is made when there is something to put in.
+
+    Attributes
+    ----------
+    folder : Path
+    limit_bytes : int
+        The least recently used files go when all together take more. A result that alone is
+        larger is not kept.
+    """
+
+    folder: Path
+    limit_bytes: int = DEFAULT_LIMIT_BYTES
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cached(Generic[T]):
+    """A value, whether it was found rather than computed, and what happened to the cache."""
+
+    value: T
+    found: bool
+    findings: tuple[Finding, ...] = ()
+
+
+def cache_of(output: Path, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> Cache:
+    """Return the cache that belongs to an output folder: a hidden folder within it."""
+    return Cache(Path(output) / CACHE_FOLDER, limit_bytes)
+
+
+def cached(
+    cache: Cache | None,
+    kind: str,
+    key_parts: Sequence[object],
+    compute: Callable[[], T],
+    classes: Iterable[type],
+) -> Cached[T]:
+    """Return a value from the cache, or compute it and keep it.
+
+    A cache only saves time: a file that is damaged is removed and computed anew, and a disk that
+    is full or forbids writing leaves the value as good as it is. Both are told as findings.
+
+    Parameters
+    ----------
+    cache : Cache or None
+        None computes.
+    kind : str
+        What it is, in a word that can stand in a file name: "trace".
+    key_parts : sequence
+        All that decides the value, as `roomfit.cache.digest` takes it. The code of roomfit
+        is added to it.
+    compute : callable
+        Returns a record, see `roomfit.cache`; the same key must give the same bits.
+    classes : iterable of type
+        Dataclasses that the record is made of.
+    """
+    if cache is None:
+        return Cached(compute(), found=False)
+    path = cache.folder / f"{kind}-{digest(code_digest(), kind, *key_parts)[:40]}{_SUFFIX}"
+    findings: tuple[Finding, ...] = ()
+    try:
+        value = load_record(path, classes)
+    except FileNotFoundError:
+        pass
+    except BrokenRecordError:
+        findings = (_damaged(kind, path),)
+        _remove(path)
+    else:
+        _touch(path)
+        return Cached(value, found=True)
+    value = compute()
+    return Cached(value, found=False, findings=(*findings, *_keep(cache, kind, path, value)))
+
+
+def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, ...]:
+    """Write a value aside, make room, and rename; tell if the disk refuses."""
+    if size_bytes(value) > cache.limit_bytes:
+        return ()
+    aside: Path | None = None
+    try:
+        cache.folder.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=cache.folder)
+        os.close(handle)
+        aside = Path(name)
+        save_record(aside, value)
+        with aside.open("rb") as stream:
+            os.fsync(stream.fileno())
+        _make_room(cache, aside)
+        aside.replace(path)
+    except OSError as error:
+        return (
+            Finding(
+                "cache-not-written",
+                "info",
+                f"An intermediate result ({kind}) could not be kept: {error}. The answer is not "
+                "affected; an interrupted run would begin this step again.",
+                {"kind": kind},
+            ),
+        )
+    finally:
+        if aside is not None:
+            _remove(aside)
+    return ()
+
+
+def _make_room(cache: Cache, newest: Path) -> None:
+    """Remove the files that were not used for the longest time until the rest is within limits.
+
+    What killed runs have left half-written is among them.
+    """
+    files = []
+    for path in cache.folder.iterdir():
+        try:
+            told = path.stat()
+        except FileNotFoundError:  # another run has just removed it
+            continue
+        if path.is_file():
+            files.append((told.st_mtime_ns, told.st_size, path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
+        if total <= cache.limit_bytes:
+            break
+        if path != newest:
+            _remove(path)
+            total -= size
+
+
+def _remove(path: Path) -> None:
+    try:
+        path.unlink(missing_ok=True)
+    except OSError:  # on a disk that is read-only: it is not used in any case
+        return
+
+
+def _touch(path: Path) -> None:
+    try:
+        os.utime(path)
+    except OSError:
+        return
+
+
+def _damaged(kind: str, path: Path) -> Finding:
+    return Finding(
+        "cache-file-damaged",
+        "info",
+        f"An intermediate result ({kind}, {path.name}) was damaged or cut short; it was computed "
+        "anew.",
+        {"kind": kind, "file": path.name},
+    )

@@ -1,0 +1,415 @@
+"""Bands of a campaign fitted with a proof that no other absorption does better.
+
+The answer of a certified search: value, proven bound, and where other minimisers could be.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.certified.convex import descend, is_convex, total_misfit
+from roomfit.certified.question import (
+    Question,
+    energy_question,
+    free_vector,
+    is_certifiable,
+    to_absorption,
+)
+from roomfit.certified.search import (
+    Searched,
+    SearchSettings,
+    Tools,
+    proven_empty,
+    search,
+    tools_for,
+)
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.objective.energy import EnergyProblem, tracing_variance
+from roomfit.objective.parameters import physical_values
+from roomfit.objective.problem import BandProblem
+from roomfit.solvers.least_squares import BandFit, ResidualFunction, Solver, fit_band, gauss_newton
+from roomfit.typing import FloatArray, IntArray, Progress
+
+Status = Literal["certified", "stopped", "unresolved"]
+
+# Descents within a cluster: from its boxes of lowest bounds.
+_DESCENTS = 24
+# To show that a cluster in which nothing comes near the lowest misfit is empty.
+_MORE_BOXES = 2000
+_ALMOST_BLACK = math.log(1e-6)
+# In g: far above the rounding of faces that were computed twice, far below any width.
+_TOUCHING = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Cluster:
+    """Boxes that touch each other, and the lowest misfit found in them.
+
+    Attributes
+    ----------
+    lower, upper : float arrays, shape (n,)
+        Smallest box round all of them: absorption of the materials, gains as factors.
+    minimiser : float array, shape (n,)
+    value : float
+    unique : bool
+        Whether the misfit is proven convex all over the box: then the cluster has one minimiser.
+    n_boxes : int
+    """
+
+    lower: FloatArray
+    upper: FloatArray
+    minimiser: FloatArray
+    value: float
+    unique: bool
+    n_boxes: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Certificate:
+    """What was proven of the lowest misfit.
+
+    Attributes
+    ----------
+    status : {"certified", "stopped", "unresolved"}
+        certified: the lowest misfit anywhere lies between `lower_bound` and `value`, which are
+        within `delta`, and no point outside the clusters comes within `delta` of it.
+        stopped: a cap or an interrupt ended the search; `lower_bound` and the clusters, open boxes
+        included, are proven all the same.
+        unresolved: all boxes are narrow, but some may hold a misfit lower than `value` by more
+        than `delta`.
+    sentence : str
+    coordinates : tuple of str
+    value : float
+    lower_bound : float
+    delta : float
+    clusters : tuple of Cluster
+        By value, the lowest first.
+    n_open : int
+        Boxes still to be worked on when the search stopped.
+    boxes : int
+        Boxes examined.
+    seconds : float
+    """
+
+    status: Status
+    sentence: str
+    coordinates: tuple[str, ...]
+    value: float
+    lower_bound: float
+    delta: float
+    clusters: tuple[Cluster, ...]
+    n_open: int
+    boxes: int
+    seconds: float
+
+
+def certify(
+    question: Question, settings: SearchSettings, *, progress: Progress | None = None
+) -> Certificate:
+    """Return a proof of how low the misfit can be, and where.
+
+    Parameters
+    ----------
+    question : Question
+    settings : SearchSettings
+    progress : callable, optional
+    """
+    return certificate_of(question, search(question, settings, progress=progress))
+
+
+def certificate_of(question: Question, found: Searched) -> Certificate:
+    """Return what a search has proven, its boxes joined to clusters."""
+    tools = tools_for(question)
+    label = touching(found.boxes)
+    clusters = []
+    for number in range(int(label.max(initial=-1)) + 1):
+        own = np.flatnonzero(label == number)
+        cluster = _cluster(question, tools, found, own)
+        empty = cluster.value > found.value + found.delta and proven_empty(
+            question, found, found.boxes[own], found.bounds[own], _MORE_BOXES
+        )
+        if not empty:
+            clusters.append(cluster)
+    clusters.sort(key=lambda c: c.value)
+    value = min([found.value, *(c.value for c in clusters)])
+    bound = min(found.lower_bound, value)
+    status: Status = "certified"
+    if found.n_open:
+        status = "stopped"
+    elif value - bound > found.delta:
+        status = "unresolved"
+    return Certificate(
+        status,
+        _sentence(status, value, bound, found, len(clusters)),
+        question.coordinates,
+        value,
+        bound,
+        found.delta,
+        tuple(clusters),
+        found.n_open,
+        found.examined,
+        found.seconds,
+    )
+
+
+def touching(boxes: FloatArray) -> IntArray:
+    """Return the number of the cluster of each box, shape (n_boxes,): closed boxes that meet.
+
+    Parameters
+    ----------
+    boxes : float array, shape (n_boxes, 2, n)
+    """
+    label: IntArray = np.full(len(boxes), -1)
+    number = 0
+    for first in range(len(boxes)):
+        if label[first] >= 0:
+            continue
+        label[first] = number
+        waiting = [first]
+        while waiting:
+            box = boxes[waiting.pop()]
+            free = np.flatnonzero(label < 0)
+            meets = np.all(
+                (boxes[free, 0] <= box[1] + _TOUCHING) & (boxes[free, 1] >= box[0] - _TOUCHING),
+                axis=1,
+            )
+            label[free[meets]] = number
+            waiting.extend(free[meets].tolist())
+        number += 1
+    return label
+
+
+def _cluster(question: Question, tools: Tools, found: Searched, own: IntArray) -> Cluster:
+    boxes = found.boxes[own]
+    hull = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
+    low = np.maximum(hull[0], np.minimum(_ALMOST_BLACK, hull[1] - 1e-3))
+    order = np.argsort(found.bounds[own])[:_DESCENTS]
+    starts = [0.5 * (np.maximum(boxes[i, 0], low) + boxes[i, 1]) for i in order]
+    if np.all((found.minimiser >= hull[0]) & (found.minimiser <= hull[1])):
+        starts.append(found.minimiser)
+    ends = [descend(tools.kind, tools.data, start, low, hull[1], tools.most) for start in starts]
+    place, value = min((_blackened(tools, hull, end) for end in ends), key=lambda end: end[1])
+    ends_of_hull = to_absorption(question, hull)
+    return Cluster(
+        np.minimum(ends_of_hull[0], ends_of_hull[1]),
+        np.maximum(ends_of_hull[0], ends_of_hull[1]),
+        to_absorption(question, place),
+        float(value),
+        bool(is_convex(tools.kind, tools.data, hull, tools.most, tools.values)),
+        len(own),
+    )
+
+
+def _blackened(
+    tools: Tools, hull: FloatArray, end: tuple[FloatArray, float]
+) -> tuple[FloatArray, float]:
+    """Return a point with what a descent left all but black made black, where that is lower."""
+    place, value = end
+    black = np.where((place <= _ALMOST_BLACK + 1e-6) & np.isneginf(hull[0]), -math.inf, place)
+    there = total_misfit(tools.kind, tools.data, black, tools.most)
+    return (black, there) if there <= value else end
+
+
+def _sentence(status: Status, value: float, bound: float, found: Searched, n: int) -> str:
+    better = f"at best {value - bound:.3g} better"
+    if status == "stopped":
+        return (
+            f"Stopped: the misfit found, {value:.6g}, could be {better}; {found.n_open} boxes are "
+            f"open after {found.examined}."
+        )
+    if status == "unresolved":
+        return (
+            f"Not resolved: the misfit found, {value:.6g}, could be {better} within boxes too "
+            "narrow to be cut."
+        )
+    where = "one place comes" if n == 1 else f"{n} places come"
+    return (
+        f"Certified: no absorption has a misfit below {bound:.6g}, {value:.6g} was found, and only "
+        f"{where} within {found.delta:.3g} of it."
+    )
+
+
+# Of half the weighted squares: one standard deviation costs 0.5.
+_LEAST_DELTA = 0.02
+# Of boxes left over; narrower ones would tell more of the places, and take longer.
+_WIDTH = 0.25
+# Weights change with the answer: certify, fit again from the best place, certify again.
+_ROUNDS = 2
+
+
+@dataclass(frozen=True, slots=True)
+class CertifyLimits:
+    """How much one band may cost.
+
+    Attributes
+    ----------
+    max_boxes : int
+    max_seconds : float
+    max_rows : int
+        Rows of all windows, paths of equal hits as one.
+    """
+
+    max_boxes: int = 200_000
+    max_seconds: float = 60.0
+    max_rows: int = 400_000
+
+
+# What a proof that nobody asked for may cost. With more unknowns it took a minute.
+AFFORDABLE = CertifyLimits(max_boxes=3_000, max_seconds=2.0, max_rows=60_000)
+_AFFORDABLE_UNKNOWNS = 3
+# Half of what one standard deviation costs: finer proofs take many times as many boxes.
+_AFFORDABLE_DELTA = 0.25
+
+
+def certified_fit(
+    problem: BandProblem,
+    limits: CertifyLimits | None = None,
+    *,
+    progress: Progress | None = None,
+) -> tuple[BandFit, Certificate | None]:
+    """Fit one band by least squares, and prove how low its cost can be.
+
+    Where the search finds a better place, the fit starts again from there, and the proof is made
+    again with the weights of the new answer. There is none where nothing is unknown.
+
+    Raises
+    ------
+    InputError
+        The band holds other data than energies, or more rows than the limits allow.
+    """
+    limits = CertifyLimits() if limits is None else limits
+    if not isinstance(problem, EnergyProblem):
+        raise InputError(
+            "only energies can be certified",
+            found="room parameters, or pressures that are added",
+            needed='impulse responses alone, method = "certified" and model = "energy" or "auto"',
+            hint='use method = "least-squares"',
+        )
+    fit = fit_band(problem, gauss_newton, gauss_newton)
+    if not fit.vector.size:
+        return fit, None
+    for number in range(_ROUNDS):
+        question = energy_question(problem, fit.vector)
+        if len(question.weight) > limits.max_rows:
+            raise InputError(
+                "too many rows for a certificate",
+                found=f"{len(question.weight)} at {problem.centre_hz:g} Hz",
+                needed=f"at most {limits.max_rows}",
+                hint='fewer materials, fewer pairs, or method = "least-squares"',
+            )
+        settings = _settings(limits, tracing_delta(problem, fit.vector, question.precision))
+        certificate = certify(question, settings)
+        if progress is not None:
+            progress((number + 1) / _ROUNDS)
+        if fit.cost <= certificate.value + 1e-3 + 0.01 * settings.delta:
+            break
+        place = free_vector(problem, certificate.clusters[0].minimiser)
+        fit = fit_band(problem, _staying_at(place), gauss_newton)
+    return fit, certificate
+
+
+def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+    """Return what is proven of a band's energies near a fit, where that takes a moment.
+
+    None where other data are fitted, more than three numbers are unknown, there are too many rows,
+    or the search is not complete after two seconds.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    vector : float array, shape (n_free,)
+        The fit; its weights are held.
+    """
+    few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
+    if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
+        return None
+    question = energy_question(problem, vector)
+    if len(question.weight) > AFFORDABLE.max_rows:
+        return None
+    delta = max(tracing_delta(problem, vector, question.precision), _AFFORDABLE_DELTA)
+    certificate = certify(question, _settings(AFFORDABLE, delta))
+    return certificate if certificate.status == "certified" else None
+
+
+def _settings(limits: CertifyLimits, delta: float) -> SearchSettings:
+    return SearchSettings(
+        delta, width=_WIDTH, max_boxes=limits.max_boxes, max_seconds=limits.max_seconds
+    )
+
+
+def _staying_at(place: FloatArray) -> Solver:
+    def stay(_residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
+        return place
+
+    return stay
+
+
+def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatArray) -> float:
+    """Return how much of a cost may be the rays' own doing: nothing below it is told apart.
+
+    Other rays change window energies by errors e of variance v, and the cost ``sum c (r + e)**2``
+    by ``sum c v`` on average, give or take twice ``(sum (2 c r)**2 v) ** 0.5``.
+
+    Parameters
+    ----------
+    vector : float array, shape (n_free,)
+    precision : float array, shape (n_windows,)
+        c.
+
+    Returns
+    -------
+    float
+        Not below 0.02, a 25th of what one standard deviation costs.
+    """
+    values, _ = physical_values(problem.parameters, vector)
+    gains = np.append(values["gain"], 1.0)
+    variance = np.concatenate(
+        [
+            gains[seen.gain] ** 2
+            * tracing_variance(rows, seen, values["absorption"][:, None], np.zeros(1))
+            for rows, seen in zip(problem.rows, problem.observations, strict=True)
+        ]
+    )
+    off = problem.predict(vector).expected - problem.measured()
+    linear = float(np.sqrt(np.sum((2.0 * precision * off) ** 2 * variance)))
+    return max(float(np.sum(precision * variance)) + 2.0 * linear, _LEAST_DELTA)
+
+
+def certificate_findings(
+    bands: Bands, certificates: Sequence[Certificate | None]
+) -> tuple[Finding, ...]:
+    """Return a finding for bands without proof, and one for those with several answers."""
+    findings = []
+    named = [(float(f), c) for f, c in zip(bands.centres_hz, certificates, strict=True)]
+    open_ = [(f, c) for f, c in named if c is not None and c.status != "certified"]
+    if open_:
+        told = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
+        findings.append(
+            Finding(
+                "not-certified",
+                "warning",
+                "The search for a better answer was stopped before it was complete; the cost could "
+                f"be lower at {told}.",
+                {"bands_hz": [f for f, _ in open_]},
+            )
+        )
+    several = [(f, c) for f, c in named if c is not None and len(c.clusters) > 1]
+    if several:
+        told = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
+        findings.append(
+            Finding(
+                "several-answers",
+                "warning",
+                f"Absorptions far apart explain the energies within what rays can tell: {told}. "
+                "The intervals are about one of them; fit.certified holds all.",
+                {"bands_hz": [f for f, _ in several]},
+            )
+        )
+    return tuple(findings)

@@ -1,0 +1,261 @@
+"""Problems of the objective layer as questions for a certified search.
+
+What a certified search minimises: misfits of sums of products of powers, and priors.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal, TypeAlias
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from roomfit._checks import bool_array, float_array
+from roomfit.errors import InputError
+from roomfit.objective.energy import EnergyProblem, Observation
+from roomfit.objective.parameters import Block, leaders, physical_values, to_free
+from roomfit.response.energy import EnergyRows, window_of_rows
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+Misfit: TypeAlias = Literal["squares", "logarithms", "gamma"]
+KINDS: dict[Misfit, int] = {"squares": 0, "logarithms": 1, "gamma": 2}
+
+Arrays: TypeAlias = tuple[
+    IntArray, FloatArray, IntArray, FloatArray, FloatArray, FloatArray, BoolArray
+]
+"""offsets, weight, exponents, measured, precision, prior, is_absorption: what kernels take."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Question:
+    """One band's misfit as a function of log factors g, to be minimised over a box.
+
+    Window i is expected to have the energy ``R_i = sum over its rows of w prod exp(n_m g_m)``. The
+    first coordinates are materials, g = log(1 - absorption); others are log gains.
+
+    Attributes
+    ----------
+    coordinates : tuple of str
+    is_absorption : bool array, shape (n,)
+    misfit : {"squares", "logarithms", "gamma"}
+        ``c (R - M)**2``, ``c (log R - log M)**2``, or the Gamma deviance
+        ``2 c (M / R - 1 - log(M / R))``, summed over windows.
+    offsets : int64 array, shape (n_windows + 1,)
+        Window i owns the rows ``offsets[i]:offsets[i + 1]``.
+    weight : float array, shape (n_rows,)
+        0 or more.
+    exponents : uint16 array, shape (n_rows, n)
+    measured : float array, shape (n_windows,)
+        M; 0 or more, above 0 unless the misfit is "squares".
+    precision : float array, shape (n_windows,)
+        c; 0 or more.
+    least, most : float arrays, shape (n,)
+        Bounds of g. `least` may be minus infinity, an absorption of 1.
+    prior : float array, shape (n, 4)
+        Adds ``p (logit - mean)**2`` for each material, with the logit of its absorption between
+        bounds: columns p, mean, 1 - lower bound, 1 - upper bound. p = 0 adds nothing.
+    """
+
+    coordinates: tuple[str, ...]
+    is_absorption: BoolArray
+    misfit: Misfit
+    offsets: IntArray
+    weight: FloatArray
+    exponents: IntArray
+    measured: FloatArray
+    precision: FloatArray
+    least: FloatArray
+    most: FloatArray
+    prior: FloatArray
+
+    def __post_init__(self) -> None:
+        n, rows, windows = len(self.coordinates), len(self.weight), len(self.measured)
+        if not n or not windows:
+            raise InputError(
+                "nothing to certify",
+                found=f"{n} unknowns and {windows} windows",
+                needed="at least one of each",
+            )
+        for name, shape in (
+            ("weight", (rows,)),
+            ("measured", (windows,)),
+            ("precision", (windows,)),
+        ):
+            object.__setattr__(self, name, float_array(name, getattr(self, name), shape, low=0.0))
+        object.__setattr__(self, "prior", float_array("prior", self.prior, (n, 4)))
+        shapes: dict[str, tuple[type, tuple[int, ...]]] = {
+            "offsets": (np.int64, (windows + 1,)),
+            "exponents": (np.uint16, (rows, n)),
+            "least": (np.float64, (n,)),
+            "most": (np.float64, (n,)),
+        }
+        for name, (dtype, size) in shapes.items():
+            array: IntArray | FloatArray = np.array(getattr(self, name), dtype=dtype, order="C")
+            if array.shape != size:
+                raise InputError(f"{name} has the wrong shape", found=str(array.shape))
+            array.setflags(write=False)
+            object.__setattr__(self, name, array)
+        flags = bool_array("kind of coordinate", self.is_absorption, (n,))
+        object.__setattr__(self, "is_absorption", flags)
+        _check_bounds(self)
+
+
+def arrays(question: Question) -> Arrays:
+    """Return what the kernels take, writable copies of one contiguous form."""
+    return (
+        np.array(question.offsets),
+        np.array(question.weight),
+        np.array(question.exponents),
+        np.array(question.measured),
+        np.array(question.precision),
+        np.array(question.prior),
+        np.array(question.is_absorption),
+    )
+
+
+def to_absorption(question: Question, g: FloatArray) -> FloatArray:
+    """Return what log factors mean: absorption for materials, the gain itself for gains."""
+    factor = np.exp(g)
+    return np.where(question.is_absorption, -np.expm1(g), factor)
+
+
+def _check_bounds(question: Question) -> None:
+    if not np.all(question.least < question.most) or not np.all(np.isfinite(question.most)):
+        raise InputError("bounds of a certified search must rise and end finitely")
+    if np.any(~np.isfinite(question.least) & ~question.is_absorption):
+        raise InputError("a gain needs a finite lower bound for a certificate")
+    if question.misfit != "squares":
+        empty = np.flatnonzero(question.measured <= 0.0)
+        if empty.size:
+            raise InputError(
+                "a window without energy has no logarithm",
+                where=f"window {int(empty[0])}",
+                hint="leave it out, or use least squares",
+            )
+        starts, ends = question.offsets[:-1], question.offsets[1:]
+        if np.any(starts == ends):
+            raise InputError("a window that no path reaches has no logarithm")
+
+
+# Gains are searched within a factor of e**3, 13 dB, either side of where total energies agree.
+LOG_REACH = 3.0
+
+
+def is_certifiable(problem: EnergyProblem) -> bool:
+    """Whether `energy_question` accepts a problem: nothing unknown but absorption and gains."""
+    parameters = problem.parameters
+    names = {b.name for b in parameters.blocks}
+    alone = names == {"absorption", "gain"} and parameters.joint is None
+    return alone and problem.attenuation_per_m == 0.0
+
+
+def energy_question(problem: EnergyProblem, vector: FloatArray) -> Question:
+    """Return half the weighted squares of a band's window energies, and half those of its priors.
+
+    The weights are those of the answer `vector`, held fixed: the cost that a fit's last round has
+    minimised. Coordinates are the fitted absorptions, then the fitted gains.
+
+    Parameters
+    ----------
+    problem : EnergyProblem
+        Air in its rows (`in_air`).
+    vector : float array, shape (n_free,)
+
+    Raises
+    ------
+    InputError
+        Energies are not all that is unknown or known: other blocks, a joint prior, air apart.
+    """
+    blocks = {b.name: b for b in problem.parameters.blocks}
+    if set(blocks) != {"absorption", "gain"} or problem.parameters.joint is not None:
+        raise InputError(
+            "only energies under absorption and gains can be certified",
+            found=", ".join(blocks),
+            hint='fit with method = "certified" and model = "energy"',
+        )
+    if problem.attenuation_per_m != 0.0:
+        raise InputError("the air's loss must stand in the rows", hint="use `in_air`")
+    absorption, gain = blocks["absorption"], blocks["gain"]
+    values, _ = physical_values(problem.parameters, vector)
+    own = np.flatnonzero(absorption.fitted)
+    free_gains = np.flatnonzero(gain.fitted)
+    parts = [
+        _window_rows(rows, seen, absorption, gain, values["gain"])
+        for rows, seen in zip(problem.rows, problem.observations, strict=True)
+    ]
+    counts = np.concatenate([p[0] for p in parts])
+    centre = np.log(gain.start[free_gains])
+    spread = problem.variance(vector) * problem.counted_as_one()
+    prior = np.zeros((own.size + free_gains.size, 4))
+    prior[: own.size, 0] = 0.5 / absorption.prior_sd[own] ** 2
+    prior[: own.size, 1] = absorption.prior_mean[own]
+    prior[: own.size, 2] = 1.0 - absorption.lower[own]
+    prior[: own.size, 3] = 1.0 - absorption.upper[own]
+    with np.errstate(divide="ignore"):
+        darkest = np.log1p(-absorption.upper[own])
+    return Question(
+        (
+            *(absorption.labels[i] for i in own),
+            *(f"gain of {gain.labels[i]}" for i in free_gains),
+        ),
+        np.arange(own.size + free_gains.size) < own.size,
+        "squares",
+        np.concatenate(([0], np.cumsum(counts))),
+        np.concatenate([p[1] for p in parts]),
+        np.concatenate([p[2] for p in parts]),
+        problem.measured(),
+        0.5 / spread,
+        np.concatenate((darkest, centre - LOG_REACH)),
+        np.concatenate((np.log1p(-absorption.lower[own]), centre + LOG_REACH)),
+        prior,
+    )
+
+
+def free_vector(problem: EnergyProblem, place: FloatArray) -> FloatArray:
+    """Return the free vector of a minimiser as certificates tell it: absorptions, then gains."""
+    values = {}
+    position = 0
+    for name in ("absorption", "gain"):
+        block = next(b for b in problem.parameters.blocks if b.name == name)
+        physical = block.start.copy()
+        n = int(np.count_nonzero(block.fitted))
+        physical[block.fitted] = place[position : position + n]
+        position += n
+        values[name] = to_free(block, physical)[block.fitted]
+    return np.concatenate([values[b.name] for b in problem.parameters.blocks])
+
+
+def _window_rows(
+    rows: EnergyRows, seen: Observation, absorption: Block, gain: Block, gains: FloatArray
+) -> tuple[IntArray, FloatArray, IntArray]:
+    """Return the rows of one observation's windows: counts, weights and exponents.
+
+    Paths of equal hits become one row a window, with the share of each that the filter carries
+    there. Known absorption goes into the weights, and so does noise, as a row without hits.
+    """
+    leader = leaders(absorption)
+    own = np.flatnonzero(absorption.fitted)
+    held = ~absorption.fitted[leader]
+    factor = np.prod((1.0 - absorption.start[leader])[held] ** rows.hits[:, held], axis=1)
+    hits = rows.hits.astype(np.int64) @ (leader[:, None] == own[None, :])
+    patterns, which = np.unique(hits, axis=0, return_inverse=True)
+    by_bin = csr_array(
+        (rows.weight_per_m2 * factor, (window_of_rows(rows), which.reshape(-1))),
+        shape=(rows.n_windows, len(patterns)),
+    )
+    # the filter's shares are positive but for the rounding of their table
+    shares = seen.shares.maximum(0.0) if seen.shares.nnz else seen.shares
+    merged = csr_array(shares[:, : rows.n_windows] @ by_bin)
+    level = gains[seen.gain] if seen.gain >= 0 and not gain.fitted[seen.gain] else 1.0
+    free_gains = np.flatnonzero(gain.fitted)
+    n_windows = seen.energy.size
+    window = np.repeat(np.arange(n_windows), np.diff(merged.indptr))
+    exponents = np.zeros((merged.nnz, own.size + free_gains.size), dtype=np.int64)
+    exponents[:, : own.size] = patterns[merged.indices]
+    exponents[:, own.size :] = (free_gains == seen.gain)[None, :]
+    weight = np.concatenate((level * merged.data, seen.noise))
+    exponents = np.concatenate((exponents, np.zeros((n_windows, exponents.shape[1]), np.int64)))
+    window = np.concatenate((window, np.arange(n_windows)))
+    order = np.argsort(window, kind="stable")
+    return np.bincount(window, minlength=n_windows), weight[order], exponents[order]

@@ -1,0 +1,392 @@
+"""Branch and bound: the boxes that may hold misfits near the lowest, and proof for all others.
+
+One box of the search: pruned, shaved, kept, or cut in two.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from enum import Enum
+
+import numpy as np
+
+from roomfit.certified.bounds import kappa_nodes, planes_over, relative_rounding
+from roomfit.certified.convex import (
+    descend,
+    is_convex,
+    least_of_convex,
+    least_over,
+    priors_over,
+    shave,
+    total_misfit,
+)
+from roomfit.certified.question import KINDS, Arrays, Question, arrays
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray, Progress
+
+_ROUNDS = 8
+# Shaving goes on while a round takes off so much of the volume.
+_WORTH = 0.6
+# A coordinate that reaches minus infinity is cut this far below its upper end.
+FAR_CUT = 1.2
+
+
+class Fate(Enum):
+    """What became of a box."""
+
+    PRUNED = "pruned"
+    KEPT = "kept"
+    CONVEX = "convex"
+    CUT = "cut"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tools:
+    """A question in the form that kernels take, with what is worked out once."""
+
+    kind: int
+    data: Arrays
+    is_absorption: BoolArray
+    most: int
+    nodes: FloatArray
+    rounding: float
+    values: FloatArray
+
+
+@dataclass(slots=True)
+class Lowest:
+    """The lowest misfit seen so far, and where in g."""
+
+    value: float
+    place: FloatArray
+
+    def offer(self, value: float, place: FloatArray) -> None:
+        """Take over a lower misfit."""
+        if value < self.value:
+            self.value, self.place = value, place
+
+
+def tools_for(question: Question) -> Tools:
+    """Return what working on the boxes of a question needs."""
+    data = arrays(question)
+    return Tools(
+        KINDS[question.misfit],
+        data,
+        question.is_absorption,
+        int(question.exponents.max(initial=0)),
+        kappa_nodes(),
+        relative_rounding(data),
+        np.empty(len(question.weight)),
+    )
+
+
+def examine(
+    tools: Tools, box: FloatArray, lowest: Lowest, delta: float, width: float, narrowest: float
+) -> tuple[Fate, float, int]:
+    """Work on one box: return what became of it, a lower bound of the misfit, and where to cut.
+
+    Parameters
+    ----------
+    box : float array, shape (2, n)
+        Lower and upper ends in g; shrunk in place to what was not proven to lie above the
+        threshold.
+    lowest : Lowest
+        Lowered in place.
+    delta : float
+        Points whose misfit exceeds the lowest by more are of no interest.
+    width : float
+        A box no wider is kept, if its bound reaches the lowest less `delta`.
+    narrowest : float
+        A box no wider is kept in any case.
+    """
+    bound = -math.inf
+    share = np.empty(0)
+    for _ in range(_ROUNDS):
+        bound, kept, share = _bounded(tools, box, lowest, delta)
+        if bound >= lowest.value + delta:
+            return Fate.PRUNED, bound, 0
+        if kept > _WORTH:
+            break
+    widths = widths_of(tools.is_absorption, box)
+    if widths.max() <= narrowest or (widths.max() <= width and bound >= lowest.value - delta):
+        return Fate.KEPT, bound, 0
+    if is_convex(tools.kind, tools.data, box, tools.most, tools.values):
+        bound = max(bound, _bound_of_convex(tools, box, lowest))
+        pruned = bound >= lowest.value + delta
+        return (Fate.PRUNED if pruned else Fate.CONVEX), bound, 0
+    wide = widths > (width if widths.max() > width else 0.0)
+    return Fate.CUT, bound, int(np.argmax(np.where(wide, share, -1.0)))
+
+
+def _bounded(
+    tools: Tools, box: FloatArray, lowest: Lowest, delta: float
+) -> tuple[float, float, FloatArray]:
+    """Bound the misfit over a box and shave it; return bound, share kept, and shares of blame."""
+    kind, data, most = tools.kind, tools.data, tools.most
+    threshold = lowest.value + delta
+    corners, apart, planes, centre, half = planes_over(
+        kind, data, box[0], box[1], most, tools.nodes, tools.rounding, threshold, tools.values
+    )
+    if corners >= threshold:
+        return corners, 1.0, planes[4]
+    separable = priors_over(data[5], box[0], box[1], centre, half)
+    d: FloatArray = np.zeros(len(half))
+    bound = apart + least_over(
+        kind, data, planes, separable, -half, half, threshold - apart, d, True
+    )
+    if bound >= threshold:
+        return bound, 1.0, planes[4]
+    _try_point(tools, box, centre + d, lowest)
+    threshold = lowest.value + delta
+    if bound >= threshold:
+        return bound, 1.0, planes[4]
+    kept = shave(kind, data, planes, separable, box, centre, half, threshold - apart, d)
+    return bound, kept, planes[4]
+
+
+def _try_point(tools: Tools, box: FloatArray, g: FloatArray, lowest: Lowest) -> None:
+    """Offer the misfit at a point, and that where a descent from there within the box ends."""
+    low = np.where(np.isfinite(box[0]), box[0], box[1] - 2.0 * FAR_CUT)
+    inside = np.clip(g, low, box[1])
+    if total_misfit(tools.kind, tools.data, inside, tools.most) < lowest.value:
+        place, value = descend(tools.kind, tools.data, inside, low, box[1], tools.most)
+        lowest.offer(value, place)
+
+
+def _bound_of_convex(tools: Tools, box: FloatArray, lowest: Lowest) -> float:
+    middle = 0.5 * (box[0] + box[1])
+    place, value, bound = least_of_convex(
+        tools.kind, tools.data, box, middle, tools.most, tools.rounding
+    )
+    lowest.offer(value, place)
+    return bound
+
+
+def widths_of(is_absorption: BoolArray, box: FloatArray) -> FloatArray:
+    """Return the widths of a box (..., 2, n): in absorption, and in the logarithm of a gain."""
+    low, high = box[..., 0, :], box[..., 1, :]
+    log_width = np.where(is_absorption, 1.0, high - np.where(is_absorption, 0.0, low))
+    return np.where(is_absorption, np.exp(high) - np.exp(low), log_width)
+
+
+def halves(box: FloatArray, m: int) -> FloatArray:
+    """Return the two halves of a box cut at a coordinate, shape (2, 2, n); they share a face."""
+    both = np.stack((box, box))
+    far = not math.isfinite(box[0, m])
+    place = box[1, m] - FAR_CUT if far else 0.5 * (box[0, m] + box[1, m])
+    both[0, 1, m] = both[1, 0, m] = place
+    return both
+
+
+_TOGETHER = 64
+_STARTS = 12
+_NARROW = 1e-4
+_EVEN = (0.05, 0.2, 0.5, 0.8)
+# Where a descent may go in place of minus infinity: an absorption of 1 - 1e-6.
+_ALMOST_BLACK = math.log(1e-6)
+
+
+@dataclass(frozen=True, slots=True)
+class SearchSettings:
+    """How far a certified search goes.
+
+    Attributes
+    ----------
+    delta : float
+        Every point whose misfit is within this of the lowest will be in a box that is left.
+    width : float
+        Boxes left over are no wider: in absorption, and in the logarithm of a gain.
+    narrowest : float
+        A box no wider than this is left over even where its bound lies more than `delta` below
+        the lowest misfit.
+    max_boxes : int
+    max_seconds : float
+        Of the processor: what other programs take does not count.
+    """
+
+    delta: float
+    width: float = 0.02
+    narrowest: float = 1e-5
+    max_boxes: int = 1_000_000
+    max_seconds: float = math.inf
+
+    def __post_init__(self) -> None:
+        for name in ("delta", "width", "narrowest", "max_boxes", "max_seconds"):
+            if not getattr(self, name) > 0.0:
+                raise InputError(
+                    f"certified search: {name} must be above zero", found=str(getattr(self, name))
+                )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Searched:
+    """Where a search stands when it ends.
+
+    Attributes
+    ----------
+    value : float
+        Lowest misfit seen.
+    minimiser : float array, shape (n,)
+        Where, in g.
+    lower_bound : float
+        No point of the whole domain has a lower misfit.
+    boxes : float array, shape (n_left, 2, n)
+        Lower and upper ends in g. Together they hold every point whose misfit is at most
+        ``value + delta``.
+    bounds : float array, shape (n_left,)
+        Lower bound of the misfit in each box.
+    n_open : int
+        How many of the boxes were still to be worked on.
+    examined : int
+    seconds : float
+    delta : float
+    """
+
+    value: float
+    minimiser: FloatArray
+    lower_bound: float
+    boxes: FloatArray
+    bounds: FloatArray
+    n_open: int
+    examined: int
+    seconds: float
+    delta: float
+
+
+def search(
+    question: Question, settings: SearchSettings, *, progress: Progress | None = None
+) -> Searched:
+    """Return every box that may hold a misfit within `delta` of the lowest.
+
+    The box of lowest bound goes first, so that the lower bound rises all the time. Stopped by a
+    cap, or by an interrupt from the keyboard, it returns what is open, too.
+    """
+    tools = tools_for(question)
+    lowest = first_guess(question, tools)
+    queue, kept = _Boxes(len(question.coordinates)), _Boxes(len(question.coordinates))
+    queue.add(np.stack((question.least, question.most))[None], -math.inf)
+    # the first box may have to wait for kernels to be compiled: no part of the search
+    examined = _work_on(tools, queue, kept, lowest, settings)
+    began, worked = time.perf_counter(), time.thread_time()
+    while queue.n and examined < settings.max_boxes:
+        if time.thread_time() - worked > settings.max_seconds:
+            break
+        try:
+            examined += _work_on(tools, queue, kept, lowest, settings)
+        except KeyboardInterrupt:
+            break
+        if progress is not None:
+            progress(examined / (examined + 2.0 * queue.n))
+    boxes = np.concatenate([kept.boxes[: kept.n], queue.boxes[: queue.n]])
+    bounds = np.concatenate([kept.bounds[: kept.n], queue.bounds[: queue.n]])
+    near = bounds < lowest.value + settings.delta
+    return Searched(
+        lowest.value,
+        lowest.place,
+        float(min(lowest.value, bounds[near].min(initial=math.inf))),
+        boxes[near],
+        bounds[near],
+        int(np.count_nonzero(queue.bounds[: queue.n] < lowest.value + settings.delta)),
+        examined,
+        time.perf_counter() - began,
+        settings.delta,
+    )
+
+
+def _work_on(
+    tools: Tools, queue: _Boxes, kept: _Boxes, lowest: Lowest, settings: SearchSettings
+) -> int:
+    """Examine the boxes of lowest bounds; return how many. Interrupted, it loses none."""
+    chosen, bounds = queue.lowest(_TOGETHER)
+    for i, (box, before) in enumerate(zip(chosen, bounds, strict=True)):
+        if before >= lowest.value + settings.delta:
+            continue
+        try:
+            fate, bound, where = examine(
+                tools, box, lowest, settings.delta, settings.width, settings.narrowest
+            )
+        except KeyboardInterrupt:
+            for rest, least in zip(chosen[i:], bounds[i:], strict=True):
+                queue.add(rest[None], least)
+            raise
+        if fate in (Fate.KEPT, Fate.CONVEX):
+            kept.add(box[None], max(bound, before))
+        elif fate is Fate.CUT:
+            queue.add(halves(box, where), max(bound, before))
+    return len(chosen)
+
+
+def proven_empty(
+    question: Question, found: Searched, boxes: FloatArray, bounds: FloatArray, max_boxes: int
+) -> bool:
+    """Whether narrower boxes prove that no misfit within delta of the lowest lies in these boxes.
+
+    For boxes that a search has kept as narrow enough, and in which no descent comes so low.
+
+    Parameters
+    ----------
+    boxes, bounds : float arrays, shapes (n_boxes, 2, n) and (n_boxes,)
+    max_boxes : int
+        How many may be examined.
+    """
+    tools = tools_for(question)
+    lowest = Lowest(found.value, found.minimiser)
+    settings = SearchSettings(found.delta, width=_NARROW, narrowest=_NARROW)
+    queue, kept = _Boxes(boxes.shape[2]), _Boxes(boxes.shape[2])
+    for box, bound in zip(boxes, bounds, strict=True):
+        queue.add(box[None], float(bound))
+    examined = 0
+    while queue.n and not kept.n and examined < max_boxes:
+        examined += _work_on(tools, queue, kept, lowest, settings)
+    return not queue.n and not kept.n
+
+
+def first_guess(question: Question, tools: Tools, seed: int = 0) -> Lowest:
+    """Return the lowest misfit that descents from a dozen points find, and where.
+
+    Even absorptions first, then points drawn at random.
+    """
+    low, high = np.maximum(question.least, _ALMOST_BLACK), question.most
+    rng = np.random.default_rng(seed)
+    even = [np.clip(np.full(low.size, math.log(1.0 - a)), low, high) for a in _EVEN]
+    share = rng.random((_STARTS - len(even), low.size))
+    drawn = np.log(np.exp(low) + (np.exp(high) - np.exp(low)) * share)
+    lowest = Lowest(math.inf, even[0])
+    for start in (*even, *drawn):
+        if math.isfinite(total_misfit(tools.kind, tools.data, start, tools.most)):
+            place, value = descend(tools.kind, tools.data, start, low, high, tools.most)
+            lowest.offer(value, place)
+    return lowest
+
+
+class _Boxes:
+    """Open boxes with their bounds, in arrays that grow."""
+
+    def __init__(self, n_coordinates: int) -> None:
+        self.boxes = np.empty((256, 2, n_coordinates))
+        self.bounds = np.empty(256)
+        self.n = 0
+
+    def add(self, boxes: FloatArray, bound: float) -> None:
+        """Put boxes in, all with one bound."""
+        end = self.n + len(boxes)
+        if end > len(self.bounds):
+            size = max(end, 2 * len(self.bounds))
+            self.boxes = np.concatenate((self.boxes, np.empty((size, *self.boxes.shape[1:]))))
+            self.bounds = np.concatenate((self.bounds, np.empty(size)))
+        self.boxes[self.n : end], self.bounds[self.n : end] = boxes, bound
+        self.n = end
+
+    def lowest(self, count: int) -> tuple[FloatArray, FloatArray]:
+        """Take the boxes of lowest bounds out."""
+        open_bounds = self.bounds[: self.n]
+        few = self.n <= count
+        order = np.arange(self.n) if few else np.argpartition(open_bounds, count)
+        taken = self.boxes[order[:count]].copy(), open_bounds[order[:count]].copy()
+        rest = order[count:]
+        self.boxes[: len(rest)] = self.boxes[rest]
+        self.bounds[: len(rest)] = self.bounds[rest]
+        self.n = len(rest)
+        return taken

@@ -1,0 +1,450 @@
+"""A prediction from files to files.
+
+Use case: examine a room, or a campaign's room and positions, before anything is computed.
+
+Use case: see the main job at work on a room whose truth is known.
+
+Absorption of a result, written for another program.
+
+A design from files to files.
+
+True beside found absorption, and what a trivial guess would have reached.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.cache import (
+    cache_of,
+    check_output_folder,
+    whole_output_folder,
+    write_bytes_atomically,
+    write_text_atomically,
+)
+from roomfit.errors import InputError
+from roomfit.experiment_design.choose import CRITERIA, Criterion, Design
+from roomfit.experiment_design.design import CANDIDATES, design
+from roomfit.experiment_design.output import write_design
+from roomfit.findings import Finding
+from roomfit.inversion.identify import identify
+from roomfit.inversion.measurements import campaign_scene
+from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
+from roomfit.io.campaign import Campaign, input_files, read_campaign
+from roomfit.io.exports import export_materials, read_material_table
+from roomfit.io.materials import material_knowledge
+from roomfit.io.results import input_digests, read_misfit, read_result, write_result
+from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.prediction.output import write_predicted
+from roomfit.prediction.predict import predict_campaign
+from roomfit.prediction.prediction import Predicted
+from roomfit.prediction.setup import Change, PairChoice
+from roomfit.report.figures import write_pictures
+from roomfit.report.text import findings_text
+from roomfit.results import Answer
+from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
+from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
+from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+
+def check_room(spec: RoomSpec) -> RoomCheck:
+    """Read a room and tell all that is wrong with it.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all, or a key of `spec.materials` matches nothing.
+    """
+    mesh, findings = read_mesh(spec)
+    return check_mesh(mesh, spec.materials, findings)
+
+
+def check_campaign(campaign: Campaign) -> RoomCheck:
+    """Tell all that is wrong with a campaign's room and with where sources and receivers stand.
+
+    Measured files are not opened. Positions are looked at once the room itself has no fault.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all; or materials of the campaign and of the room disagree.
+    """
+    spec = campaign.room
+    mesh, findings = read_mesh(spec)
+    check = check_mesh(mesh, spec.materials, findings)
+    if not check.traceable:
+        return check
+    room = room_from_mesh(mesh, spec.materials)
+    material_knowledge(campaign, room.materials)
+    places = position_findings(room, campaign.sources, campaign.receivers)
+    return replace(check, findings=(*check.findings, *places))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ExportedFiles:
+    """What was written, and what its reader must know."""
+
+    files: tuple[Path, ...]
+    findings: tuple[Finding, ...]
+
+
+def export_result(
+    result_file: Path,
+    wanted: str,
+    out: Path,
+    *,
+    scattering: float = DEFAULT_SCATTERING,
+    overwrite: bool = False,
+) -> ExportedFiles:
+    """Write the materials of a result in the format of another program.
+
+    Parameters
+    ----------
+    result_file : Path
+        A ``result.json`` or an ``absorption.csv``.
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"}
+    out : Path
+        The file to write; for "raven", which has a file a material, the folder.
+    scattering : float
+        Coefficient of every material where the result tells none, 0 to 1.
+    overwrite : bool
+        Replace what is there.
+
+    Raises
+    ------
+    InputError
+        The result cannot be read, the format is unknown, or something is in the way.
+    StoreError
+        The disk refuses.
+    """
+    out = Path(out)
+    exported = export_materials(read_material_table(result_file), wanted, scattering)
+    if "" not in exported.texts:
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            for name, text in exported.texts.items():
+                write_text_atomically(folder / name, text)
+        return ExportedFiles(tuple(out / name for name in exported.texts), exported.findings)
+    _check_place(out, overwrite)
+    write_text_atomically(out, exported.texts[""])
+    return ExportedFiles((out,), exported.findings)
+
+
+def _check_place(out: Path, overwrite: bool) -> None:
+    if out.is_dir():
+        raise InputError(
+            "the export is one file, and a folder is in its place",
+            where=str(out),
+            hint=f"write --out {out / 'materials.txt'}",
+        )
+    if out.exists() and not overwrite:
+        raise InputError(
+            "the file to write exists",
+            where=str(out),
+            needed="a new name, so that nothing is lost",
+            hint="choose another name, or add --overwrite",
+        )
+    if not out.parent.is_dir():
+        raise InputError(
+            "the folder of the file to write does not exist",
+            where=str(out.parent),
+            hint="make it first",
+        )
+
+
+# What the command writes, and so may remove when it writes over an earlier design.
+DESIGN_FILES = ("design.json", "design.csv", "design_map.png", "design_gain.png")
+
+
+def design_to_folder(
+    campaign_file: Path,
+    out: Path,
+    *,
+    candidates: int = CANDIDATES,
+    choose_n: int | None = None,
+    most_sources: int | None = None,
+    criterion: Criterion | None = None,
+    result_file: Path | None = None,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> Design:
+    """Choose where to measure and write design.json, design.csv and two pictures into a folder.
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, the result or the output folder is not as needed.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.experiment_design.output import design_gain, design_map
+    from roomfit.report.figures import png
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    found = None if result_file is None else read_result(result_file)
+    answer = design(
+        campaign,
+        candidates=candidates,
+        choose_n=choose_n,
+        most_sources=most_sources,
+        criterion=criterion,
+        result=found,
+        misfit=None if result_file is None else read_misfit(result_file),
+        progress=part(progress, 0.0, 0.98),
+    )
+    inputs = input_files(campaign)
+    if result_file is not None:
+        inputs = (*inputs, Path(result_file))
+    with whole_output_folder(out, overwrite=overwrite, own=DESIGN_FILES) as folder:
+        write_design(folder, answer, inputs)
+        write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
+        write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
+    return answer
+
+
+def criterion_of(text: str | None) -> Criterion | None:
+    """Return a criterion by its name.
+
+    Raises
+    ------
+    InputError
+        There is none of that name.
+    """
+    if text is None:
+        return None
+    for known in CRITERIA:
+        if text == known:
+            return known
+    raise InputError("unknown criterion", found=repr(text), needed=", ".join(CRITERIA))
+
+
+# What the command writes, and so may remove when it writes over an earlier prediction.
+PREDICT_FILES = ("predicted.json", "predicted.csv", "predicted_[0-9]*.png")
+_MOST_PICTURES = 24
+
+
+def predict_to_folder(
+    campaign_file: Path,
+    absorption_file: Path,
+    out: Path,
+    changes: Sequence[Change] = (),
+    *,
+    pairs: PairChoice = "all",
+    overwrite: bool = False,
+    use_cache: bool = True,
+    progress: Progress | None = None,
+) -> Predicted:
+    """Predict a campaign and write predicted.json, predicted.csv and pictures into a folder.
+
+    Pictures of the first 24 pairs; the files hold all. A run that was killed continues from its
+    last finished step, unless `use_cache` is false.
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, the absorption or the output folder is not as needed.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.prediction.output import predicted_decay_figure
+    from roomfit.report.figures import png
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file, to_fit=False)
+    predicted = predict_campaign(
+        campaign,
+        read_result(absorption_file),
+        changes,
+        pairs=pairs,
+        cache=cache_of(out) if use_cache else None,
+        progress=part(progress, 0.0, 0.95),
+    )
+    inputs = (*input_files(campaign), Path(absorption_file))
+    with whole_output_folder(out, overwrite=overwrite, own=PREDICT_FILES) as folder:
+        write_predicted(folder, predicted, inputs)
+        shown = predicted.pairs[:_MOST_PICTURES]
+        for number, pair in enumerate(shown, start=1):
+            name = f"predicted_{number:02d}_{_safe(pair.source)}_{_safe(pair.receiver)}.png"
+            write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
+            if progress is not None:
+                progress(0.95 + 0.05 * number / len(shown))
+    return predicted
+
+
+def _safe(name: str) -> str:
+    """Return a name without what a path gives a meaning to."""
+    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
+
+
+def demo_text(answer: Answer, true_absorption: FloatArray) -> str:
+    """Return the table of truth and answer with intervals, and how the errors compare.
+
+    Parameters
+    ----------
+    answer : Answer
+    true_absorption : float array, shape (n_materials, n_bands)
+    """
+    parts = [_table(answer, true_absorption), _summary(answer, true_absorption)]
+    parts.append(findings_text(answer.findings))
+    return "\n\n".join(p for p in parts if p)
+
+
+def _table(answer: Answer, true_absorption: FloatArray) -> str:
+    width = max(len(n) for n in answer.materials)
+    cell = f"{'true':>5} {'found':>5} {'95 %':>9} "
+    lines = [
+        "Absorption: true, found and its 95 % interval; ! = the interval misses the truth, "
+        "? = not identifiable",
+        f"{'Hz':<{width}}  " + " ".join(f"{f:^22g}" for f in answer.bands.centres_hz),
+        f"{'':<{width}}  " + " ".join(f"{cell:<22}" for _ in answer.bands.centres_hz),
+    ]
+    held = _held(answer, true_absorption)
+    for i, name in enumerate(answer.materials):
+        cells = []
+        for j in range(len(answer.bands)):
+            mark = ("" if held[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
+            bounds = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}"
+            text = f"{true_absorption[i, j]:5.2f} {answer.absorption[i, j]:5.2f} {bounds}{mark}"
+            cells.append(f"{text:<22}")
+        lines.append(f"{name:<{width}}  " + " ".join(cells).rstrip())
+    return "\n".join(lines)
+
+
+def _summary(answer: Answer, true_absorption: FloatArray) -> str:
+    error = np.abs(answer.absorption - true_absorption)
+    held = _held(answer, true_absorption)
+    uniform = np.abs(answer.mean_absorption[0] - true_absorption)
+    sure = answer.identifiable
+    lines = [
+        f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
+        f"largest {error.max():.3f}",
+        f"null model, one absorption for all walls: median error {np.median(uniform):.3f}",
+        f"intervals hold the truth in {held.sum()} of {held.size} cases "
+        f"({100 * held.mean():.0f} %)",
+        f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~held).sum()} "
+        "outside their interval",
+        f"{answer.seconds:.1f} s for the identification",
+    ]
+    return "\n".join(lines)
+
+
+def _held(answer: Answer, true_absorption: FloatArray) -> BoolArray:
+    return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
+
+
+# What an earlier run may have left in a folder that is written over.
+IDENTIFY_FILES = (
+    *("result.json", "absorption.csv", "absorption.png", "report.html"),
+    *("identifiable.png", "profiles.png", "corner_[0-9]*_hz.png", "decay_[0-9]*.png"),
+)
+
+
+def identify_to_folder(
+    campaign_file: Path,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    keep: bool = True,
+    progress: Progress | None = None,
+) -> Answer:
+    """Identify a campaign and write result.json, tables, pictures and report into a folder.
+
+    Nothing is written before everything is known, and then all of it or nothing.
+
+    Parameters
+    ----------
+    campaign_file, out : Path
+    overwrite : bool
+        Write into a folder that is not empty.
+    keep : bool
+        Keep the trace in the output folder, so that a run that was stopped goes on from there.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, a response or the output folder is not as needed.
+    CannotTell
+        The data cannot be fitted at all.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.html import report_html
+
+    # refused now rather than after minutes of work; made only when there is something to put in
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file)
+    cache = cache_of(out) if keep else None
+    answer = identify(campaign, cache=cache, progress=part(progress, 0.0, 0.95))
+    inputs = input_files(campaign)
+    room, _ = read_room(campaign.room)
+    page = report_html(
+        answer,
+        campaign_scene(campaign, room),
+        title=f"Absorption: {campaign_file.stem}",
+        campaign=campaign_file.name,
+        inputs_sha256=input_digests(inputs),
+    )
+    with whole_output_folder(out, overwrite=overwrite, own=IDENTIFY_FILES) as folder:
+        write_result(folder, answer, inputs)
+        write_text_atomically(folder / "report.html", page)
+        write_pictures(folder, answer, part(progress, 0.95, 1.0))
+    return answer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DemoResult:
+    """An answer and the truth behind the data.
+
+    Attributes
+    ----------
+    answer : Answer
+    true_absorption : float array, shape (n_materials, n_bands)
+        In the answer's order of materials and bands.
+    """
+
+    answer: Answer
+    true_absorption: FloatArray
+
+
+def run_demo(
+    out: Path, seed: int, *, overwrite: bool = False, progress: Progress | None = None
+) -> DemoResult:
+    """Write a simulated campaign into ``out/campaign`` and its identification into ``out/result``.
+
+    Raises
+    ------
+    InputError
+        The folder is not empty and `overwrite` is false.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import absorption_figure, png
+
+    with whole_output_folder(out, overwrite=overwrite) as folder:
+        (folder / "campaign").mkdir()
+        box = write_measured_box(
+            demo_plan(),
+            folder / "campaign",
+            np.random.default_rng(seed),
+            progress=part(progress, 0.0, 0.4),
+        )
+        answer = identify_to_folder(
+            box.campaign, folder / "result", progress=part(progress, 0.4, 1.0)
+        )
+        truth = _truth(box, answer)
+        picture = png(absorption_figure(answer, truth))
+        write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
+    return DemoResult(answer, truth)
+
+
+def _truth(box: MeasuredBox, answer: Answer) -> FloatArray:
+    """Return the true absorption in the answer's order of materials and bands."""
+    rows = [box.materials.index(name) for name in answer.materials]
+    columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]
+    return box.absorption[np.ix_(rows, columns)]

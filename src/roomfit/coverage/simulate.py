@@ -1,0 +1,506 @@
+"""Responses that a room would give under a known truth, by a road apart from the fit's own.
+
+Boxes whose walls are smooth and rooms that are convex: pressures of an own enumeration of image
+sources. Boxes that scatter: these, thinned, and noise that an own tracer of rays modulates. All
+else: a trace of roomfit's with other seeds, whose image sources add as pressures and whose rays
+fill with Gaussian noise.
+
+Made responses as a measuring chain would have written them, and a campaign that names them.
+
+Room parameters of made responses, as somebody would have written them into a table.
+
+Responses of any room from a trace of its own: image sources as pressures, rays as noise.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m
+from roomfit.bands import Bands
+from roomfit.cache import write_text_atomically
+from roomfit.coverage.truth import CalibrationPlan, TabulatedPair, Truth
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.scattering import band_factors
+from roomfit.inversion.trace_plan import N_RAYS, plan_trace
+from roomfit.io.campaign import Campaign, Directivity
+from roomfit.io.iso3382 import NAMES
+from roomfit.measurement import MeasuredTable, ResponseSpec
+from roomfit.response.directivity import FirstOrderBands, aimed
+from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.signals.decay import decay_curve, room_parameters
+from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.response import ImpulseResponse, padded
+from roomfit.synthetic.boxes import (
+    BoxTruth,
+    diffuse_echogram,
+    loudspeaker,
+    modulated_noise,
+    octave_shares,
+    pressure_response,
+    scattered_response,
+)
+from roomfit.synthetic.polyhedra import PolyhedronTruth, convex_cells, pressure_responses
+from roomfit.tracing.paths import Paths, hits
+from roomfit.tracing.trace import trace
+from roomfit.typing import BoolArray, FloatArray
+
+_BIN_S = 0.5e-3
+_OVERSAMPLING = 8
+_NOTHING = 1e-30
+# Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
+_PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
+
+
+def traced_pressures(
+    plan: CalibrationPlan,
+    truth: Truth,
+    pairs: tuple[tuple[str, str], ...],
+    duration_s: float,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> dict[tuple[str, str], FloatArray]:
+    """Return the pressure of every pair after an impulse at time 0.
+
+    Image sources are followed as far as the fit's own, with another enumeration for moved points;
+    rays are others, and three times as many. What rays bring is Gaussian noise with their energy.
+    """
+    scene = _true_scene(plan, truth, pairs)
+    knowledge = tuple(
+        replace(k, scattering=row, fit_scattering=False)
+        for k, row in zip(plan.knowledge, truth.scattering, strict=True)
+    )
+    seed = int(rng.integers(2**62))
+    planned = plan_trace(scene, knowledge, 0.0, duration_s, seed, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else N_RAYS
+    settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
+    paths = trace(scene, settings, planned.scattering).paths
+    bands = plan.campaign.bands
+    told = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in truth.b.items()}
+    directed = replace(plan.campaign, directivities={**plan.campaign.directivities, **told})
+    factors, _ = band_factors(directed, scene, bands, paths, truth.scattering)
+    energy = _energies(plan, truth, paths, factors)
+    times_s = paths.length_m / truth.speed_of_sound_m_s + hits(paths) @ truth.delays_s
+    images = paths.batch < 0
+    found = {}
+    for number, pair in enumerate(pairs):
+        own = (paths.pair == number) & (times_s < duration_s)
+        found[pair] = _pressure(
+            plan, times_s, energy, own, images, round(duration_s * rate_hz), rate_hz, rng
+        )
+    return found
+
+
+def _true_scene(plan: CalibrationPlan, truth: Truth, pairs: tuple[tuple[str, str], ...]) -> Scene:
+    sources = [s.name for s in truth.sources]
+    receivers = [r.name for r in truth.receivers]
+    index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
+    air = replace(plan.campaign.air, speed_of_sound_m_s=truth.speed_of_sound_m_s)
+    return Scene(plan.room, truth.sources, truth.receivers, index, air)
+
+
+def _energies(
+    plan: CalibrationPlan, truth: Truth, paths: Paths, factors: FloatArray | None
+) -> FloatArray:
+    """Return what every path brings in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
+    struck = hits(paths).astype(np.float64)
+    attenuation = attenuation_per_m(plan.campaign.air, plan.grid)
+    out: FloatArray = np.empty((len(plan.grid), len(paths)))
+    for band, near in enumerate(plan.nearest):
+        left = np.log(np.maximum(1.0 - truth.absorption[:, band], _NOTHING))
+        lost = struck @ left - attenuation[band] * paths.length_m
+        out[band] = paths.weight_per_m2 * np.exp(lost)
+        if factors is not None:
+            out[band] *= factors[near]
+    return out
+
+
+def _pressure(
+    plan: CalibrationPlan,
+    times_s: FloatArray,
+    energy: FloatArray,
+    own: BoolArray,
+    images: BoolArray,
+    n_samples: int,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the pressure of one pair: its image paths as impulses, its rays as noise."""
+    mirrored, caught = np.flatnonzero(own & images), np.flatnonzero(own & ~images)
+    fine = np.round(times_s[mirrored] * rate_hz * _OVERSAMPLING).astype(np.int64)
+    frequencies = np.linspace(0.0, 0.5 * rate_hz, n_samples + 1)
+    shares = octave_shares(plan.grid.centres_hz, frequencies)
+    spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
+    n_bins = int(np.ceil(n_samples / rate_hz / _BIN_S)) + 1
+    bins = (times_s[caught] / _BIN_S).astype(np.int64)
+    echogram = np.zeros((len(plan.grid), n_bins))
+    for band, share in enumerate(shares):
+        amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
+        train = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
+        spectrum += share * np.fft.rfft(train)[: n_samples + 1]
+        echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
+    made = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
+    flat = np.zeros(len(plan.grid))
+    if not caught.size:
+        return made
+    noise = modulated_noise(echogram, _BIN_S, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
+    return np.asarray(made + noise)
+
+
+BOX, SCATTERING_BOX = "images of a box", "images and scattered noise of a box"
+CONVEX, TRACED = "images of a convex room", "another trace"
+# Image sources of one pair at most; files of rooms that ring longer are cut there.
+_MOST_IMAGES = {BOX: 1_500_000, SCATTERING_BOX: 1_000_000, CONVEX: 40_000, TRACED: np.inf}
+_SHORTEST_S, _LONGEST_S = 0.3, 3.0
+# Specular decays of boxes last up to 1.7 times as long as Eyring's.
+_LONGER_THAN_EYRING = 1.4
+# Spheres that catch the own tracer's rays.
+_CLEAR_OF_WALLS_M = 0.3
+
+Pair = tuple[str, str]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sound:
+    """Pressures of every pair after an impulse at time 0, and the road they came by.
+
+    Attributes
+    ----------
+    road : str
+    pressure : mapping of (source, receiver) to float array, shape (n_samples,)
+        In the unit in which a unit source's direct sound is ``1 / (4 pi r)``.
+    """
+
+    road: str
+    pressure: dict[Pair, FloatArray]
+
+
+def made_sound(
+    plan: CalibrationPlan,
+    truth: Truth,
+    pairs: tuple[Pair, ...],
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> Sound:
+    """Return the pressures of all pairs.
+
+    Files last until the slowest band has fallen to its noise, as long as the measured ones at most,
+    and as long as their image sources can be counted.
+    """
+    road = road_of(plan, truth)
+    duration_s = _duration_s(plan, truth, road)
+    if road == TRACED:
+        found = traced_pressures(plan, truth, pairs, duration_s, rate_hz, rng)
+    elif road == CONVEX:
+        found = _convex(plan, truth, pairs, duration_s, rate_hz)
+    else:
+        found = _box(plan, truth, pairs, duration_s, rate_hz, rng)
+    return Sound(road, found)
+
+
+def road_of(plan: CalibrationPlan, truth: Truth) -> str:
+    """Return by which road the sound of a room is made."""
+    first_order = all(_is_first_order(plan.campaign, s.name) for s in truth.sources)
+    even = first_order and not any(_b(plan.campaign, truth, s.name) is not None
+                                   for s in truth.sources)  # fmt: skip
+    smooth = not np.any(truth.scattering)
+    if plan.room.shoebox_m is not None:
+        if smooth and first_order:
+            return BOX
+        lengths = np.array(plan.room.shoebox_m)
+        clear = all(
+            np.min(np.minimum(p.position_m, lengths - p.position_m)) > _CLEAR_OF_WALLS_M
+            for p in truth.receivers
+        )
+        return SCATTERING_BOX if even and clear else TRACED
+    convex = smooth and even and convex_cells(plan.room) is not None
+    return CONVEX if convex else TRACED
+
+
+def _is_first_order(campaign: Campaign, source: str) -> bool:
+    told = campaign.directivities.get(source, "omni")
+    return told in ("omni", "fit") or isinstance(told, Directivity)
+
+
+def _b(campaign: Campaign, truth: Truth, source: str) -> FloatArray | None:
+    told = campaign.directivities.get(source, "omni")
+    if source in truth.b:
+        return truth.b[source]
+    return aimed(told.aim, told.b).b if isinstance(told, Directivity) else None
+
+
+def _duration_s(plan: CalibrationPlan, truth: Truth, road: str) -> float:
+    """Eyring's time of the slowest fitted band, down to its noise."""
+    areas = material_areas_m2(plan.room)
+    mean = (areas @ truth.absorption / areas.sum())[plan.columns]
+    m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
+    volume = volume_m3(plan.room.mesh)
+    left = -np.log1p(-np.minimum(mean, 0.999)) * surface_area_m2(plan.room.mesh) + 4.0 * m * volume
+    t60_s = 24.0 * np.log(10.0) / truth.speed_of_sound_m_s * volume / left
+    ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
+    wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
+    reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[road]) ** (1.0 / 3.0)
+    longest_s = min(_LONGEST_S, plan.length_s, reach_m / truth.speed_of_sound_m_s)
+    return float(min(max(wanted_s, _SHORTEST_S), longest_s))
+
+
+def _box(
+    plan: CalibrationPlan,
+    truth: Truth,
+    pairs: tuple[Pair, ...],
+    duration_s: float,
+    rate_hz: float,
+    rng: np.random.Generator,
+) -> dict[Pair, FloatArray]:
+    owner = plan.room.surface_material
+    lengths = plan.room.shoebox_m
+    assert lengths is not None  # noqa: S101 - the road says that it is a box
+    box = BoxTruth(
+        lengths,
+        plan.grid.centres_hz,
+        truth.absorption[owner],
+        attenuation_per_m(plan.campaign.air, plan.grid),
+        truth.speed_of_sound_m_s,
+        tuple(truth.delays_s[owner].tolist()),
+    )
+    scattering = truth.scattering.mean(axis=1)[owner]
+    at = {p.name: p.position_m for p in truth.receivers}
+    flat: FloatArray = np.zeros(len(plan.grid))
+    found = {}
+    for source in truth.sources:
+        own = [r for s, r in pairs if s == source.name]
+        b = _b(plan.campaign, truth, source.name)
+        if not np.any(scattering):
+            for r in own:
+                ends = (source.position_m, at[r], duration_s, rate_hz)
+                found[source.name, r] = pressure_response(box, *ends, flat, b)
+        elif own:
+            places = np.array([at[r] for r in own])
+            echo = diffuse_echogram(box, scattering, source.position_m, places, duration_s, rng)
+            for r, energy in zip(own, echo.energy, strict=True):
+                found[source.name, r] = scattered_response(
+                    *(box, scattering, source.position_m, at[r], energy),
+                    *(duration_s, rate_hz, flat, rng),
+                )
+    return found
+
+
+def _convex(
+    plan: CalibrationPlan,
+    truth: Truth,
+    pairs: tuple[Pair, ...],
+    duration_s: float,
+    rate_hz: float,
+) -> dict[Pair, FloatArray]:
+    cells = convex_cells(plan.room)
+    assert cells is not None  # noqa: S101 - the road says that it is convex
+    room = PolyhedronTruth(
+        cells,
+        plan.grid.centres_hz,
+        truth.absorption,
+        attenuation_per_m(plan.campaign.air, plan.grid),
+        truth.speed_of_sound_m_s,
+        tuple(truth.delays_s.tolist()),
+    )
+    at = {p.name: p.position_m for p in truth.receivers}
+    found = {}
+    for source in truth.sources:
+        own = [r for s, r in pairs if s == source.name]
+        if own:
+            places = np.array([at[r] for r in own])
+            made = pressure_responses(
+                room, source.position_m, places, duration_s, rate_hz, np.zeros(len(plan.grid))
+            )
+            found.update({(source.name, r): p for r, p in zip(own, made, strict=True)})
+    return found
+
+
+_WRITTEN: dict[ValueName, str] = {name: key for key, name in NAMES.items()}
+_PAD_S = 0.05
+
+
+def made_table(
+    plan: CalibrationPlan, truth: Truth, sound: Sound, rate_hz: float, rng: np.random.Generator
+) -> str:
+    """Return a table of the same pairs, parameters and stated spreads as the user's.
+
+    Values come from the made responses by roomfit's own analysis, in the fitted bands; to each the
+    error is added that its stated spread owns. Where a response does not hold a parameter the cell
+    stays empty.
+    """
+    bands = plan.campaign.bands
+    lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
+    for measured in plan.tabulated:
+        pressure = sound.pressure[measured.source, measured.receiver]
+        response = padded(ImpulseResponse(pressure, rate_hz), _PAD_S)
+        direct_s = _distance_m(truth, measured) / truth.speed_of_sound_m_s
+        found = _values(response, bands, direct_s)
+        for name, spread in measured.spread.items():
+            error = np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(bands))
+            lines.append(_line(measured, _WRITTEN[name], _possible(name, found[name] + error)))
+            if np.isfinite(spread).any():
+                lines.append(_line(measured, f"{_WRITTEN[name]}_sd", spread))
+    return "\n".join(lines) + "\n"
+
+
+def _values(
+    response: ImpulseResponse, bands: Bands, direct_s: float
+) -> dict[ValueName, FloatArray]:
+    """Return all parameters of a response in absolute pressures."""
+    bank = FilterBank(bands)
+    parameters = room_parameters(decay_curve(bank, response, direct_s))
+    found: dict[ValueName, FloatArray] = {"G_dB": _strength_db(bank, response)}
+    for name in _WRITTEN:
+        if name != "G_dB":
+            found[name] = parameters.of(name)
+    return found
+
+
+def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
+    """Return G: energy over that of the direct sound at 10 m, ISO 3382-1, equation A.2."""
+    impulse: FloatArray = np.zeros(len(response.pressure))
+    impulse[impulse.size // 2] = 1.0 / (4.0 * np.pi * 10.0)
+    free = ImpulseResponse(impulse, response.sampling_rate_hz)
+    heard, reference = (np.sum(filter_pressure(bank, r) ** 2, axis=1) for r in (response, free))
+    return np.asarray(10.0 * np.log10(heard / reference))
+
+
+def _distance_m(truth: Truth, measured: TabulatedPair) -> float:
+    def place(points: tuple[Point, ...], name: str) -> FloatArray:
+        return next(p.position_m for p in points if p.name == name)
+
+    step = place(truth.receivers, measured.receiver) - place(truth.sources, measured.source)
+    return float(np.linalg.norm(step))
+
+
+def _possible(name: ValueName, values: FloatArray) -> FloatArray:
+    """Leave out what an added error has driven where no room is."""
+    if name == "D50_percent":
+        return np.clip(values, 0.0, 100.0)
+    if name.endswith("_dB"):
+        return values
+    return np.where(values > 0.0, values, np.nan)
+
+
+def _line(measured: TabulatedPair, key: str, values: FloatArray) -> str:
+    cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
+    return ",".join((measured.source, measured.receiver, key, *cells))
+
+
+# Every file begins so long before emission.
+_LEAD_S = 0.02
+_BLOCK_S = 0.01
+_RATES_HZ = (16_000.0, 32_000.0, 48_000.0, 96_000.0)
+_SAMPLES_PER_EDGE = 2.8
+
+
+def made_rate_hz(bands: Bands) -> float:
+    """Return the least usual sampling rate that leaves the highest band alone."""
+    wanted = _SAMPLES_PER_EDGE * float(bands.upper_hz[-1])
+    return next((rate for rate in _RATES_HZ if rate >= wanted), _RATES_HZ[-1])
+
+
+def wanted_pairs(plan: CalibrationPlan) -> tuple[Pair, ...]:
+    """Return every pair of which a response or a table is fitted, once."""
+    pairs = [(m.source, m.receiver) for m in plan.campaign.measurements]
+    pairs += [(v.source, v.receiver) for v in plan.tabulated]
+    return tuple(dict.fromkeys(pairs))
+
+
+def made_campaign(
+    plan: CalibrationPlan, truth: Truth, sound: Sound, folder: Path, rng: np.random.Generator
+) -> Campaign:
+    """Write WAV files and a table into a folder; return the campaign that reads them.
+
+    It says of room, places, air and materials what the user's own says.
+    """
+    import soundfile
+
+    rate_hz = made_rate_hz(plan.campaign.bands)
+    files = []
+    for i, m in enumerate(plan.campaign.measurements):
+        samples = recorded(
+            sound.pressure[m.source, m.receiver],
+            rate_hz,
+            plan.grid,
+            truth.level_db[i],
+            _LEAD_S + truth.latency_s[i],
+            plan.snr_db[i],
+            rng,
+        )
+        path = folder / f"{i:04d}.wav"
+        soundfile.write(path, samples.astype(np.float32), int(rate_hz), subtype="FLOAT")
+        emission = m.response.time_zero == "emission"
+        spec = ResponseSpec(
+            path, time_zero=m.response.time_zero, latency_s=_LEAD_S if emission else 0.0
+        )
+        files.append(replace(m, response=spec))
+    tables: tuple[MeasuredTable, ...] = ()
+    if plan.tabulated:
+        text = made_table(plan, truth, sound, rate_hz, rng)
+        tables = (
+            MeasuredTable(write_text_atomically(folder / "table.csv", text), None, None, "fit"),
+        )
+    return replace(plan.campaign, measurements=tuple(files), tables=tables)
+
+
+def recorded(
+    pressure: FloatArray,
+    rate_hz: float,
+    grid: Bands,
+    level_db: FloatArray,
+    delay_s: float,
+    snr_db: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return a response behind a loudspeaker with levels of its own, late, and in noise.
+
+    The noise of each band lies so far below the loudest 10 ms, or four periods of the band's
+    width, of what is heard in that band.
+
+    Parameters
+    ----------
+    pressure : float array, shape (n_samples,)
+    grid : Bands
+        Adjacent bands that cover those of interest.
+    level_db, snr_db : float arrays, shape (n_grid,)
+    delay_s : float
+        0 or more, of any fraction of a sample.
+    """
+    n = pressure.size + int(np.ceil((delay_s + _BLOCK_S) * rate_hz))
+    frequencies = np.linspace(0.0, 0.5 * rate_hz, n + 1)
+    spectrum = np.fft.rfft(pressure, 2 * n)
+    spectrum *= loudspeaker(grid.centres_hz, level_db, frequencies)
+    spectrum *= np.exp(-2j * np.pi * frequencies * delay_s)
+    clean = np.fft.irfft(spectrum, 2 * n)[:n]
+    return np.asarray(clean + _noise(spectrum, n, rate_hz, grid, snr_db, rng))
+
+
+def _noise(
+    spectrum: np.ndarray[tuple[int], np.dtype[np.complex128]],
+    n: int,
+    rate_hz: float,
+    grid: Bands,
+    snr_db: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return stationary noise whose level runs smoothly from band to band."""
+    frequencies = np.linspace(0.0, 0.5 * rate_hz, n + 1)
+    density = []
+    widths_hz = grid.upper_hz - grid.lower_hz
+    shares = octave_shares(grid.centres_hz, frequencies)
+    for share, width_hz, ratio_db in zip(shares, widths_hz, snr_db, strict=True):
+        heard = np.fft.irfft(spectrum * share, 2 * n)[:n] ** 2
+        size = max(1, round(max(_BLOCK_S, 4.0 / width_hz) * rate_hz))
+        sums = np.concatenate(([0.0], np.cumsum(heard)))
+        blocks = np.diff(sums[::size]) / size
+        loudest = float(blocks.max()) if blocks.size else float(heard.mean())
+        density.append(loudest * 10.0 ** (-0.1 * ratio_db) * 0.5 * rate_hz / width_hz)
+    at = np.log(np.maximum(frequencies, 1.0))
+    level = np.interp(at, np.log(grid.centres_hz), np.log(np.maximum(density, 1e-300)))
+    white = np.fft.rfft(rng.standard_normal(2 * n))
+    return np.asarray(np.fft.irfft(white * np.exp(0.5 * level), 2 * n)[:n])

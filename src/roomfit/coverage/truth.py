@@ -1,0 +1,468 @@
+"""What might be true of a campaign: absorption, places, air, levels, as far as it leaves them open.
+
+What a campaign states with a spread is drawn within that spread, what it calls known is kept.
+
+What every replicate of a campaign is made from.
+
+What a calibration is asked to do.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit._checks import read_only
+from roomfit.air import speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.cache import code_digest, digest
+from roomfit.errors import CannotTell, InputError
+from roomfit.inversion.measurements import gather
+from roomfit.io.campaign import Campaign, input_files
+from roomfit.io.materials import material_knowledge, unknown_directivity
+from roomfit.io.results import read_result
+from roomfit.io.rooms import read_room
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.objective.coherent import SPEED_SD
+from roomfit.objective.directivity import UNTOLD_B_SD
+from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.scene import Point, Room, position_findings
+from roomfit.signals.iso3382 import MeasuredValues, ValueName
+from roomfit.typing import FloatArray, IntArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior, logit
+
+
+@dataclass(frozen=True, slots=True)
+class CalibrationSettings:
+    """How many replicates, drawn from what, and which of them now.
+
+    Attributes
+    ----------
+    replicates : int
+        Of the whole calibration, 1 to 100,000.
+    first : int
+        The first replicate of this run, from 0.
+    only : int or None
+        How many this run makes at most; None for all that follow.
+    result : Path or None
+        ``result.json`` whose posterior absorption is drawn from; None for the priors.
+    snr_db : float or None
+        Loudest 10 ms over noise in every band, 20 to 90 dB; None for what the files have.
+    seed : int
+        Of the draws; replicate n of one seed is the same in any slice.
+    workers : int
+        Processes.
+    """
+
+    replicates: int = 200
+    first: int = 0
+    only: int | None = None
+    result: Path | None = None
+    snr_db: float | None = None
+    seed: int = 1
+    workers: int = 1
+
+    def __post_init__(self) -> None:
+        only = self.replicates if self.only is None else self.only
+        limits: tuple[tuple[str, float, float, float], ...] = (
+            ("replicates", self.replicates, 1, 100_000),
+            ("first", self.first, 0, self.replicates - 1),
+            ("only", only, 1, self.replicates),
+            ("seed", self.seed, 0, 2**63 - 1),
+            ("workers", self.workers, 1, 1024),
+        )
+        if self.snr_db is not None:
+            limits = (*limits, ("snr-db", self.snr_db, 20.0, 90.0))
+        for name, value, low, high in limits:
+            if not low <= value <= high:
+                raise InputError(
+                    "a setting of the calibration is out of range",
+                    where=name,
+                    found=f"{value:g}",
+                    needed=f"{low:g} to {high:g}",
+                )
+
+    @property
+    def numbers(self) -> range:
+        """Replicates of this run."""
+        stop = self.replicates if self.only is None else self.first + self.only
+        return range(self.first, min(stop, self.replicates))
+
+
+# Peak over noise of made responses where neither files nor the user tell.
+USUAL_SNR_DB = 60.0
+_LEAST_SNR_DB, _MOST_SNR_DB = 15.0, 90.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Known:
+    """An answer that absorption is drawn about, bands as they are fitted.
+
+    Attributes
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
+    scattering : float array, shape (n_materials, n_bands), or None
+    """
+
+    absorption: FloatArray
+    logit_covariance: FloatArray
+    scattering: FloatArray | None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TabulatedPair:
+    """Which room parameters of a pair are fitted.
+
+    Attributes
+    ----------
+    source, receiver : str
+    spread : dict of value name to float array, shape (n_bands,)
+        Stated standard deviation in the fitted bands, NaN where none is stated.
+    """
+
+    source: str
+    receiver: str
+    spread: dict[ValueName, FloatArray]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CalibrationPlan:
+    """A campaign, what is known of it beforehand, and how its files sound.
+
+    Attributes
+    ----------
+    campaign : Campaign
+        Without what is kept for validation.
+    room : Room
+    knowledge : tuple of MaterialKnowledge, in the order of the room's materials
+    answer : Known or None
+        What absorption is drawn from; None for the priors.
+    grid : Bands
+        Adjacent bands of the truth, one beyond the fitted ones at either end.
+    columns : int array, shape (n_bands,)
+        Places of the fitted bands among the grid's.
+    nearest : int array, shape (n_grid,)
+        The fitted band nearest to each of the grid's.
+    snr_db : float array, shape (n_measurements, n_grid)
+        Loudest block over noise of every file that is made.
+    length_s : float
+        No file that is made is longer.
+    tabulated : tuple of TabulatedPair
+        Pairs of which room parameters are fitted.
+    digest : str
+        Of all that decides a replicate besides its number.
+    """
+
+    campaign: Campaign
+    room: Room
+    knowledge: tuple[MaterialKnowledge, ...]
+    answer: Known | None
+    grid: Bands
+    columns: IntArray
+    nearest: IntArray
+    snr_db: FloatArray
+    length_s: float
+    tabulated: tuple[TabulatedPair, ...]
+    digest: str
+
+
+def calibration_plan(campaign: Campaign, settings: CalibrationSettings) -> CalibrationPlan:
+    """Return what every replicate of a campaign is made from.
+
+    Raises
+    ------
+    InputError
+        The campaign, its room or a measured file is not as needed; damped spectra; or a result
+        that is of other materials or bands.
+    """
+    if campaign.spectra:
+        raise InputError(
+            "a campaign of damped spectra cannot be calibrated",
+            where=str(campaign.path),
+            needed="impulse responses (file) or room parameters",
+        )
+    fitted = replace(
+        campaign,
+        measurements=tuple(m for m in campaign.measurements if m.use == "fit"),
+        tables=tuple(t for t in campaign.tables if t.use == "fit"),
+    )
+    room, _ = read_room(campaign.room)
+    knowledge = material_knowledge(campaign, room.materials)
+    answer = None
+    if settings.result is not None:
+        answer = _checked(read_result(settings.result), settings.result, campaign, room)
+    grid = truth_bands(campaign.bands)
+    steps = np.abs(np.log(grid.centres_hz[:, None] / campaign.bands.exact_centres_hz[None, :]))
+    nearest = np.argmin(steps, axis=1)
+    heard, tabulated, length_s = _as_measured(fitted, room, settings.snr_db)
+    return CalibrationPlan(
+        fitted,
+        room,
+        knowledge,
+        answer,
+        grid,
+        read_only(np.argmin(steps, axis=0)),
+        read_only(nearest),
+        read_only(heard[:, nearest]),
+        length_s,
+        tabulated,
+        _digest(campaign, settings),
+    )
+
+
+def truth_bands(bands: Bands) -> Bands:
+    """Return adjacent bands from one below the lowest to one above the highest of the given ones.
+
+    Exact centres; filters have skirts, and a room does not end where a fit does.
+    """
+    steps = 1 if bands.kind == "octave" else 3
+    exact = bands.exact_centres_hz
+    ratio = 10.0 ** (0.3 / steps)
+    count = round(np.log(exact[-1] / exact[0]) / np.log(ratio))
+    return Bands(bands.kind, exact[0] * ratio ** np.arange(-1, count + 2))
+
+
+def _checked(posterior: AbsorptionPosterior, where: Path, campaign: Campaign, room: Room) -> Known:
+    same_bands = np.array_equal(posterior.bands.centres_hz, campaign.bands.centres_hz)
+    if posterior.materials != room.materials or not same_bands:
+        raise InputError(
+            "the result is of other materials or bands than the campaign",
+            where=str(where),
+            found=f"{', '.join(posterior.materials)}; "
+            f"{', '.join(f'{f:g}' for f in posterior.bands.centres_hz)} Hz",
+            needed=f"{', '.join(room.materials)}; "
+            f"{', '.join(f'{f:g}' for f in campaign.bands.centres_hz)} Hz",
+            hint="identify the campaign again, or draw from the priors",
+        )
+    return Known(posterior.absorption, posterior.logit_covariance, posterior.scattering)
+
+
+def _as_measured(
+    campaign: Campaign, room: Room, snr_db: float | None
+) -> tuple[FloatArray, tuple[TabulatedPair, ...], float]:
+    """Return what is kept of the measured files: peak over noise, tables, and the longest length.
+
+    With a stated ratio no response is read: the campaign may be one that is still to be measured.
+    """
+    n, n_bands = len(campaign.measurements), len(campaign.bands)
+    read = campaign if snr_db is None else replace(campaign, measurements=())
+    if not read.measurements and not read.tables:
+        return np.full((n, n_bands), snr_db), (), np.inf
+    gathered = gather(read, room)
+    tabulated = tuple(_tabulated(v, campaign.bands) for v in gathered.values)
+    if not read.measurements:
+        return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
+    ratios = np.array([m.noise.peak_to_noise_db for m in gathered.responses])
+    lengths = [
+        len(m.response.pressure) / m.response.sampling_rate_hz - m.response.time_zero_s
+        for m in gathered.responses
+    ]
+    return np.clip(ratios, _LEAST_SNR_DB, _MOST_SNR_DB), tabulated, max(lengths)
+
+
+def _tabulated(values: MeasuredValues, bands: Bands) -> TabulatedPair:
+    def at_bands(name: ValueName) -> FloatArray:
+        if name not in values.spread:
+            return np.full(len(bands), np.nan)
+        rows = zip(values.centres_hz.tolist(), values.spread[name].tolist(), strict=True)
+        told = dict(rows)
+        return np.array([told.get(f, np.nan) for f in bands.centres_hz.tolist()])
+
+    return TabulatedPair(
+        values.source, values.receiver, {name: at_bands(name) for name in values.values}
+    )
+
+
+def _digest(campaign: Campaign, settings: CalibrationSettings) -> str:
+    """Files by content; responses that nobody reads are left out, for they may not exist yet."""
+    unread = set()
+    if settings.snr_db is not None:
+        unread = {m.response.path for m in campaign.measurements}
+        unread |= {m.response.excitation for m in campaign.measurements if m.response.excitation}
+    files = [p for p in input_files(campaign) if p not in unread]
+    if settings.result is not None:
+        files.append(settings.result)
+    contents = [p.read_bytes() for p in files]
+    return digest(code_digest(), "calibration", contents, settings.snr_db, settings.seed)
+
+
+# Correlation of logit absorption from one octave to the next, where the campaign states none.
+_ALIKE = 0.95
+_LEVEL_SD_DB = 3.0
+_UNTOLD_LATENCY_SD_S = {"emission": 2e-5, "direct": 0.0, "unknown": 5e-3}
+_SCATTERING = (0.02, 0.4)
+_MOST_DRAWS = 200
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """One draw of everything that the campaign leaves open.
+
+    Attributes
+    ----------
+    absorption : float array, shape (n_materials, n_grid)
+    scattering : float array, shape (n_materials, n_bands)
+    delays_s : float array, shape (n_materials,)
+        What each material adds to the travel time at every reflection.
+    sources, receivers : tuple of Point
+        Where they stand.
+    speed_of_sound_m_s : float
+    b : mapping of source to float array, shape (3,)
+        First-order directivity of the sources whose directivity is unknown.
+    level_db : float array, shape (n_measurements, n_grid)
+    latency_s : float array, shape (n_measurements,)
+        By how much emission differs from where the campaign has it.
+    """
+
+    absorption: FloatArray
+    scattering: FloatArray
+    delays_s: FloatArray
+    sources: tuple[Point, ...]
+    receivers: tuple[Point, ...]
+    speed_of_sound_m_s: float
+    b: dict[str, FloatArray]
+    level_db: FloatArray
+    latency_s: FloatArray
+
+
+def draw_truth(plan: CalibrationPlan, rng: np.random.Generator) -> Truth:
+    """Draw what might be true of a campaign.
+
+    Raises
+    ------
+    CannotTell
+        Positions are so uncertain that hardly any draw stands within the room.
+    """
+    absorption = _absorption(plan, rng)
+    scattering = _scattering(plan, rng)
+    sds = [k.wall_delay_sd_s or 0.0 for k in plan.knowledge]
+    delays = np.abs(rng.standard_normal(len(sds))) * np.array(sds)
+    sources, receivers = _places(plan, rng)
+    told = plan.campaign.temperature_sd_c
+    kelvin = 273.15 + plan.campaign.air.temperature_c
+    speed_sd = SPEED_SD if told is None else 0.5 * told / kelvin
+    c = speed_of_sound_m_s(plan.campaign.air) * float(np.exp(speed_sd * rng.standard_normal()))
+    b = {s.name: _b(plan, s.name, rng) for s in plan.campaign.sources}
+    known = {name: value for name, value in b.items() if value is not None}
+    level_db, latency = _levels(plan, rng), _latency_s(plan, rng)
+    return Truth(absorption, scattering, delays, sources, receivers, c, known, level_db, latency)
+
+
+def _absorption(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+    """Draw absorption with the marginals of priors or posterior, smooth over the bands."""
+    n, n_grid = len(plan.knowledge), len(plan.grid)
+    lower = np.array([k.lower for k in plan.knowledge])[:, None]
+    upper = np.array([k.upper for k in plan.knowledge])[:, None]
+    prior_sd = np.array([k.prior_logit_sd for k in plan.knowledge])
+    normal = _smooth_normal(plan, float(np.median(prior_sd)), n, rng)
+    if plan.answer is None:
+        mean = np.array([k.prior_logit_mean for k in plan.knowledge])[:, plan.nearest]
+        free = mean + prior_sd[:, plan.nearest] * normal
+        drawn = lower + (upper - lower) / (1.0 + np.exp(-free))
+    else:
+        roots = np.array([_root(c) for c in plan.answer.logit_covariance])[plan.nearest]
+        spread = np.einsum("gij,jg->ig", roots, normal)
+        free = logit(plan.answer.absorption)[:, plan.nearest] + spread
+        drawn = np.clip(1.0 / (1.0 + np.exp(-free)), lower, upper)
+    for row, k in enumerate(plan.knowledge):
+        if k.known is not None:
+            drawn[row] = k.known[plan.nearest]
+    names = [k.name for k in plan.knowledge]
+    leaders = [names.index(k.tied_to or k.name) for k in plan.knowledge]
+    return np.asarray(drawn[leaders].reshape(n, n_grid))
+
+
+def _smooth_normal(
+    plan: CalibrationPlan, sd: float, n: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return standard normal numbers (n, n_grid) that run smoothly over the bands of the grid."""
+    told = plan.campaign.smoothness_per_octave
+    alike = _ALIKE if told is None else max(1.0 - 0.5 * (told / sd) ** 2, 0.0)
+    step = alike if plan.grid.kind == "octave" else alike ** (1.0 / 3.0)
+    drawn = rng.standard_normal((n, len(plan.grid)))
+    for band in range(1, len(plan.grid)):
+        drawn[:, band] = step * drawn[:, band - 1] + np.sqrt(1.0 - step**2) * drawn[:, band]
+    return drawn
+
+
+def _root(covariance: FloatArray) -> FloatArray:
+    """Return the symmetric root, which changes little from one band's covariance to the next's."""
+    values, vectors = np.linalg.eigh(covariance)
+    return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
+
+
+def _scattering(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+    """Keep what is told; draw one coefficient for all walls of which nothing is."""
+    n_bands = len(plan.campaign.bands)
+    low, high = np.log(_SCATTERING)
+    drawn = float(np.exp(rng.uniform(low, high)))
+    found = None if plan.answer is None else plan.answer.scattering
+    rows = []
+    for row, k in enumerate(plan.knowledge):
+        told = None if k.fit_scattering else k.scattering
+        if told is None and found is not None:
+            told = found[row]
+        rows.append(np.full(n_bands, drawn) if told is None else told)
+    return np.array(rows)
+
+
+def _places(
+    plan: CalibrationPlan, rng: np.random.Generator
+) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
+    for _ in range(_MOST_DRAWS):
+        sources, receivers = (
+            tuple(_moved(point, rng) for point in points)
+            for points in (plan.campaign.sources, plan.campaign.receivers)
+        )
+        if not position_findings(plan.room, sources, receivers):
+            return sources, receivers
+    raise CannotTell(
+        "places so uncertain that hardly any draw stands within the room",
+        where=str(plan.campaign.path),
+        found=f"{_MOST_DRAWS} draws, each with a point in a wall or outside",
+        needed="position_sd well below the distance to the walls",
+    )
+
+
+def _moved(point: Point, rng: np.random.Generator) -> Point:
+    sd = UNTOLD_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
+    return replace(point, position_m=point.position_m + sd * rng.standard_normal(3))
+
+
+def _b(plan: CalibrationPlan, name: str, rng: np.random.Generator) -> FloatArray | None:
+    """Draw the unknown directivity of a source, nowhere of negative amplitude."""
+    unknown = unknown_directivity(plan.campaign, name)
+    if unknown is None:
+        return None
+    mean = np.zeros(3) if unknown.mean is None else unknown.mean
+    sd = UNTOLD_B_SD if unknown.sd is None else unknown.sd
+    b = mean + sd * rng.standard_normal(3)
+    return np.asarray(b / max(1.0, float(np.linalg.norm(b))))
+
+
+def _levels(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+    """Draw what is not known of levels: one gain a source or a file, in every band."""
+    files, n_grid = plan.campaign.measurements, len(plan.grid)
+    of_source = {s.name: rng.normal(0.0, _LEVEL_SD_DB, n_grid) for s in plan.campaign.sources}
+    own = rng.normal(0.0, _LEVEL_SD_DB, (len(files), n_grid))
+    rows = [
+        np.zeros(n_grid) if m.level == "absolute" else
+        own[i] if m.level == "per-file" else of_source[m.source]
+        for i, m in enumerate(files)
+    ]  # fmt: skip
+    return np.array(rows).reshape(len(files), n_grid)
+
+
+def _latency_s(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+    """Draw the error of the moment of emission, which all files of a source share."""
+    error = {s.name: rng.standard_normal() for s in plan.campaign.sources}
+    rows = []
+    for m in plan.campaign.measurements:
+        sd = _UNTOLD_LATENCY_SD_S[m.response.time_zero]
+        if m.latency_sd_s is not None and m.response.time_zero == "emission":
+            sd = m.latency_sd_s
+        rows.append(sd * error[m.source])
+    return np.array(rows)

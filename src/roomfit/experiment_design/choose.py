@@ -1,0 +1,324 @@
+"""Which few of many possible measurements tell most: greedily, then by exchanges.
+
+The answer of a design: where to measure, and what to expect of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit._checks import bool_array, int_array
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.experiment_design.information import (
+    PairInformation,
+    Unknowns,
+    information_of,
+    interval_widths,
+    without_gain,
+)
+from roomfit.findings import Finding
+from roomfit.scene import Scene
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+Criterion = Literal["determinant", "mean", "worst"]
+CRITERIA: tuple[Criterion, ...] = ("determinant", "mean", "worst")
+# The widest interval decides; among designs that leave it alike, the mean does.
+_MEAN_BESIDE_WORST = 1e-3
+# An exchange must better the criterion by more than rounding.
+_LEAST_GAIN = 1e-9
+_MOST_EXCHANGES = 100
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Rules:
+    """What may stand together in one design.
+
+    Attributes
+    ----------
+    source : int array, shape (n_pairs,)
+        Which source each pair has.
+    compatible : bool array, shape (n_pairs, n_pairs)
+        Whether two pairs may both be measured; symmetric. No pair is compatible with itself, and
+        one that is compatible with none but allowed alone is still a candidate.
+    candidate : bool array, shape (n_pairs,)
+        False for what has been measured already.
+    most_sources : int or None
+        How many different sources a design may have.
+    """
+
+    source: IntArray
+    compatible: BoolArray
+    candidate: BoolArray
+    most_sources: int | None = None
+
+    def __post_init__(self) -> None:
+        n = len(self.source)
+        object.__setattr__(self, "source", int_array("source", self.source, (n,), low=0))
+        for name, shape in (("compatible", (n, n)), ("candidate", (n,))):
+            object.__setattr__(self, name, bool_array(name, getattr(self, name), shape))
+
+
+def allowed(rules: Rules, chosen: list[int], held: tuple[int, ...] = ()) -> BoolArray:
+    """Return which pairs may be added to those that are chosen or held, shape (n_pairs,)."""
+    together = [*held, *chosen]
+    mask = rules.candidate & rules.compatible[together].all(axis=0)
+    mask[chosen] = False
+    sources = np.unique(rules.source[chosen])
+    if rules.most_sources is not None and sources.size >= rules.most_sources:
+        mask &= np.isin(rules.source, sources)
+    return np.asarray(mask)
+
+
+def score(unknowns: Unknowns, information: FloatArray, criterion: Criterion) -> FloatArray:
+    """Return what a criterion makes of some information, the lower the better, shape (...).
+
+    Parameters
+    ----------
+    information : float array, shape (..., n_draws, n_bands, n, n)
+    criterion : {"determinant", "mean", "worst"}
+        Mean log determinant of the covariance of the logits (D-optimal); mean width of the 95 %
+        intervals over materials and bands (A-optimal in absorption); the widest of them. All are
+        means over the draws.
+    """
+    if criterion == "determinant":
+        return np.asarray(-np.linalg.slogdet(information)[1].mean(axis=(-1, -2)))
+    widths = interval_widths(unknowns, information)
+    own = unknowns.number[unknowns.number >= 0]
+    share = np.bincount(own, minlength=widths.shape[-1]) / own.size
+    mean = (widths @ share).mean(axis=-1)
+    if criterion == "mean":
+        return np.asarray(mean)
+    return np.asarray(widths.max(axis=(-1, -2)) + _MEAN_BESIDE_WORST * mean)
+
+
+def scores_of_additions(
+    unknowns: Unknowns, pairs: PairInformation, chosen: list[int], criterion: Criterion
+) -> FloatArray:
+    """Return the score of a design with each of the pairs added in turn, shape (n_pairs,)."""
+    total = np.empty(pairs.matrices.shape[:3] + unknowns.information.shape[-2:])
+    picked = np.array(chosen, dtype=np.int64)
+    for gain in np.unique(pairs.gain):
+        own = np.flatnonzero(pairs.gain == gain)
+        sharing = pairs.gain[picked] == gain
+        rest = information_of(unknowns, pairs, picked[~sharing])
+        together = pairs.matrices[own] + pairs.matrices[picked[sharing]].sum(axis=0)
+        total[own] = rest + (together[..., :-1, :-1] if gain < 0 else without_gain(together))
+    return score(unknowns, total, criterion)
+
+
+def choose(
+    unknowns: Unknowns,
+    pairs: PairInformation,
+    rules: Rules,
+    n: int,
+    criterion: Criterion = "determinant",
+    held: tuple[int, ...] = (),
+    *,
+    rng: np.random.Generator,
+    starts: int = 4,
+) -> tuple[int, ...]:
+    """Return the pairs to measure, those that tell most first.
+
+    Greedily one after the other; then each is exchanged for the best other one, as long as that
+    helps [1]_. Pairs that share a gain help each other, which neither step looks ahead for: so
+    random designs are bettered by exchanges as well, and the best of all is taken. At last its
+    pairs are put in order, greedily again.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+    pairs : PairInformation
+    rules : Rules
+    n : int
+        How many, 1 or more.
+    criterion : {"determinant", "mean", "worst"}
+        See `score`.
+    held : tuple of int
+        Pairs that have been measured.
+    rng : numpy.random.Generator
+        Draws the random designs.
+    starts : int
+        How many of them.
+
+    Raises
+    ------
+    InputError
+        The rules do not allow so many.
+
+    References
+    ----------
+    .. [1] V. V. Fedorov, Theory of Optimal Experiments, Academic Press, 1972; one exchange at a
+           time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
+           exact D-optimal designs", Technometrics 22, 315-324 (1980).
+    """
+    first = _greedy(unknowns, pairs, rules, n, criterion, held)
+    others = [random_design(rules, n, rng, held) for _ in range(starts if n > 1 else 0)]
+    found = [
+        _exchanged(unknowns, pairs, rules, start, criterion, held)
+        for start in (first, *(list(o) for o in others if len(o) == n))
+    ]
+    _, best = min(found, key=lambda one: one[0])
+    return _in_order(unknowns, pairs, best, criterion, held)
+
+
+def _greedy(
+    unknowns: Unknowns,
+    pairs: PairInformation,
+    rules: Rules,
+    n: int,
+    criterion: Criterion,
+    held: tuple[int, ...],
+) -> list[int]:
+    chosen: list[int] = []
+    for number in range(n):
+        mask = allowed(rules, chosen, held)
+        if not mask.any():
+            raise InputError(
+                "the rules leave no place for another measurement",
+                found=f"{number} of {n}",
+                hint="choose fewer, give more candidates, or lower the least distances in [design]",
+            )
+        chosen.append(_best(unknowns, pairs, [*held, *chosen], mask, criterion)[1])
+    return chosen
+
+
+def _best(
+    unknowns: Unknowns,
+    pairs: PairInformation,
+    chosen: list[int],
+    mask: BoolArray,
+    criterion: Criterion,
+) -> tuple[float, int]:
+    """Return the lowest score that an addition reaches, and which."""
+    scores = np.where(mask, scores_of_additions(unknowns, pairs, chosen, criterion), np.inf)
+    at = int(np.argmin(scores))
+    return float(scores[at]), at
+
+
+def _exchanged(
+    unknowns: Unknowns,
+    pairs: PairInformation,
+    rules: Rules,
+    chosen: list[int],
+    criterion: Criterion,
+    held: tuple[int, ...],
+) -> tuple[float, list[int]]:
+    """Return score and design after single exchanges, the best first, until none helps."""
+    start = information_of(unknowns, pairs, [*held, *chosen])
+    now = float(score(unknowns, start, criterion))
+    for _ in range(_MOST_EXCHANGES):
+        found = []
+        for i in range(len(chosen)):
+            rest = chosen[:i] + chosen[i + 1 :]
+            mask = allowed(rules, rest, held)
+            found.append((*_best(unknowns, pairs, [*held, *rest], mask, criterion), i))
+        best, at, place = min(found)
+        if best > now - _LEAST_GAIN:
+            break
+        chosen, now = [*chosen[:place], at, *chosen[place + 1 :]], best
+    return now, chosen
+
+
+def _in_order(
+    unknowns: Unknowns,
+    pairs: PairInformation,
+    chosen: list[int],
+    criterion: Criterion,
+    held: tuple[int, ...],
+) -> tuple[int, ...]:
+    """Return the chosen pairs, at every place the one that helps most."""
+    order: list[int] = []
+    while len(order) < len(chosen):
+        mask = np.zeros(len(pairs.gain), dtype=np.bool_)
+        mask[[c for c in chosen if c not in order]] = True
+        order.append(_best(unknowns, pairs, [*held, *order], mask, criterion)[1])
+    return tuple(order)
+
+
+def random_design(
+    rules: Rules, n: int, rng: np.random.Generator, held: tuple[int, ...] = ()
+) -> tuple[int, ...]:
+    """Return pairs drawn one after the other, each evenly from those that the rules still allow.
+
+    Fewer than n where the rules leave no further place.
+    """
+    chosen: list[int] = []
+    for _ in range(n):
+        open_ = np.flatnonzero(allowed(rules, chosen, held))
+        if not open_.size:
+            break
+        chosen.append(int(rng.choice(open_)))
+    return tuple(chosen)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """Where to measure.
+
+    Attributes
+    ----------
+    scene : Scene
+        Measured pairs, then candidates.
+    n_held : int
+        How many of its pairs have been measured and count as held.
+    chosen : int array, shape (n_chosen,)
+        Pairs to measure, those that tell most first.
+    bands : Bands
+    materials : tuple of str
+    to_find : bool array, shape (n_materials,)
+        False where the absorption is known.
+    widths : float array, shape (n_chosen + 1, n_materials, n_bands)
+        Expected width of the 95 % interval of every absorption before, and after each of the
+        chosen pairs; 0 where it is known. The mean over draws of the absorption.
+    random_means : float array, shape (n_random, n_chosen + 1)
+        Mean width of random designs under the same rules; NaN where one ended early.
+    criterion : {"determinant", "mean", "worst"}
+    model : {"energy", "coherent"}
+        What the fit is expected to compare.
+    absorption : float array, shape (n_materials, n_bands)
+        Middle of what is known beforehand.
+    n_draws : int
+    after_fit : bool
+        Whether the widths before are those of a finished fit.
+    source_distance_m, receiver_distance_m, wall_distance_m : float
+        The rules that were obeyed.
+    findings : tuple of Finding
+    seed : int
+    seconds : float
+    """
+
+    scene: Scene
+    n_held: int
+    chosen: IntArray
+    bands: Bands
+    materials: tuple[str, ...]
+    to_find: BoolArray
+    widths: FloatArray
+    random_means: FloatArray
+    criterion: Criterion
+    model: Literal["energy", "coherent"]
+    absorption: FloatArray
+    n_draws: int
+    after_fit: bool
+    source_distance_m: float
+    receiver_distance_m: float
+    wall_distance_m: float
+    findings: tuple[Finding, ...]
+    seed: int
+    seconds: float
+
+
+def mean_widths(design: Design) -> FloatArray:
+    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
+    return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
+
+
+def widest(design: Design, step: int = 0) -> tuple[int, int]:
+    """Return material and band of the widest interval after so many of the chosen pairs."""
+    widths = design.widths[step]
+    material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
+    return int(material), int(band)

@@ -1,0 +1,628 @@
+"""What each pair would tell of the absorption if it were measured: by the fit's own noise model.
+
+The windows that a measurement would be compared in, and its noise, before it is made.
+
+What one pair tells of the absorption when arrival times are unknown as well.
+
+Information matrices of one band stand for absorptions and gain first, then for the geometry: what
+sets arrival times, in multiples of its standard deviations beforehand, so that its prior is the
+unit matrix. All bands of a pair share the geometry.
+
+What single measurements would tell of the absorption, and what several tell together.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit._checks import float_array, int_array, read_only
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.inversion.sequential import FIT_END_S
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.measurement import LATENCY_SD_S
+from roomfit.objective.coherent import (
+    DELAY_SD_S,
+    SPEED_SD,
+    CoherentProblem,
+    coherent_problem,
+    with_coherence,
+)
+from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.observation import absorption_block
+from roomfit.objective.parameters import Block, Geometry, Parameters, start_vector, whole_covariance
+from roomfit.objective.windows import window_edges_s
+from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
+from roomfit.response.energy import EnergyRows, first_rows, weigh
+from roomfit.scene import Scene, distances_m
+from roomfit.signals.filters import (
+    FilterBank,
+    SmearingKernel,
+    share_matrix,
+    share_reach_s,
+    share_slopes_per_s,
+    smearing_kernel,
+    statistical_bandwidth_hz,
+)
+from roomfit.tracing.paths import Paths, select
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
+
+# As in a fit: a window is used down to where the decay stands 4 dB above the noise.
+_CLEAR_OF_NOISE = 2.5
+# The time constant of the late decay is read from 5 dB below the whole energy on.
+_FROM_DB = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BandFilter:
+    """One band's filter with all that is made of it once.
+
+    Attributes
+    ----------
+    band : int
+    centre_hz, bandwidth_hz : float
+    bank : FilterBank
+        Of this band alone.
+    kernel : SmearingKernel
+        Of all bands.
+    attenuation_per_m : float
+    """
+
+    band: int
+    centre_hz: float
+    bandwidth_hz: float
+    bank: FilterBank
+    kernel: SmearingKernel
+    attenuation_per_m: float
+
+
+def band_filters(bands: Bands, attenuation_per_m: FloatArray) -> tuple[BandFilter, ...]:
+    """Return the filter of every band."""
+    kernel = smearing_kernel(FilterBank(bands))
+    found = []
+    for band, centre_hz in enumerate(bands.centres_hz):
+        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        width = float(statistical_bandwidth_hz(bank)[0])
+        attenuation = float(attenuation_per_m[band])
+        found.append(BandFilter(band, float(centre_hz), width, bank, kernel, attenuation))
+    return tuple(found)
+
+
+def expected_problem(
+    own: BandFilter,
+    coarse: BinnedPaths,
+    direct_s: float,
+    absorption: Block,
+    decay_range_db: float,
+    timing_sd_s: float,
+    *,
+    periods: float,
+) -> EnergyProblem:
+    """Return the energy problem of one pair that has not been measured yet.
+
+    Its noise stands where the expected decay, at the absorption the block starts with, has fallen
+    by `decay_range_db`. The "measured" energy is that noise: only how far predictions may scatter
+    is asked of the problem, not how well they fit.
+
+    Parameters
+    ----------
+    coarse : BinnedPaths
+        Of this pair alone, in the bins of this band.
+    direct_s : float
+        Travel time of the direct sound.
+    absorption : Block
+    decay_range_db : float
+    timing_sd_s : float
+        Of arrival times, from the positions.
+    periods : float
+        How short the windows may be, see `window_edges_s`.
+    """
+    rows = coarse.rows[0]
+    usable_s, noise_per_s = expected_noise(own, coarse.edges_s, rows, absorption, decay_range_db)
+    edges = window_edges_s(direct_s, usable_s, own.bandwidth_hz, periods=periods)
+    fine = fine_edges_s(edges, own.bandwidth_hz)
+    centres = 0.5 * (coarse.edges_s[1:] + coarse.edges_s[:-1])
+    reach_s = share_reach_s(own.kernel, own.band)
+    heard = centres[: int(np.searchsorted(centres, edges[-1] + reach_s))]
+    noise = noise_per_s * np.diff(edges)
+    seen = Observation(
+        0,
+        edges,
+        noise,
+        noise,
+        share_matrix(own.kernel, own.band, heard, edges),
+        fine,
+        share_matrix(own.kernel, own.band, heard, fine),
+        share_slopes_per_s(own.kernel, own.band, heard, edges),
+        timing_sd_s,
+        0,
+    )
+    rows = first_rows(rows, heard.size)
+    return in_air(
+        EnergyProblem(
+            own.centre_hz,
+            own.bandwidth_hz,
+            own.attenuation_per_m,
+            (rows,),
+            (lone_rows(rows),),
+            (seen,),
+            Parameters((absorption, _unit_gain())),
+        )
+    )
+
+
+def expected_noise(
+    own: BandFilter,
+    edges_s: FloatArray,
+    rows: EnergyRows,
+    absorption: Block,
+    decay_range_db: float,
+) -> tuple[float, float]:
+    """Return where the usable decay would end in s, and the energy of the noise per second.
+
+    The decay is that of Schroeder's backward integral; the noise has the power that the decay has
+    left after `decay_range_db`.
+    """
+    attenuation = np.array([own.attenuation_per_m])
+    energy = weigh(rows, absorption.start[:, None], attenuation, derivative=False).energy[0]
+    left = np.cumsum(energy[::-1])[::-1]
+    levels_db = -10.0 * np.log10(np.maximum(left / left[0], 1e-30))
+    late = int(np.searchsorted(levels_db, decay_range_db))
+    late = min(late, edges_s.size - 2)
+    early = min(int(np.searchsorted(levels_db, _FROM_DB)), late - 1)
+    fallen = (levels_db[late] - levels_db[early]) * np.log(10.0) / 10.0
+    constant_s = float(edges_s[late] - edges_s[early]) / max(float(fallen), 1e-6)
+    end_s = float(edges_s[late]) - np.log(_CLEAR_OF_NOISE) * constant_s
+    return end_s, float(left[0] * 10.0 ** (-0.1 * decay_range_db) / constant_s)
+
+
+def _unit_gain() -> Block:
+    """Return an unknown level of which nothing is known."""
+    one = np.ones(1)
+    return Block(
+        "gain",
+        ("level",),
+        "log",
+        one,
+        np.ones(1, dtype=np.bool_),
+        0.0 * one,
+        np.full(1, np.inf),
+        0.0 * one,
+        one,
+    )
+
+
+# Information about an absorption that keeps an inverse alive where a band hears nothing of it.
+_LEAST = 1e-6
+
+
+def about_geometry(information: FloatArray, first: int) -> FloatArray:
+    """Return what one band tells of the geometry when its own absorptions and gain are unknown."""
+    own = information[:first, :first] + _LEAST * np.eye(first)
+    cross = information[:first, first:]
+    return np.asarray(information[first:, first:] - cross.T @ np.linalg.solve(own, cross))
+
+
+def by_all_pairs(told: FloatArray, shared: BoolArray, n_others: int) -> FloatArray:
+    """Return what a pair tells of the geometry, and n others as much of the part that all share."""
+    own = ~shared
+    cross = told[np.ix_(shared, own)]
+    places = told[np.ix_(own, own)] + np.eye(int(own.sum()))
+    out = told.copy()
+    out[np.ix_(shared, shared)] += n_others * (
+        told[np.ix_(shared, shared)] - cross @ np.linalg.solve(places, cross.T)
+    )
+    return np.asarray(out)
+
+
+def without_geometry(
+    found: list[FloatArray], first: int, shared: BoolArray, n_others: int
+) -> FloatArray:
+    """Integrate the geometry out of every band's information, under what all bands tell of it.
+
+    Parameters
+    ----------
+    found : list of float arrays, shape (first + n_geometry, first + n_geometry)
+    first : int
+    shared : bool array, shape (n_geometry,)
+        What all pairs have in common.
+    n_others : int
+        Other pairs that tell as much of the shared part.
+    """
+    told = [about_geometry(information, first) for information in found]
+    n = told[0].shape[0]
+    whole = by_all_pairs(sum(told, np.zeros((n, n))), shared, n_others)
+    out = []
+    for information, own in zip(found, told, strict=True):
+        known = np.eye(n) + whole - own + information[first:, first:]
+        cross = information[:first, first:]
+        taken = cross @ np.linalg.solve(known, cross.T)
+        out.append(information[:first, :first] - 0.5 * (taken + taken.T))
+    return np.stack(out)
+
+
+# Windows as short as the fit's: of energies, and of pressures.
+_ENERGY_PERIODS, _PRESSURE_PERIODS = 1.5, 0.75
+# What a fit of pressures assumes first of the model's errors: see `roomfit.inversion.sequential`.
+_PRESSURE_MODEL_ERROR, _PRESSURE_RINGING_ERROR = 0.1, 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DesignTrace:
+    """Paths of candidates.
+
+    Attributes
+    ----------
+    paths : Paths
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
+    duration_s : float
+        How long sound was followed.
+    """
+
+    paths: Paths
+    factors: FloatArray | None
+    duration_s: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Foreseen:
+    """How the measurements to be planned will be made and fitted.
+
+    Attributes
+    ----------
+    bands : Bands
+    knowledge : tuple of MaterialKnowledge
+    coherent : bool
+        Whether pressures of image sources will be added, or energies only.
+    n_pairs : int
+        How many pairs will have been measured in the end.
+    decay_range_db : float
+        How far a decay will be heard above the noise.
+    position_sd_m : float
+        Of every coordinate of source and receiver.
+    level_known : bool
+        Whether levels will be absolute.
+    wall_delays, positions_free : bool
+        Whether the fit lets walls delay, and places move.
+    speed_sd : float
+        Relative standard deviation of the speed of sound.
+    """
+
+    bands: Bands
+    knowledge: tuple[MaterialKnowledge, ...]
+    coherent: bool
+    n_pairs: int
+    decay_range_db: float
+    position_sd_m: float
+    wall_delays: bool = True
+    positions_free: bool = True
+    speed_sd: float = SPEED_SD
+
+
+def information_of_pairs(
+    scene: Scene,
+    traced: DesignTrace,
+    foreseen: Foreseen,
+    typical: FloatArray,
+    draws: FloatArray,
+    progress: Progress | None = None,
+) -> FloatArray:
+    """Return the information of every pair, (n_pairs, n_draws, n_bands, n + 1, n + 1).
+
+    About the n unknown absorptions (as free numbers) and the log of the pair's gain.
+
+    Parameters
+    ----------
+    scene : Scene
+    traced : DesignTrace
+        Paths of all pairs.
+    foreseen : Foreseen
+    typical : float array, shape (n_materials, n_bands)
+        Absorption by which windows and noise are laid out.
+    draws : float array, shape (n_draws, n_materials, n_bands)
+        Absorptions at which to ask.
+    """
+    filters = band_filters(foreseen.bands, attenuation_per_m(scene.air, foreseen.bands))
+    order = np.argsort(traced.paths.pair, kind="stable")
+    ends = np.searchsorted(traced.paths.pair[order], np.arange(len(scene.pairs) + 1))
+    found = []
+    for pair in range(len(scene.pairs)):
+        own = order[ends[pair] : ends[pair + 1]]
+        paths = select(traced.paths, own)
+        paths = replace(paths, n_pairs=1, pair=np.zeros_like(paths.pair))
+        factors = None if traced.factors is None else traced.factors[:, own]
+        alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
+        problems = _problems(
+            alone, DesignTrace(paths, factors, traced.duration_s), filters, foreseen, typical
+        )
+        times = _settled_times(problems, foreseen, typical)
+        settled = [_coherent(problem, times) for problem in problems]
+        found.append(np.stack([_at_draw(settled, foreseen, draw, times) for draw in draws]))
+        if progress is not None:
+            progress((pair + 1) / len(scene.pairs))
+    return np.stack(found)
+
+
+def _problems(
+    alone: Scene,
+    traced: DesignTrace,
+    filters: tuple[BandFilter, ...],
+    foreseen: Foreseen,
+    typical: FloatArray,
+) -> list[EnergyProblem | CoherentProblem]:
+    """Return the problem of every band for the only pair of a scene."""
+    c = speed_of_sound_m_s(alone.air)
+    direct_s = float(distances_m(alone)[0] / c)
+    timing_sd_s = float(np.sqrt(2.0) * foreseen.position_sd_m / c)
+    binned = bin_paths(alone, foreseen.bands, traced.paths, traced.duration_s, traced.factors)
+    image = np.flatnonzero(traced.paths.batch < 0)
+    images = select(traced.paths, image)
+    weights = None if traced.factors is None else traced.factors[:, image]
+    problems: list[EnergyProblem | CoherentProblem] = []
+    for f in filters:
+        energies = expected_problem(
+            *(f, in_band(binned, f.centre_hz), direct_s),
+            *(_absorption(foreseen, f.band, typical[:, f.band]), foreseen.decay_range_db),
+            timing_sd_s,
+            periods=_PRESSURE_PERIODS if foreseen.coherent else _ENERGY_PERIODS,
+        )
+        if not foreseen.coherent:
+            problems.append(energies)
+            continue
+        energies = replace(
+            energies, model_error=_PRESSURE_MODEL_ERROR, ringing_error=_PRESSURE_RINGING_ERROR
+        )
+        problems.append(
+            coherent_problem(
+                *(foreseen.bands, f.band, energies, f.attenuation_per_m),
+                *(paths_at(images, weights, f.band), binned, _pair_geometry(foreseen, c)),
+                *(None, FIT_END_S),
+            )
+        )
+    return problems
+
+
+def _at_draw(
+    problems: list[EnergyProblem | CoherentProblem],
+    foreseen: Foreseen,
+    absorption: FloatArray,
+    covariance: FloatArray | None,
+) -> FloatArray:
+    """Return the information of one pair at one absorption, shape (n_bands, n + 1, n + 1).
+
+    Arrival times are integrated out of each band under what all other bands, and the other pairs,
+    tell of them.
+
+    Parameters
+    ----------
+    problems : list of problems, one a band
+        As coherent as arrival times will be known.
+    covariance : float array, or None
+        Of the fitted arrival times, from `_settled_times`.
+    """
+    found = [_fisher(p, absorption[:, band]) for band, p in enumerate(problems)]
+    if covariance is None:
+        return np.stack(found)
+    first = found[0].shape[0] - len(covariance)
+    return without_geometry(found, first, _shared(foreseen), foreseen.n_pairs - 1)
+
+
+def _settled_times(
+    problems: list[EnergyProblem | CoherentProblem], foreseen: Foreseen, absorption: FloatArray
+) -> FloatArray | None:
+    """Return how uncertain arrival times are in the end: the covariance of their free numbers.
+
+    Bands go from low to high, as in a fit: each is as coherent as the lower ones leave arrival
+    times known. Of the speed of sound and of the walls' delays the other pairs tell as much as
+    this one. None where energies are compared.
+    """
+    if isinstance(problems[0], EnergyProblem):
+        return None
+    first = len(start_vector(Parameters(problems[0].parameters.blocks[:2])))
+    covariance: FloatArray | None = None
+    for band, problem in enumerate(problems):
+        information = _fisher(_coherent(problem, covariance), absorption[:, band])
+        told = by_all_pairs(
+            about_geometry(information, first), _shared(foreseen), foreseen.n_pairs - 1
+        )
+        known = np.eye(len(told)) if covariance is None else np.linalg.inv(covariance)
+        inverse = np.linalg.inv(known + told)
+        covariance = np.asarray(0.5 * (inverse + inverse.T))
+    return covariance
+
+
+def _coherent(
+    problem: EnergyProblem | CoherentProblem, covariance: FloatArray | None
+) -> EnergyProblem | CoherentProblem:
+    """Return a band's problem as coherent as a covariance of arrival times allows."""
+    if isinstance(problem, EnergyProblem):
+        return problem
+    return with_coherence(problem, whole_covariance(problem.geometry, covariance))
+
+
+def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) -> FloatArray:
+    """Return the Fisher information of a band's data about its free numbers, without priors.
+
+    At an absorption, shape (n_materials,), and at a gain of 1.
+    """
+    own, *others = problem.parameters.blocks
+    problem = replace(problem, parameters=Parameters((replace(own, start=absorption), *others)))
+    vector = start_vector(problem.parameters)
+    jacobian = problem.predict(vector).jacobian
+    spread = problem.counted_as_one() * problem.variance(vector)
+    return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
+
+
+def _absorption(foreseen: Foreseen, band: int, absorption: FloatArray) -> Block:
+    return replace(absorption_block(foreseen.knowledge, band, 0.2), start=absorption)
+
+
+def _pair_geometry(foreseen: Foreseen, speed_m_s: float) -> Geometry:
+    """Return the unknowns of one pair's arrival times, each pair's its own."""
+    names = tuple(f"delay {k.name}" for k in foreseen.knowledge)
+    told = [k.wall_delay_sd_s for k in foreseen.knowledge]
+    delays = [DELAY_SD_S if sd is None else sd for sd in told]
+    n = len(names)
+    sd = [*(6 * [foreseen.position_sd_m]), foreseen.speed_sd, LATENCY_SD_S["emission"]]
+    return Geometry(
+        (*(f"{p} {x}" for p in ("source", "receiver") for x in "xyz"), "speed", "latency", *names),
+        np.array([*sd, *(delays if foreseen.wall_delays else n * [0.0])]),
+        np.array(8 * [foreseen.positions_free] + n * [foreseen.wall_delays]),
+        speed_m_s,
+        np.arange(8 + n)[None, :],
+    )
+
+
+def _shared(foreseen: Foreseen) -> BoolArray:
+    """Return which fitted entries of `_pair_geometry` all pairs have in common."""
+    geometry = _pair_geometry(foreseen, 1.0)
+    common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
+    return np.asarray(common[geometry.fitted & (geometry.sd > 0.0)])
+
+
+_Z95 = 1.959963984540054  # standard normal, 97.5 %
+# Of a gain: next to nothing, so that a pair that nobody hears does not divide by zero.
+_LEAST_GAIN_INFORMATION = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """The absorptions that are to be found, and what is known of them before the choice.
+
+    Everything is told for several draws of the absorption, since what a measurement tells depends
+    on the absorption that is not known yet.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    number : int array, shape (n_materials,)
+        Which of the n unknowns is each material's absorption; -1 where it is known. Materials that
+        share an absorption share a number.
+    logit : float array, shape (n_draws, n_bands, n)
+        Each unknown as ``log(s / (1 - s))`` with its share s of the way from lower to upper bound.
+    information : float array, shape (n_draws, n_bands, n, n)
+        Held already, of these free numbers: positive definite.
+    lower, upper : float arrays, shape (n,)
+        Bounds of each absorption.
+    """
+
+    materials: tuple[str, ...]
+    number: IntArray
+    logit: FloatArray
+    information: FloatArray
+    lower: FloatArray
+    upper: FloatArray
+
+    def __post_init__(self) -> None:
+        n = len(np.unique(np.asarray(self.number)[np.asarray(self.number) >= 0]))
+        if n == 0:
+            raise InputError(
+                "no absorption is left to be found",
+                found="every material's absorption is given",
+                hint="remove absorption = [...] where it is not sure",
+            )
+        number = int_array("unknown", self.number, (len(self.materials),), low=-1, high=n - 1)
+        logit = float_array("logit absorption", self.logit, (None, None, n))
+        shape = (*logit.shape, n)
+        information = float_array("information", self.information, shape)
+        object.__setattr__(self, "number", number)
+        object.__setattr__(self, "logit", logit)
+        object.__setattr__(self, "information", information)
+        for name in ("lower", "upper"):
+            bound = float_array(name, getattr(self, name), (n,), low=0.0, high=1.0)
+            object.__setattr__(self, name, bound)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairInformation:
+    """What a measurement of each pair of source and receiver would tell, by itself.
+
+    Attributes
+    ----------
+    matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
+        Fisher information about the n unknowns and, last, the log of the gain. Whatever else is
+        unknown of a pair has been eliminated.
+    gain : int array, shape (n_pairs,)
+        Pairs of one number share one unknown gain in each band; -1 where the level is known.
+    """
+
+    matrices: FloatArray
+    gain: IntArray
+
+    def __post_init__(self) -> None:
+        matrices = np.array(self.matrices, dtype=np.float64)
+        if matrices.ndim != 5 or matrices.shape[-1] != matrices.shape[-2]:
+            raise InputError(
+                "the information of pairs has the wrong shape",
+                found=f"{matrices.shape}",
+                needed="(n_pairs, n_draws, n_bands, n + 1, n + 1)",
+            )
+        object.__setattr__(self, "matrices", read_only(matrices))
+        gain = int_array("gain", self.gain, (len(matrices),), low=-1)
+        object.__setattr__(self, "gain", gain)
+
+
+def without_gain(matrices: FloatArray) -> FloatArray:
+    """Return the information about the absorptions when the gain is found along with them.
+
+    The Schur complement of the last row and column, shape (..., n, n) of (..., n + 1, n + 1).
+    """
+    cross = matrices[..., :-1, -1]
+    own = matrices[..., -1, -1] + _LEAST_GAIN_INFORMATION
+    taken = cross[..., :, None] * cross[..., None, :] / own[..., None, None]
+    return np.asarray(matrices[..., :-1, :-1] - taken)
+
+
+def information_of(
+    unknowns: Unknowns, pairs: PairInformation, chosen: list[int] | IntArray
+) -> FloatArray:
+    """Return the information after some pairs are measured, (n_draws, n_bands, n, n).
+
+    Pairs that share a gain tell more together than the sum of what each tells alone. More pairs
+    never tell less.
+
+    Parameters
+    ----------
+    unknowns : Unknowns
+    pairs : PairInformation
+    chosen : list of int
+        Indices of the pairs that are measured.
+    """
+    total = unknowns.information.copy()
+    picked = np.asarray(chosen, dtype=np.int64)
+    gains = pairs.gain[picked]
+    for gain in np.unique(gains):
+        own = pairs.matrices[picked[gains == gain]].sum(axis=0)
+        total += own[..., :-1, :-1] if gain < 0 else without_gain(own)
+    return np.asarray(total)
+
+
+def interval_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
+    """Return the expected width of each unknown's 95 % interval, shape (..., n_bands, n).
+
+    The mean over the draws. An interval is symmetric in logit, as a fit's is.
+
+    Parameters
+    ----------
+    information : float array, shape (..., n_draws, n_bands, n, n)
+    """
+    covariance = np.linalg.inv(information)
+    reach = _Z95 * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    ends = [1.0 / (1.0 + np.exp(-unknowns.logit - sign * reach)) for sign in (1.0, -1.0)]
+    width = (unknowns.upper - unknowns.lower) * (ends[0] - ends[1])
+    return np.asarray(width.mean(axis=-3))
+
+
+def material_widths(unknowns: Unknowns, widths: FloatArray) -> FloatArray:
+    """Return the widths of every material, known ones 0, shape (n_materials, n_bands).
+
+    Parameters
+    ----------
+    widths : float array, shape (n_bands, n)
+    """
+    padded = np.concatenate((widths, np.zeros((len(widths), 1))), axis=1)
+    return np.asarray(padded[:, unknowns.number].T)

@@ -1,0 +1,307 @@
+"""design.json and design.csv, format_version 1.
+
+A design in pictures: where to measure, and what it is worth beside chance.
+
+A design in words and tables, for a terminal.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection
+from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
+from matplotlib.ticker import MaxNLocator
+
+from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.experiment_design.choose import Design, mean_widths, widest
+from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.report.figures import OKABE_ITO, new_figure
+from roomfit.report.html.figures import outline_m
+from roomfit.report.text import findings_text
+from roomfit.typing import FloatArray
+
+_COLUMNS = (
+    *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
+    *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
+    *("distance_m", "mean_width95"),
+)
+
+
+def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:
+    """Write ``design.json`` and ``design.csv`` into a folder.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    write_text_atomically(folder / "design.csv", design_csv(design))
+    write_json_atomically(folder / "design.json", design_content(design, inputs))
+
+
+def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return what design.json holds: lists over bands are as long as bands_hz."""
+    means = mean_widths(design)
+    return {
+        "format": "roomfit-design",
+        "format_version": 1,
+        "bands_hz": numbers(design.bands.centres_hz),
+        "chosen": [
+            {
+                "source": source,
+                "source_m": numbers(source_m),
+                "receiver": receiver,
+                "receiver_m": numbers(receiver_m),
+                "mean_width95": float(means[i + 1]),
+                "width95": _by_material(design, design.widths[i + 1]),
+            }
+            for i, (source, source_m, receiver, receiver_m) in enumerate(_places(design))
+        ],
+        "before": {
+            "mean_width95": float(means[0]),
+            "width95": _by_material(design, design.widths[0]),
+            "after_fit": design.after_fit,
+            "measured_pairs": design.n_held,
+        },
+        "widest": _widest(design),
+        "random": _random(design),
+        "candidates": len(design.scene.pairs) - design.n_held,
+        "assumed": {
+            "model": design.model,
+            "criterion": design.criterion,
+            "draws": design.n_draws,
+            "absorption": _by_material(design, design.absorption),
+            "source_distance_m": design.source_distance_m,
+            "receiver_distance_m": design.receiver_distance_m,
+            "wall_distance_m": design.wall_distance_m,
+        },
+        "findings": [finding_content(f) for f in design.findings],
+        "design": {"seed": design.seed, "seconds": round(design.seconds, 3)},
+        "provenance": {
+            "roomfit": version("roomfit"),
+            "inputs_sha256": input_digests(tuple(inputs)),
+        },
+    }
+
+
+def design_csv(design: Design) -> str:
+    """Return one row a chosen pair: its places, and the mean width of the intervals after it."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    after = mean_widths(design)[1:]
+    for i, (source, source_m, receiver, receiver_m) in enumerate(_places(design)):
+        at = [[f"{x:.3f}" for x in place] for place in (source_m, receiver_m)]
+        distance = float(np.linalg.norm(source_m - receiver_m))
+        row = [i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"]
+        writer.writerow(row)
+    return stream.getvalue()
+
+
+def _places(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
+    found = []
+    for s, r in design.scene.pairs[design.chosen]:
+        source, receiver = design.scene.sources[s], design.scene.receivers[r]
+        found.append((source.name, source.position_m, receiver.name, receiver.position_m))
+    return found
+
+
+def _by_material(design: Design, table: FloatArray) -> dict[str, list[float]]:
+    return {name: numbers(row) for name, row in zip(design.materials, table, strict=True)}
+
+
+def _widest(design: Design) -> dict[str, Any]:
+    material, band = widest(design)
+    return {
+        "material": design.materials[material],
+        "band_hz": float(design.bands.centres_hz[band]),
+        "width95": numbers(design.widths[:, material, band]),
+    }
+
+
+def _random(design: Design) -> dict[str, Any]:
+    """Return how random designs do after 0 to n pairs: null where none went so far."""
+    means = design.random_means
+    reached = np.isfinite(means).any(axis=0)
+    out: dict[str, Any] = {"designs": len(means)}
+    for name, share in (("median", 0.5), ("lower5", 0.05), ("upper95", 0.95)):
+        row = np.full(means.shape[1], np.nan)
+        if len(means):
+            row[reached] = np.nanquantile(means[:, reached], share, axis=0)
+        out[f"mean_width95_{name}"] = numbers_or_null(row)
+    return out
+
+
+_BLUE, _ORANGE, _GREY = OKABE_ITO[0], OKABE_ITO[1], "0.62"
+_MOST_EDGES = 1500
+_WIDTH_IN = 8.6
+_AXES = ("x (m)", "y (m)", "z (m)")
+
+
+def design_map(design: Design) -> Figure:
+    """Return the room from above and from the side, with candidates and numbered pairs."""
+    edges = outline_m(design.scene.room, _MOST_EDGES)
+    size = np.ptp(design.scene.room.mesh.vertices_m, axis=0)
+    across = _WIDTH_IN - 1.1
+    tall = [min(across * max(size[i] / max(size[0], 1e-9), 0.18), 7.0) for i in (1, 2)]
+    figure = new_figure(_WIDTH_IN, sum(tall) + 2.1)
+    plan, side = figure.subplots(2, 1, sharex=True, height_ratios=tall)
+    for axes, up, title in ((plan, 1, "from above"), (side, 2, "from the side")):
+        _panel(axes, design, edges, up)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_ylabel(_AXES[up])
+    side.set_xlabel(_AXES[0])
+    handles, labels = plan.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, fontsize=9)
+    return figure
+
+
+def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
+    """Draw the room along x and one other axis."""
+    scene, at = design.scene, [0, up]
+    axes.add_collection(LineCollection(list(edges[:, :, at]), colors="black", linewidths=0.9))
+    sources, receivers = (
+        np.array([p.position_m for p in points])[:, at]
+        for points in (scene.sources, scene.receivers)
+    )
+    pairs = scene.pairs[design.chosen]
+    axes.plot(*receivers.T, ".", color=_GREY, ms=4, label="candidate receiver")
+    axes.plot(*sources.T, "^", color=_GREY, ms=6, mfc="none", label="candidate source")
+    held = scene.pairs[: design.n_held]
+    if len(held):
+        used = receivers[np.unique(held[:, 1])]
+        axes.plot(*used.T, "s", color="black", ms=6, mfc="none", label="measured already")
+    for s, r in pairs:
+        ends = np.array([sources[s], receivers[r]])
+        axes.plot(*ends.T, "-", color=_BLUE, lw=0.9, alpha=0.6)
+    axes.plot(*sources[np.unique(pairs[:, 0])].T, "^", color=_ORANGE, ms=10, label="source")
+    axes.plot(*receivers[pairs[:, 1]].T, "o", color=_BLUE, ms=12, label="receiver, in this order")
+    for place in np.unique(pairs[:, 1]):
+        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == place))
+        axes.annotate(
+            number, receivers[place], color="white", fontsize=8, ha="center", va="center_baseline",
+            fontweight="bold", zorder=5,
+        )  # fmt: skip
+    for s in np.unique(pairs[:, 0]):
+        axes.annotate(
+            scene.sources[s].name, sources[s], xytext=(7, 5), textcoords="offset points",
+            fontsize=8, color=_ORANGE, zorder=5,
+            path_effects=[withStroke(linewidth=2.0, foreground="white")],
+        )  # fmt: skip
+    axes.set_aspect("equal")
+    axes.margins(0.03)
+
+
+def design_gain(design: Design) -> Figure:
+    """Return the expected mean interval against the number of pairs, beside random designs."""
+    figure = new_figure(6.4, 4.0)
+    axes = figure.subplots()
+    steps = np.arange(len(design.chosen) + 1)
+    reached = np.isfinite(design.random_means).any(axis=0)
+    if len(design.random_means):
+        low, middle, high = np.nanquantile(
+            design.random_means[:, reached], (0.05, 0.5, 0.95), axis=0
+        )
+        axes.fill_between(
+            steps[reached], low, high, color=_GREY, alpha=0.35, lw=0.0,
+            label=f"{len(design.random_means)} random designs, 5 to 95 %",
+        )  # fmt: skip
+        axes.plot(steps[reached], middle, color="0.25", lw=1.4, ls="--", label="their median")
+    axes.plot(steps, mean_widths(design), "o-", color=_BLUE, lw=1.8, label="chosen")
+    axes.set_ylim(bottom=0.0)
+    axes.set_xlim(left=0.0)
+    axes.xaxis.set_major_locator(MaxNLocator(integer=True))
+    beside = " beside what is known" if design.after_fit or design.n_held else ""
+    axes.set_xlabel(f"measured pairs of source and receiver{beside}")
+    axes.set_ylabel("expected width of the 95 % interval,\nmean over materials and bands")
+    axes.grid(alpha=0.25)
+    axes.legend(frameon=False)
+    return figure
+
+
+_CRITERIA = {
+    "determinant": "all intervals together (D-optimal)",
+    "mean": "the mean interval",
+    "worst": "the widest interval",
+}
+_MODELS = {
+    "coherent": "pressures of image sources, added as far as arrival times are known",
+    "energy": "energies of reflections",
+}
+
+
+def design_text(design: Design) -> str:
+    """Return the chosen pairs, the expected intervals of every material, and all findings."""
+    lines = [_opening(design), "", *_table(design), "", *_comparison(design), ""]
+    lines += [*_materials(design)]
+    found = findings_text(design.findings)
+    return "\n".join([*lines, *(["", found] if found else [])])
+
+
+def _opening(design: Design) -> str:
+    n = len(design.scene.pairs) - design.n_held
+    before = "a finished fit" if design.after_fit else f"{design.n_held} measured pairs"
+    known = f", after {before}" if design.after_fit or design.n_held else ""
+    return (
+        f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known};\n"
+        f"by {_MODELS[design.model]}.\n"
+        f"Receivers at least {design.source_distance_m:.2f} m from their source and "
+        f"{design.receiver_distance_m:g} m from each other."
+    )
+
+
+def _table(design: Design) -> list[str]:
+    means = mean_widths(design)
+    lines = ["      source   x, y, z in m           receiver   x, y, z in m       mean interval"]
+    lines += [f"   0  {'before':<52} {means[0]:>15.3f}"]
+    for i, (s, r) in enumerate(design.scene.pairs[design.chosen]):
+        source, receiver = design.scene.sources[s], design.scene.receivers[r]
+        at = ["  ".join(f"{x:5.2f}" for x in p.position_m) for p in (source, receiver)]
+        lines.append(
+            f"  {i + 1:>2}  {source.name:<8} {at[0]:<22} {receiver.name:<10} {at[1]:<20}"
+            f"{means[i + 1]:>7.3f}"
+        )
+    return lines
+
+
+def _comparison(design: Design) -> list[str]:
+    last = design.random_means[:, -1]
+    last = last[np.isfinite(last)]
+    lines = []
+    if last.size:
+        low, middle, high = np.quantile(last, (0.05, 0.5, 0.95))
+        mean = float(mean_widths(design)[-1])
+        lines.append(
+            f"{last.size} random designs under the same rules: {middle:.3f} (median; 5 to 95 %: "
+            f"{low:.3f} to {high:.3f}), {middle / mean:.2f} times as wide."
+        )
+    material, band = widest(design)
+    before, after = design.widths[[0, -1], material, band]
+    lines.append(
+        f"Widest interval before: {design.materials[material]} at "
+        f"{design.bands.centres_hz[band]:g} Hz, {before:.3f}; expected afterwards {after:.3f}."
+    )
+    return lines
+
+
+def _materials(design: Design) -> list[str]:
+    width = max(8, *(len(name) for name in design.materials))
+    heads = "".join(f"{f:>9g}" for f in design.bands.centres_hz)
+    lines = [f"expected width of the 95 % interval\n{'Hz':>{width}}{heads}"]
+    for i, name in enumerate(design.materials):
+        cells = (
+            "".join(f"{w:>9.3f}" for w in design.widths[-1, i])
+            if design.to_find[i]
+            else f"{'known':>9}"
+        )
+        lines.append(f"{name:>{width}}{cells}")
+    return lines

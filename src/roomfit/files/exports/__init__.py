@@ -1,1 +1,0 @@
-"""Absorption for other programs: what a fit found, in the words of each."""

@@ -1,1 +1,0 @@
-"""Readers of rooms: tables of polygons, OBJ, AC3D, PLY, STL and GLB."""

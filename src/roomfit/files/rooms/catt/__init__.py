@@ -1,1 +1,0 @@
-"""Rooms of CATT-Acoustic: .geo files with their constants, expressions and includes."""

@@ -1,0 +1,285 @@
+"""What is wrong with a mesh, each fault with its place.
+
+How much sound a mesh loses through its gaps, measured with rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit._numba import kernel
+from roomfit.findings import Finding
+from roomfit.geometry.build import listed
+from roomfit.geometry.inside import (
+    along,
+    corner,
+    cross,
+    dot,
+    flight_m,
+    interior_points,
+    minus,
+    nearest_triangles,
+    row,
+)
+from roomfit.geometry.mesh import (
+    Edges,
+    Mesh,
+    corners_m,
+    edges_of,
+    fault,
+    mean_free_path_m,
+    place,
+    surface_area_m2,
+    triangle_areas_m2,
+    unmatched,
+    volume_m3,
+)
+from roomfit.typing import FloatArray, IntArray
+
+# A start nearer to a wall than this counts as on it: faces may lie upon each other.
+_ON_WALL_M = 1e-9
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Leak:
+    """What became of test rays that were followed inside a room.
+
+    Attributes
+    ----------
+    n_hits, n_escapes : int
+        How often a wall was hit, and how many rays met none.
+    last_m : float array, shape (n_escapes, 3)
+        Where each lost ray started its last flight.
+    directions : float array, shape (n_escapes, 3)
+        In which direction.
+    """
+
+    n_hits: int
+    n_escapes: int
+    last_m: FloatArray
+    directions: FloatArray
+
+    @property
+    def fraction(self) -> float:
+        """Escapes per hit; 1 where nothing was hit."""
+        return min(1.0, self.n_escapes / self.n_hits) if self.n_hits else 1.0
+
+
+def find_leaks(
+    mesh: Mesh, points_m: FloatArray, n_rays: int, seed: int, n_bounces: int = 50
+) -> Leak:
+    """Follow specular rays from points inside and record those that leave the room.
+
+    Parameters
+    ----------
+    points_m : float array, shape (n_points, 3)
+        Inside the room; the rays are dealt out to them in turn.
+    """
+    rng = np.random.default_rng(seed)
+    directions = rng.normal(size=(n_rays, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    starts = np.resize(np.asarray(points_m, dtype=np.float64), (n_rays, 3))
+    hits, escaped = _bounce(corners_m(mesh), starts, directions, n_bounces)
+    lost = escaped.astype(np.bool_)
+    return Leak(int(hits.sum()), int(lost.sum()), starts[lost], directions[lost])
+
+
+def leak_fraction(mesh: Mesh, points_m: FloatArray, n_rays: int, seed: int) -> float:
+    """Return how many rays leave the room for each time one hits a wall; see `find_leaks`."""
+    return find_leaks(mesh, points_m, n_rays, seed).fraction
+
+
+@kernel()
+def _bounce(
+    corners_m: FloatArray, starts_m: FloatArray, directions: FloatArray, n_bounces: int
+) -> tuple[IntArray, IntArray]:
+    """Move every ray on, in place, until it has bounced enough or met no wall."""
+    hits = np.zeros(len(starts_m), dtype=np.int64)
+    escaped = np.zeros(len(starts_m), dtype=np.int64)
+    for r in range(len(starts_m)):
+        last = -1
+        for _ in range(n_bounces):
+            nearest, hit = np.inf, -1
+            for i in range(len(corners_m)):
+                distance = flight_m(corners_m, i, row(starts_m, r), row(directions, r))
+                if _ON_WALL_M < distance < nearest and i != last:
+                    nearest, hit = distance, i
+            if hit < 0:
+                escaped[r] = 1
+                break
+            hits[r] += 1
+            last = hit
+            starts_m[r, :] = along(row(starts_m, r), row(directions, r), nearest)
+            _reflect(corners_m, hit, directions, r)
+    return hits, escaped
+
+
+@kernel()
+def _reflect(corners_m: FloatArray, i: int, directions: FloatArray, r: int) -> None:
+    """Mirror direction r at triangle i, in place."""
+    a = corner(corners_m, i, 0)
+    n = cross(minus(corner(corners_m, i, 1), a), minus(corner(corners_m, i, 2), a))
+    d = row(directions, r)
+    d = along(d, n, -2.0 * dot(d, n) / dot(n, n))
+    directions[r, :] = along((0.0, 0.0, 0.0), d, 1.0 / np.sqrt(dot(d, d)))
+
+
+LEAK_LIMIT = 1e-3
+"""Escapes per hit above which a mesh is no room; a decay to -60 dB takes about 100 hits."""
+
+SLIVER_M = 1e-4
+
+# Rays against all triangles: at most so many tests, at most and at least so many rays.
+_LEAK_TESTS = 2e8
+_LEAK_RAYS = (64, 2000)
+_LEAK_STARTS = (16, 100)
+_BOUNCES = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Examination:
+    """What a mesh is like.
+
+    Attributes
+    ----------
+    volume_m3, surface_m2, mean_free_path_m : float
+        Of the air; the volume is approximate where the mesh is not closed.
+    closed : bool
+        Every edge is matched by one that runs the other way.
+    leak : float or None
+        Escapes per hit of test rays; None where no point inside was found.
+    findings : tuple of Finding
+        Faults are serious ones.
+    """
+
+    volume_m3: float
+    surface_m2: float
+    mean_free_path_m: float
+    closed: bool
+    leak: float | None
+    findings: tuple[Finding, ...]
+
+
+def examine(mesh: Mesh, seed: int = 1) -> Examination:
+    """Examine an oriented mesh: closed, tight, of a room's size, without slivers.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        As `orientation.oriented` returns it.
+    seed : int
+        Of the test rays.
+    """
+    volume = volume_m3(mesh)
+    edges = edges_of(mesh)
+    open_edges = unmatched(edges)
+    leak, leak_findings = _leak(mesh, seed)
+    findings = [*leak_findings, *_slivers(mesh), *_size(volume)]
+    if len(open_edges):
+        findings.append(_not_closed(mesh, edges, open_edges, volume))
+    if not volume > 0.0:
+        findings.append(_no_volume(volume))
+    return Examination(
+        volume,
+        surface_area_m2(mesh),
+        mean_free_path_m(mesh),
+        not len(open_edges),
+        leak,
+        tuple(findings),
+    )
+
+
+def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
+    rng = np.random.default_rng(seed)
+    n_rays = int(np.clip(_LEAK_TESTS / (_BOUNCES * len(mesh.triangles)), *_LEAK_RAYS))
+    points = interior_points(mesh, int(np.clip(n_rays // 4, *_LEAK_STARTS)), rng)
+    if not len(points):
+        what = "no point inside the room was found"
+        needed = "faces that enclose a volume"
+        hint = "check that walls are not all marked as double sided, and that none is missing"
+        return None, [fault("no-inside", what, needed=needed, hint=hint)]
+    leak = find_leaks(mesh, points, n_rays, seed, _BOUNCES)
+    if not leak.n_escapes:
+        return 0.0, []
+    told = f"{leak.n_escapes} of {n_rays} rays lost in {leak.n_hits} hits"
+    evidence = {"escapes": leak.n_escapes, "hits": leak.n_hits, "limit": LEAK_LIMIT}
+    if leak.fraction <= LEAK_LIMIT:
+        text = (
+            f"The mesh leaks a little: {told} ({1e2 * leak.fraction:.3g} %; "
+            f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
+        )
+        return leak.fraction, [Finding("small-leak", "warning", text, evidence)]
+    serious = fault(
+        "leak",
+        "the mesh leaks",
+        where=_ways_out(mesh, leak),
+        found=f"{told} ({1e2 * leak.fraction:.3g} %)",
+        needed=f"at most {1e2 * LEAK_LIMIT:g} % of the hits",
+        hint="close the gap in the drawing program, or add the missing surface",
+        **evidence,
+    )
+    return leak.fraction, [serious]
+
+
+def _ways_out(mesh: Mesh, leak: Leak) -> str:
+    """Say from which walls the first lost rays took off, and whereto."""
+    last = leak.last_m[:3]
+    _, triangle = nearest_triangles(mesh, last)
+    texts = []
+    for start, direction, t in zip(last, leak.directions, triangle, strict=False):
+        name = mesh.surfaces[mesh.triangle_surface[t]].name
+        x, y, z = np.round(direction, 2) + 0.0
+        texts.append(f"{name!r} {place(start)} towards ({x:.2f}, {y:.2f}, {z:.2f})")
+    return "leaving from " + "; ".join(texts)
+
+
+def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -> Finding:
+    ends = mesh.vertices_m[edges.ends[open_edges]]
+    lengths = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    order = np.argsort(-lengths, kind="stable")
+    spots = []
+    for i in order:
+        name = mesh.surfaces[mesh.triangle_surface[edges.triangle[open_edges[i]]]].name
+        spots.append((name, f"{place(ends[i, 0])} to {place(ends[i, 1])}"))
+    text = (
+        f"The mesh is not closed: {len(open_edges)} of {len(edges.ends)} edges have no neighbour, "
+        f"{lengths.sum():.2f} m in all; the longest: {listed(spots)}. "
+        f"The volume of {volume:.4g} m3 is approximate."
+    )
+    evidence = {"edges": len(open_edges), "of": len(edges.ends), "length_m": float(lengths.sum())}
+    return Finding("not-closed", "warning", text, evidence)
+
+
+def _slivers(mesh: Mesh) -> list[Finding]:
+    """Tell of triangles less high than 0.1 mm; they are harmless but show a careless drawing."""
+    corners = corners_m(mesh)
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    height = 2.0 * triangle_areas_m2(mesh) / longest
+    thin = np.flatnonzero(height < SLIVER_M)
+    if not len(thin):
+        return []
+    spots = [
+        (mesh.surfaces[mesh.triangle_surface[t]].name, place(corners[t].mean(axis=0))) for t in thin
+    ]
+    count = "1 triangle is" if len(thin) == 1 else f"{len(thin)} triangles are"
+    text = f"{count} thinner than 0.1 mm: {listed(spots)}."
+    return [Finding("slivers", "info", text, {"triangles": len(thin)})]
+
+
+def _size(volume: float) -> list[Finding]:
+    if volume <= 0.0 or 1.0 <= volume <= 1e6:
+        return []
+    text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
+    return [Finding("unusual-size", "warning", text, {"volume_m3": volume})]
+
+
+def _no_volume(volume: float) -> Finding:
+    return fault(
+        "no-volume",
+        "the room encloses no volume",
+        found=f"{volume:.3g} m3",
+        needed="more than 0 m3",
+        hint="draw floor, ceiling and all walls as faces that enclose the air",
+    )

@@ -1,1 +1,0 @@
-"""Problem to fit: simplex, annealing, least squares, and where to start."""

@@ -1,0 +1,218 @@
+"""Every band of a campaign fitted, with its intervals.
+
+Energies of a band fitted from random starts as well: do they end in one place?
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.certified.certificate import affordable_certificate, certified_fit
+from roomfit.findings import Finding
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.parameters import (
+    Parameters,
+    physical_values,
+    position_of,
+    prior_residuals,
+    start_vector,
+)
+from roomfit.objective.problem import BandProblem
+from roomfit.solvers.least_squares import (
+    BandFit,
+    ResidualFunction,
+    Solver,
+    annealing_solver,
+    few_gauss_newton_steps,
+    first_round,
+    fit_band,
+    gauss_newton,
+    simplex_solver,
+)
+from roomfit.typing import FloatArray, Progress, part
+from roomfit.uncertainty.gaussian import (
+    Allow,
+    BandAnswer,
+    Refine,
+    Starts,
+    absorption_intervals,
+    band_answer,
+    untold_band,
+)
+
+N_STARTS = 3
+# Log-likelihoods with priors that differ by less do not decide between two places.
+ALIKE = 2.0
+# Of a standard deviation: first rounds end within a hundredth of where they lead.
+_SAME_PLACE = 0.2
+
+
+def from_random_starts(
+    problem: BandProblem, fit: BandFit, rng: np.random.Generator, number: int = N_STARTS
+) -> tuple[BandFit, Starts]:
+    """Return the likeliest of a fit and of others from random starts, and whether they agree.
+
+    Starts are drawn evenly over absorption, gains as in the fit. Those whose first round ends where
+    that of the usual start does are not followed any further.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    fit : BandFit
+    rng : numpy Generator
+    number : int
+    """
+    usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    fits = [fit]
+    for _ in range(number):
+        place = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        alike = bool(np.all(np.abs(place - usual) <= _SAME_PLACE * sd))
+        fits.append(fit if alike else _from(problem, place))
+    worth = [_log_posterior(problem, f) for f in fits]
+    best = int(np.argmax(worth))
+    # rounding and rounds of weights are no better answer
+    best = best if worth[best] > worth[0] + 0.05 else 0
+    found = absorption_intervals(
+        problem.parameters, fits[best].vector, fits[best].information, fits[best].phi
+    )
+    places = [physical_values(problem.parameters, f.vector)[0]["absorption"] for f in fits]
+    within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in places]
+    losses = [worth[best] - w for w in worth]
+    others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
+    nearest = min(others, key=lambda i: losses[i], default=None)
+    return fits[best], Starts(
+        number,
+        sum(within) - 1,
+        None if nearest is None else places[nearest],
+        0.0 if nearest is None else float(losses[nearest]),
+    )
+
+
+def starts_findings(
+    bands: Bands, materials: tuple[str, ...], starts: Sequence[Starts | None]
+) -> tuple[Finding, ...]:
+    """Return a finding where another place explains the energies alike."""
+    told = [
+        (float(f), s)
+        for f, s in zip(bands.centres_hz, starts, strict=True)
+        if s and s.other is not None
+    ]
+    if not told:
+        return ()
+    where = ", ".join(f"{f:g} Hz (log-likelihood lower by {s.loss:.1f})" for f, s in told)
+    return (
+        Finding(
+            "other-minimum",
+            "warning",
+            "Least squares from another start ends in absorptions outside of the intervals that "
+            f"explain the energies alike: {where}. Measure more positions, or tell what is known.",
+            {
+                "bands_hz": [f for f, _ in told],
+                "other_answer": [
+                    {n: round(float(a), 6) for n, a in zip(materials, s.other, strict=True)}
+                    for _, s in told
+                    if s.other is not None
+                ],
+                "log_likelihood_lower_by": [round(s.loss, 3) for _, s in told],
+            },
+        ),
+    )
+
+
+def _from(problem: BandProblem, start: FloatArray) -> BandFit:
+    def there(residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
+        return gauss_newton(residuals, start)
+
+    return fit_band(problem, there, few_gauss_newton_steps)
+
+
+def _random_start(problem: BandProblem, fit: BandFit, rng: np.random.Generator) -> FloatArray:
+    start, first = np.array(fit.vector), position_of(problem.parameters, "absorption")
+    block = next(b for b in problem.parameters.blocks if b.name == "absorption")
+    share = rng.uniform(0.02, 0.98, int(np.count_nonzero(block.fitted)))
+    start[first : first + share.size] = np.log(share) - np.log1p(-share)
+    return start
+
+
+def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
+    prior, _ = prior_residuals(problem.parameters, fit.vector)
+    return fit.log_likelihood - 0.5 * float(prior @ prior)
+
+
+"""Problem, its fit and the Gaussian answer to a better answer."""
+"""Number of a band, its problem and its fit to the same fit, less sure."""
+
+
+def fit_bands(
+    problems: Iterable[BandProblem | None],
+    knowledge: tuple[MaterialKnowledge, ...],
+    areas_m2: FloatArray,
+    method: str,
+    seed: int,
+    progress: Progress | None,
+    *,
+    watch: Callable[[int, BandProblem, BandFit], None] | None = None,
+    allow: Allow | None = None,
+    refine: Refine | None = None,
+) -> tuple[BandAnswer, ...]:
+    """Fit one band after the other; where there is no problem, what was known is the answer.
+
+    Parameters
+    ----------
+    problems : iterable of BandProblem or None
+        Taken one at a time, so that they may be made when they are needed.
+    method : {"auto", "least-squares", "simplex", "annealing", "certified", "posterior"}
+        "auto" is least squares, with a proof where one is affordable. The paper's two methods
+        search with the same squares; after annealing's first round the simplex refines.
+        "certified" is least squares with a proof.
+    watch : callable, optional
+        Called with every band that was fitted, its problem and its fit.
+    allow : callable, optional
+        Makes intervals allow for errors that a fit cannot see.
+    refine : callable, optional
+        Makes better intervals while a band's problem is at hand.
+    """
+    n_bands = knowledge[0].prior_logit_mean.size
+    answers: list[BandAnswer] = []
+    for band, problem in enumerate(problems):
+        if problem is None:
+            answers.append(untold_band(knowledge, band, areas_m2))
+            continue
+        done = part(progress, band / n_bands, (band + 1) / n_bands)
+        if method == "certified":
+            fit, proof = certified_fit(problem, progress=done)
+            noisy = fit if allow is None else allow(band, problem, fit)
+            own = band_answer(problem.parameters, noisy, areas_m2, "energy")
+            own = own if refine is None else refine(problem, fit, own, None)
+            answers.append(replace(own, certificate=proof))
+            continue
+        solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
+        fit = fit_band(problem, solver, refiner, progress=done)
+        starts: Starts | None = None
+        if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
+            fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
+        if watch is not None:
+            watch(band, problem, fit)
+        model = "energy" if problem.are_energies().any() else "values"
+        noisy = fit if allow is None else allow(band, problem, fit)
+        own = replace(band_answer(problem.parameters, noisy, areas_m2, model), starts=starts)
+        if method == "auto":
+            own = replace(own, certificate=affordable_certificate(problem, fit.vector))
+        answers.append(own if refine is None else refine(problem, fit, own, done))
+    return tuple(answers)
+
+
+def _solvers(
+    parameters: Parameters, method: str, rng: np.random.Generator
+) -> tuple[Solver, Solver]:
+    if method == "annealing":
+        return annealing_solver(parameters, rng), simplex_solver(parameters)
+    if method == "simplex":
+        return simplex_solver(parameters), simplex_solver(parameters)
+    return gauss_newton, few_gauss_newton_steps

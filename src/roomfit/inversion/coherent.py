@@ -1,0 +1,688 @@
+"""Every band of a campaign fitted with partly coherent image sources, the geometry along with it.
+
+Bands go from low to high: a low band is coherent in spite of centimetres of error and tells where
+everything stands, so that the next one may be coherent, too. Then every band is fitted once more
+under what all the others have found.
+
+What a fit of all bands begins with: loudspeakers' colour taken out, images at the right places.
+
+Both ask for a first answer. Energies give one that suffices for the colour of all but the lowest
+frequencies; pressures of the lowest bands give a better one, and tell where everything stands.
+
+What the data say of places and delays that the campaign holds: fitted for comparison.
+
+What every band needs before it is fitted: energies, spoiled files, and its coherent problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m
+from roomfit.bands import Bands
+from roomfit.certified.certificate import affordable_certificate
+from roomfit.findings import Finding
+from roomfit.inversion.directivity import (
+    directivity_doubt,
+    hows_after_others,
+    moved_start,
+    source_findings,
+)
+from roomfit.inversion.equalise import MODAL, without_loudspeakers
+from roomfit.inversion.geometry_checks import (
+    delay_findings,
+    geometry_findings,
+    looser_places,
+    place_findings,
+    places_findings,
+    places_stretch,
+)
+from roomfit.inversion.outliers import (
+    LEAST_BY_ENERGIES,
+    LEAST_BY_PRESSURES,
+    Heard,
+    softened,
+    spoiled_files,
+    spoiled_findings,
+)
+from roomfit.inversion.sequential import (
+    CoherentBand,
+    CoherentBandFit,
+    CoherentOptions,
+    PartFactory,
+    band_likelihoods,
+    joined,
+    once_more,
+    upwards,
+)
+from roomfit.inversion.systematics import (
+    air_error,
+    shared_steps,
+    widened_by_neighbours,
+    with_both_intervals,
+    with_tracing_noise,
+)
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.measurement import MeasuredPair
+from roomfit.objective.coherent import (
+    FittedGeometry,
+    campaign_geometry,
+    coherent_problem,
+    cut_at,
+    fitted_geometry,
+    moved_scene,
+)
+from roomfit.objective.directivity import (
+    Directed,
+    Directing,
+    directed_band,
+    made_directed,
+    with_unknown,
+)
+from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.observation import band_problems, tells_of_band
+from roomfit.objective.parameters import physical_values
+from roomfit.objective.problem import BandProblem
+from roomfit.response.binned import BinnedPaths, paths_at
+from roomfit.scene import Scene, material_areas_m2
+from roomfit.solvers.least_squares import (
+    BandFit,
+    few_gauss_newton_steps,
+    fit_band,
+    gauss_newton,
+    score_band,
+)
+from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray, Progress, part
+from roomfit.uncertainty.gaussian import BandAnswer, Refine, allowing_for, band_answer
+
+# Shortest window in units of 1 / B: finer ones than energies need tell of phases.
+_WINDOW_PERIODS = 0.75
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentTask:
+    """What stays the same while paths are traced anew.
+
+    `directing` are the sources whose directivity is fitted, `suspects` those that are taken for
+    omnidirectional. `spoiled` says how many times worse than others pressures explain a file,
+    `refine` makes better intervals of a band's fit.
+    """
+
+    scene: Scene
+    bands: Bands
+    knowledge: tuple[MaterialKnowledge, ...]
+    measured: tuple[MeasuredPair, ...]
+    start: FloatArray
+    settings: CoherentOptions
+    parts: Sequence[tuple[PartFactory, ...]]
+    directing: Directing | None = None
+    suspects: Directing | None = None
+    spoiled: Mapping[int, float] = field(default_factory=dict)
+    refine: Refine | None = None
+
+
+def prepared_bands(
+    task: CoherentTask,
+    paths: Paths,
+    weights: FloatArray | None,
+    binned: BinnedPaths,
+    origin: FloatArray | None,
+) -> tuple[tuple[CoherentBand | None, ...], tuple[Finding, ...]]:
+    """Fit the energies of every band, find spoiled files, and make the coherent problems."""
+    scene, bands = task.scene, task.bands
+    files = [files_of_band(task, b) for b in range(len(bands))]
+    energies = _energies_alone(task, paths, binned, files)
+    heard = [
+        Heard(e.problem, e.fit, own, e.factor)
+        for e, own in zip(energies, files, strict=True)
+        if e is not None
+    ]
+    # what pressures say of a file later knows more
+    spoiled = {**spoiled_files(heard, LEAST_BY_ENERGIES), **task.spoiled}
+    if spoiled:
+        energies = [
+            e if e is None else _fitted(replace(e, factor=softened(e.problem, own, spoiled)))
+            for e, own in zip(energies, files, strict=True)
+        ]
+    energies = _after_others(task, energies)
+    attenuation = attenuation_per_m(scene.air, bands)
+    # every band has the same unknowns of geometry, in whichever files it hears
+    told = tuple(m for m in task.measured if m.file.use == "fit")
+    whole = campaign_geometry(
+        *(scene, task.knowledge, told),
+        positions=task.settings.positions == "fit",
+        delays=task.settings.delays,
+        speed_sd=task.settings.speed_sd,
+    )
+    whole = replace(whole, origin=origin)
+    out: list[CoherentBand | None] = []
+    for b, own in enumerate(energies):
+        if own is None:
+            out.append(None)
+            continue
+        rows = [i for i, m in enumerate(told) if m in files[b]]
+        geometry = replace(whole, columns=whole.columns[rows])
+        coherent = coherent_problem(
+            *(bands, b, own.problem, float(attenuation[b]), paths_at(paths, weights, b)),
+            *(binned, geometry, None, task.settings.end_s),
+        )
+        out.append(
+            CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
+        )
+    return tuple(out), spoiled_findings(task.measured, spoiled)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Energies:
+    """The energies of one band and their fit."""
+
+    problem: EnergyProblem
+    factor: FloatArray
+    parts: tuple[PartFactory, ...]
+    directed: Directed | None
+    fit: BandFit
+
+    def whole(self) -> BandProblem:
+        return joined(made_directed(self.problem, self.directed), self.factor, self.parts)
+
+
+def files_of_band(task: CoherentTask, band: int) -> tuple[MeasuredPair, ...]:
+    """Return the measurements of a band's observations, in their order."""
+    return tuple(m for m in task.measured if tells_of_band(m, band))
+
+
+def sources_of_band(task: CoherentTask, band: int) -> tuple[int, ...]:
+    """Return the source of each of a band's observations."""
+    return tuple(int(task.scene.pairs[m.pair][0]) for m in files_of_band(task, band))
+
+
+def _energies_alone(
+    task: CoherentTask,
+    paths: Paths,
+    binned: BinnedPaths,
+    files: Sequence[tuple[MeasuredPair, ...]],
+) -> list[_Energies | None]:
+    """Fit the energies of every band by themselves, in the windows that pressures need."""
+    problems = band_problems(
+        *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start),
+        periods=_WINDOW_PERIODS,
+    )
+    out: list[_Energies | None] = []
+    for problem, parts, heard in zip(problems, task.parts, files, strict=True):
+        if problem is None:
+            out.append(None)
+            continue
+        how = None
+        if task.directing is not None:
+            how = directed_band(task.directing, task.scene, paths, problem, heard)
+            problem = with_unknown(problem, how.unknown)
+        factor = np.ones(problem.measured().size)
+        whole = joined(made_directed(problem, how), factor, parts)
+        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        out.append(_Energies(problem, factor, parts, how, fit))
+    return out
+
+
+def _fitted(own: _Energies) -> _Energies:
+    return replace(own, fit=fit_band(own.whole(), gauss_newton, few_gauss_newton_steps))
+
+
+def _after_others(task: CoherentTask, energies: list[_Energies | None]) -> list[_Energies | None]:
+    """Fit the energies again under what other bands say of the directivity, where it is unknown."""
+    if task.directing is None:
+        return energies
+    hows = hows_after_others(
+        *(task.directing, task.bands, [None if e is None else e.directed for e in energies]),
+        [None if e is None else e.fit for e in energies],
+        [None if e is None else e.problem.parameters for e in energies],
+    )
+    out: list[_Energies | None] = []
+    for own, how in zip(energies, hows, strict=True):
+        if own is None or own.directed is None or how is None:
+            out.append(own)
+            continue
+        start = moved_start(own.fit, own.directed.unknown, how.unknown)
+        problem = with_unknown(own.problem, how.unknown)
+        own = replace(own, problem=problem, directed=how)
+        out.append(replace(own, fit=score_band(own.whole(), start)))
+    return out
+
+
+def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ...]) -> FloatArray:
+    """Return absorption by energies alone, or else the start, shape (n_materials, n_bands)."""
+    out = np.tile(task.start, (len(task.knowledge), 1))
+    for i, band in enumerate(prepared):
+        if band is not None:
+            parameters = band.energies.parameters
+            values, _ = physical_values(parameters, band.energy_fit.vector)
+            out[:, i] = values["absorption"]
+    return out
+
+
+def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
+    """Return a guess with the absorption of those bands that pressures have told already.
+
+    Parameters
+    ----------
+    guess : float array, shape (n_materials, n_bands)
+    fits : sequence of CoherentBandFit or None, one a band
+    """
+    out = guess.copy()
+    for i, fit in enumerate(fits):
+        if fit is not None:
+            out[:, i] = physical_values(fit.parameters, fit.fit.vector)[0]["absorption"]
+    return out
+
+
+def energy_answers(
+    task: CoherentTask,
+    paths: Paths,
+    problems: Iterable[EnergyProblem | None],
+    prepared: tuple[CoherentBand | None, ...],
+    areas_m2: FloatArray,
+) -> tuple[BandAnswer | None, ...]:
+    """Return what energies alone say, in the windows whose noise is known to suit them."""
+    out: list[BandAnswer | None] = []
+    bands = zip(problems, prepared, task.parts, strict=True)
+    for number, (problem, band, own) in enumerate(bands):
+        if problem is None:
+            out.append(None)
+            continue
+        factor = np.ones(problem.measured().size)
+        if band is not None:
+            # as for the finer windows: one factor an observation
+            fine = [o.energy.size for o in band.energies.observations]
+            first = np.cumsum([0, *fine[:-1]])
+            sizes = [o.energy.size for o in problem.observations]
+            factor = np.repeat(band.factor[first], sizes)
+        how = None if band is None else band.directed
+        if how is not None and task.directing is not None:
+            # other windows may hear other rows
+            heard = files_of_band(task, number)
+            rows = directed_band(task.directing, task.scene, paths, problem, heard)
+            how = replace(rows, unknown=how.unknown)
+            problem = with_unknown(problem, how.unknown)
+        whole = joined(made_directed(problem, how), factor, own)
+        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
+        air = air_error(task.scene.air, task.bands, number, problem)
+        steps = shared_steps(whole, fit, problem, air)
+        noisy = allowing_for(noisy, steps)
+        answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
+        out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))
+    return tuple(out)
+
+
+# Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
+_RETRACE_BELOW_HZ = 1000.0
+# Bands up to here are those of which a loudspeaker's colour is not told by a first guess of walls.
+_MODAL_BELOW_HZ = 250.0
+
+Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
+"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Beginning:
+    """A task, its paths, and its bands made ready.
+
+    Attributes
+    ----------
+    task : CoherentTask
+        With the measurements as loudspeakers without colour would have given them.
+    paths : Paths
+    weights : float array, shape (n_bands, n_paths), or None
+    binned : BinnedPaths
+    origin : float array or None
+        Free numbers of the geometry for which the paths were traced; None for what was told.
+    bands : tuple of CoherentBand or None, one a band
+    findings : tuple of Finding
+    """
+
+    task: CoherentTask
+    paths: Paths
+    weights: FloatArray | None
+    binned: BinnedPaths
+    origin: FloatArray | None
+    bands: tuple[CoherentBand | None, ...]
+    findings: tuple[Finding, ...]
+
+
+def begun(
+    task: CoherentTask,
+    paths: Paths,
+    weights: FloatArray | None,
+    binned: BinnedPaths,
+    retrace: Retrace | None,
+) -> Beginning:
+    """Return the bands ready to be fitted.
+
+    Parameters
+    ----------
+    paths, weights, binned
+        As for `fit_coherent`.
+    retrace : callable or None
+        Traces a scene with other positions.
+    """
+    state = renewed(Beginning(task, paths, weights, binned, None, (), ()))
+    settings, told = task.settings, task.measured
+    if settings.model == "energy":
+        return state
+    coloured = False
+    if task.directing is None:
+        even = _even(state, told, first_absorption(task, state.bands), MODAL)
+        coloured = any(new is not old for new, old in zip(even, told, strict=True))
+        if coloured:
+            state = renewed(replace(state, task=replace(task, measured=even)))
+    moves = retrace is not None and settings.positions == "fit"
+    if not (moves or coloured):
+        return state
+    fits = _first_fits(state, _RETRACE_BELOW_HZ if moves else _MODAL_BELOW_HZ)
+    guess = absorption_so_far(first_absorption(state.task, state.bands), fits)
+    if retrace is not None and moves:
+        state = _moved(state, fits, retrace)
+    if coloured:
+        even = _even(state, told, guess, 0.0)
+        state = replace(state, task=replace(state.task, measured=even))
+    return renewed(state)
+
+
+def renewed(state: Beginning) -> Beginning:
+    """Return the same task and paths with bands made anew."""
+    bands, findings = prepared_bands(
+        state.task, state.paths, state.weights, state.binned, state.origin
+    )
+    return replace(state, bands=bands, findings=findings)
+
+
+def _even(
+    state: Beginning, told: tuple[MeasuredPair, ...], absorption: FloatArray, modal: float
+) -> tuple[MeasuredPair, ...]:
+    task = state.task
+    return without_loudspeakers(task.scene, task.bands, told, state.paths, absorption, modal=modal)
+
+
+def _first_fits(state: Beginning, highest_hz: float) -> list[CoherentBandFit | None]:
+    """Return fits of the bands up to a frequency, None for the others."""
+    low = tuple(
+        band if f <= highest_hz else None
+        for band, f in zip(state.bands, state.task.bands.centres_hz, strict=True)
+    )
+    return upwards(low, state.task.settings, None)[0]
+
+
+def _moved(state: Beginning, fits: Sequence[CoherentBandFit | None], retrace: Retrace) -> Beginning:
+    """Return paths traced at the positions that the lower bands tell."""
+    known = [f.found for f in fits if f is not None and f.found is not None]
+    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
+    if not known or geometry is None:
+        return state
+    place, origin = moved_scene(state.task.scene, geometry, known[-1].mean)
+    paths, weights, binned = retrace(place)
+    binned = cut_at(binned, state.task.settings.late_end_s)
+    return replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
+
+
+def findings_of_what_is_held(
+    state: Beginning, fits: Sequence[CoherentBandFit | None]
+) -> tuple[Finding, ...]:
+    """Return findings where the data are far likelier with what the campaign holds set free.
+
+    Parameters
+    ----------
+    state : Beginning
+    fits : sequence of CoherentBandFit or None, one a band
+        Of its bands, with nothing set free.
+    """
+    settings = state.task.settings
+    if settings.model == "energy":
+        return ()
+    findings: tuple[Finding, ...] = ()
+    if not settings.delays:
+        freed, _ = _freed(state, replace(settings, delays=True))
+        findings = delay_findings(_gain(fits, freed))
+    if settings.positions == "fixed":
+        freed, freer = _freed(state, replace(settings, positions="fit"))
+        n = _n_unknowns(freer) - _n_unknowns(state)
+        n_windows = sum(f.fit.expected.size for f in fits if f is not None)
+        findings = (*findings, *place_findings(_gain(fits, freed), n, n_windows))
+    return findings
+
+
+def _freed(
+    state: Beginning, settings: CoherentOptions
+) -> tuple[Sequence[CoherentBandFit | None], Beginning]:
+    """Return the fits of all bands with more unknowns, and the bands that were fitted."""
+    freer = renewed(replace(state, task=replace(state.task, settings=settings)))
+    return upwards(freer.bands, settings, None)[0], freer
+
+
+def _gain(held: Sequence[CoherentBandFit | None], freed: Sequence[CoherentBandFit | None]) -> float:
+    """Return by how much the data are likelier, over all bands."""
+    pairs = zip(held, freed, strict=True)
+    return sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
+
+
+def _n_unknowns(state: Beginning) -> int:
+    """Return how many places, times and delays are fitted."""
+    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
+    if geometry is None:
+        return 0
+    return int(np.count_nonzero(geometry.fitted & (geometry.sd > 0.0)))
+
+
+__all__ = ["CoherentFit", "CoherentOptions", "Retrace", "fit_coherent"]
+
+# Log-likelihoods nearer than this do not decide between two models.
+_UNDECIDED = 2.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CoherentFit:
+    """The answer of every band.
+
+    Attributes
+    ----------
+    answers : tuple of BandAnswer or None, one a band
+        None where too few windows rise above the noise.
+    log_likelihoods : float array, shape (n_bands, 2)
+        Of the energy model and of the partly coherent one; NaN where not tried.
+    geometry : FittedGeometry or None
+        None where no band was coherent.
+    findings : tuple of Finding
+    directed : tuple of Directed or None, one a band
+        What the free numbers of an answer's directivity mean; None where there are none.
+    """
+
+    answers: tuple[BandAnswer | None, ...]
+    log_likelihoods: FloatArray
+    geometry: FittedGeometry | None
+    findings: tuple[Finding, ...]
+    directed: tuple[Directed | None, ...] = ()
+
+
+def fit_coherent(
+    scene: Scene,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    measured: tuple[MeasuredPair, ...],
+    paths: Paths,
+    binned: BinnedPaths,
+    start: FloatArray,
+    *,
+    options: CoherentOptions | None = None,
+    extra_parts: Sequence[tuple[PartFactory, ...]] = (),
+    weights: FloatArray | None = None,
+    retrace: Retrace | None = None,
+    directing: Directing | None = None,
+    suspects: Directing | None = None,
+    refine: Refine | None = None,
+    progress: Progress | None = None,
+) -> CoherentFit:
+    """Fit every band with image sources as coherent as their times are known.
+
+    Parameters
+    ----------
+    paths : Paths
+        Of all pairs: image sources, the further the better, and rays for what they leave.
+    binned : BinnedPaths
+        The same paths in bins (`bin_paths`).
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    options : CoherentOptions, optional
+    extra_parts : sequence of tuples, one a band; optional
+        Other kinds of data of each band, made from the unknowns that all kinds share.
+    weights : float array, shape (n_bands, n_paths), optional
+        Factor of every path's weight in each band, as in `binned`.
+    retrace : callable, optional
+        Traces a scene with other positions, as `paths` were. Which images a receiver sees
+        depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
+        images are found anew at the positions they tell, and everything is fitted again from what
+        was told.
+    directing : Directing, optional
+        Sources whose directivity is fitted.
+    suspects : Directing, optional
+        Sources taken for omnidirectional, of which to ask whether the data agree.
+    refine : callable, optional
+        Makes better intervals of each band's last fit.
+    """
+    settings = CoherentOptions() if options is None else options
+    parts = tuple(extra_parts) or ((),) * len(bands)
+    task = CoherentTask(
+        *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects),
+        refine=refine,
+    )
+    state = begun(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
+    fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.0, 0.8))
+    spoiled = spoiled_files(_heard(state, fits), LEAST_BY_PRESSURES)
+    if spoiled:
+        state = renewed(replace(state, task=replace(state.task, spoiled=spoiled)))
+        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
+    stretch = places_stretch(state.task.scene, state.bands, fits)
+    if stretch > 1.0:
+        place, origin = looser_places(state.task.scene, state.origin, stretch)
+        state = renewed(replace(state, task=replace(state.task, scene=place), origin=origin))
+        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
+    findings = (*state.findings, *places_findings(stretch))
+    findings = (*findings, *findings_of_what_is_held(state, fits))
+    fits, final = once_more(state.bands, fits, chosen_noise, settings)
+    likelihoods = band_likelihoods(state.bands, fits)
+    answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
+    findings = (*findings, *_source_findings(state))
+    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
+    told = None if geometry is None or final is None else fitted_geometry(geometry, final)
+    findings = (*findings, *geometry_findings(told))
+    directed = tuple(None if b is None else b.directed for b in state.bands)
+    return CoherentFit(answers, likelihoods, told, findings, directed)
+
+
+def _heard(state: Beginning, fits: Sequence[CoherentBandFit | None]) -> list[Heard]:
+    """Return what pressures explain, band by band, for the search of spoiled files."""
+    return [
+        Heard(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
+        for i, (band, fit) in enumerate(zip(state.bands, fits, strict=True))
+        if band is not None and fit is not None
+    ]
+
+
+def _source_findings(state: Beginning) -> tuple[Finding, ...]:
+    """Return a finding where a source taken for omnidirectional is none."""
+    task, doubts = state.task, {}
+    for i, band in enumerate(state.bands):
+        if band is not None and task.suspects is not None:
+            heard = files_of_band(task, i)
+            how = directed_band(task.suspects, task.scene, state.paths, band.energies, heard)
+            doubts[i] = directivity_doubt(band.energies, band.energy_fit, how, band.factor)
+    return source_findings(task.suspects, doubts)
+
+
+def _answers(
+    state: Beginning,
+    fits: Sequence[CoherentBandFit | None],
+    likelihoods: FloatArray,
+    progress: Progress | None,
+) -> tuple[BandAnswer | None, ...]:
+    """Return each band's answer by the model that explains it better."""
+    task = state.task
+    areas = material_areas_m2(task.scene.room)
+    coherent: tuple[BandAnswer | None, ...] = tuple(
+        _coherent_answer(task, i, *each, part(progress, i / len(fits), (i + 1) / len(fits)))
+        for i, each in enumerate(zip(state.bands, fits, likelihoods, strict=True))
+    )
+    coherent = widened_by_neighbours(coherent, areas)
+    energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
+    asked = [_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)]
+    if any(asked):
+        coarse = band_problems(
+            *(task.scene, task.bands, task.knowledge, task.measured, state.binned, task.start)
+        )
+        wanted = (p if wants else None for p, wants in zip(coarse, asked, strict=True))
+        energy = energy_answers(task, state.paths, wanted, state.bands, areas)
+    decided = [
+        _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
+    ]
+    if task.settings.model != "auto":
+        return tuple(decided)
+    return tuple(_certified(*each) for each in zip(decided, state.bands, strict=True))
+
+
+def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnswer | None:
+    """Return an answer with what is proven of its energies alone, where that is affordable."""
+    # a proof would be of other costs where data are softened, or joined by other kinds
+    if answer is None or band is None or band.parts or np.any(band.factor != 1.0):
+        return answer
+    proof = affordable_certificate(band.energies, band.energy_fit.vector)
+    return replace(answer, certificate=proof)
+
+
+def _coherent_answer(
+    task: CoherentTask,
+    number: int,
+    band: CoherentBand | None,
+    found: CoherentBandFit | None,
+    likelihoods: FloatArray,
+    progress: Progress | None,
+) -> BandAnswer | None:
+    """Return what pressures say; with better intervals where that may be the answer."""
+    if band is None or found is None:
+        return None
+    noisy = with_tracing_noise(
+        found.problem, band.energies, sources_of_band(task, number), found.fit
+    )
+    air = air_error(task.scene.air, task.bands, number, band.energies)
+    steps = shared_steps(found.problem, found.fit, band.energies, air, band)
+    noisy = allowing_for(noisy, steps)
+    answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
+    beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
+    if task.refine is None or beaten:
+        return answer
+    return task.refine(found.problem, found.fit, answer, progress)
+
+
+def _asks_energies(
+    fit: CoherentBandFit | None, likelihoods: FloatArray, settings: CoherentOptions
+) -> bool:
+    """Whether the energy model's answer of a band may be needed."""
+    if fit is None:
+        return True
+    return settings.model != "coherent" and bool(likelihoods[1] - likelihoods[0] < _UNDECIDED)
+
+
+def _decided(
+    energy: BandAnswer | None,
+    coherent: BandAnswer | None,
+    likelihoods: FloatArray,
+    settings: CoherentOptions,
+) -> BandAnswer | None:
+    """Return the likelier answer; with both intervals where the likelihood cannot decide."""
+    if coherent is None:
+        return energy
+    if energy is None or settings.model == "coherent":
+        return coherent
+    better = likelihoods[1] - likelihoods[0]
+    best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
+    return best if abs(better) >= _UNDECIDED else with_both_intervals(best, other)

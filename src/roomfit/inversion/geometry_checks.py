@@ -1,0 +1,184 @@
+"""Places that are told more surely than arrival times can bear, taken for less sure.
+
+Doubts that the fitted geometry leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from scipy.stats import chi2
+
+from roomfit.findings import Finding
+from roomfit.inversion.sequential import CoherentBand, CoherentBandFit
+from roomfit.objective.coherent import FittedGeometry
+from roomfit.scene import Point, Scene
+from roomfit.typing import FloatArray
+
+# In told standard deviations: beyond it, of some thirty unknowns one moves by chance once in 70.
+_FAR = 3.5
+# Log-likelihood that a delay for each wall must gain: far above what a handful of unknowns that
+# explain nothing would, half a unit each.
+_DELAYS_TELL = 15.0
+# Log-likelihood a window that free places must gain. In boxes with 1 mm and 3 us told and right it
+# was .01 to .05, and answers changed by a tenth of their interval; with 1 cm .4 to .9, and a half.
+_PLACES_TELL = 0.1
+
+
+def delay_findings(gain: float) -> tuple[Finding, ...]:
+    """Return a finding where walls were not allowed to delay, but do.
+
+    Parameters
+    ----------
+    gain : float
+        By how much the data are likelier, over all bands, if each material may delay.
+    """
+    if gain <= _DELAYS_TELL:
+        return ()
+    return (
+        Finding(
+            "walls-delay",
+            "serious",
+            "The measurements are far likelier if walls delay what they reflect, which was "
+            "switched off (wall_delays = false): intervals are too narrow without, and nothing is "
+            "called identifiable.",
+            {"log_likelihood_gain": gain},
+        ),
+    )
+
+
+def place_findings(gain: float, n_unknowns: int, n_windows: int) -> tuple[Finding, ...]:
+    """Return a finding where places were held that arrival times contradict.
+
+    Parameters
+    ----------
+    gain : float
+        By how much the data are likelier, over all bands, if places, speed of sound and latencies
+        may move within their stated spread.
+    n_unknowns : int
+        How many unknowns that are; each that explains nothing gains half a unit on average.
+    n_windows : int
+        Of all bands.
+    """
+    if gain <= max(n_unknowns + _DELAYS_TELL, _PLACES_TELL * n_windows):
+        return ()
+    return (
+        Finding(
+            "places-move",
+            "serious",
+            "The measurements are far likelier if places, speed of sound and latencies move within "
+            'their stated spread, which was switched off (positions = "fixed"): intervals are too '
+            'narrow so, and nothing is called identifiable. Use positions = "fit".',
+            {"log_likelihood_gain": gain, "n_unknowns": n_unknowns, "n_windows": n_windows},
+        ),
+    )
+
+
+def geometry_findings(geometry: FittedGeometry | None) -> tuple[Finding, ...]:
+    """Return a finding where the fit had to move something farther than was told."""
+    if geometry is None:
+        return ()
+    told = np.where(geometry.told_sd > 0.0, geometry.told_sd, np.inf)
+    far = np.flatnonzero(np.abs(geometry.change) / told > _FAR)
+    if not far.size:
+        return ()
+    names = ", ".join(geometry.labels[i] for i in far)
+    return (
+        Finding(
+            "geometry-moved-far",
+            "warning",
+            f"To explain the arrival times, the fit moved {names} by more than three and a half "
+            "times its stated spread: it may be told wrong, or make up for an error of the model.",
+            {
+                "labels": [geometry.labels[i] for i in far],
+                "change": [float(geometry.change[i]) for i in far],
+                "told_sd": [float(geometry.told_sd[i]) for i in far],
+            },
+        ),
+    )
+
+
+# Places told as surely as they are known move farther once in a thousand campaigns.
+_LEVEL = 0.999
+_MOST = 5.0
+_FEWEST = 6
+
+
+def places_stretch(
+    scene: Scene,
+    prepared: Sequence[CoherentBand | None],
+    fits: Sequence[CoherentBandFit | None],
+) -> float:
+    """Return by how much the told spread of all places is too small; 1 where it may be right.
+
+    The mean square of what the places moved, in told standard deviations and with what is left open
+    of each, against chi-square with as many degrees of freedom as there are coordinates.
+
+    Parameters
+    ----------
+    prepared, fits : sequences, one a band
+        Low to high; the last fit knows what all before it say of the geometry.
+    """
+    band = next((b for b in prepared if b is not None), None)
+    found = [f.found for f in fits if f is not None and f.found is not None]
+    if band is None or not found:
+        return 1.0
+    geometry, last = band.problem.geometry, found[-1]
+    moving = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
+    places = moving < _n_places(scene)
+    n = int(np.count_nonzero(places))
+    if n < _FEWEST:
+        return 1.0
+    variance = np.diag(np.linalg.inv(last.information))
+    mean = float(np.mean((last.mean**2 + variance)[places]))
+    return 1.0 if mean <= chi2.ppf(_LEVEL, n) / n else min(float(np.sqrt(mean)), _MOST)
+
+
+def looser_places(
+    scene: Scene, origin: FloatArray | None, stretch: float
+) -> tuple[Scene, FloatArray | None]:
+    """Return a scene whose places are told less surely, and where paths were traced in its units.
+
+    Points of which nothing is told stay so, with the spread that is then assumed.
+
+    Parameters
+    ----------
+    origin : float array or None
+        Free numbers of the places at which paths were traced.
+    """
+
+    def looser(points: tuple[Point, ...]) -> tuple[Point, ...]:
+        return tuple(
+            p if p.position_sd_m is None else replace(p, position_sd_m=stretch * p.position_sd_m)
+            for p in points
+        )
+
+    changed = replace(scene, sources=looser(scene.sources), receivers=looser(scene.receivers))
+    if origin is None:
+        return changed, None
+    told = [p.position_sd_m is not None for p in (*scene.sources, *scene.receivers)]
+    factor = np.ones(origin.size)
+    factor[: _n_places(scene)] = np.where(np.repeat(told, 3), stretch, 1.0)
+    return changed, origin / factor
+
+
+def places_findings(stretch: float) -> tuple[Finding, ...]:
+    """Return a finding where places were taken for less sure than told."""
+    if stretch <= 1.0:
+        return ()
+    return (
+        Finding(
+            "places-less-sure",
+            "warning",
+            f"Arrival times contradict the stated spread of the positions: taken all together they "
+            f"are off {stretch:.1f} times as far, and were fitted with {stretch:.1f} times that "
+            "spread. Measure them again; the drawing of the room may be wrong, too.",
+            {"stretch": stretch},
+        ),
+    )
+
+
+def _n_places(scene: Scene) -> int:
+    return 3 * (len(scene.sources) + len(scene.receivers))

@@ -1,0 +1,275 @@
+"""Use case: the absorption of a measured room.
+
+The answers of all bands side by side, with what they say together.
+"""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import Literal
+
+import numpy as np
+
+from roomfit._numba import one_blas_thread
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.cache import Cache
+from roomfit.certified.certificate import certificate_findings
+from roomfit.findings import Finding
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.bands import starts_findings
+from roomfit.inversion.compare import compare_all
+from roomfit.inversion.directivity import fitted_directivities
+from roomfit.inversion.measurements import Gathered, gather, median_decay_s
+from roomfit.inversion.model_checks import (
+    check_certifiable,
+    description_findings,
+    fit_findings,
+    interval_words,
+    method_chosen,
+    prior_findings,
+    prior_intervals,
+    reasons,
+    sampling_findings,
+    schroeder_findings,
+)
+from roomfit.inversion.paths import TracedCampaign, redirected, trace_campaign
+from roomfit.inversion.solve import Solved, solve
+from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
+from roomfit.io.campaign import Campaign
+from roomfit.io.materials import material_knowledge
+from roomfit.io.rooms import read_room
+from roomfit.materials.priors import MaterialKnowledge, prior_logits
+from roomfit.objective.observation import (
+    left_out_findings,
+    untold_band_findings,
+    untold_position_findings,
+)
+from roomfit.results import Answer
+from roomfit.scene import Scene, material_areas_m2
+from roomfit.solvers.least_squares import eyring_absorption
+from roomfit.typing import FloatArray, Progress, part
+from roomfit.uncertainty.combinations import determined, inseparable_findings
+from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.intervals import Refinement
+from roomfit.uncertainty.posterior import plain_logit_covariance
+from roomfit.uncertainty.sampling import check_sampler
+from roomfit.uncertainty.smoothing import smoothed
+
+# Something about the room is not as told: what is found of any wall makes up for it.
+_NOTHING_IDENTIFIABLE = (
+    "outline-disagrees",
+    "description-doubtful",
+    "walls-delay",
+    "places-move",
+    "source-directs",
+    "scattering-suspected",
+)
+
+
+def assembled(
+    campaign: Campaign,
+    gathered: Gathered,
+    traced: TracedCampaign,
+    solved: Solved,
+    findings: tuple[Finding, ...],
+    began: float,
+    knowledge: tuple[MaterialKnowledge, ...],
+) -> Answer:
+    """Put the bands side by side and predict every pair with what they say.
+
+    Parameters
+    ----------
+    findings : tuple of Finding
+        All that is doubtful before the bands are seen together.
+    began : float
+        Of `time.perf_counter`.
+    """
+    scene, found = gathered.scene, solved.answers
+    absorption = np.stack([b.absorption for b in found], axis=1)
+    identifiable = np.stack([b.identifiable for b in found], axis=1)
+    told_wrong = any(f.code in _NOTHING_IDENTIFIABLE for f in findings)
+    if told_wrong:
+        identifiable &= np.array([[k.known is not None] for k in knowledge])
+    lower, upper = (
+        np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
+    )
+    ambiguous, mirrors = mirror_findings(
+        *(gathered, campaign.bands, knowledge, absorption, lower, upper),
+        [b.mirrors for b in found],
+    )
+    identifiable &= ~ambiguous
+    areas = material_areas_m2(scene.room)
+    covariance = _logit_covariance(found, absorption, knowledge)
+    prior = prior_logits(knowledge)
+    told = determined(
+        *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
+        [b.samples for b in found],
+    )
+    models = tuple(b.model for b in found)
+    inseparable = (
+        ()
+        if told_wrong
+        else inseparable_findings(
+            scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
+        )
+    )
+    return Answer(
+        bands=campaign.bands,
+        materials=scene.room.materials,
+        areas_m2=areas,
+        absorption=absorption,
+        lower95=lower,
+        upper95=upper,
+        identifiable=identifiable,
+        # the first combination of a band is the mean over the whole room
+        mean_absorption=np.array(
+            [(c[0].value, c[0].lower95, c[0].upper95) for c in told.combinations]
+        ).T,
+        phi=np.array([b.phi for b in found]),
+        cost=float(sum(b.cost for b in found)),
+        evaluations=sum(b.evaluations for b in found),
+        converged=np.array([b.converged for b in found]),
+        pairs=compare_all(campaign, gathered, traced.binned, absorption),
+        findings=(*findings, *mirrors, *inseparable),
+        method=method_chosen(campaign.method),
+        model=_model_of(models),
+        interval_kind=interval_words(found),
+        speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
+        seed=campaign.seed,
+        seconds=time.perf_counter() - began,
+        logit_covariance=covariance,
+        logit_prior=prior,
+        combinations=told.combinations,
+        sentences=told.sentences,
+        shares=told.shares,
+        interval_kinds=tuple(b.kinds for b in found),
+        profiles=tuple(b.profiles for b in found),
+        samples=tuple(b.samples for b in found),
+        sampling=tuple(b.sampling for b in found),
+        prior=prior_intervals(knowledge),
+        reasons=reasons(campaign.method, campaign.bands, found),
+        models=models,
+        scattering=traced.scattering,
+        geometry=solved.geometry,
+        directivities=fitted_directivities(solved.directivities),
+        certificates=tuple(b.certificate for b in found),
+    )
+
+
+def _model_of(models: tuple[str, ...]) -> str:
+    """Return the most that any band's model knew."""
+    return next((m for m in ("coherent", "energy", "values") if m in models), "prior")
+
+
+def _logit_covariance(
+    found: tuple[BandAnswer, ...], absorption: FloatArray, knowledge: tuple[MaterialKnowledge, ...]
+) -> FloatArray:
+    """Return the covariance of logit absorption in every band, whatever the bounds of the fit."""
+    names = [k.name for k in knowledge]
+    leaders = [names.index(k.tied_to or k.name) for k in knowledge]
+    return plain_logit_covariance(
+        np.stack([b.logit_covariance for b in found]),
+        absorption,
+        np.array([k.lower for k in knowledge])[leaders],
+        np.array([k.upper for k in knowledge])[leaders],
+    )
+
+
+@one_blas_thread
+def identify(
+    campaign: Campaign, *, cache: Cache | None = None, progress: Progress | None = None
+) -> Answer:
+    """Return the absorption of every material of a measured room in every band.
+
+    Reads the room and what was measured, traces, fits every band, and predicts every pair.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    cache : Cache, optional
+        Where a trace is kept, and found again by a run that was stopped.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError, CannotTell
+        See `identify_to_folder`.
+    """
+    began = time.perf_counter()
+    check_certifiable(campaign)
+    if campaign.method == "posterior":
+        check_sampler()
+    room, room_findings = read_room(campaign.room)
+    knowledge = material_knowledge(campaign, room.materials)
+    gathered = gather(campaign, room)
+    decay_s = median_decay_s(gathered, campaign.bands.centres_hz)
+    start = _eyring_start(gathered.scene, campaign, decay_s)
+    traced = trace_campaign(campaign, gathered, knowledge, start, cache, part(progress, 0.02, 0.45))
+    solved = solve(
+        *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
+        traced.far_images,
+        traced.fit_until_s,
+        traced.again,
+        _refinement(campaign, gathered, knowledge),
+        part(progress, 0.45, 0.98),
+    )
+    if solved.directivities:
+        traced = redirected(campaign, gathered.scene, traced, solved.directivities)
+    answers = solved.answers
+    if campaign.smoothness_per_octave is not None:
+        answers = smoothed(
+            *(answers, knowledge, campaign.bands, campaign.smoothness_per_octave),
+            areas_m2=material_areas_m2(room),
+        )
+    findings = (
+        *room_findings,
+        *gathered.findings,
+        *left_out_findings(campaign.bands, gathered.responses),
+        *traced.findings,
+        *untold_position_findings(gathered.scene),
+        *untold_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
+        *solved.findings,
+        *fit_findings(campaign.bands, answers),
+        *description_findings(answers),
+        *certificate_findings(campaign.bands, [a.certificate for a in answers]),
+        *starts_findings(campaign.bands, room.materials, [a.starts for a in answers]),
+        *sampling_findings(campaign.bands, answers),
+        *prior_findings(campaign.bands, knowledge, answers),
+        *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
+    )
+    return assembled(
+        campaign, gathered, traced, replace(solved, answers=answers), findings, began, knowledge
+    )
+
+
+def _refinement(
+    campaign: Campaign, gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+) -> Refinement:
+    """Return what is done to every band after its fit; the paper's searches end where they end."""
+    intervals: Literal["gaussian", "profile", "posterior"] = "profile"
+    if campaign.method in ("simplex", "annealing"):
+        intervals = "gaussian"
+    elif campaign.method == "posterior":
+        intervals = "posterior"
+    return Refinement(
+        *(intervals, material_areas_m2(gathered.scene.room), campaign.seed),
+        tuple(s.exchange for s in mirror_symmetries(gathered, knowledge)),
+    )
+
+
+def _eyring_start(scene: Scene, campaign: Campaign, decay_s: FloatArray) -> FloatArray:
+    """Return one absorption for all walls in every band, from the measured decays."""
+    mesh = scene.room.mesh
+    attenuation = attenuation_per_m(scene.air, campaign.bands)
+    starts = [
+        eyring_absorption(
+            6.0 * np.log(10.0) / t if np.isfinite(t) else 0.0,
+            volume_m3(mesh),
+            surface_area_m2(mesh),
+            speed_of_sound_m_s(scene.air),
+            float(m),
+        )
+        for t, m in zip(decay_s, attenuation, strict=True)
+    ]
+    return np.array(starts)

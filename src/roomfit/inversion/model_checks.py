@@ -1,0 +1,327 @@
+"""Which method and which intervals were chosen, and why, in words.
+
+Doubts that the fits of all bands leave.
+
+What was known beforehand beside what the data say.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.io.campaign import Campaign
+from roomfit.materials.priors import MaterialKnowledge, unknown_material
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.gaussian import LARGEST_PHI, BandAnswer
+from roomfit.uncertainty.sampling import Sampled
+
+_FEWEST_BANDS, _LARGEST_MEDIAN_PHI = 3, 1.5
+
+
+def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+    """Return every doubt that the fits leave."""
+    findings = []
+    bad = [j for j, a in enumerate(answers) if a.phi > LARGEST_PHI]
+    if bad:
+        told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({answers[j].phi:.1f})" for j in bad)
+        findings.append(
+            Finding(
+                "model-does-not-fit",
+                "warning",
+                f"The model does not explain the measurement within its noise at {told}: nothing "
+                "is called identifiable there, and intervals are widened by the misfit.",
+                {"bands_hz": [float(bands.centres_hz[j]) for j in bad]},
+            )
+        )
+    slow = [j for j, a in enumerate(answers) if not a.converged]
+    if slow:
+        told = ", ".join(f"{bands.centres_hz[j]:g} Hz" for j in slow)
+        findings.append(
+            Finding(
+                "fit-not-settled",
+                "warning",
+                f"The fit was still moving by more than a tenth of its interval at {told}.",
+                {"bands_hz": [float(bands.centres_hz[j]) for j in slow]},
+            )
+        )
+    return tuple(findings)
+
+
+def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+    """Return a finding where most bands are explained worse than their noise allows.
+
+    One band that fits badly may have its own reason. Where the median over the bands is high, a
+    fault is in what all of them share, the description of the room, and a band whose phi happens
+    to be low is not to be trusted either. In simulated rooms described as they are the median was
+    0.3 to 0.8, with a curtain or an open door forgotten 2.0, with loudspeakers of one direction
+    taken for omnidirectional 1.2 to 1.6.
+
+    Parameters
+    ----------
+    answers : sequence of BandAnswer, one a band
+        Those of which nothing was heard are left out.
+    """
+    heard = [a.phi for a in answers if a.model in ("coherent", "energy")]
+    if len(heard) < _FEWEST_BANDS or not np.median(heard) > _LARGEST_MEDIAN_PHI:
+        return ()
+    median = float(np.median(heard))
+    return (
+        Finding(
+            "description-doubtful",
+            "serious",
+            f"In most bands the model does not explain the measurement within its noise (median "
+            f"phi {median:.1f}): something in the description of the room is not so, as a "
+            "material, an opening, scattering, a source or a place. Intervals are too narrow, and "
+            "nothing is called identifiable.",
+            {"median_phi": median},
+        ),
+    )
+
+
+def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> tuple[Finding, ...]:
+    """Return a finding for the bands that begin below the Schroeder frequency.
+
+    There a room rings in single modes and energies that add are no model of it: in simulated
+    boxes the 95 % intervals of such bands held the truth less often than those above.
+
+    Parameters
+    ----------
+    bands : Bands
+    decay_s : float array, shape (n_bands,)
+        Reverberation time of each band; NaN where unknown.
+    volume_m3 : float
+
+    References
+    ----------
+    .. [1] M. R. Schroeder, "The 'Schroeder frequency' revisited", J. Acoust. Soc. Am. 99,
+           3240-3241 (1996): ``2000 (T / V) ** 0.5`` in Hz, s and m3.
+    """
+    limit_hz = 2000.0 * np.sqrt(decay_s / volume_m3)
+    low = np.flatnonzero(bands.lower_hz < limit_hz)
+    if not low.size:
+        return ()
+    told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({limit_hz[j]:.0f} Hz)" for j in low)
+    return (
+        Finding(
+            "below-schroeder-frequency",
+            "warning",
+            f"Part of the band lies below the Schroeder frequency at {told}: single modes decide "
+            "there, which the model does not have. Trust these intervals less.",
+            {"bands_hz": [float(bands.centres_hz[j]) for j in low]},
+        ),
+    )
+
+
+_Z95 = 1.959963984540054
+# Of the prior's standard deviation: what leaves more of it comes from the prior.
+NEARLY_THE_PRIOR = 0.9
+
+
+def prior_intervals(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+    """Return absorption as it was known beforehand with its 95 % interval.
+
+    Returns
+    -------
+    float array, shape (3, n_materials, n_bands)
+        Median, lower and upper bound; of what is held fixed three times its value. What is tied to
+        another material has that one's.
+    """
+    by_name = {k.name: k for k in knowledge}
+    rows = []
+    for told in knowledge:
+        own = by_name[told.tied_to or told.name]
+        if own.known is not None:
+            rows.append(np.tile(own.known, (3, 1)))
+            continue
+        free = own.prior_logit_mean + np.outer((0.0, -_Z95, _Z95), own.prior_logit_sd)
+        rows.append(own.lower + (own.upper - own.lower) * 0.5 * (1.0 + np.tanh(0.5 * free)))
+    return np.stack(rows, axis=1)
+
+
+def prior_findings(
+    bands: Bands, knowledge: tuple[MaterialKnowledge, ...], answers: Sequence[BandAnswer]
+) -> tuple[Finding, ...]:
+    """Return a finding for each material whose answer is nearly the prior that was given for it.
+
+    Where nothing was given, an answer that the data do not tell is wide and says so by itself; a
+    prior makes it narrow.
+    """
+    findings = []
+    for i, own in enumerate(knowledge):
+        if own.known is not None or own.tied_to is not None:
+            continue
+        plain = unknown_material(own.name, len(bands))
+        given = (own.prior_logit_mean != plain.prior_logit_mean) | (
+            own.prior_logit_sd != plain.prior_logit_sd
+        )
+        left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / own.prior_logit_sd
+        fitted = np.array([a.model != "prior" for a in answers])
+        bad = np.flatnonzero(given & fitted & (left > NEARLY_THE_PRIOR))
+        if not bad.size:
+            continue
+        told = ", ".join(
+            f"{bands.centres_hz[j]:g} Hz ({100 * min(left[j], 1.0):.0f} %)" for j in bad
+        )
+        findings.append(
+            Finding(
+                "only-the-prior",
+                "warning",
+                f"What is told of {own.name} is nearly the prior that was given for it, with so "
+                f"much of its spread left: {told}. The data add next to nothing.",
+                {
+                    "material": own.name,
+                    "bands_hz": [float(bands.centres_hz[j]) for j in bad],
+                    "spread_left": [round(float(left[j]), 3) for j in bad],
+                },
+            )
+        )
+    return tuple(findings)
+
+
+def method_chosen(method: str) -> str:
+    """Return what "auto" stands for; every other method is what was asked for."""
+    return "least-squares" if method == "auto" else method
+
+
+def reasons(method: str, bands: Bands, answers: Sequence[BandAnswer]) -> tuple[str, ...]:
+    """Return sentences on what was chosen and why; empty lines are left out.
+
+    Parameters
+    ----------
+    method : str
+        As the campaign has it.
+    bands : Bands
+    answers : sequence of BandAnswer, one a band
+    """
+    told = []
+    if method == "auto":
+        told.append(
+            "Least squares from the absorption that the decays suggest: it has exact derivatives, "
+            "and the other searches compare the same squares."
+        )
+    told += [_starts(answers), _certificates(method, answers), _intervals(answers)]
+    if method == "posterior":
+        told.append(_samples(bands, answers))
+    return tuple(t for t in told if t)
+
+
+def interval_words(answers: Sequence[BandAnswer]) -> str:
+    """Return how the intervals were made, in a few words."""
+    kinds = {kind for a in answers for kind in a.kinds}
+    words = [w for kind, w in (("sampled", "sampled"), ("profile", "profiles")) if kind in kinds]
+    if "gaussian" in kinds or not words:
+        words.append("Gaussian, local" if not words else "else Gaussian")
+    return ", ".join(words)
+
+
+def sampling_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+    """Return a finding for the bands whose samples did not come to rest."""
+    bad = [
+        (float(f), a.sampling)
+        for f, a in zip(bands.centres_hz, answers, strict=True)
+        if a.sampling is not None and not a.sampling.converged
+    ]
+    if not bad:
+        return ()
+    told = ", ".join(f"{f:g} Hz ({_quality(s)})" for f, s in bad)
+    return (
+        Finding(
+            "posterior-not-sampled",
+            "warning",
+            f"The samples of the posterior did not come to rest within the evaluations allowed: "
+            f"{told}. The intervals there are the Gaussian ones.",
+            {
+                "bands_hz": [f for f, _ in bad],
+                "evaluations": [s.evaluations for _, s in bad],
+                "largest_r_hat": [round(float(s.r_hat.max()), 4) for _, s in bad],
+            },
+        ),
+    )
+
+
+def _quality(found: Sampled) -> str:
+    return (
+        f"{found.evaluations} evaluations, autocorrelation "
+        f"{found.autocorrelation.max():.0f} steps, "
+        f"R-hat {found.r_hat.max():.2f}"
+    )
+
+
+def _starts(answers: Sequence[BandAnswer]) -> str:
+    tried = [a.starts for a in answers if a.starts is not None]
+    if not tried:
+        return ""
+    ends = sum(s.agreeing for s in tried)
+    return (
+        f"Energies were fitted from {tried[0].number} random starts more in each of {len(tried)} "
+        f"bands: {ends} of {sum(s.number for s in tried)} ended in the answer's interval."
+    )
+
+
+def _certificates(method: str, answers: Sequence[BandAnswer]) -> str:
+    proven = [a.certificate for a in answers if a.certificate is not None]
+    if proven:
+        return f"The lowest cost is proven in {sum(c.status == 'certified' for c in proven)} bands."
+    if method == "auto":
+        return 'There is no proof of the lowest cost: method = "certified" gives one for energies.'
+    return ""
+
+
+def _intervals(answers: Sequence[BandAnswer]) -> str:
+    counts = {
+        kind: sum(a.kinds.count(kind) for a in answers) for kind in ("profile", "gaussian", "none")
+    }
+    if not counts["profile"]:
+        return ""
+    looked = sum(len(a.profiles) for a in answers)
+    return (
+        f"Of {sum(counts.values())} intervals {looked} are so wide that a Gaussian may fail; "
+        f"{counts['profile']} of them were skew and are profiles of the likelihood."
+    )
+
+
+def _samples(bands: Bands, answers: Sequence[BandAnswer]) -> str:
+    done = [
+        (f, a.sampling)
+        for f, a in zip(bands.centres_hz, answers, strict=True)
+        if a.sampling is not None and a.sampling.converged
+    ]
+    if not done:
+        return "No band's samples came to rest."
+    worst = float(np.max([s.r_hat.max() for _, s in done]))
+    fewest = min(s.effective for _, s in done)
+    return (
+        f"Samples came to rest in {len(done)} bands: {fewest:.0f} independent ones or more, "
+        f"R-hat at most {worst:.3f}."
+    )
+
+
+def check_certifiable(campaign: Campaign) -> None:
+    """Refuse a certificate of what has no bounds over boxes: pressures and room parameters.
+
+    Raises
+    ------
+    InputError
+        A certificate is asked for, and not of energies alone.
+    """
+    if campaign.method != "certified":
+        return
+    found = []
+    if campaign.model == "coherent":
+        found.append('model = "coherent"')
+    if any(t.use == "fit" for t in campaign.tables):
+        found.append("room parameters that are to be fitted")
+    if found:
+        raise InputError(
+            "there is no certificate but for energies",
+            where=f"{campaign.path}, identify.method",
+            found=" and ".join(found),
+            needed='impulse responses alone, and model = "energy" or "auto"',
+            hint="pressures and room parameters may rise and fall with an absorption, so that "
+            'boxes have no bounds: use method = "least-squares"',
+        )

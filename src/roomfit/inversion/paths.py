@@ -1,0 +1,172 @@
+"""The paths of a campaign: traced, or found again, with the scattering that the data prefer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit.cache import Cache
+from roomfit.findings import Finding
+from roomfit.inversion.coherent import Retrace
+from roomfit.inversion.directivity import FoundDirectivities, fitted_directivities
+from roomfit.inversion.measurements import Gathered, time_scales, unmet_findings
+from roomfit.inversion.scattering import (
+    assumed_scattering,
+    band_factors,
+    chosen_scattering,
+    scattering_doubts,
+    told_scattering,
+)
+from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
+from roomfit.io.campaign import Campaign
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.response.binned import BinnedPaths, bin_paths
+from roomfit.response.directivity import FirstOrderBands, directivity_factors
+from roomfit.scene import Room, Scene
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, concatenate, select
+from roomfit.typing import FloatArray, Progress, part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracedCampaign:
+    """Paths, the same in fine bins, the scattering they were traced with, and every doubt.
+
+    Attributes
+    ----------
+    paths : Paths
+    binned : BinnedPaths
+    duration_s : float
+        How long sound was followed.
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
+    scattering : float array, shape (n_materials, n_bands)
+    far_images : bool
+        Whether image sources of every order reach far enough to be added as pressures.
+    fit_until_s : float
+        No window of a partly coherent fit ends later.
+    again : callable or None
+        Gives paths, factors and bins with the image sources found anew where sources and receivers
+        have moved; None where all images stay, as in a box, or too few are known.
+    findings : tuple of Finding
+    """
+
+    paths: Paths
+    binned: BinnedPaths
+    duration_s: float
+    factors: FloatArray | None
+    scattering: FloatArray
+    far_images: bool
+    fit_until_s: float
+    again: Retrace | None
+    findings: tuple[Finding, ...]
+
+
+def redirected(
+    campaign: Campaign,
+    scene: Scene,
+    traced: TracedCampaign,
+    found: Sequence[FoundDirectivities],
+) -> TracedCampaign:
+    """Return the same paths with the weights that fitted directivities give them.
+
+    Parameters
+    ----------
+    found : sequence of FoundDirectivities, one a band
+    """
+    paths, bands = traced.paths, campaign.bands
+    factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
+    source_of_pair = scene.pairs[:, 0].tolist()
+    known = {d.source: FirstOrderBands(d.b) for d in fitted_directivities(found)}
+    sources = [known.get(s.name) for s in scene.sources]
+    for band in range(len(bands)):
+        factors[band] *= directivity_factors(paths, sources, source_of_pair, band)
+    binned = bin_paths(scene, bands, paths, traced.duration_s, factors)
+    return replace(traced, factors=factors, binned=binned)
+
+
+def _finder(
+    campaign: Campaign, room: Room, plan: TracePlan, paths: Paths, scattering: FloatArray
+) -> Retrace | None:
+    """Return what finds the image sources of moved points, with the rays of the first trace."""
+    settings = plan.settings
+    until_s = settings.image_until_s
+    if until_s is None or room.shoebox_m is not None:
+        return None
+    rays = select(paths, paths.batch >= 0)
+
+    def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
+        images = trace_images(
+            *(moved, settings.image_order, until_s, plan.scattering), with_unfolding=True
+        )
+        both = concatenate([images, rays])
+        factors, _ = band_factors(campaign, moved, campaign.bands, both, scattering)
+        binned = bin_paths(moved, campaign.bands, both, settings.duration_s, factors)
+        return both, factors, binned
+
+    return again
+
+
+def trace_campaign(
+    campaign: Campaign,
+    gathered: Gathered,
+    knowledge: tuple[MaterialKnowledge, ...],
+    start: FloatArray,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> TracedCampaign:
+    """Trace every measured pair for as long as its decay is to be compared.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from, where scattering has to be chosen first.
+    """
+    scene = gathered.scene
+    slowest_s, latest_s = time_scales(gathered)
+    coherent = is_coherent(campaign)
+    plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
+    knowledge, assumed = assumed_scattering(
+        gathered, campaign.bands, knowledge, plan.settings, start
+    )
+    knowledge, chosen = chosen_scattering(
+        *(campaign, gathered, knowledge, plan.settings, start), part(progress, 0.0, 0.5)
+    )
+    doubts: tuple[Finding, ...] = ()
+    if assumed or chosen:
+        plan = plan_trace(
+            *(scene, knowledge, slowest_s, latest_s, campaign.seed),
+            coherent=coherent,
+            images_until_s=plan.settings.image_until_s,
+        )
+    else:
+        doubts = scattering_doubts(gathered, campaign.bands, knowledge, plan.settings, start)
+    done = part(progress, 0.5 if chosen else 0.0, 1.0)
+    found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
+    paths = found.value.paths
+    scattering = told_scattering(knowledge, plan.scattering.coefficients, len(campaign.bands))
+    factors, worn = band_factors(campaign, scene, campaign.bands, paths, scattering)
+    binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s, factors)
+    unknown = [k.name for k in knowledge if k.known is None]
+    return TracedCampaign(
+        paths,
+        binned,
+        plan.settings.duration_s,
+        factors,
+        scattering,
+        plan.far_images,
+        plan.fit_until_s,
+        _finder(campaign, scene.room, plan, paths, scattering),
+        (
+            *plan.findings,
+            *found.findings,
+            *found.value.findings,
+            *unmet_findings(paths, unknown),
+            *worn,
+            *assumed,
+            *chosen,
+            *doubts,
+        ),
+    )

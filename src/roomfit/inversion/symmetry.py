@@ -1,0 +1,367 @@
+"""Symmetries of a room: reflections and turns that carry its surface, wall by wall, into itself.
+
+Mirror images: answers that a symmetric room makes as good as the one that was found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.findings import Finding
+from roomfit.geometry.inside import nearest_triangles
+from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.inversion.measurements import Gathered
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.scene import Room, Scene, triangle_material
+from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.uncertainty.gaussian import MirrorTrial
+
+# A wall counts as carried into another where it lies this close to it.
+TOLERANCE_M = 0.02
+_FEW_SAMPLES, _SAMPLES = 40, 600
+_MOST_NORMALS = 40
+_MOST_SYMMETRIES = 48
+_SAME_DIRECTION = 1e-3
+# Samples next to the seam of two materials may fall on either.
+_WHOLE_SHARE = 0.98
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Symmetry:
+    """A motion ``x -> centre + matrix (x - centre)`` that the room's surface does not notice.
+
+    Attributes
+    ----------
+    matrix : float array, shape (3, 3)
+        Orthogonal: a reflection, or several one after the other.
+    centre_m : float array, shape (3,)
+    exchange : int array, shape (n_materials,)
+        Material that each material is carried to.
+    """
+
+    matrix: FloatArray
+    centre_m: FloatArray
+    exchange: IntArray
+
+
+def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symmetry, ...]:
+    """Return every symmetry that mirror planes make, the identity left out.
+
+    Candidates are the planes through the middle of the surface that reflect one wall's direction
+    into itself or another's, or that stand on a principal axis. Each is tried on points of the
+    surface; what is found is combined until nothing new comes.
+
+    Parameters
+    ----------
+    room : Room
+    tolerance_m : float
+        How far from the surface the image of a wall may lie.
+    """
+    points, material = _surface_points(room, _SAMPLES)
+    middle = _middle_m(room)
+    # motions that take no point of the surface farther apart than twice the tolerance are one
+    same = 2.0 * tolerance_m / float(np.linalg.norm(points - middle, axis=1).max())
+    found: list[Symmetry] = []
+    for normal in _candidate_normals(room):
+        matrix = np.eye(3) - 2.0 * np.outer(normal, normal)
+        if _is_among(matrix, found, same):
+            continue
+        exchange = _exchange(room, points, material, matrix, middle, tolerance_m)
+        if exchange is not None:
+            found.append(Symmetry(matrix, middle, exchange))
+    return _closed(found, same)
+
+
+def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
+    """Return how far each pair is from being carried into itself, shape (n_pairs,).
+
+    The larger distance of source and receiver from where the symmetry takes them; or, if that is
+    less, from where it takes each other, since source and receiver can be exchanged.
+    """
+    sources = np.array([s.position_m for s in scene.sources])[scene.pairs[:, 0]]
+    receivers = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
+    carried = [
+        symmetry.centre_m + (x - symmetry.centre_m) @ symmetry.matrix.T
+        for x in (sources, receivers)
+    ]
+    kept = np.maximum(_apart(carried[0], sources), _apart(carried[1], receivers))
+    swapped = np.maximum(_apart(carried[0], receivers), _apart(carried[1], sources))
+    # a point that is off a plane by d has its image 2 d away
+    return np.asarray(0.5 * np.minimum(kept, swapped))
+
+
+def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
+    return np.asarray(np.linalg.norm(one - other, axis=1))
+
+
+def _middle_m(room: Room) -> FloatArray:
+    """Return the centroid of the surface, which every symmetry leaves where it is."""
+    areas = np.linalg.norm(area_vectors_m2(room.mesh), axis=1)
+    return np.asarray(areas @ corners_m(room.mesh).mean(axis=1) / areas.sum())
+
+
+def _surface_points(room: Room, n: int) -> tuple[FloatArray, IntArray]:
+    """Return points spread over the surface by area, and the material of each."""
+    rng = np.random.default_rng(0)
+    corners = corners_m(room.mesh)
+    areas = np.linalg.norm(area_vectors_m2(room.mesh), axis=1)
+    owner = rng.choice(len(areas), n, p=areas / areas.sum())
+    share = np.sort(rng.random((n, 2)), axis=1)
+    weights = np.stack((share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]), axis=1)
+    points = np.einsum("nk,nkj->nj", weights, corners[owner])
+    # every material is met, however small
+    middles = corners.mean(axis=1)
+    largest = [
+        int(np.flatnonzero(triangle_material(room) == m)[np.argmax(own)])
+        for m in range(len(room.materials))
+        if (own := areas[triangle_material(room) == m]).size
+    ]
+    owner = np.concatenate((owner, largest))
+    return np.concatenate((points, middles[largest])), triangle_material(room)[owner]
+
+
+def _candidate_normals(room: Room) -> list[FloatArray]:
+    vectors = area_vectors_m2(room.mesh)
+    areas = np.linalg.norm(vectors, axis=1)
+    order = np.argsort(-areas)
+    directions: list[FloatArray] = []
+    for i in order[areas[order] > 0.0]:
+        _add(directions, vectors[i] / areas[i])
+        if len(directions) == _MOST_NORMALS:
+            break
+    found = list(directions)
+    for one, other in combinations(directions, 2):
+        for between in (one - other, one + other):
+            length = float(np.linalg.norm(between))
+            if length > _SAME_DIRECTION:
+                _add(found, between / length)
+    # last: the axes of a cube are any three, and some of these nearly a wall's direction
+    spread = corners_m(room.mesh).mean(axis=1) - _middle_m(room)
+    for axis in np.linalg.eigh((spread.T * areas) @ spread)[1].T:
+        _add(found, axis)
+    return found
+
+
+def _add(directions: list[FloatArray], new: FloatArray) -> None:
+    """Append a direction unless it, or its opposite, is there."""
+    known = np.array(directions).reshape(-1, 3)
+    if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
+        directions.append(new)
+
+
+def _exchange(
+    room: Room,
+    points: FloatArray,
+    material: IntArray,
+    matrix: FloatArray,
+    middle: FloatArray,
+    tolerance_m: float,
+) -> IntArray | None:
+    """Return where a motion carries each material; None where it does not keep the surface."""
+    moved = middle + (points - middle) @ matrix.T
+    if np.any(nearest_triangles(room.mesh, moved[:_FEW_SAMPLES])[0] > tolerance_m):
+        return None
+    distance, triangle = nearest_triangles(room.mesh, moved)
+    if np.any(distance > tolerance_m):
+        return None
+    met = triangle_material(room)[triangle]
+    n = len(room.materials)
+    counts = np.zeros((n, n))
+    np.add.at(counts, (material, met), 1.0)
+    total = counts.sum(axis=1)
+    exchange = np.where(total > 0.0, counts.argmax(axis=1), np.arange(n))
+    whole = counts[np.arange(n), exchange] >= _WHOLE_SHARE * total
+    if not np.all(whole) or np.unique(exchange).size < n:
+        return None
+    return np.asarray(exchange, dtype=np.int64)
+
+
+def _closed(found: list[Symmetry], same: float) -> tuple[Symmetry, ...]:
+    """Return all combinations of symmetries but the identity."""
+    identity = np.eye(3)
+    group = list(found)
+    grew = True
+    while grew and len(group) < _MOST_SYMMETRIES:
+        grew = False
+        for one in found:
+            for other in list(group):
+                matrix = one.matrix @ other.matrix
+                if _is_near(matrix, identity, same) or _is_among(matrix, group, same):
+                    continue
+                group.append(Symmetry(matrix, one.centre_m, one.exchange[other.exchange]))
+                grew = True
+    return tuple(group)
+
+
+def _is_among(matrix: FloatArray, known: list[Symmetry], same: float) -> bool:
+    return any(_is_near(matrix, k.matrix, same) for k in known)
+
+
+def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
+    """Whether two motions differ for no unit vector by more than a length."""
+    return bool(np.linalg.norm(one - other, 2) <= same)
+
+
+# Places may be wrong by this many of their standard deviations.
+_SPREADS = 3.0
+# Log-likelihoods nearer than this do not decide between an answer and its image.
+_UNDECIDED = 2.0
+
+
+def mirror_findings(
+    gathered: Gathered,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    absorption: FloatArray,
+    lower95: FloatArray,
+    upper95: FloatArray,
+    trials: Sequence[tuple[MirrorTrial, ...]] = (),
+) -> tuple[BoolArray, tuple[Finding, ...]]:
+    """Return what is ambiguous by symmetry, and a finding with both answers for each symmetry.
+
+    A reflection or a turn that keeps the room and every fitted pair (or exchanges its source and
+    its receiver) exchanges walls without changing any response. A fit then ends in one of two
+    equally good answers and knows nothing of the other. Where both agree within their intervals
+    nothing is ambiguous. Directional sources, and walls of which something else is known, break
+    the symmetry.
+
+    Parameters
+    ----------
+    gathered : Gathered
+    bands : Bands
+    knowledge : tuple of MaterialKnowledge
+    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
+    trials : sequence of tuples of MirrorTrial, one a band
+        Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands are left out
+        whose data are likelier by 2 or more, in log-likelihood, without the exchange.
+
+    Returns
+    -------
+    ambiguous : bool array, shape (n_materials, n_bands)
+    findings : tuple of Finding
+    """
+    ambiguous = np.zeros(absorption.shape, dtype=np.bool_)
+    findings = []
+    scene = _fitted_scene(gathered)
+    for number, symmetry in enumerate(mirror_symmetries(gathered, knowledge)):
+        other = absorption[symmetry.exchange]
+        differs = (other < lower95) | (other > upper95)
+        tried = [t[number] if number < len(t) else None for t in trials]
+        differs &= np.array([t is None or t.gain > -_UNDECIDED for t in tried] or [True])
+        if np.any(differs):
+            ambiguous |= differs
+            apart = float(deviation_m(symmetry, scene).max())
+            findings.append(_finding(symmetry, scene, bands, apart, absorption, differs, tried))
+    return ambiguous, tuple(findings)
+
+
+def mirror_symmetries(
+    gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+) -> tuple[Symmetry, ...]:
+    """Return the symmetries of room and fitted pairs that exchange materials known alike."""
+    scene = _fitted_scene(gathered)
+    return tuple(
+        symmetry
+        for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
+        if _unknown_alike(knowledge, symmetry.exchange)
+        and not np.any(deviation_m(symmetry, scene) > _allowed_m(scene))
+    )
+
+
+def _fitted_scene(gathered: Gathered) -> Scene:
+    """Return the scene of the pairs that are fitted."""
+    scene = gathered.scene
+    heard = {m.pair for m in gathered.responses if m.file.use == "fit"}
+    tabulated = {(v.source, v.receiver) for v in gathered.values}
+    kept = [
+        i
+        for i, (s, r) in enumerate(scene.pairs)
+        if i in heard or (scene.sources[s].name, scene.receivers[r].name) in tabulated
+    ]
+    return replace(scene, pairs=scene.pairs[kept])
+
+
+def _unknown_alike(knowledge: tuple[MaterialKnowledge, ...], exchange: IntArray) -> bool:
+    """Whether materials are exchanged, and only such of which nothing, or the same, is known."""
+    moved = np.flatnonzero(exchange != np.arange(exchange.size))
+    return moved.size > 0 and all(
+        _same_knowledge(knowledge[i], knowledge[exchange[i]]) for i in moved
+    )
+
+
+def _same_knowledge(one: MaterialKnowledge, other: MaterialKnowledge) -> bool:
+    if one.known is not None or other.known is not None:
+        return False
+    return np.array_equal(one.prior_logit_mean, other.prior_logit_mean) and (
+        one.lower,
+        one.upper,
+    ) == (other.lower, other.upper)
+
+
+def _allowed_m(scene: Scene) -> FloatArray:
+    """Return how far from symmetric each pair may be told to stand and yet be so."""
+    sources, receivers = (
+        np.array(
+            [UNTOLD_POSITION_SD_M if p.position_sd_m is None else p.position_sd_m for p in points]
+        )
+        for points in (scene.sources, scene.receivers)
+    )
+    sd = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
+    return np.asarray(_SPREADS * sd + 1e-3)
+
+
+def _finding(
+    symmetry: Symmetry,
+    scene: Scene,
+    bands: Bands,
+    apart_m: float,
+    absorption: FloatArray,
+    differs: BoolArray,
+    trials: Sequence[MirrorTrial | None],
+) -> Finding:
+    names = scene.room.materials
+    moved = [i for i in range(len(names)) if differs[i].any()]
+    columns = np.flatnonzero(differs.any(axis=0))
+    told = "; ".join(
+        f"{names[i]} {_row(absorption[symmetry.exchange[i], columns])} instead of "
+        f"{_row(absorption[i, columns])}"
+        for i in moved
+    )
+    centres = ", ".join(f"{f:g}" for f in bands.centres_hz[columns])
+    gains = {j: t.gain for j, t in enumerate(trials) if t is not None and j in columns}
+    confirmed = ""
+    if gains:
+        least, most = min(gains.values()), max(gains.values())
+        between = f"{least:+.1f}" if most - least < 0.05 else f"{least:+.1f} to {most:+.1f}"
+        confirmed = (
+            f" A second fit that begins there changes the log-likelihood by {between}: "
+            "the data do not decide."
+        )
+    return Finding(
+        "mirror-images",
+        "warning",
+        f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
+        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {told}."
+        f"{confirmed} Measure a pair off the symmetry, or tell what is known of one of these "
+        "walls.",
+        {
+            "materials": [names[i] for i in moved],
+            "bands_hz": bands.centres_hz[columns].tolist(),
+            "other_answer": {
+                name: absorption[symmetry.exchange[i]].round(6).tolist()
+                for i, name in enumerate(names)
+            },
+            "apart_m": apart_m,
+            "log_likelihood_change": [round(g, 3) for g in gains.values()],
+        },
+    )
+
+
+def _row(values: FloatArray) -> str:
+    return ", ".join(f"{v:.2f}" for v in values)

@@ -1,0 +1,294 @@
+"""Intervals of bands that know what a fit of one band by itself cannot know.
+
+What all windows of a band share beyond the noise of the rays: air, and lost coherence.
+
+Intervals that know how few rays made the model: a jackknife over their batches.
+
+A ray that stays between hard walls is caught again and again, by all receivers and at every later
+time, and weighs in all bands alike. Variances of single windows know how far each of them may be
+off, and not that all are off together. Batches of rays are independent traces: leaving one out
+moves the answer by what its energies, weighed as the data are, say of the unknowns.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.air import Air, pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands, steps_per_octave
+from roomfit.inversion.sequential import CoherentBand
+from roomfit.objective.coherent import fully_coherent
+from roomfit.objective.directivity import made_directed
+from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.parameters import Parameters, physical_values
+from roomfit.objective.problem import BandProblem
+from roomfit.objective.windows import in_windows
+from roomfit.response.energy import batch_energies
+from roomfit.solvers.least_squares import BandFit
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE, BandAnswer, allowing_for, answer_steps
+
+_Z95 = 1.959963984540054
+_LEAST = 1e-9
+# Where absorption runs smoothly (as a raised cosine over octaves) from one band's centre to the
+# next, these shares of the mean over a band belong to the band above and the one below: the
+# integral of that weight over the squared magnitude of the octave filter.
+ABOVE, BELOW = 0.144, 0.078
+
+
+def widened_by_neighbours(
+    answers: Sequence[BandAnswer | None], areas_m2: FloatArray
+) -> tuple[BandAnswer | None, ...]:
+    """Return intervals that allow for absorption that changes within a band.
+
+    A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
+    to the neighbours. By how much the mean would differ from the value at the centre if absorption
+    ran smoothly between the fitted bands is taken as one more standard deviation. The bands at
+    either end lack a neighbour, and take the other's step for it.
+
+    Parameters
+    ----------
+    answers : sequence of BandAnswer or None, one a band, low to high
+    areas_m2 : float array, shape (n_materials,)
+    """
+    out: list[BandAnswer | None] = []
+    for band, answer in enumerate(answers):
+        below = answers[band - 1] if band > 0 else None
+        above = answers[band + 1] if band + 1 < len(answers) else None
+        if answer is None or (below is None and above is None):
+            out.append(answer)
+            continue
+        up = None if above is None else above.absorption - answer.absorption
+        down = None if below is None else below.absorption - answer.absorption
+        if up is not None and down is not None:
+            sd = np.abs(ABOVE * up + BELOW * down)
+        else:
+            step = up if up is not None else down
+            sd = np.hypot(ABOVE, BELOW) * np.abs(np.asarray(step))
+        out.append(_widened(answer, np.asarray(sd), areas_m2))
+    return tuple(out)
+
+
+def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
+    """Return an answer whose intervals hold those of another model, too."""
+    lower = np.minimum(best.lower95, other.lower95)
+    upper = np.maximum(best.upper95, other.upper95)
+    mean = (best.mean[0], min(best.mean[1], other.mean[1]), max(best.mean[2], other.mean[2]))
+    sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
+    middle = _logit(best.absorption)
+    reach = np.maximum(_logit(upper) - middle, middle - _logit(lower)) / _Z95
+    sd = np.sqrt(np.diagonal(best.logit_covariance))
+    # draws of a prediction must reach as far as the intervals do
+    stretch = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
+    return replace(
+        best,
+        lower95=lower,
+        upper95=upper,
+        mean=mean,
+        samples=None,
+        identifiable=sure,
+        logit_covariance=best.logit_covariance * np.outer(stretch, stretch),
+    )
+
+
+def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
+    held = answer.upper95 <= answer.lower95
+    sd = np.where(held, 0.0, sd)
+    a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
+    by_logit = sd / (a * (1.0 - a))
+    middle = _logit(a)
+    lower = middle - np.hypot(middle - _logit(answer.lower95), _Z95 * by_logit)
+    upper = middle + np.hypot(_logit(answer.upper95) - middle, _Z95 * by_logit)
+    lower95 = np.where(held, answer.lower95, np.minimum(_absorption(lower), answer.lower95))
+    upper95 = np.where(held, answer.upper95, np.maximum(_absorption(upper), answer.upper95))
+    narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | held
+    mean, low, high = answer.mean
+    more = _Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
+    return replace(
+        answer,
+        lower95=lower95,
+        upper95=upper95,
+        samples=_scattered(answer, by_logit),
+        identifiable=answer.identifiable & narrow,
+        logit_covariance=answer.logit_covariance + np.diag(by_logit**2),
+        mean=(
+            mean,
+            max(mean - float(np.hypot(mean - low, more)), 0.0),
+            min(mean + float(np.hypot(high - mean, more)), 1.0),
+        ),
+    )
+
+
+def _scattered(answer: BandAnswer, by_logit: FloatArray) -> FloatArray | None:
+    """Return the samples with as much more scatter as the intervals get, always the same."""
+    if answer.samples is None:
+        return None
+    noise = np.random.default_rng(1).standard_normal(answer.samples.shape)
+    moved = _absorption(_logit(answer.samples) + noise * by_logit)
+    return np.where(by_logit > 0.0, moved, answer.samples)
+
+
+def _logit(a: FloatArray) -> FloatArray:
+    share = np.clip(a, _LEAST, 1.0 - _LEAST)
+    return np.asarray(np.log(share) - np.log1p(-share))
+
+
+def _absorption(logit: FloatArray) -> FloatArray:
+    return np.asarray(1.0 / (1.0 + np.exp(-logit)))
+
+
+# Long enough for many independent values of eight files, short enough to follow a decay.
+_SLOT_S = 0.04
+
+
+def shared_steps(
+    problem: BandProblem,
+    fit: BandFit,
+    energies: EnergyProblem,
+    air: FloatArray,
+    coherent: CoherentBand | None = None,
+) -> FloatArray:
+    """Return how far the answer is moved by errors that all windows share, (n_free, n_errors).
+
+    Each column is one standard deviation, by the air's attenuation, which changes within a band,
+    and by reflections that interfere and are taken for energies that add.
+
+    Parameters
+    ----------
+    problem : BandProblem
+        What was fitted; the windows of `energies` are its first data.
+    fit : BandFit
+    energies : EnergyProblem
+    air : float array, shape (n_windows,)
+        See `air_error`; at a gain of 1.
+    coherent : CoherentBand, optional
+        The band with pressures, where these were fitted.
+    """
+    noise = np.concatenate([o.noise for o in energies.observations])
+    signal = fit.expected[: noise.size] - noise
+    columns = [signal * air]
+    if coherent is not None:
+        columns.append(signal * lost_coherence(coherent, fit))
+    return answer_steps(problem, fit, np.stack(columns, axis=1))
+
+
+def air_error(air: Air, bands: Bands, band: int, energies: EnergyProblem) -> FloatArray:
+    """Return the relative error of each window by air that attenuates unevenly within a band.
+
+    The attenuation of a band is that at its centre. Its mean over the band differs from that as
+    the walls' absorption does (`widened_by_neighbours`);
+    at 4 kHz by a third, as much as 15 % of relative humidity. To first order in the attenuation.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+        Negative or zero.
+    """
+    centre = float(bands.exact_centres_hz[band])
+    step = 2.0 ** (1.0 / steps_per_octave(bands.kind))
+    below, own, above = 2.0 * pressure_decay_per_m(air, centre * np.array([1 / step, 1.0, step]))
+    error = abs(ABOVE * (above - own) + BELOW * (below - own))
+    return np.asarray(-error * speed_of_sound_m_s(air) * _middle_s(energies))
+
+
+def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
+    """Return by which share the expected energy would change if all images were coherent.
+
+    What is not known to be coherent is expected to add as energies. Between smooth, parallel walls
+    it does not: images on a lattice keep their order, and in boxes the late energy of an octave is
+    10 to 25 % below the sum of their energies. Times that are off by little at every reflection
+    change the phase of single paths, hardly this mean over all files, so that it is told by the
+    images where they are thought to be. It is taken over slots of 40 ms; behind the last
+    window in which pressures add, the last slot's stands.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+        0 where everything is coherent.
+    """
+    energies = band.energies
+    noise = np.concatenate([o.noise for o in energies.observations])
+    whole = made_directed(fully_coherent(band.problem), band.directed)
+    expected = fit.expected[: noise.size]
+    more, signal = whole.predict(fit.vector).expected - expected, expected - noise
+    weight = signal / fit.variance[: noise.size]
+    early = np.concatenate(
+        [
+            np.arange(seen.energy.size) < first.energy.size
+            for seen, first in zip(energies.observations, band.problem.early, strict=True)
+        ]
+    )
+    slot = np.floor(_middle_s(energies) / _SLOT_S).astype(np.int64)
+    weight = np.where(early, weight, 0.0)
+    top = np.bincount(slot, weight * more, slot.max() + 1)
+    bottom = np.bincount(slot, weight * signal, slot.max() + 1)
+    share = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
+    told = np.flatnonzero(bottom > 0.0)
+    return np.asarray(share[np.minimum(slot, told[-1])])
+
+
+def _middle_s(energies: EnergyProblem) -> FloatArray:
+    """Return the middle of every window, all observations end to end."""
+    edges = [o.edges_s for o in energies.observations]
+    return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))
+
+
+def with_tracing_noise(
+    problem: BandProblem, energies: EnergyProblem, sources: Sequence[int], fit: BandFit
+) -> BandFit:
+    """Return a fit whose information allows for the Monte-Carlo noise that windows share.
+
+    The spread of the answer's steps (`roomfit.uncertainty.gaussian.answer_steps`) over the
+    batches of rays [1]_ is added to the covariance.
+
+    Parameters
+    ----------
+    problem : BandProblem
+        What was fitted; the windows of `energies` are its first data.
+    energies : EnergyProblem
+    sources : sequence of int
+        Source of each observation: rays of one are heard by all of its receivers.
+    fit : BandFit
+
+    References
+    ----------
+    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
+           section 3: the delete-one variance of an estimate, here linearised.
+    """
+    spread = batch_spread(energies, problem.parameters, fit.vector, sources)
+    if not spread.size:
+        return fit
+    return allowing_for(fit, answer_steps(problem, fit, spread))
+
+
+def batch_spread(
+    energies: EnergyProblem, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
+) -> FloatArray:
+    """Return vectors whose outer products add up to the covariance of the traced energies.
+
+    Returns
+    -------
+    float array, shape (n_windows, n_sources * n_batches)
+        Without columns where there are no rays, or fewer than two batches of them.
+    """
+    values, _ = physical_values(parameters, vector)
+    gains = np.append(values["gain"], 1.0)
+    n_batches = min((rows.n_batches for rows in energies.rows), default=0)
+    names = list(dict.fromkeys(sources))
+    n_windows = sum(o.energy.size for o in energies.observations)
+    if n_batches < 2 or not any(np.any(rows.batch >= 0) for rows in energies.rows):
+        return np.zeros((n_windows, 0))
+    out: FloatArray = np.zeros((n_windows, len(names), n_batches))
+    first = 0
+    for rows, seen, source in zip(energies.rows, energies.observations, sources, strict=True):
+        batches = batch_energies(
+            rows, values["absorption"][:, None], np.array([energies.attenuation_per_m])
+        )[:, 0, :]
+        windows = gains[seen.gain] * in_windows(seen.shares, batches)
+        last = first + seen.energy.size
+        out[first:last, names.index(source)] = windows - windows.mean(axis=1, keepdims=True)
+        first = last
+    return np.asarray(out.reshape(n_windows, -1) * np.sqrt(n_batches / (n_batches - 1.0)))

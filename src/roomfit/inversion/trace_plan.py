@@ -1,0 +1,217 @@
+"""How finely to trace a campaign: enough for the answer, no more than memory allows.
+
+A trace that a killed run does not lose.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.cache import Cache, Cached, cached
+from roomfit.findings import Finding
+from roomfit.geometry.mesh import volume_m3
+from roomfit.io.campaign import Campaign
+from roomfit.materials.priors import MaterialKnowledge, Scattering, sampling_scattering
+from roomfit.scene import Scene
+from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
+from roomfit.tracing.paths import Paths, Reflections, TraceSettings
+from roomfit.tracing.rays import RayStatistics
+from roomfit.tracing.trace import Trace, trace
+from roomfit.typing import Progress
+
+TRACE_CLASSES = (Trace, Paths, Reflections, RayStatistics, Finding)
+
+
+def cached_trace(
+    scene: Scene,
+    settings: TraceSettings,
+    scattering: Scattering,
+    cache: Cache | None,
+    progress: Progress | None = None,
+) -> Cached[Trace]:
+    """Return `roomfit.tracing.trace.trace` of a scene, from the cache where it is there.
+
+    The key holds every number of the scene (mesh, materials, positions, air), the settings with
+    their seed, the scattering, and the code. The paths have the same bits either way.
+
+    Raises
+    ------
+    InputError
+        See `roomfit.tracing.trace.trace`.
+    """
+    found = cached(
+        cache,
+        "trace",
+        (scene, settings, scattering),
+        lambda: trace(scene, settings, scattering, progress),
+        TRACE_CLASSES,
+    )
+    if found.found and progress is not None:
+        progress(1.0)
+    return found
+
+
+DEFAULT_SCATTERING = 0.1
+N_RAYS = 60_000
+# Beside image sources of every order in a room of smooth walls rays bring only what is late: the
+# Monte-Carlo error of a window, 5 to 8 %, stays well below what interference does to it. Where
+# walls scatter, they bring most of the energy from the first reflections on.
+N_RAYS_BESIDE_IMAGES = 20_000
+RECEIVER_RADIUS_M = 0.5
+_MOST_IMAGES_PER_PAIR = 400_000
+_IMAGE_ORDER, _ANY_ORDER = 3, 1000
+# A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
+# box, where they cost little, as far as energies are compared.
+_COHERENT_UNTIL_S = 0.22
+_MOST_COHERENT_IMAGES_PER_PAIR = 60_000
+_LEAST_COHERENT_S = 0.03
+# A room of so many triangles is furnished: its images end within milliseconds of work.
+_MOST_TRIANGLES_FOR_IMAGES = 600
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TracePlan:
+    """Settings, scattering, and what was assumed in choosing them.
+
+    Attributes
+    ----------
+    settings : TraceSettings
+    scattering : Scattering
+    findings : tuple of Finding
+    far_images : bool
+        Whether image sources of every order reach far enough to be added as pressures.
+    fit_until_s : float
+        No window of a partly coherent fit ends later.
+    """
+
+    settings: TraceSettings
+    scattering: Scattering
+    findings: tuple[Finding, ...]
+    far_images: bool = False
+    fit_until_s: float = np.inf
+
+
+def plan_trace(
+    scene: Scene,
+    knowledge: tuple[MaterialKnowledge, ...],
+    longest_decay_s: float,
+    latest_window_s: float,
+    seed: int,
+    *,
+    coherent: bool = False,
+    images_until_s: float | None = None,
+) -> TracePlan:
+    """Choose how to trace.
+
+    A box whose walls do not scatter is done by image sources alone, which are exact; every other
+    room by image sources for the first orders and rays for the rest. For a partly coherent fit
+    there are image sources of every order for as long as they can be enumerated. Sound is followed
+    until the slowest band has fallen by 45 dB, so that T30 can be predicted.
+
+    Parameters
+    ----------
+    scene : Scene
+    knowledge : tuple of MaterialKnowledge, in the order of the room's materials
+    longest_decay_s : float
+        Longest measured reverberation time of any band.
+    latest_window_s : float
+        Where the last usable window of any measurement ends.
+    seed : int
+    coherent : bool
+        Whether early reflections are to be added as pressures.
+    images_until_s : float, optional
+        How long image sources of every order can be had, where another plan of the scene told it.
+    """
+    findings = []
+    untold = [k.name for k in knowledge if k.scattering is None]
+    if untold:
+        findings.append(
+            Finding(
+                "scattering-assumed",
+                "info",
+                f"No scattering is told for {', '.join(untold)}; {DEFAULT_SCATTERING:g} was "
+                "assumed.",
+                {"materials": untold, "scattering": DEFAULT_SCATTERING},
+            )
+        )
+    told = [sampling_scattering(k) for k in knowledge]
+    s = [DEFAULT_SCATTERING if t is None else t for t in told]
+    scattering = Scattering(scene.room.materials, np.array(s))
+    duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
+    reach_m = speed_of_sound_m_s(scene.air) * duration_s
+    n_images = 4.0 / 3.0 * np.pi * reach_m**3 / volume_m3(scene.room.mesh)
+    images_alone = (
+        scene.room.shoebox_m is not None
+        and not np.any(scattering.coefficients)
+        and n_images <= _MOST_IMAGES_PER_PAIR
+    )
+    settings = TraceSettings(
+        duration_s=duration_s,
+        n_rays=0 if images_alone else N_RAYS,
+        image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
+        receiver_radius_m=RECEIVER_RADIUS_M,
+        seed=seed,
+        keep_unfolding=coherent,
+    )
+    until_s = 0.0
+    if coherent and not images_alone:
+        until_s = images_until_s or _images_until_s(scene, duration_s)
+    if until_s > 0.0:
+        settings = replace(
+            settings,
+            image_order=_ANY_ORDER,
+            image_until_s=until_s,
+            n_rays=N_RAYS if np.any(scattering.coefficients) else N_RAYS_BESIDE_IMAGES,
+        )
+    elif coherent and not images_alone:
+        findings.append(_few_images())
+    if until_s == 0.0 and scene.room.shoebox_m is None:
+        order = affordable_order(scene, _IMAGE_ORDER, duration_s)
+        settings = replace(settings, image_order=order)
+    far_images = images_alone or until_s > 0.0
+    smooth_box = scene.room.shoebox_m is not None and not np.any(scattering.coefficients)
+    # what is left in a smooth box travels between two hard walls along paths that few rays find
+    fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
+    return TracePlan(settings, scattering, tuple(findings), far_images, fit_until_s)
+
+
+def _few_images() -> Finding:
+    return Finding(
+        "few-image-sources",
+        "info",
+        "The room has too many walls to follow image sources of every order for "
+        f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
+        "pressures.",
+    )
+
+
+def _images_until_s(scene: Scene, duration_s: float) -> float:
+    """Return how long image sources of every order can be had; 0 where it is not worth while."""
+    c = speed_of_sound_m_s(scene.air)
+    volume = volume_m3(scene.room.mesh)
+    affordable_s = (_MOST_COHERENT_IMAGES_PER_PAIR * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    longest_s = min(duration_s, float(affordable_s))
+    if scene.room.shoebox_m is None:
+        if len(scene.room.mesh.triangles) > _MOST_TRIANGLES_FOR_IMAGES:
+            return 0.0
+        longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
+    return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0
+
+
+_COHERENT_METHODS = ("auto", "least-squares", "posterior")
+
+
+def is_coherent(campaign: Campaign) -> bool:
+    """Whether responses are to be fitted with image sources as coherent as their times are known.
+
+    The paper's searches cannot follow the many unknown positions; they compare energies.
+    """
+    return any(m.use == "fit" for m in campaign.measurements) and fits_pressures(campaign)
+
+
+def fits_pressures(campaign: Campaign) -> bool:
+    """Whether a campaign's model and method let pressures be added, if there are responses."""
+    return campaign.model != "energy" and campaign.method in _COHERENT_METHODS

@@ -1,0 +1,648 @@
+"""A campaign in the words of the science: what a campaign file says, checked and converted.
+
+Read and check a campaign file; every complaint names the key and what was needed.
+
+The keys of a campaign file, format_version 1, and what each may hold.
+"""
+
+from __future__ import annotations
+
+import tomllib
+import types
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any, Literal, Union, get_args, get_origin
+
+import numpy as np
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic_core import ErrorDetails
+
+from roomfit._checks import nearest
+from roomfit.air import Air
+from roomfit.bands import OCTAVES_HZ, Bands, bands_between
+from roomfit.errors import InputError, located
+from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.measurement import MeasuredFile, MeasuredSpectrum, MeasuredTable, ResponseSpec
+from roomfit.response.directivity import FirstOrderBands
+from roomfit.scene import Point
+
+Position = tuple[float, float, float]
+Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+PerBand = Fraction | list[Fraction]
+
+
+class Table(BaseModel):
+    """A table of the file: an unknown key is an error, and nothing changes after reading."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
+
+
+class PolygonTable(Table):
+    """``[room] polygons``: corner and plane tables."""
+
+    corners: list[str] = Field(min_length=1)
+    planes: list[str] = Field(min_length=1)
+    replace: dict[str, str] = {}
+    drop: list[int] = []
+    sides: dict[str, Literal[1, 2]] = {}
+
+
+class RoomTable(Table):
+    """``[room]``."""
+
+    file: str | None = None
+    shoebox: tuple[float, float, float] | None = None
+    polygons: PolygonTable | None = None
+    unit: str | None = None
+    up: Literal["z", "y"] | None = None
+    materials: dict[str, str] = {}
+
+
+class AirTable(Table):
+    """``[air]``."""
+
+    temperature_c: float = 20.0
+    temperature_sd_c: float | None = Field(default=None, ge=0.0)
+    humidity_percent: float = 50.0
+    pressure_kpa: float = 101.325
+    speed_of_sound_m_s: float | None = None
+    attenuation: Literal["iso9613", "none"] = "iso9613"
+
+
+class Spectrum(Table):
+    """Values at frequencies, for scattering."""
+
+    centres_hz: list[float] = Field(min_length=1)
+    values: list[Fraction] = Field(min_length=1)
+
+
+class Prior(Table):
+    """What is known of an absorption beforehand: mean and standard deviation of alpha."""
+
+    mean: PerBand
+    sd: float | list[float]
+
+
+class MaterialTable(Table):
+    """``[materials.NAME]``."""
+
+    scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
+    absorption: PerBand | None = None
+    prior: Prior | str | None = None
+    bounds: tuple[Fraction, Fraction] | None = None
+    same_absorption_as: str | None = None
+    delay_sd_ms: float | None = Field(default=None, ge=0.0, le=5.0)
+    impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
+    impedance_start: dict[str, float | list[float]] | None = None
+
+
+class Directivity(Table):
+    """First-order directivity of a source."""
+
+    aim: Position
+    order: Literal[1] = 1
+    b: float = Field(ge=0.0, le=10.0)
+    b_sd: float = Field(default=0.0, ge=0.0, le=10.0)
+
+
+class MeasuredDirectivity(Table):
+    """Directivity of a source from a SOFA file, and how the source stood in the room."""
+
+    file: str
+    aim: Position = (1.0, 0.0, 0.0)
+    up: Position = (0.0, 0.0, 1.0)
+
+
+class SourceTable(Table):
+    """``[sources.NAME]``."""
+
+    position: Position
+    position_sd: float | None = Field(default=None, ge=0.0)
+    directivity: str | Directivity | MeasuredDirectivity = "omni"
+
+
+class ReceiverTable(Table):
+    """``[receivers.NAME]``."""
+
+    position: Position
+    position_sd: float | None = Field(default=None, ge=0.0)
+
+
+class MeasurementTable(Table):
+    """``[[measurements]]``."""
+
+    source: str | None = None
+    receiver: str | None = None
+    file: str | None = None
+    excitation: str | None = None
+    excitation_channel: int | None = Field(default=None, ge=0)
+    parameters: str | None = None
+    spectrum: str | None = None
+    channel: int | None = Field(default=None, ge=0)
+    variable: str | None = None
+    sampling_rate_variable: str | None = None
+    sampling_rate_hz: float | None = Field(default=None, gt=0.0)
+    measurement: int | None = Field(default=None, ge=0)
+    receiver_index: int | None = Field(default=None, ge=0)
+    time_zero: Literal["emission", "direct", "unknown"] = "emission"
+    latency_s: float = Field(default=0.0, ge=-10.0, le=10.0)
+    latency_sd_s: float | None = Field(default=None, ge=0.0, le=0.1)
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    use: Literal["fit", "validate"] = "fit"
+
+
+class IdentifyTable(Table):
+    """``[identify]``."""
+
+    bands: Literal["octave", "third-octave"] | list[float] = "octave"
+    from_hz: float = Field(default=125.0, gt=0.0)
+    to_hz: float = Field(default=4000.0, gt=0.0)
+    method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
+        "auto"
+    )
+    model: Literal["auto", "energy", "coherent"] = "auto"
+    positions: Literal["auto", "fit", "fixed"] = "auto"
+    wall_delays: bool = True
+    smoothness_per_octave: float | None = Field(default=None, gt=0.0)
+    seed: int = Field(default=1, ge=0, lt=2**63)
+
+
+class ImpedanceTable(Table):
+    """``[impedance]``: what ``roomfit impedance`` fits, and how."""
+
+    from_hz: float = Field(default=100.0, gt=0.0)
+    to_hz: float = Field(default=1000.0, gt=0.0)
+    step_hz: float = Field(default=10.0, gt=0.0)
+    tau_s: float = Field(default=0.015, gt=0.0, le=1.0)
+    gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
+    positions: Literal["fit", "fixed"] = "fit"
+    speed_of_sound: Literal["fit", "fixed"] = "fit"
+    random_starts: int = Field(default=3, ge=0, le=100)
+
+
+class DesignTable(Table):
+    """``[design]``: where ``roomfit design`` may put sources and receivers."""
+
+    sources: list[Position] = []
+    receivers: list[Position] = []
+    new_sources: int = Field(default=8, ge=0, le=1000)
+    grid_m: float | None = Field(default=None, gt=0.0)
+    source_heights_m: tuple[float, float] = (1.0, 2.0)
+    receiver_heights_m: tuple[float, float] = (1.0, 2.0)
+    region_m: tuple[Position, Position] | None = None
+    wall_distance_m: float = Field(default=1.0, ge=0.01)
+    source_distance_m: float | None = Field(default=None, ge=0.1)
+    receiver_distance_m: float = Field(default=2.0, ge=0.0)
+    most_sources: int | None = Field(default=None, ge=1)
+    criterion: Literal["determinant", "mean", "worst"] = "determinant"
+    decay_range_db: float = Field(default=45.0, ge=10.0, le=120.0)
+    position_sd: float = Field(default=0.02, ge=0.0)
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    draws: int = Field(default=2, ge=1, le=100)
+
+
+class CampaignTable(Table):
+    """The whole file."""
+
+    format_version: Literal[1] = 1
+    room: RoomTable
+    air: AirTable = AirTable()
+    materials: dict[str, MaterialTable] = {}
+    sources: dict[str, SourceTable] = {}
+    receivers: dict[str, ReceiverTable] = {}
+    measurements: list[MeasurementTable] = []
+    identify: IdentifyTable = IdentifyTable()
+    impedance: ImpedanceTable = ImpedanceTable()
+    design: DesignTable = DesignTable()
+
+
+def read_campaign_table(path: Path, *, to_fit: bool = True) -> CampaignTable:
+    """Return the checked contents of a campaign file.
+
+    Parameters
+    ----------
+    path : Path
+    to_fit : bool
+        Whether there must be a measurement to fit; a prediction needs none.
+
+    Raises
+    ------
+    InputError
+        The file is missing, not TOML, has an unknown key (the nearest known one is named), a value
+        of the wrong kind, or measurements that name undefined sources or receivers.
+    """
+    table = _read_toml(path)
+    try:
+        campaign = CampaignTable.model_validate(table)
+    except ValidationError as error:
+        raise _explained(path, error) from None
+    if to_fit:
+        _check_data(path, campaign)
+    _check_names(path, campaign)
+    _check_pairs(path, campaign)
+    return campaign
+
+
+def _read_toml(path: Path) -> dict[str, Any]:
+    try:
+        text = Path(path).read_bytes()
+    except FileNotFoundError:
+        raise InputError(
+            "the campaign file does not exist", where=str(path), hint="check the path"
+        ) from None
+    except OSError as error:
+        raise InputError(
+            "the campaign file cannot be read", where=str(path), found=str(error)
+        ) from error
+    try:
+        return tomllib.loads(text.decode("utf-8"))
+    except UnicodeDecodeError as error:
+        raise InputError(
+            "the campaign file is not text", where=str(path), needed="TOML in UTF-8"
+        ) from error
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
+        raise InputError(
+            "the campaign file is not valid TOML",
+            where=str(path),
+            found=str(error),
+            hint="a key may stand only once, text needs quotes, tables begin with [name]",
+        ) from error
+
+
+def _explained(path: Path, error: ValidationError) -> InputError:
+    """Turn pydantic's most telling complaint into one message in our words."""
+    complaints = error.errors(include_url=False)
+    # a union tries every member: an unknown key says most, then what lies deepest in the file
+    first = next((c for c in complaints if c["type"] == "extra_forbidden"), None)
+    if first is None:
+        start = _place(complaints[0])[:2]
+        alike = [c for c in complaints if _place(c)[:2] == start]
+        first = max(alike, key=lambda c: len(_place(c)))
+    place = _place(first)
+    # a position of two numbers lacks its third: the fault is the list's
+    if first["type"] == "missing" and isinstance(place[-1], int):
+        return InputError(
+            "a list in the campaign file is too short",
+            where=f"{path}, {_key_path(place[:-1])}",
+            found=repr(first.get("input")),
+            needed=f"{place[-1] + 1} values or more",
+        )
+    where = f"{path}, {_key_path(place)}"
+    if first["type"] == "extra_forbidden":
+        key = str(first["loc"][-1])
+        known = _known_keys(first["loc"][:-1])
+        guess = nearest(key, known)
+        return InputError(
+            "unknown key in the campaign file",
+            where=where,
+            found=repr(key),
+            needed=f"one of {', '.join(known)}" if known else None,
+            hint=f"did you mean {guess!r}?" if guess else None,
+        )
+    if first["type"] == "missing":
+        return InputError(
+            "the campaign file lacks a key",
+            where=f"{path}, {_key_path(place[:-1])}",
+            needed=repr(str(place[-1])),
+        )
+    return InputError(
+        "a value in the campaign file is not what it must be",
+        where=where,
+        found=repr(first.get("input")),
+        needed=first["msg"].removeprefix("Input should be ").split(", unable to parse")[0],
+    )
+
+
+def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
+    """Return where in the file a complaint points, without the names of union members."""
+    return tuple(part for part in complaint["loc"] if _stands_in_the_file(part))
+
+
+def _stands_in_the_file(part: int | str) -> bool:
+    """Whether a part of a complaint is a key or an index, not the name of a union member."""
+    if isinstance(part, int):
+        return True
+    return not part.endswith("Table") and "[" not in part and part not in _MEMBER_NAMES
+
+
+_MEMBER_NAMES = frozenset(
+    {
+        "Spectrum",
+        "Prior",
+        "Directivity",
+        "MeasuredDirectivity",
+        "float",
+        "str",
+        "int",
+        "constrained-float",
+        "constrained-str",
+    }
+)
+
+
+def _key_path(location: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}"
+    return text.lstrip(".") or "top level"
+
+
+def _known_keys(location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that the table at a location may have."""
+    model: type[BaseModel] = CampaignTable
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            inner = _models_within(model.model_fields[part].annotation)
+            if not inner:
+                return []
+            model = inner[0]
+    return sorted(model.model_fields)
+
+
+def _models_within(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, types.UnionType, dict, list):
+        return [m for a in get_args(annotation) for m in _models_within(a)]
+    return []
+
+
+def _check_data(path: Path, campaign: CampaignTable) -> None:
+    """Refuse a campaign that leaves nothing to fit."""
+    if not campaign.measurements:
+        raise InputError(
+            "the campaign has no measurement",
+            where=str(path),
+            needed="at least one [[measurements]] table",
+        )
+    if all(row.use == "validate" for row in campaign.measurements):
+        raise InputError(
+            "every measurement is for validation and none is left to fit",
+            where=str(path),
+            needed='at least one measurement with use = "fit"',
+        )
+
+
+def _check_names(path: Path, campaign: CampaignTable) -> None:
+    for number, row in enumerate(campaign.measurements, start=1):
+        where = f"{path}, measurements[{number}]"
+        kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
+        if len(kinds) != 1:
+            raise InputError(
+                "a measurement needs exactly one kind of data",
+                where=where,
+                found=", ".join(kinds) or "none",
+                needed="one of file, parameters, spectrum",
+            )
+        for kind, name, known in (
+            ("source", row.source, campaign.sources),
+            ("receiver", row.receiver, campaign.receivers),
+        ):
+            if name is None and row.parameters is None:
+                raise InputError(f"a measurement without a {kind}", where=where, needed=kind)
+            if name is not None and name not in known:
+                guess = nearest(name, known)
+                raise InputError(
+                    f"a measurement names a {kind} that is not defined",
+                    where=where,
+                    found=repr(name),
+                    needed=f"one of {', '.join(sorted(known)) or f'no {kind} is defined'}",
+                    hint=f"did you mean {guess!r}?" if guess else f"add [{kind}s.{name}]",
+                )
+
+
+def _check_pairs(path: Path, campaign: CampaignTable) -> None:
+    """Refuse the same data twice, for one pair or for two: they are one measurement."""
+    seen: dict[tuple[object, ...], int] = {}
+    for number, row in enumerate(campaign.measurements, start=1):
+        data = row.file or row.parameters or row.spectrum
+        # a table of parameters holds many pairs, a file's channel one
+        pair = () if row.file else (row.source, row.receiver)
+        key = (data, row.channel, row.variable, row.measurement, row.receiver_index, *pair)
+        earlier = seen.setdefault(key, number)
+        if earlier != number:
+            other = campaign.measurements[earlier - 1]
+            same = (row.source, row.receiver) == (other.source, other.receiver)
+            raise InputError(
+                "the same measurement stands twice" if same else "two pairs have the same response",
+                where=f"{path}, measurements[{earlier}] and measurements[{number}]",
+                found=data,
+                hint="remove one of them" if same else "name each pair's own file or channel",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Campaign:
+    """Everything that a campaign file says.
+
+    Attributes
+    ----------
+    path : Path
+        The file itself; paths in it are relative to its folder.
+    room : RoomSpec
+    air : Air
+    sources, receivers : tuple of Point
+        All that the file defines, measured or not.
+    measurements : tuple of MeasuredFile
+    tables : tuple of MeasuredTable
+    bands : Bands
+        Bands to fit.
+    materials : mapping of name to MaterialTable
+        What the file says of materials, for `material_knowledge`.
+    method, model : str
+    seed : int
+    positions : {"auto", "fit", "fixed"}
+        Whether told positions may move within their spread.
+    wall_delays : bool
+        Whether walls may delay what they reflect.
+    smoothness_per_octave : float or None
+        Standard deviation by which logit absorption changes from octave to octave.
+    temperature_sd_c : float or None
+    directivities : mapping of source name to what the file says of its directivity
+        For `roomfit.io.materials.campaign_directivities`; or what a fit found.
+    spectra : tuple of MeasuredSpectrum
+    impedance : ImpedanceTable
+    design : DesignTable
+    """
+
+    path: Path
+    room: RoomSpec
+    air: Air
+    sources: tuple[Point, ...]
+    receivers: tuple[Point, ...]
+    measurements: tuple[MeasuredFile, ...]
+    tables: tuple[MeasuredTable, ...]
+    bands: Bands
+    materials: dict[str, MaterialTable]
+    method: str
+    model: str
+    seed: int
+    positions: Literal["auto", "fit", "fixed"] = "auto"
+    wall_delays: bool = True
+    smoothness_per_octave: float | None = None
+    temperature_sd_c: float | None = None
+    directivities: Mapping[str, str | Directivity | MeasuredDirectivity | FirstOrderBands] = field(
+        default_factory=dict
+    )
+    spectra: tuple[MeasuredSpectrum, ...] = ()
+    impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
+    design: DesignTable = field(default_factory=DesignTable)
+
+
+def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
+    """Read a campaign file.
+
+    Parameters
+    ----------
+    path : Path
+    to_fit : bool
+        Whether there must be a measurement to fit; a prediction or a design needs none.
+
+    Raises
+    ------
+    InputError
+        See `read_campaign_table`.
+    """
+    path = Path(path)
+    table = read_campaign_table(path, to_fit=to_fit)
+    settings = table.identify
+    return Campaign(
+        path,
+        _room_spec(path, table),
+        _air(path, table.air),
+        _points(table.sources),
+        _points(table.receivers),
+        tuple(_measured_file(path, m) for m in table.measurements if m.file is not None),
+        tuple(_measured_table(path, m) for m in table.measurements if m.parameters is not None),
+        _bands(path, settings),
+        dict(table.materials),
+        settings.method,
+        settings.model,
+        settings.seed,
+        settings.positions,
+        settings.wall_delays,
+        settings.smoothness_per_octave,
+        table.air.temperature_sd_c,
+        {name: source.directivity for name, source in table.sources.items()},
+        tuple(_measured_spectrum(path, m) for m in table.measurements if m.spectrum is not None),
+        table.impedance,
+        table.design,
+    )
+
+
+def input_files(campaign: Campaign) -> tuple[Path, ...]:
+    """Return every file whose content decides the answer, each once, the campaign's own first."""
+    room = campaign.room
+    files = [campaign.path]
+    if room.file is not None:
+        files.append(room.file)
+    if room.polygons is not None:
+        files += [*room.polygons.corners, *room.polygons.planes, *room.polygons.replace.values()]
+    files += [m.response.path for m in campaign.measurements]
+    files += [m.response.excitation for m in campaign.measurements if m.response.excitation]
+    files += [t.path for t in campaign.tables]
+    files += [s.path for s in campaign.spectra]
+    files += _directivity_files(campaign)
+    return tuple(dict.fromkeys(files))
+
+
+def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
+    room = table.room
+    kinds = [k for k in ("file", "shoebox", "polygons") if getattr(room, k) is not None]
+    if len(kinds) != 1:
+        raise InputError(
+            "the room needs exactly one description",
+            where=f"{path}, room",
+            found=", ".join(kinds) or "none",
+            needed="one of file, shoebox, polygons",
+        )
+    folder = path.parent
+    polygons = None
+    if room.polygons is not None:
+        polygons = PolygonSpec(
+            corners=tuple(folder / f for f in room.polygons.corners),
+            planes=tuple(folder / f for f in room.polygons.planes),
+            replace={key: folder / f for key, f in room.polygons.replace.items()},
+            drop=tuple(room.polygons.drop),
+            sides=dict(room.polygons.sides),
+        )
+    return RoomSpec(
+        file=None if room.file is None else folder / room.file,
+        shoebox=room.shoebox,
+        polygons=polygons,
+        unit=room.unit,
+        up=room.up,
+        materials=dict(room.materials),
+    )
+
+
+def _directivity_files(campaign: Campaign) -> list[Path]:
+    told = campaign.directivities.values()
+    named = [t for t in told if isinstance(t, str) and t not in ("omni", "fit")]
+    named += [t.file for t in told if isinstance(t, MeasuredDirectivity)]
+    return [campaign.path.parent / name for name in named]
+
+
+def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, ...]:
+    return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
+
+
+def _measured_table(path: Path, row: MeasurementTable) -> MeasuredTable:
+    return MeasuredTable(path.parent / str(row.parameters), row.source, row.receiver, row.use)
+
+
+def _measured_spectrum(path: Path, row: MeasurementTable) -> MeasuredSpectrum:
+    told = row.level if "level" in row.model_fields_set else None
+    spectrum = path.parent / str(row.spectrum)
+    return MeasuredSpectrum(str(row.source), str(row.receiver), spectrum, told, row.use)
+
+
+def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
+    # `read_campaign_table` has made sure that all three are given
+    return MeasuredFile(
+        str(row.source),
+        str(row.receiver),
+        ResponseSpec(
+            path=path.parent / str(row.file),
+            channel=row.channel,
+            variable=row.variable,
+            sampling_rate_variable=row.sampling_rate_variable,
+            sampling_rate_hz=row.sampling_rate_hz,
+            measurement=row.measurement,
+            receiver_index=row.receiver_index,
+            time_zero=row.time_zero,
+            latency_s=row.latency_s,
+            excitation=None if row.excitation is None else path.parent / row.excitation,
+            excitation_channel=row.excitation_channel,
+        ),
+        row.level,
+        row.use,
+        row.latency_sd_s,
+    )
+
+
+def _air(path: Path, table: AirTable) -> Air:
+    with located(str(path)):
+        return Air(
+            table.temperature_c,
+            table.humidity_percent,
+            table.pressure_kpa,
+            table.speed_of_sound_m_s,
+            table.attenuation,
+        )
+
+
+def _bands(path: Path, table: IdentifyTable) -> Bands:
+    if table.from_hz > table.to_hz:
+        raise InputError(
+            "the lowest band lies above the highest",
+            where=f"{path}, identify",
+            found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
+            needed="from_hz <= to_hz",
+        )
+    with located(f"{path}, identify.bands"):
+        if isinstance(table.bands, str):
+            return bands_between(table.bands, table.from_hz, table.to_hz)
+        octaves = set(table.bands) <= set(OCTAVES_HZ)
+        return Bands("octave" if octaves else "third-octave", np.array(table.bands))

@@ -1,0 +1,155 @@
+"""Directivities of loudspeakers from SOFA files (AES69)."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.io.responses.formats import opened_sofa, real_array
+from roomfit.response.directivity import MeasuredDirectivity, loudspeaker_axes, measured_directivity
+from roomfit.typing import FloatArray
+
+
+def read_directivity(
+    path: Path, bands: Bands, aim: ArrayLike = (1.0, 0.0, 0.0), up: ArrayLike = (0.0, 0.0, 1.0)
+) -> MeasuredDirectivity:
+    """Return what a loudspeaker sends into each direction in every band, of unit sound power.
+
+    Read are transfer functions (data type TF, as in FreeFieldDirectivityTF and GeneralTF) and
+    impulse responses (data type FIR) that receivers all around a source have measured, one
+    measurement; energies are means of the squared magnitude over the frequencies of each band.
+
+    Parameters
+    ----------
+    path : Path
+    bands : Bands
+    aim, up : array_like, shape (3,)
+        Where the front and the top of the loudspeaker point in the room. In the file's own frame
+        they are `SourceView` and `SourceUp`, x and z where it does not say.
+
+    Raises
+    ------
+    InputError
+        No SOFA file, no such data, directions that leave a hole, or a band for which the file has
+        no frequency.
+    """
+    try:
+        content = path.read_bytes()
+    except OSError as error:
+        raise InputError(
+            "the directivity cannot be read", where=str(path), found=error.strerror
+        ) from error
+    sofa = opened_sofa(content, str(path))
+    frequencies_hz, magnitude = _spectra(sofa, str(path))
+    directions = _directions(sofa, magnitude.shape[0], str(path))
+    energy = np.empty((len(directions), len(bands)))
+    for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):
+        inside = (frequencies_hz >= low) & (frequencies_hz < high)
+        if not inside.any():
+            inside = _nearest(frequencies_hz, low, high, float(bands.centres_hz[band]), str(path))
+        energy[:, band] = np.mean(magnitude[:, inside] ** 2, axis=1)
+    return measured_directivity(directions, energy, bands.centres_hz, loudspeaker_axes(aim, up))
+
+
+def _spectra(sofa: Any, where: str) -> tuple[FloatArray, FloatArray]:
+    """Return frequencies (n,) and magnitudes (n_directions, n)."""
+    impulse = real_array(getattr(sofa, "Data_IR", None))
+    rate_hz = real_array(getattr(sofa, "Data_SamplingRate", None))
+    if impulse is not None and rate_hz is not None and rate_hz.size == 1:
+        samples = _one_measurement(impulse, where)
+        spectrum = np.abs(np.fft.rfft(samples, axis=1))
+        step_s = 1.0 / float(rate_hz.reshape(-1)[0])
+        own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
+        return own, np.asarray(spectrum)
+    real = real_array(getattr(sofa, "Data_Real", None))
+    imaginary = real_array(getattr(sofa, "Data_Imag", None))
+    frequencies = real_array(getattr(sofa, "N", None))
+    if real is None or imaginary is None or frequencies is None or real.shape != imaginary.shape:
+        raise InputError(
+            "the SOFA file holds no directivity",
+            where=where,
+            found=f"data type {getattr(sofa, 'GLOBAL_DataType', 'unknown')!r}",
+            needed="data type TF with its frequencies, or FIR with a sampling rate",
+        )
+    magnitude = np.hypot(_one_measurement(real, where), _one_measurement(imaginary, where))
+    if frequencies.size != magnitude.shape[1]:
+        raise InputError(
+            "the SOFA file has another number of frequencies than of values",
+            where=where,
+            found=f"{frequencies.size} and {magnitude.shape[1]}",
+        )
+    return np.asarray(frequencies.reshape(-1)), np.asarray(magnitude)
+
+
+def _one_measurement(data: FloatArray, where: str) -> FloatArray:
+    """Return data as (n_receivers, n): one measurement, or one receiver at many places."""
+    if data.ndim == 2:  # sofar drops axes of length one
+        return data
+    if data.ndim == 3 and 1 in data.shape[:2]:
+        return data.reshape(-1, data.shape[2])
+    raise InputError(
+        "the SOFA file is no directivity of one source",
+        where=where,
+        found=f"data of shape {data.shape}",
+        needed="one measurement by many receivers",
+    )
+
+
+def _directions(sofa: Any, n: int, where: str) -> FloatArray:
+    """Return directions in the loudspeaker's own frame: x front, y left, z top."""
+    places = _cartesian(sofa, "ReceiverPosition", n)
+    if places is None:
+        raise InputError(
+            "the SOFA file does not say where its receivers stood",
+            where=where,
+            needed=f"ReceiverPosition of {n} receivers",
+        )
+    # receivers are told relative to the listener
+    source, listener = (_cartesian(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
+    places = places + (0.0 if listener is None else listener)
+    places = places - (0.0 if source is None else source)
+    view, top = _cartesian(sofa, "SourceView", 1), _cartesian(sofa, "SourceUp", 1)
+    axes = loudspeaker_axes(
+        np.array([1.0, 0.0, 0.0]) if view is None else view[0],
+        np.array([0.0, 0.0, 1.0]) if top is None else top[0],
+    )
+    return np.asarray(places @ axes.T)
+
+
+def _cartesian(sofa: Any, name: str, n: int) -> FloatArray | None:
+    """Return n places as (n, 3) in Cartesian coordinates, or None where there are not so many."""
+    values = real_array(getattr(sofa, name, None))
+    if values is None or values.size != 3 * n:
+        return None
+    values = values.reshape(n, 3)
+    kind = getattr(sofa, f"{name}_Type", None)
+    if kind is None and name.endswith("Up"):  # shares the type of the view
+        kind = getattr(sofa, name.replace("Up", "View") + "_Type", "cartesian")
+    if kind != "spherical":
+        return values
+    azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
+    across = values[:, 2] * np.cos(elevation)
+    height = values[:, 2] * np.sin(elevation)
+    return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+
+
+def _nearest(
+    frequencies_hz: FloatArray, low: float, high: float, centre_hz: float, where: str
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    """Return the one frequency nearest to a band, which the band's own centre rounds to."""
+    octaves = np.abs(np.log2(np.maximum(frequencies_hz, 1e-3) / centre_hz))
+    best = int(np.argmin(octaves))
+    if octaves[best] > 1.01 * np.log2(high / low) / 2.0:
+        raise InputError(
+            "the directivity has no value for a band",
+            where=where,
+            found=f"{frequencies_hz.min():g} to {frequencies_hz.max():g} Hz",
+            needed=f"a frequency from {low:g} to {high:g} Hz",
+            hint="choose other bands with from_hz and to_hz",
+        )
+    return np.asarray(np.arange(frequencies_hz.size) == best)

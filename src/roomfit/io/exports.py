@@ -1,0 +1,594 @@
+"""From a table of materials to the files that another program reads.
+
+CATT-Acoustic, and I-Simpa, which reads the same lines without the first word.
+
+Names that other programs can take.
+
+ODEON: rows of a material library (.Li8).
+
+Formats without limits of their own: pyroomacoustics' arguments as JSON, and a wide CSV.
+
+RAVEN: one text file (.mat) a material, 31 third octaves from 20 Hz to 20 kHz.
+
+From the bands that were fitted to the bands that another program wants.
+
+What is exported: the absorption of every material in every band, read from a result.
+"""
+
+from __future__ import annotations
+
+import colorsys
+import csv
+import io
+import json
+import re
+import unicodedata
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, get_args
+
+import numpy as np
+
+from roomfit._checks import bool_array, float_array, unique_names
+from roomfit.bands import OCTAVES_HZ, Bands
+from roomfit.errors import InputError, located
+from roomfit.findings import Finding
+from roomfit.typing import BoolArray, FloatArray
+
+CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
+ISIMPA_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3]))
+LONGEST_NAME = 15
+
+
+def catt_text(
+    names: dict[str, str], absorption: FloatArray, scattering: FloatArray, remarks: list[str]
+) -> str:
+    """Return ``ABS`` lines for a .geo file: octaves 125 Hz to 4 kHz, a colon, 8 and 16 kHz.
+
+    Percent without decimals, 1 to 99: what every version reads. The exact values follow behind a
+    semicolon, where a .geo file's comments begin.
+
+    Parameters
+    ----------
+    names : dict
+        Own name to short name, in the order of the rows.
+    absorption, scattering : float arrays, shape (n_materials, 8)
+    remarks : list of str
+        Written as comments at the top.
+    """
+    lines = [f"; {remark}" for remark in remarks]
+    for i, (name, short) in enumerate(names.items()):
+        a, s = absorption[i], scattering[i]
+        r, g, b = _colour(i, len(names))
+        exact = " ".join(f"{v:.4f}" for v in a)
+        lines.append(
+            f"ABS {short} = <{_eight(a, 1)}> L <{_eight(s, 0)}> {{{r} {g} {b}}} ; "
+            f"{_one_line(name)}: {exact}"
+        )
+    return "\r\n".join(lines) + "\r\n"
+
+
+def isimpa_text(names: dict[str, str], absorption: FloatArray, scattering: FloatArray) -> str:
+    """Return the material lines that I-Simpa imports as "CATT-Acoustic" (.txt).
+
+    Six octaves from 125 Hz in percent without decimals, as in the example of its manual [1]_;
+    I-Simpa itself gives each value to three third octaves and holds the outer ones. The lines have
+    no comments: its manual shows none.
+
+    References
+    ----------
+    .. [1] I-Simpa documentation, "Project database", materials, import from a file.
+    """
+    lines = [
+        f"{short} = < {_percent(absorption[i], 1)} > L < {_percent(scattering[i], 0)} >"
+        for i, short in enumerate(names.values())
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _eight(values: FloatArray, least: int) -> str:
+    return f"{_percent(values[:6], least)} : {_percent(values[6:], least)}"
+
+
+def _percent(values: FloatArray, least: int) -> str:
+    return " ".join(str(int(np.clip(round(100.0 * v), least, 99))) for v in values)
+
+
+def _colour(number: int, count: int) -> tuple[int, int, int]:
+    """Colours far apart on the circle of hues."""
+    red, green, blue = colorsys.hsv_to_rgb(number / max(count, 1), 0.55, 0.85)
+    return round(255 * red), round(255 * green), round(255 * blue)
+
+
+def _one_line(name: str) -> str:
+    return " ".join(name.split())
+
+
+def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:
+    """Return a name of ASCII letters, digits and underscores for each, beginning with a letter.
+
+    No two are alike, not even in another case: some programs do not tell them apart.
+
+    Examples
+    --------
+    >>> short_names(("Wand grün", "wall", "Wall"), 15)
+    {'Wand grün': 'Wand_grun', 'wall': 'wall', 'Wall': 'Wall_2'}
+    """
+    given: dict[str, str] = {}
+    for name in names:
+        plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+        word = re.sub(r"[^A-Za-z0-9]+", "_", plain).strip("_") or "material"
+        word = word if word[0].isalpha() else f"m_{word}"
+        candidate, number = word[:longest], 1
+        while candidate.lower() in (g.lower() for g in given.values()):
+            number += 1
+            candidate = f"{word[: longest - len(str(number)) - 1]}_{number}"
+        given[name] = candidate
+    return given
+
+
+ODEON_BANDS = Bands("octave", np.array([63.0, 125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3]))
+FIRST_NUMBER = 50001
+
+
+def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
+    """Return two lines a material: number and name; then eight octaves from 63 Hz.
+
+    The second line begins with a tabulator, and tabulators stand between its values: so does a
+    program that reads ODEON's own library tell the two apart [1]_. The library has no scattering:
+    ODEON wants it for each surface, in its list of materials.
+
+    Parameters
+    ----------
+    names : tuple of str
+    absorption : float array, shape (n_materials, 8)
+
+    References
+    ----------
+    .. [1] R. Gueguen, Just4RIR (2018), ``physic.cpp``.
+    """
+    lines = []
+    for i, name in enumerate(names):
+        lines.append(f"{FIRST_NUMBER + i} {' '.join(name.split())}")
+        lines.append("".join(f"\t{v:.5f}" for v in absorption[i]))
+    return "\r\n".join(lines) + "\r\n"
+
+
+RAVEN_BANDS = Bands(
+    "third-octave",
+    np.array(
+        [
+            *(20.0, 25.0, 31.5, 40.0, 50.0, 63.0, 80.0, 100.0, 125.0, 160.0, 200.0, 250.0),
+            *(315.0, 400.0, 500.0, 630.0, 800.0, 1000.0, 1250.0, 1600.0, 2000.0, 2500.0),
+            *(3150.0, 4000.0, 5000.0, 6300.0, 8000.0, 10000.0, 12500.0, 16000.0, 20000.0),
+        ]
+    ),
+)
+
+
+def raven_text(
+    name: str, notes: str, absorption: FloatArray, scattering: FloatArray, told: BoolArray
+) -> str:
+    """Return the text of one material file.
+
+    Layout and line ends are those that the ITA Toolbox writes [1]_; `told` are the bands whose
+    value was fitted: they get a 0 in ``interpol``, all others a 1.
+
+    Parameters
+    ----------
+    name : str
+        Also the name of the file, without its ending.
+    notes : str
+        One line.
+    absorption, scattering : float arrays, shape (31,)
+    told : bool array, shape (31,)
+
+    References
+    ----------
+    .. [1] ITA Toolbox, RWTH Aachen, ``itaRavenProject.m``, ``setMaterial``.
+    """
+    rows = [
+        "[Material]",
+        f"name={name}",
+        f"notes={' '.join(notes.split())}",
+        f"absorp={_row(absorption)}",
+        f"scatter={_row(scattering)}",
+        f"interpol={','.join('0' if t else '1' for t in told)}",
+    ]
+    return "\r\n".join(rows) + "\r\n"
+
+
+def _row(values: FloatArray) -> str:
+    return ", ".join(f"{v:.4f}" for v in values)
+
+
+def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArray, BoolArray]:
+    """Return values in other bands, and which of them nobody measured.
+
+    A band that is there is taken as it is; an octave from third octaves is their mean; a third
+    octave within the range of the octaves is interpolated linearly in the logarithm of frequency.
+    Beyond the lowest and the highest band the nearest value is held, and gaps between bands are
+    interpolated: those are the ones that nobody measured.
+
+    Parameters
+    ----------
+    values : float array, shape (n_materials, n_bands)
+    bands, wanted : Bands
+
+    Returns
+    -------
+    resampled : float array, shape (n_materials, n_wanted)
+    filled : bool array, shape (n_wanted,)
+        True where no fitted band covers the wanted one.
+    """
+    at, known = np.log2(wanted.exact_centres_hz), np.log2(bands.exact_centres_hz)
+    resampled = np.array([np.interp(at, known, row) for row in values])
+    filled = np.ones(len(wanted), dtype=np.bool_)
+    for i, (low, high) in enumerate(zip(wanted.lower_hz, wanted.upper_hz, strict=True)):
+        inside = (bands.exact_centres_hz > low) & (bands.exact_centres_hz < high)
+        if np.any(inside):
+            resampled[:, i] = values[:, inside].mean(axis=1)
+        centre = wanted.exact_centres_hz[i]
+        covering = (bands.lower_hz < centre) & (centre < bands.upper_hz)
+        filled[i] = not (np.any(inside) or np.any(covering))
+    return resampled, filled
+
+
+_COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialTable:
+    """Materials of a result.
+
+    Attributes
+    ----------
+    names : tuple of str
+    bands : Bands
+    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
+        0 to 1.
+    identifiable : bool array, shape (n_materials, n_bands)
+    scattering : float array, shape (n_materials, n_bands), or None
+        None where the result tells none.
+    """
+
+    names: tuple[str, ...]
+    bands: Bands
+    absorption: FloatArray
+    lower95: FloatArray
+    upper95: FloatArray
+    identifiable: BoolArray
+    scattering: FloatArray | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "names", unique_names("material", self.names))
+        shape = (len(self.names), len(self.bands))
+        for name in ("absorption", "lower95", "upper95", "scattering"):
+            told = getattr(self, name)
+            if told is not None:
+                values = float_array(name, told, shape, low=0.0, high=1.0)
+                object.__setattr__(self, name, values)
+        flags = bool_array("identifiable", self.identifiable, shape)
+        object.__setattr__(self, "identifiable", flags)
+
+
+def read_material_table(path: Path) -> MaterialTable:
+    """Read the materials of a ``result.json`` or an ``absorption.csv``.
+
+    Raises
+    ------
+    InputError
+        There is no such file, it is neither of the two, or its numbers are out of range.
+    """
+    path = Path(path)
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(
+            "the result cannot be read",
+            where=str(path),
+            found=str(error),
+            needed="a result.json or an absorption.csv written by roomfit",
+        ) from error
+    with located(str(path)):
+        if path.suffix.lower() == ".csv":
+            return _from_csv(text)
+        return _from_json(text)
+
+
+def _from_json(text: str) -> MaterialTable:
+    try:
+        content = json.loads(text)
+    except json.JSONDecodeError as error:
+        raise InputError(
+            "the result is not JSON", found=str(error), needed="a result.json or an absorption.csv"
+        ) from error
+    if not isinstance(content, dict) or content.get("format") != "roomfit-result":
+        raise InputError(
+            "this is no result of roomfit", needed='"format": "roomfit-result" in the file'
+        )
+    if content.get("format_version") != 1:
+        raise InputError(
+            "this version of roomfit cannot read that result",
+            found=f"format_version {content.get('format_version')}",
+            needed="format_version 1",
+        )
+    try:
+        materials: dict[str, Any] = content["materials"]
+        told = list(materials.values())
+        scattering = [m.get("scattering") for m in told]
+        return MaterialTable(
+            tuple(materials),
+            _bands(content["bands_hz"]),
+            np.array([m["absorption"] for m in told]),
+            np.array([m["lower95"] for m in told]),
+            np.array([m["upper95"] for m in told]),
+            np.array([m["identifiable"] for m in told]),
+            None if None in scattering or not told else np.array(scattering),
+        )
+    except (KeyError, AttributeError, TypeError, ValueError) as error:
+        raise InputError(
+            "the result is incomplete",
+            found=f"{type(error).__name__}: {error}",
+            needed="bands_hz, and for each material absorption, lower95, upper95, identifiable",
+        ) from error
+
+
+def _from_csv(text: str) -> MaterialTable:
+    rows = list(csv.DictReader(text.splitlines()))
+    header = tuple(rows[0]) if rows else ()
+    if not set(_COLUMNS) <= set(header):
+        raise InputError(
+            "the table of absorption lacks columns or rows",
+            found=", ".join(str(c) for c in header) or "nothing",
+            needed=", ".join(_COLUMNS),
+        )
+    try:
+        names = tuple(dict.fromkeys(row["material"] for row in rows))
+        centres = sorted({float(row["band_hz"]) for row in rows})
+        place = {(row["material"], float(row["band_hz"])): row for row in rows}
+        if len(place) != len(rows) or len(rows) != len(names) * len(centres):
+            raise InputError(
+                "the table of absorption is not complete",
+                found=f"{len(rows)} rows, {len(names)} materials, {len(centres)} bands",
+                needed="each material in each band once",
+            )
+        absorption, lower, upper = (
+            np.array([[float(place[m, f][column]) for f in centres] for m in names])
+            for column in ("absorption", "lower95", "upper95")
+        )
+        sure = [[place[m, f]["identifiable"].lower() == "true" for f in centres] for m in names]
+    except (ValueError, AttributeError) as error:
+        raise InputError("the table of absorption holds what is no number") from error
+    return MaterialTable(names, _bands(centres), absorption, lower, upper, np.array(sure))
+
+
+def _bands(centres: list[float]) -> Bands:
+    octaves = set(centres) <= set(OCTAVES_HZ)
+    return Bands("octave" if octaves else "third-octave", np.array(centres, dtype=np.float64))
+
+
+def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
+    """Return JSON that maps each material to the arguments of ``pyroomacoustics.Material``.
+
+    ``pra.Material(**json.load(open(file))["brick"])``: ``energy_absorption`` and ``scattering``,
+    each with ``coeffs`` and ``center_freqs`` in the bands of the result.
+    """
+    centres = [float(f) for f in table.bands.centres_hz]
+    content = {
+        name: {
+            "energy_absorption": {
+                "description": name,
+                "coeffs": [round(float(v), 5) for v in table.absorption[i]],
+                "center_freqs": centres,
+            },
+            "scattering": {
+                "description": name,
+                "coeffs": [round(float(v), 5) for v in scattering[i]],
+                "center_freqs": centres,
+            },
+        }
+        for i, name in enumerate(table.names)
+    }
+    return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
+
+
+def csv_text(table: MaterialTable) -> str:
+    """Return a table with one column a band: absorption, its interval, and whether it was told."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(["material", "quantity", *(f"{f:g}" for f in table.bands.centres_hz)])
+    quantities = [
+        ("absorption", table.absorption),
+        ("lower95", table.lower95),
+        ("upper95", table.upper95),
+    ]
+    if table.scattering is not None:
+        quantities.append(("scattering", table.scattering))
+    for i, name in enumerate(table.names):
+        for quantity, values in quantities:
+            writer.writerow([name, quantity, *(f"{v:.5f}" for v in values[i])])
+        sure = ["true" if t else "false" for t in table.identifiable[i]]
+        writer.writerow([name, "identifiable", *sure])
+    return stream.getvalue()
+
+
+ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]
+FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
+_LONGEST_FILE_NAME = 60
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Exported:
+    """Files to be written.
+
+    Attributes
+    ----------
+    texts : dict
+        File name to content. One entry named "" for a format that is a single file, whose name
+        the user chooses.
+    findings : tuple of Finding
+        What a reader of the files must know: filled bands, values that the data do not hold.
+    """
+
+    texts: dict[str, str]
+    findings: tuple[Finding, ...]
+
+
+def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Exported:
+    """Return the files of one format.
+
+    Parameters
+    ----------
+    table : MaterialTable
+    wanted : str
+        One of `FORMATS`.
+    scattering : float
+        Coefficient of every material in every band where the table has none, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        There is no such format, or the scattering is out of range.
+    """
+    if wanted not in FORMATS:
+        raise InputError(
+            "no such format for an export", found=repr(wanted), needed=", ".join(FORMATS)
+        )
+    if not 0.0 <= scattering <= 1.0:
+        raise InputError(
+            "scattering coefficient out of range", found=f"{scattering:g}", needed="0 to 1"
+        )
+    told = table.scattering
+    scatter = np.full(table.absorption.shape, scattering) if told is None else told
+    findings = [*_not_identifiable(table)]
+    if told is None and wanted not in ("csv", "odeon"):
+        findings.append(_scattering_assumed(scattering))
+    if wanted == "pyroomacoustics":
+        return Exported({"": pyroomacoustics_text(table, scatter)}, tuple(findings))
+    if wanted == "csv":
+        return Exported({"": csv_text(table)}, tuple(findings))
+    bands = {
+        "catt": CATT_BANDS,
+        "isimpa": ISIMPA_BANDS,
+        "odeon": ODEON_BANDS,
+        "raven": RAVEN_BANDS,
+    }[wanted]
+    absorption, filled = resample(table.absorption, table.bands, bands)
+    scatter, _ = resample(scatter, table.bands, bands)
+    if np.any(filled):
+        findings.append(_bands_filled(bands, filled))
+    if wanted == "odeon":
+        findings.append(_odeon_numbers(table))
+        return Exported({"": odeon_text(table.names, absorption)}, tuple(findings))
+    longest = _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME
+    names = short_names(table.names, longest)
+    findings += _renamed(names)
+    texts = _texts(wanted, table, names, absorption, scatter, [f.sentence for f in findings])
+    return Exported(texts, tuple(findings))
+
+
+def _texts(
+    wanted: str,
+    table: MaterialTable,
+    names: dict[str, str],
+    absorption: FloatArray,
+    scattering: FloatArray,
+    remarks: list[str],
+) -> dict[str, str]:
+    if wanted == "catt":
+        head = ["absorption in percent, fitted by roomfit; exact values behind each line"]
+        return {"": catt_text(names, absorption, scattering, [*head, *remarks])}
+    if wanted == "isimpa":
+        return {"": isimpa_text(names, absorption, scattering)}
+    fitted = np.isin(
+        np.round(RAVEN_BANDS.exact_centres_hz, 3), np.round(table.bands.exact_centres_hz, 3)
+    )
+    return {
+        f"{short}.mat": raven_text(
+            short, _raven_notes(table, i), absorption[i], scattering[i], fitted
+        )
+        for i, short in enumerate(names.values())
+    }
+
+
+def _raven_notes(table: MaterialTable, material: int) -> str:
+    notes = "Fitted by roomfit; 1 in interpol: no fitted band"
+    sure = table.identifiable[material]
+    return notes if np.all(sure) else f"{notes}; not determined {_where(table.bands, ~sure)}"
+
+
+def _where(bands: Bands, chosen: BoolArray) -> str:
+    if np.all(chosen):
+        return "in any band"
+    return f"at {', '.join(f'{f:g}' for f in bands.centres_hz[chosen])} Hz"
+
+
+def _bands_filled(bands: Bands, filled: BoolArray) -> Finding:
+    listed = [f"{f:g}" for f in bands.centres_hz[filled]]
+    return Finding(
+        "export-bands-filled",
+        "info",
+        f"Nothing was fitted at {', '.join(listed)} Hz: the nearest band's value stands there, or "
+        "one between two neighbours.",
+        {"bands_hz": [float(f) for f in bands.centres_hz[filled]]},
+    )
+
+
+def _not_identifiable(table: MaterialTable) -> list[Finding]:
+    doubtful = {
+        name: [float(f) for f in table.bands.centres_hz[~sure]]
+        for name, sure in zip(table.names, table.identifiable, strict=True)
+        if not np.all(sure)
+    }
+    if not doubtful:
+        return []
+    listed = "; ".join(
+        f"{name} {_where(table.bands, ~sure)}"
+        for name, sure in zip(table.names, table.identifiable, strict=True)
+        if not np.all(sure)
+    )
+    return [
+        Finding(
+            "export-not-identifiable",
+            "warning",
+            f"The measurement does not determine {listed}; the exported values there are not to "
+            "be trusted one by one.",
+            {"materials": doubtful},
+        )
+    ]
+
+
+def _scattering_assumed(scattering: float) -> Finding:
+    return Finding(
+        "export-scattering-assumed",
+        "info",
+        f"The result tells no scattering; {scattering:g} was written for every material.",
+        {"scattering": scattering},
+    )
+
+
+def _odeon_numbers(table: MaterialTable) -> Finding:
+    last = FIRST_NUMBER + len(table.names) - 1
+    return Finding(
+        "export-without-scattering",
+        "info",
+        f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library holds no "
+        "scattering: enter it in the list of materials.",
+        {"first": FIRST_NUMBER, "last": last},
+    )
+
+
+def _renamed(names: dict[str, str]) -> list[Finding]:
+    changed = {name: short for name, short in names.items() if name != short}
+    if not changed:
+        return []
+    listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
+    return [
+        Finding(
+            "export-names-changed",
+            "info",
+            f"The other program cannot take every name; it is {listed}.",
+            {"names": changed},
+        )
+    ]

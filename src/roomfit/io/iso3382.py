@@ -1,0 +1,216 @@
+"""ISO 3382 values from a table of comma-separated values."""
+
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roomfit._checks import nearest
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.io.rooms.model import read_text
+from roomfit.signals.iso3382 import (
+    MeasuredValues,
+    ValueName,
+    check_possible,
+    contradiction_findings,
+    joined_values,
+)
+from roomfit.typing import FloatArray
+
+NAMES: dict[str, ValueName] = {
+    "T20": "T20_s",
+    "T30": "T30_s",
+    "EDT": "EDT_s",
+    "C50": "C50_dB",
+    "C80": "C80_dB",
+    "D50": "D50_percent",
+    "TS": "TS_ms",
+    "G": "G_dB",
+}
+_SPREAD = "_sd"
+_HEAD = ("source", "receiver", "parameter")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """One line: a parameter of a pair, or the spread of one, in every band; NaN for no value."""
+
+    source: str
+    receiver: str
+    name: ValueName
+    is_spread: bool
+    values: FloatArray
+
+
+def read_parameters(
+    path: Path, source: str | None = None, receiver: str | None = None
+) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
+    """Read measured room parameters.
+
+    The first line is ``source,receiver,parameter,125,250,...`` with nominal centres in Hz. Each
+    further line holds one parameter of one pair: T20, T30, EDT in s, C50, C80, G in dB, D50 in
+    percent, TS in ms; T20_sd and the like hold the standard deviation. Empty cells are unknown.
+    Lines that begin with # are left out.
+
+    Parameters
+    ----------
+    path : Path
+    source, receiver : str, optional
+        Only the lines of this source, of this receiver.
+
+    Returns
+    -------
+    values : tuple of MeasuredValues
+        One a pair, in the order in which the pairs first occur. A pair whose lines occur more than
+        once is joined, see `roomfit.signals.iso3382.joined_values`.
+    findings : tuple of Finding
+        "parameters-doubtful", "pair-measured-twice".
+
+    Raises
+    ------
+    InputError
+        No such file, a line that is not understood, a value that no room has, values that
+        contradict each other, or no line of the asked pair.
+    """
+    path = Path(path)
+    lines = [
+        (number, cells)
+        for number, cells in enumerate(csv.reader(read_text(path).splitlines()), start=1)
+        if any(c.strip() for c in cells) and not cells[0].lstrip().startswith("#")
+    ]
+    if len(lines) < 2:
+        raise InputError(
+            "a table of room parameters without values",
+            where=str(path),
+            needed="a line source,receiver,parameter,125,250,... and lines of values",
+        )
+    centres_hz = _centres_hz(lines[0][1], f"{path}, line {lines[0][0]}")
+    rows = [_row(cells, centres_hz, f"{path}, line {n}") for n, cells in lines[1:]]
+    chosen = [r for r in rows if source in (None, r.source) and receiver in (None, r.receiver)]
+    if not chosen:
+        raise InputError(
+            "the table of room parameters has no line of this pair",
+            where=str(path),
+            found=", ".join(dict.fromkeys(f"{r.source} to {r.receiver}" for r in rows)),
+            needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
+        )
+    found: list[MeasuredValues] = []
+    findings: list[Finding] = []
+    for pair in dict.fromkeys((r.source, r.receiver) for r in chosen):
+        own = [r for r in chosen if (r.source, r.receiver) == pair]
+        values, doubts = _pair(pair, own, centres_hz, str(path))
+        findings += [*doubts, *contradiction_findings(values, str(path))]
+        found.append(values)
+    return tuple(found), tuple(findings)
+
+
+def _centres_hz(cells: list[str], where: str) -> FloatArray:
+    head = tuple(c.strip().lower() for c in cells[:3])
+    if head != _HEAD:
+        raise InputError(
+            "a table of room parameters begins otherwise",
+            where=where,
+            found=",".join(cells)[:80],
+            needed="source,receiver,parameter,125,250,...",
+        )
+    centres: list[float] = []
+    for column, cell in enumerate(cells[3:], start=4):
+        centre = _number(cell, f"{where}, column {column}", "a centre frequency in Hz")
+        if not (centre > 0.0 and (not centres or centre > centres[-1])):
+            raise InputError(
+                "centre frequencies must rise",
+                where=f"{where}, column {column}",
+                found=cell.strip() or "an empty cell",
+                needed="nominal centres in Hz, low to high",
+            )
+        centres.append(centre)
+    if not centres:
+        raise InputError("a table of room parameters without bands", where=where)
+    return np.array(centres)
+
+
+def _row(cells: list[str], centres_hz: FloatArray, where: str) -> _Row:
+    if len(cells) > 3 + centres_hz.size and any(c.strip() for c in cells[3 + centres_hz.size :]):
+        raise InputError(
+            "more values than bands",
+            where=where,
+            found=f"{len(cells) - 3}",
+            needed=f"{centres_hz.size}",
+            hint="decimal commas make two cells of one number: write a point",
+        )
+    source, receiver, parameter = (c.strip() for c in (*cells, "", "", "")[:3])
+    if not (source and receiver):
+        raise InputError(
+            "a line without source or receiver", where=where, found=",".join(cells)[:80]
+        )
+    name, is_spread = _name(parameter, where)
+    values: FloatArray = np.full(centres_hz.size, np.nan)
+    for band, cell in enumerate(cells[3 : 3 + centres_hz.size]):
+        at = f"{where}, column {band + 4} ({parameter} of {source} to {receiver} at "
+        at += f"{centres_hz[band]:g} Hz)"
+        values[band] = _number(cell, at, "a number, or an empty cell where it is unknown")
+        if is_spread and values[band] < 0.0:
+            raise InputError(
+                "a standard deviation below zero", where=at, found=cell.strip(), needed="0 or more"
+            )
+        if not is_spread and not math.isnan(values[band]):
+            check_possible(name, float(values[band]), at)
+    return _Row(source, receiver, name, is_spread, values)
+
+
+def _name(parameter: str, where: str) -> tuple[ValueName, bool]:
+    bare = parameter[: -len(_SPREAD)] if parameter.lower().endswith(_SPREAD) else parameter
+    known = {k.upper(): v for k, v in NAMES.items()}
+    if bare.upper() not in known:
+        near = nearest(bare.upper(), known)
+        raise InputError(
+            "unknown room parameter",
+            where=where,
+            found=repr(parameter),
+            needed=f"{', '.join(NAMES)}, or one of them with {_SPREAD}",
+            hint=f"did you mean {near}?" if near else None,
+        )
+    return known[bare.upper()], bare != parameter
+
+
+def _number(cell: str, where: str, needed: str) -> float:
+    """Return the number in a cell, NaN where it is empty."""
+    if not cell.strip():
+        return math.nan
+    try:
+        value = float(cell)
+    except ValueError:
+        value = math.inf
+    if not math.isfinite(value):
+        raise InputError("not a number", where=where, found=repr(cell.strip()[:40]), needed=needed)
+    return value
+
+
+def _pair(
+    pair: tuple[str, str], rows: list[_Row], centres_hz: FloatArray, where: str
+) -> tuple[MeasuredValues, tuple[Finding, ...]]:
+    """Return the values of one pair; each repetition of a parameter is another measurement."""
+    counts: dict[tuple[str, bool], int] = {}
+    tables: list[tuple[dict[ValueName, FloatArray], dict[ValueName, FloatArray]]] = []
+    for row in rows:
+        key = (row.name, row.is_spread)
+        number = counts.get(key, 0)
+        counts[key] = number + 1
+        if number == len(tables):
+            tables.append(({}, {}))
+        tables[number][row.is_spread][row.name] = row.values
+    for values, spread in tables:
+        for name in spread:
+            if name not in values:
+                raise InputError(
+                    "a spread without its value",
+                    where=f"{where}, {pair[0]} to {pair[1]}",
+                    found=f"{name.split('_')[0]}{_SPREAD}",
+                    needed=f"a line {name.split('_')[0]} of the same pair",
+                )
+    return joined_values(tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables))

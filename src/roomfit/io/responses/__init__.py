@@ -1,0 +1,143 @@
+"""The one door to measured responses: the ending of the name tells the reader."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.errors import InputError, StoreError
+from roomfit.findings import Finding
+from roomfit.io.responses.formats import read_mat, read_rew, read_sofa, read_wav
+from roomfit.io.responses.sweeps import Recording, checked, deconvolved
+from roomfit.measurement import ResponseSpec
+from roomfit.signals.response import ImpulseResponse
+
+_READERS = {
+    ".wav": read_wav,
+    ".wave": read_wav,
+    ".mat": read_mat,
+    ".sofa": read_sofa,
+    ".txt": read_rew,
+}
+_KEYS = {
+    ".wav": ("channel",),
+    ".wave": ("channel",),
+    ".mat": ("channel", "variable", "sampling_rate_variable"),
+    ".sofa": ("measurement", "receiver_index"),
+    ".txt": (),
+}
+_RECORDED = (".wav", ".wave", ".mat")
+_CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
+
+
+def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, ...]]:
+    """Return one impulse response, checked, with what is doubtful about it.
+
+    Where `spec.time_zero` is "emission", sample 0 lies `spec.latency_s` before emission. Where it
+    is "direct" or "unknown" the file does not know when the sound left: the same holds for the time
+    being, and `roomfit.signals.response.time_zero_from_direct` sets it right by the geometry.
+
+    Where `spec.excitation` is given, the file is a recording and is deconvolved first.
+
+    Raises
+    ------
+    InputError
+        The file is missing, of an unknown kind, not what its name says, cut off, silent, too short,
+        not finite; a choice is missing or does not exist; a key does not belong to this kind.
+    StoreError
+        The disk refuses to read the file.
+    """
+    path = Path(spec.path)
+    kind = path.suffix.lower()
+    if kind not in _READERS:
+        raise InputError(
+            "unknown kind of response file",
+            where=str(path),
+            found=f"ending {path.suffix!r}",
+            needed="a name that ends in .wav, .mat, .sofa, or .txt for an export of REW",
+        )
+    _refuse_foreign_keys(spec, kind)
+    recording = _READERS[kind](spec, _content(path))
+    _check_clock(recording, spec)
+    if spec.excitation is not None:
+        recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
+    pressure, findings = checked(recording, path)
+    time_zero_s = spec.latency_s - recording.delay_s
+    return ImpulseResponse(pressure, recording.sampling_rate_hz, time_zero_s), findings
+
+
+def _excitation(spec: ResponseSpec, kind: str) -> Recording:
+    path = Path(spec.excitation or "")
+    if kind not in _RECORDED or path.suffix.lower() not in (".wav", ".wave"):
+        raise InputError(
+            "an excitation goes with a recording",
+            where=str(spec.path),
+            found=f"a {kind} file with the excitation {path.name}",
+            needed="a recording as WAV or MAT, and an excitation as WAV",
+        )
+    return read_wav(ResponseSpec(path, channel=spec.excitation_channel), _content(path))
+
+
+def _content(path: Path) -> bytes:
+    try:
+        content = path.read_bytes()
+    except FileNotFoundError:
+        raise InputError(
+            "the response file does not exist",
+            where=str(path),
+            hint="paths in a campaign are relative to the campaign file",
+        ) from None
+    except ValueError as error:  # a NUL in the name
+        raise InputError(
+            "this is not a name of a file", where=repr(str(path)), found=str(error)
+        ) from error
+    except OSError as error:
+        raise StoreError(
+            "the response file cannot be read", where=str(path), found=str(error)
+        ) from error
+    if not content:
+        raise InputError("the response file is empty", where=str(path), found="0 bytes")
+    return content
+
+
+def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:
+    """A key that this kind of file cannot obey would be silently lost."""
+    if spec.excitation is None and spec.excitation_channel is not None:
+        raise InputError(
+            "a channel of an excitation without the excitation",
+            where=str(spec.path),
+            needed="excitation = a WAV file",
+        )
+    for key in _CHOICES:
+        if getattr(spec, key) is not None and key not in _KEYS[kind]:
+            raise InputError(
+                "a key does not belong to this kind of file",
+                where=str(spec.path),
+                found=f"{key} for a {kind} file",
+                needed=f"only {', '.join(_KEYS[kind]) or 'the path'}",
+            )
+
+
+def _check_clock(recording: Recording, spec: ResponseSpec) -> None:
+    rate_hz = recording.sampling_rate_hz
+    if not 1000.0 <= rate_hz <= 1e6:
+        raise InputError(
+            "the sampling rate is out of range",
+            where=str(spec.path),
+            found=f"{rate_hz:g} Hz",
+            needed="1000 to 1000000 Hz",
+        )
+    if spec.sampling_rate_hz is not None and abs(spec.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
+        raise InputError(
+            "two sampling rates for one file",
+            where=str(spec.path),
+            found=f"{rate_hz:g} Hz in the file, sampling_rate_hz = {spec.sampling_rate_hz:g}",
+            needed="the same, or no sampling_rate_hz",
+        )
+    if not np.isfinite(recording.delay_s):
+        raise InputError(
+            "the delay of the response is not a finite number",
+            where=str(spec.path),
+            found=f"{recording.delay_s:g} s",
+        )

@@ -1,0 +1,689 @@
+"""Impulse responses that Room EQ Wizard (REW) exported as text.
+
+Responses in MATLAB files of versions 5 to 7.2.
+
+Arrays of real numbers in MATLAB files of versions 5 to 7.2.
+
+An own reader, since scipy's ends the whole process on some damaged files (a segmentation fault
+within seconds of fuzzing, scipy 1.17), which no caller can turn into a message. It reads what a
+measurement needs, full arrays of real numbers, and passes over everything else.
+
+References
+----------
+.. [1] The MathWorks, "MAT-File Format", R2023b, chapter 1: level 5 MAT-files.
+
+SOFA files (AES69) with impulse responses.
+
+WAV files: PCM of 16, 24, 32 bits and floating point, with the header held against the file.
+
+A file that was cut off in copying opens without complaint in every reader, and the missing end
+looks like a room with less reverberation. So the lengths in the header are checked here.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import re
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import soundfile
+
+from roomfit._checks import nearest
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.io.responses.sweeps import Recording, pick
+from roomfit.measurement import ResponseSpec
+from roomfit.typing import FloatArray
+
+_HEADER_BYTES = 128
+_MAT5_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
+_MAT5_NUMBERS[13] = "u8"
+_INT32, _UINT32, _INT8, _MATRIX, _COMPRESSED = 5, 6, 1, 14, 15
+_NUMERIC_CLASSES = range(6, 16)  # double, single and the integers
+_COMPLEX_FLAG = 0x800
+_LARGEST_BYTES = 1 << 31
+
+
+@dataclass(frozen=True, slots=True)
+class _Element:
+    kind: int
+    data: bytes
+
+
+def real_arrays(content: bytes) -> dict[str, FloatArray | None]:
+    """Return every variable of the file by name.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Returns
+    -------
+    dict
+        Float64 arrays of the shape they have in the file; None for text, structures, cells, sparse
+        and complex arrays.
+
+    Raises
+    ------
+    ValueError
+        The bytes are not a MAT file of level 5, or are damaged; says where.
+    """
+    order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER_BYTES])
+    if order is None:
+        raise ValueError("no header of a MAT file of version 5 to 7.2")
+    variables: dict[str, FloatArray | None] = {}
+    for element in _elements(content[_HEADER_BYTES:], order):
+        inner = element
+        if element.kind == _COMPRESSED:
+            inner = next(_elements(_decompressed(element.data), order), element)
+        if inner.kind == _MATRIX:
+            name, array = _variable(inner.data, order)
+            variables[name] = array
+    return variables
+
+
+def _elements(data: bytes, order: str) -> Iterator[_Element]:
+    """Walk the data elements that stand one after the other."""
+    position = 0
+    while position + 8 <= len(data):
+        kind, size = struct.unpack_from(f"{order}II", data, position)
+        if kind >> 16:  # a small element: size, kind and up to four bytes of data in eight
+            kind, size, start, following = kind & 0xFFFF, kind >> 16, position + 4, position + 8
+        else:
+            start = position + 8
+            following = start + size
+            if kind != _COMPRESSED:
+                following += -size % 8
+        if start + size > len(data) or (following == position + 8 and size > 4):
+            raise ValueError(
+                f"an element of {size} bytes where {max(0, len(data) - start)} are left"
+            )
+        yield _Element(kind, data[start : start + size])
+        position = following
+
+
+def _decompressed(data: bytes) -> bytes:
+    unpacker = zlib.decompressobj()
+    try:
+        unpacked = unpacker.decompress(data, _LARGEST_BYTES)
+    except zlib.error as error:
+        raise ValueError(f"damaged compression: {error}") from error
+    if not unpacker.eof:
+        raise ValueError("compressed data that does not end")
+    return unpacked
+
+
+def _variable(data: bytes, order: str) -> tuple[str, FloatArray | None]:
+    """Return name and values of one array."""
+    parts = _elements(data, order)
+    flags, shape, name = (next(parts, None) for _ in range(3))
+    if flags is None or shape is None or name is None:
+        raise ValueError("an array without flags, size or name")
+    if flags.kind != _UINT32 or len(flags.data) < 4 or shape.kind != _INT32:
+        raise ValueError("an array with foreign flags or size")
+    text = name.data.decode("utf-8", errors="replace")
+    (word,) = struct.unpack_from(f"{order}I", flags.data)
+    if word & 0xFF not in _NUMERIC_CLASSES or word & _COMPLEX_FLAG:
+        return text, None
+    values = next(parts, None)
+    if values is None or values.kind not in _MAT5_NUMBERS:
+        raise ValueError(f"array {text!r} without numbers")
+    lengths = np.frombuffer(shape.data, f"{order}i4").tolist()
+    numbers = np.frombuffer(values.data, order + _MAT5_NUMBERS[values.kind]).astype(np.float64)
+    if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
+        raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
+    return text, numbers.reshape(lengths, order="F")
+
+
+Variables = Mapping[str, FloatArray | None]
+
+
+def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return one column of a variable of a MAT file.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Names the variable, the column and where the sampling rate stands.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        Not a MAT file, version 4 or 7.3, no such variable or column, or no sampling rate.
+    """
+    where = str(spec.path)
+    variables = _variables(content, where)
+    responses = _responses(variables, spec, where)
+    channel = pick("response", spec.channel, responses.shape[1], "channel", where)
+    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec, where))
+
+
+def _variables(content: bytes, where: str) -> Variables:
+    needed, hint = "a MATLAB file of version 5 to 7.2", "in MATLAB: save(file, '-v7')"
+    if content[:19] == b"MATLAB 7.3 MAT-file" or content[:4] == b"\x89HDF":
+        raise InputError(
+            "MAT files of version 7.3 are not read", where=where, needed=needed, hint=hint
+        )
+    try:
+        return real_arrays(content)
+    except ValueError as error:
+        raise InputError(
+            "this is not a MAT file that can be read",
+            where=where,
+            found=str(error),
+            needed=needed,
+            hint=hint,
+        ) from error
+
+
+def _responses(variables: Variables, spec: ResponseSpec, where: str) -> FloatArray:
+    """Return the named variable as columns of samples."""
+    if spec.variable is None:
+        raise InputError(
+            "which variable of the MAT file holds the responses?",
+            where=where,
+            found=_listed(variables),
+            needed="variable = one of these names",
+        )
+    if spec.variable not in variables:
+        guess = nearest(spec.variable, variables)
+        raise InputError(
+            "the MAT file has no such variable",
+            where=where,
+            found=f"variable = {spec.variable!r}; the file holds {_listed(variables)}",
+            hint=f"did you mean {guess!r}?" if guess else None,
+        )
+    values = variables[spec.variable]
+    if values is None or values.ndim != 2 or values.size == 0:
+        raise InputError(
+            "the variable of the MAT file holds no responses",
+            where=f"{where}, {spec.variable}",
+            found=_kind(values),
+            needed="an array of real numbers, one response a column",
+        )
+    if values.shape[0] == 1:
+        return np.ascontiguousarray(values.T)
+    if values.shape[1] > values.shape[0]:
+        raise InputError(
+            "the responses of the MAT file stand in rows",
+            where=f"{where}, {spec.variable}",
+            found=f"{values.shape[0]} rows and {values.shape[1]} columns",
+            needed="one response a column",
+            hint="transpose the variable",
+        )
+    return values
+
+
+def _sampling_rate_hz(variables: Variables, spec: ResponseSpec, where: str) -> float:
+    if spec.sampling_rate_variable is None:
+        if spec.sampling_rate_hz is not None:
+            return spec.sampling_rate_hz
+        single = [name for name, v in variables.items() if v is not None and v.size == 1]
+        raise InputError(
+            "the sampling rate of the MAT file is missing",
+            where=where,
+            needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
+            hint=f"single numbers in the file: {', '.join(single)}" if single else None,
+        )
+    values = variables.get(spec.sampling_rate_variable)
+    if values is None or values.size != 1:
+        raise InputError(
+            "the MAT file has no such sampling rate",
+            where=where,
+            found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
+            needed=f"one number; the file holds {_listed(variables)}",
+        )
+    return float(values.reshape(-1)[0])
+
+
+def _listed(variables: Variables) -> str:
+    return ", ".join(f"{name} {_kind(v)}" for name, v in variables.items()) or "nothing"
+
+
+def _kind(values: FloatArray | None) -> str:
+    return "(no real numbers)" if values is None else str(values.shape)
+
+
+_TITLE = "impulse response data saved by rew"
+_REW_NUMBERS = {
+    "peak value before normalisation": "peak_value",
+    "peak index": "peak_index",
+    "response length": "length",
+    "sample interval (seconds)": "interval_s",
+    "start time (seconds)": "start_s",
+}
+_NEEDED = {"length": "Response length", "interval_s": "Sample interval", "start_s": "Start time"}
+_MOST_HEADER_LINES = 200
+
+
+@dataclass(frozen=True, slots=True)
+class _Header:
+    """What stands above the samples.
+
+    Attributes
+    ----------
+    numbers : mapping from short name to float
+    notes : str
+        All other lines, in lower case.
+    n_lines : int
+        Lines before the first sample.
+    """
+
+    numbers: Mapping[str, float]
+    notes: str
+    n_lines: int
+
+
+def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return the impulse response of a text file that REW wrote (File, Export, Impulse Response).
+
+    The header gives the sampling rate and the time of the first sample on REW's own clock, mostly
+    negative. REW's zero is the time of emission only where it measured with a loopback as timing
+    reference; otherwise it lies at (or near) the peak, and `time_zero` must be "direct". A response
+    that REW normalised is given its level back.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Names the file in messages; its `time_zero` is held against the file.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        Not such a file, cut off, a number that is none, or a minimum-phase version, which has lost
+        all arrival times.
+    """
+    where = str(spec.path)
+    lines = _text(content, where).split("\n")
+    header = _header(lines, where)
+    if "ir is the min phase version" in header.notes:
+        raise InputError(
+            "a minimum-phase response has lost its arrival times",
+            where=where,
+            hint="export the response itself, not its minimum-phase version",
+        )
+    rate_hz = _rate_hz(header.numbers["interval_s"], where)
+    pressure = _samples(lines[header.n_lines :], header, where)
+    findings: list[Finding] = []
+    if "ir is normalised" in header.notes:
+        pressure, told = _with_its_level(pressure, header, spec)
+        findings += told
+    findings += _window_findings(header, spec)
+    findings += _clock_findings(pressure, rate_hz, header, spec)
+    return Recording(pressure, rate_hz, header.numbers["start_s"], tuple(findings))
+
+
+def _text(content: bytes, where: str) -> str:
+    if b"\0" in content:
+        raise _not_rew(where, "a binary file")
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def _header(lines: list[str], where: str) -> _Header:
+    first = next((line.strip() for line in lines if line.strip()), "")
+    if not first.lstrip("* ").lower().startswith(_TITLE):
+        raise _not_rew(where, repr(first[:60]))
+    numbers: dict[str, float] = {}
+    notes: list[str] = []
+    n_lines = len(lines)
+    for index, line in enumerate(lines[:_MOST_HEADER_LINES]):
+        text = line.strip()
+        if text.lstrip("* ").lower() == "data start":
+            n_lines = index + 1
+            break
+        if _is_number(text):  # an older export that does not announce its samples
+            n_lines = index
+            break
+        value, mark, label = text.partition("//")
+        key = _REW_NUMBERS.get(label.strip().lower())
+        if mark and key:
+            numbers[key] = _number(value.lstrip("* "), f"{where}, line {index + 1}")
+        else:
+            notes.append(text.lstrip("* ").lower())
+    for key, label in _NEEDED.items():
+        if key not in numbers:
+            raise InputError(
+                "the header of the REW file is not complete",
+                where=where,
+                needed=f'a line "... // {label}"',
+                hint="the file may be cut off: export it again from REW",
+            )
+    return _Header(numbers, "\n".join(notes), n_lines)
+
+
+def _not_rew(where: str, found: str) -> InputError:
+    return InputError(
+        "this is not an impulse response that REW exported as text",
+        where=where,
+        found=found,
+        needed='a first line "* Impulse Response data saved by REW"',
+        hint="in REW: File, Export, Export impulse response as text",
+    )
+
+
+def _is_number(text: str) -> bool:
+    return bool(re.fullmatch(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(?i:nan|inf)", text))
+
+
+def _number(text: str, where: str) -> float:
+    """Return a finite number; some settings of REW write a decimal comma."""
+    try:
+        value = float(text.strip().replace(",", "."))
+    except ValueError:
+        value = math.nan
+    if not math.isfinite(value):
+        raise InputError(
+            "a number of the REW file is not one", where=where, found=repr(text.strip()[:40])
+        )
+    return value
+
+
+def _rate_hz(interval_s: float, where: str) -> float:
+    if not 1e-6 <= interval_s <= 1e-3:
+        raise InputError(
+            "the sample interval of the REW file is out of range",
+            where=where,
+            found=f"{interval_s:g} s",
+            needed="0.000001 to 0.001 s",
+        )
+    rate_hz = 1.0 / interval_s
+    whole = round(rate_hz)
+    return float(whole) if abs(rate_hz - whole) < 1e-6 * rate_hz else rate_hz
+
+
+def _samples(lines: list[str], header: _Header, where: str) -> FloatArray:
+    while lines and not lines[-1].strip():
+        lines = lines[:-1]
+    try:
+        samples = np.array([float(line) for line in lines])
+    except ValueError:
+        samples = np.array(
+            [
+                _number(line, f"{where}, line {header.n_lines + k + 1}")
+                for k, line in enumerate(lines)
+            ]
+        )
+    needed = header.numbers["length"]
+    if len(samples) != needed:
+        raise InputError(
+            "the REW file is cut off" if len(samples) < needed else "the REW file is too long",
+            where=where,
+            found=f"{len(samples)} samples",
+            needed=f"{needed:g}, by its own header",
+            hint="export it again from REW",
+        )
+    return samples
+
+
+def _with_its_level(
+    pressure: FloatArray, header: _Header, spec: ResponseSpec
+) -> tuple[FloatArray, list[Finding]]:
+    """Undo REW's division by the peak."""
+    peak = abs(header.numbers.get("peak_value", 0.0))
+    largest = float(np.abs(pressure).max(initial=0.0))
+    if peak > 0.0 and largest > 0.0:
+        return pressure * (peak / largest), []
+    text = (
+        f"{spec.path.name} was normalised by REW and does not say what its peak was: its level "
+        "means nothing beside that of other files."
+    )
+    return pressure, [Finding("level-lost", "warning", text, {})]
+
+
+def _window_findings(header: _Header, spec: ResponseSpec) -> list[Finding]:
+    if "ir window has been applied" not in header.notes:
+        return []
+    text = (
+        f"{spec.path.name} was exported with REW's window applied, which bends the late decay and "
+        "hides the noise; export it without the window."
+    )
+    return [Finding("window-applied", "warning", text, {})]
+
+
+def _clock_findings(
+    pressure: FloatArray, rate_hz: float, header: _Header, spec: ResponseSpec
+) -> list[Finding]:
+    """Tell where REW's zero lies at the peak and is taken for the time of emission."""
+    peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + header.numbers["start_s"]
+    if spec.time_zero != "emission" or not abs(peak_s) <= 1.5 / rate_hz:
+        return []
+    text = (
+        f"REW put the time zero of {spec.path.name} at the peak, so it does not tell when the "
+        'sound left; say time_zero = "direct", or measure with a loopback as timing reference.'
+    )
+    return [Finding("time-zero-at-peak", "warning", text, {"peak_s": peak_s})]
+
+
+# What netCDF4 and sofar raise on files that are not what they claim to be.
+_UNREADABLE = (
+    *(OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+    *(MemoryError, OverflowError, UnicodeError),
+)
+
+
+def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return one measurement at one receiver of a SOFA file.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Chooses measurement and receiver.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        The reader is not installed, the file is no SOFA file or holds no impulse responses, several
+        emitters at once, or no such measurement or receiver.
+    """
+    where = str(spec.path)
+    sofa = opened_sofa(content, where)
+    responses = real_array(getattr(sofa, "Data_IR", None))
+    rates_hz = real_array(getattr(sofa, "Data_SamplingRate", None))
+    if responses is None or rates_hz is None or responses.ndim not in (3, 4):
+        raise InputError(
+            "the SOFA file holds no impulse responses",
+            where=where,
+            found=f"data type {getattr(sofa, 'GLOBAL_DataType', 'unknown')!r}",
+            needed="data type FIR with a sampling rate",
+        )
+    if responses.ndim == 4:  # FIR-E: measurement, receiver, sample, emitter in sofar's order
+        if responses.shape[3] != 1:
+            raise InputError(
+                "the SOFA file holds several emitters at once",
+                where=where,
+                found=f"{responses.shape[3]} emitters",
+                needed="one emitter a file",
+            )
+        responses = responses[:, :, :, 0]
+    measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement", where)
+    receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index", where)
+    rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
+    delay_samples = _delay_samples(sofa, measurement, receiver)
+    pressure = responses[measurement, receiver].copy()
+    return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
+
+
+def opened_sofa(content: bytes, where: str) -> Any:
+    """Return what the reader makes of a SOFA file.
+
+    Raises
+    ------
+    InputError
+        The reader is not installed, or this is no SOFA file.
+    """
+    try:
+        import sofar
+    except ImportError as error:
+        raise InputError(
+            "SOFA files need a reader that is not installed",
+            where=where,
+            found=str(error),
+            hint='pip install "sofar>=1.2" "netCDF4<1.7.4"',
+        ) from error
+    # the netCDF library reads files, not memory; the copy has a plain name and no other writer
+    with tempfile.TemporaryDirectory() as folder:
+        copy = Path(folder) / "response.sofa"
+        copy.write_bytes(content)
+        try:
+            return sofar.read_sofa(str(copy), verify=False, verbose=False)
+        except _UNREADABLE as error:
+            raise InputError(
+                "this is not a SOFA file that can be read",
+                where=where,
+                found=f"{type(error).__name__}: {error}".replace(str(copy), where),
+                needed="a SOFA file (AES69) of a known convention",
+            ) from error
+
+
+def _delay_samples(sofa: Any, measurement: int, receiver: int) -> float:
+    """Return how many samples the file says its responses are to be delayed."""
+    delays = real_array(getattr(sofa, "Data_Delay", None))
+    if delays is None:
+        return 0.0
+    delays = np.atleast_2d(delays)  # sofar drops axes of length one
+    row, column = min(measurement, delays.shape[0] - 1), min(receiver, delays.shape[1] - 1)
+    return float(delays[row, column].reshape(-1)[0])
+
+
+def real_array(value: Any) -> FloatArray | None:
+    """Return real numbers as float64, or None for anything else."""
+    array = np.asarray(value if value is not None else ())
+    if array.size == 0 or array.dtype.kind not in "iuf":
+        return None
+    return np.asarray(array, dtype=np.float64)
+
+
+_SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
+_UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
+
+
+@dataclass(frozen=True, slots=True)
+class _DataChunk:
+    """Where the samples lie and how long the header says that they are."""
+
+    size_offset: int
+    start: int
+    declared: int
+
+
+def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return one channel of a WAV file.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Names the file in messages and chooses the channel.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        Not a WAV file, cut off, an encoding that loses what is needed, or no such channel.
+    """
+    chunk = _data_chunk(content, str(spec.path))
+    available = len(content) - chunk.start
+    findings: tuple[Finding, ...] = ()
+    if chunk.declared in _UNKNOWN_LENGTHS and available > 0:
+        findings = (_streamed(spec.path, available),)
+        content = _with_lengths(content, chunk, available)
+    elif chunk.declared > available:
+        raise InputError(
+            "the WAV file is cut off",
+            where=str(spec.path),
+            found=f"{available} bytes of samples",
+            needed=f"{chunk.declared} bytes, by its own header",
+            hint="copy or export the file again",
+        )
+    try:
+        with soundfile.SoundFile(io.BytesIO(content)) as file:
+            if file.subtype not in _SUBTYPES:
+                raise InputError(
+                    "this encoding of a WAV file is not read",
+                    where=str(spec.path),
+                    found=file.subtype,
+                    needed="PCM of 16, 24 or 32 bits, or floating point",
+                )
+            channel = pick("channel", spec.channel, file.channels, "channel", str(spec.path))
+            samples = file.read(dtype="float64", always_2d=True)
+            return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
+    except (
+        soundfile.SoundFileError,
+        RuntimeError,
+        ValueError,
+        OverflowError,
+        MemoryError,
+    ) as error:
+        raise _not_wav(str(spec.path), str(error)) from error
+
+
+def _data_chunk(content: bytes, where: str) -> _DataChunk:
+    """Walk the chunks of the file to its samples."""
+    form = content[:4]
+    if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
+        raise _not_wav(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
+    position, long_size, format_seen = 12, None, False
+    while position + 8 <= len(content):
+        name, size = struct.unpack_from("<4sI", content, position)
+        if name == b"ds64" and position + 24 <= len(content):
+            long_size = struct.unpack_from("<Q", content, position + 16)[0]
+        format_seen = format_seen or name == b"fmt "
+        if name == b"data":
+            if not format_seen:
+                raise _not_wav(where, "samples without a format before them")
+            if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
+                size = long_size
+            return _DataChunk(position + 4, position + 8, size)
+        position += 8 + size + size % 2  # chunks are padded to even lengths
+    raise InputError(
+        "the WAV file holds no samples",
+        where=where,
+        found=f"{len(content)} bytes without a data chunk",
+        hint="the file may be cut off: copy or export it again",
+    )
+
+
+def _with_lengths(content: bytes, chunk: _DataChunk, available: int) -> bytes:
+    """Return the file with the lengths that a streaming writer left open filled in."""
+    patched = bytearray(content)
+    struct.pack_into("<I", patched, 4, min(len(content) - 8, 0xFFFFFFFF))
+    struct.pack_into("<I", patched, chunk.size_offset, min(available, 0xFFFFFFFF))
+    return bytes(patched)
+
+
+def _streamed(path: Path, available: int) -> Finding:
+    return Finding(
+        "wav-length-unknown",
+        "warning",
+        f"{path.name} was written as a stream: its header does not tell its length, so a cut end "
+        "would not be noticed. Everything up to the end of the file was read.",
+        {"bytes_of_samples": available},
+    )
+
+
+def _not_wav(where: str, found: str) -> InputError:
+    return InputError(
+        "this is not a WAV file that can be read",
+        where=where,
+        found=found,
+        needed="RIFF WAVE with PCM or floating-point samples",
+    )

@@ -1,0 +1,368 @@
+"""What every reader hands over, and the doubts that any recording is searched for.
+
+Recorded excitations: the impulse response from the recording of a sweep and the sweep itself.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.fft import next_fast_len
+
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.typing import FloatArray
+
+_SHORTEST_S = 0.01
+_LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from what a float can hold
+_CLIPPED_RUN = 4
+_EQUAL_PEAKS = 5
+_FEW_LEVELS = 500.0
+_CREST_STEPS = 3.0
+# Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
+_LEAST_OFFSET = 1e-4
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One channel as it lies in a file.
+
+    Attributes
+    ----------
+    pressure : float array, shape (n_samples,)
+        Not yet checked: may hold nan.
+    sampling_rate_hz : float
+    delay_s : float
+        By how much the file says that its first sample comes after its own time zero.
+    findings : tuple of Finding
+    """
+
+    pressure: FloatArray
+    sampling_rate_hz: float
+    delay_s: float = 0.0
+    findings: tuple[Finding, ...] = ()
+
+
+def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
+    """Return the index that was asked for, or 0 where there is only one to choose.
+
+    Raises
+    ------
+    InputError
+        There are several and none was named, or the named one does not exist.
+    """
+    numbers = "0" if count == 1 else f"0 to {count - 1}"
+    if index is None and count == 1:
+        return 0
+    if index is None:
+        raise InputError(
+            f"the file holds several {kind}s and none was chosen",
+            where=where,
+            found=f"{count} {kind}s, {numbers}",
+            needed=f"{key} = a number from {numbers}",
+        )
+    if not 0 <= index < count:
+        raise InputError(
+            f"the file has no such {kind}",
+            where=where,
+            found=f"{key} = {index}",
+            needed=f"{key} = {numbers} ({kind}s are counted from 0)",
+        )
+    return index
+
+
+def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return the pressure without a constant offset, and a finding for every doubt.
+
+    Raises
+    ------
+    InputError
+        Too short, nan or infinite samples, or nothing but silence.
+    """
+    refuse_useless(recording, where)
+    pressure = recording.pressure
+    offset, told = _offset(pressure, where)
+    clipped = clipping(pressure, where, "Early energy is wrong") or _equal_peaks(pressure, where)
+    return pressure - offset, (*recording.findings, *clipped, *told)
+
+
+def refuse_useless(recording: Recording, where: Path) -> None:
+    """Refuse what cannot be sound.
+
+    Raises
+    ------
+    InputError
+        Too short, nan or infinite samples, or nothing but silence.
+    """
+    pressure, place = recording.pressure, str(where)
+    duration_s = len(pressure) / recording.sampling_rate_hz
+    if duration_s < _SHORTEST_S:
+        raise InputError(
+            "the response is too short",
+            where=place,
+            found=f"{len(pressure)} samples, {1000.0 * duration_s:.3g} ms",
+            needed=f"at least {1000.0 * _SHORTEST_S:g} ms",
+        )
+    bad = np.flatnonzero(~np.isfinite(pressure))
+    if bad.size:
+        raise InputError(
+            "the response holds samples that are not finite numbers",
+            where=place,
+            found=f"{bad.size} of {len(pressure)}, the first at sample {bad[0]}",
+            needed="finite pressures",
+            hint="look at how the file was made: a division by an empty spectrum leaves nan",
+        )
+    largest = float(np.abs(pressure).max())
+    if largest > _LOUDEST:
+        raise InputError(
+            "the response holds values that no pressure has",
+            where=place,
+            found=f"{largest:.3g}",
+            needed=f"at most {_LOUDEST:g} in whatever unit",
+            hint="the file may be damaged, or of another number format than it says",
+        )
+    if np.ptp(pressure) <= _SOFTEST:
+        raise InputError(
+            "the response is silent",
+            where=place,
+            found=f"{len(pressure)} samples, all of them {pressure[0]:g}",
+            hint="another channel may hold the response",
+        )
+
+
+def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...]:
+    """Return a finding where the peak was cut off: a run of equal samples with steep sides.
+
+    A peak is one sample or two. The crest of a low tone holds more samples that a coarse converter
+    takes for equal, but beside them it falls by a step or two of the converter only.
+
+    Parameters
+    ----------
+    pressure : float array, shape (n_samples,)
+        Finite, not all equal.
+    where : Path
+    harm : str
+        What it does to the result.
+    """
+    size = np.abs(pressure)
+    # full scale downwards is one step farther than upwards
+    at_peak = size[1:] >= size.max() * (1.0 - 1e-4)
+    repeated = (np.diff(pressure) == 0.0) & at_peak
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], repeated.astype(np.int8), [0]))))
+    first, last = edges[::2], edges[1::2]
+    steps = np.abs(np.diff(pressure))
+    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
+    beside = np.concatenate(([0.0], steps, [0.0]))
+    steep = np.maximum(beside[first], beside[last + 1]) > crest
+    longest = int(np.max((last - first)[steep], initial=0)) + 1
+    if longest < _CLIPPED_RUN:
+        return ()
+    return (
+        Finding(
+            "response-clipped",
+            "serious",
+            f"{where.name} looks clipped: {longest} samples in a row have the largest value, "
+            f"{size.max():.4g}. {harm}; measure again at a lower level.",
+            {"longest_run": longest, "largest": float(size.max())},
+        ),
+    )
+
+
+def _equal_peaks(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
+    """Return a finding where many separate peaks of a response are equally high.
+
+    Short peaks that are cut off have no run of equal samples; but no two reflections of a room are
+    equal, let alone five, unless a converter knows only a few levels.
+    """
+    size = np.abs(pressure)
+    steps = np.abs(np.diff(pressure))
+    if size.max() < _FEW_LEVELS * float(steps[steps > 0.0].min()):
+        return ()
+    high = size >= size.max() * (1.0 - 1e-6)
+    before, after = np.concatenate(([0.0], size[:-1])), np.concatenate((size[1:], [0.0]))
+    steep = np.minimum(before, after) < 0.99 * size.max()
+    n_peaks = int(np.count_nonzero(high & steep))
+    if n_peaks < _EQUAL_PEAKS:
+        return ()
+    return (
+        Finding(
+            "response-clipped",
+            "serious",
+            f"{where.name} looks clipped: {n_peaks} peaks have the same largest value, "
+            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
+            {"equal_peaks": n_peaks, "largest": float(size.max())},
+        ),
+    )
+
+
+def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ...]]:
+    """Return the offset to subtract: one where the quiet end of the file is mostly offset.
+
+    The mean of the whole would be wrong: every response has some. What stays of an offset makes a
+    step at both ends of the file, which low bands take for sound.
+    """
+    end = pressure[-max(1, len(pressure) // 4) :]
+    mean, peak = float(end.mean()), float(np.abs(pressure).max())
+    if abs(mean) <= _LEAST_OFFSET * peak or abs(mean) <= 2.0 * float(end.std()):
+        return 0.0, ()
+    return mean, (
+        Finding(
+            "dc-offset",
+            "info",
+            f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
+            "peak); it was subtracted.",
+            {"offset": mean, "relative_to_peak": mean / peak},
+        ),
+    )
+
+
+# Below this share of the excitation's peak (-60 dB, above the noise of a loopback) it is silent.
+_SILENT = 1e-3
+# Kept before the start of the excitation, faded in: the filter rings forth and back at the edges of
+# the band, and cut off at once the ringing would leave a step.
+_LEAD_S = 0.02
+_LEAST_DECAY_S = 0.05
+_BANDS_PER_OCTAVE = 12
+_LOWEST_HZ = 10.0
+_BELOW_FULL = 10.0 ** (-15.0 / 10.0)
+# Share of the strongest line at which the inversion gives up inside the band (-200 dB in power).
+_WITHIN = 1e-5
+# A linear convolution of 60 s at 192 kHz; more is a mistaken file.
+_MOST_SAMPLES = 2**26
+
+
+def deconvolved(
+    recording: Recording, excitation: Recording, path: Path, excitation_path: Path
+) -> Recording:
+    """Return the impulse response between an excitation and its recording.
+
+    Its time zero is the start of the excitation's file: a recording that began with the playback
+    needs no `latency_s` but that of its converters. The response ends where the recording no
+    longer holds the decay of every frequency: as long after time zero as the recording goes on
+    after the last sound of the excitation. Products of harmonic distortion of a rising sweep come
+    out before time zero [1]_, the second by T ln 2 / ln(f2 / f1), and are cut away but for the
+    last 20 ms; the room's answer to them goes on into the response, the less the longer the sweep.
+
+    Parameters
+    ----------
+    recording, excitation : Recording
+        At the same sampling rate. The excitation may be any broadband signal, or a loopback.
+    path, excitation_path : Path
+        Name both in messages.
+
+    Raises
+    ------
+    InputError
+        Two sampling rates, a recording that ends before the excitation does, silence, or samples
+        that are not finite.
+
+    Notes
+    -----
+    Division of spectra, regularised outside the band in which the excitation has energy [2]_,
+    [3]_: there the response goes to nothing instead of to amplified noise. The filter has no phase.
+
+    References
+    ----------
+    .. [1] A. Farina, "Simultaneous measurement of impulse response and distortion with a
+           swept-sine technique", 108th AES Convention, preprint 5093 (2000).
+    .. [2] S. Mueller and P. Massarani, "Transfer-function measurement with sweeps", J. Audio
+           Eng. Soc. 49, 443-471 (2001).
+    .. [3] pyfar, `pyfar.dsp.RegularizedSpectrumInversion`.
+    """
+    rate_hz = recording.sampling_rate_hz
+    if abs(excitation.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
+        raise InputError(
+            "recording and excitation have different sampling rates",
+            where=str(path),
+            found=f"{rate_hz:g} Hz, and {excitation.sampling_rate_hz:g} Hz in {excitation_path}",
+            needed="one rate",
+            hint="take the excitation as it was played, at the rate of the recording",
+        )
+    refuse_useless(recording, path)
+    refuse_useless(excitation, excitation_path)
+    n_kept = _kept(recording.pressure, excitation.pressure, rate_hz, path)
+    low_hz, high_hz = band_of(excitation.pressure, rate_hz)
+    response = _divided(recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz))
+    n_lead = round(_LEAD_S * rate_hz)
+    lead = response[len(response) - n_lead :]
+    fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
+    pressure = np.concatenate([fade * lead, response[:n_kept]])
+    text = (
+        f"{path.name} was deconvolved with {excitation_path.name}, which has energy from "
+        f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
+    )
+    evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
+    told = Finding("deconvolved", "info", text, evidence)
+    clipped = clipping(recording.pressure, path, "The response deconvolved from it is distorted")
+    findings = (*recording.findings, *excitation.findings, *clipped, told)
+    return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
+
+
+def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float, path: Path) -> int:
+    """Return how many samples of the response hold all frequencies."""
+    size = np.abs(played - np.median(played))
+    sounding = int(np.flatnonzero(size > _SILENT * size.max())[-1]) + 1
+    if len(recorded) + len(played) > _MOST_SAMPLES:
+        raise InputError(
+            "recording and excitation are too long together",
+            where=str(path),
+            found=f"{len(recorded)} and {len(played)} samples",
+            needed=f"at most {_MOST_SAMPLES}",
+        )
+    if len(recorded) < sounding + _LEAST_DECAY_S * rate_hz:
+        raise InputError(
+            "the recording ends before the decay after the excitation",
+            where=str(path),
+            found=f"{len(recorded) / rate_hz:.4g} s",
+            needed=f"the {sounding / rate_hz:.4g} s of the excitation, and the decay after it",
+            hint="record until the room is silent",
+        )
+    return len(recorded) - sounding
+
+
+def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
+    """Return the frequencies between which an excitation has energy, in Hz.
+
+    Its power is summed in twelfths of an octave. The band goes on, from the strongest, while
+    either the power of each or its density per hertz is within 15 dB of the largest: so an
+    exponential sweep (equal power in each) and a linear one (equal density) keep all they have.
+
+    Parameters
+    ----------
+    excitation : float array, shape (n_samples,)
+    rate_hz : float
+    """
+    n_lines = next_fast_len(max(len(excitation), int(2.0 * rate_hz)), real=True)
+    power = np.abs(np.fft.rfft(excitation, n_lines)) ** 2
+    n_bands = int(_BANDS_PER_OCTAVE * np.log2(0.5 * rate_hz / _LOWEST_HZ))
+    edges_hz = 0.5 * rate_hz * 2.0 ** (np.arange(-n_bands, 1) / _BANDS_PER_OCTAVE)
+    at = np.round(edges_hz / rate_hz * n_lines).astype(np.int64)
+    at = np.minimum(at, len(power))
+    total = np.diff(np.concatenate(([0.0], np.cumsum(power)))[at])
+    density = total / np.maximum(np.diff(at), 1)
+    full = (total >= _BELOW_FULL * total.max()) | (density >= _BELOW_FULL * density.max())
+    low = high = int(np.argmax(total))
+    while low > 0 and full[low - 1]:
+        low -= 1
+    while high < len(full) - 1 and full[high + 1]:
+        high += 1
+    return float(edges_hz[low]), float(edges_hz[high + 1])
+
+
+def _divided(
+    recorded: FloatArray, played: FloatArray, rate_hz: float, band_hz: tuple[float, float]
+) -> FloatArray:
+    """Return the quotient of the spectra over time, long enough that nothing wraps onto it."""
+    import pyfar
+
+    n = next_fast_len(len(recorded) + len(played), real=True)
+    signal = pyfar.Signal(np.pad(recorded, (0, n - len(recorded))), rate_hz)
+    source = pyfar.Signal(np.pad(played, (0, n - len(played))), rate_hz)
+    strongest = float(np.max(np.abs(source.freq)) ** 2)
+    inverse = pyfar.dsp.RegularizedSpectrumInversion.from_frequency_range(
+        source, band_hz, regularization_within=_WITHIN, beta=strongest
+    ).invert
+    spectrum = signal.freq[0] * inverse.freq[0]
+    return np.asarray(np.fft.irfft(spectrum, n))

@@ -1,0 +1,109 @@
+"""The front door: from a specification to a checked room."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+from roomfit._checks import nearest
+from roomfit.errors import InputError, located
+from roomfit.findings import Finding
+from roomfit.geometry.build import build_mesh, oriented
+from roomfit.geometry.check import examine
+from roomfit.geometry.mesh import Mesh, refuse, shoebox_mesh
+from roomfit.io.rooms.catt import read_catt
+from roomfit.io.rooms.dxf import read_dxf
+from roomfit.io.rooms.mesh_formats import read_ac3d, read_obj, read_ply
+from roomfit.io.rooms.model import (
+    METRES_PER_UNIT,
+    RoomModel,
+    RoomSpec,
+    in_metres,
+    read_glb,
+    read_stl,
+)
+from roomfit.io.rooms.tables import read_polygons
+from roomfit.scene import Room, material_findings, room_from_mesh
+
+READERS: dict[str, Callable[[Path], RoomModel]] = {
+    ".obj": read_obj,
+    ".ac": read_ac3d,
+    ".ply": read_ply,
+    ".stl": read_stl,
+    ".glb": read_glb,
+    ".geo": read_catt,
+    ".dxf": read_dxf,
+}
+
+
+def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
+    """Read, repair and check a room.
+
+    Returns
+    -------
+    room : Room
+        In metres, z up, normals out of the air.
+    findings : tuple of Finding
+        What was repaired and what is doubtful; none is serious.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read, or has a fault that forbids tracing it: the first one is told,
+        `roomfit check` lists them all.
+    """
+    mesh, findings = read_mesh(spec)
+    findings = (*findings, *material_findings(mesh, spec.materials), *examine(mesh).findings)
+    refuse(findings)
+    return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
+
+
+def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
+    """Read a room as far as its mesh, welded, triangulated and oriented, with all faults told.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read.
+    """
+    lengths = shoebox_lengths_m(spec)
+    if lengths is not None:
+        with located("[room] shoebox"):
+            return shoebox_mesh(lengths), ()
+    model, where = _read_model(spec)
+    mesh, built = build_mesh(in_metres(model, spec.unit, spec.up, where), model.faces)
+    mesh, turned = oriented(mesh)
+    return mesh, (*model.findings, *built, *turned)
+
+
+def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
+    """Return the lengths of the box along x, y and z, or None where the room is no shoebox."""
+    if spec.shoebox is None:
+        return None
+    unit = spec.unit or "m"
+    if unit not in METRES_PER_UNIT:
+        known = ", ".join(METRES_PER_UNIT)
+        raise InputError(
+            "unknown unit", where="[room] unit", found=repr(unit), needed=f"one of {known}"
+        )
+    if spec.up not in (None, "z"):
+        raise InputError("a shoebox stands with z up", found=f"up = {spec.up!r}", needed='"z"')
+    x, y, z = (float(length) * METRES_PER_UNIT[unit] for length in spec.shoebox)
+    return x, y, z
+
+
+def _read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
+    if spec.polygons is not None:
+        return read_polygons(spec.polygons, spec.unit), str(spec.polygons.corners[0])
+    path = Path(spec.file or "")
+    suffix = path.suffix.lower()
+    if suffix not in READERS:
+        like = nearest(suffix, READERS)
+        raise InputError(
+            "a room file of unknown format",
+            where=str(path),
+            found=repr(path.suffix),
+            needed=f"one of {', '.join(READERS)}",
+            hint=f"did you mean {like}?" if like else "export the room as OBJ",
+        )
+    return READERS[suffix](path), str(path)

@@ -1,0 +1,706 @@
+"""The reader of CATT-Acoustic's .geo files.
+
+Constants, directives and corners of every file of a room, put where expressions find them.
+
+A plane cut into its parts: what an earlier part covers is taken out of the later ones.
+
+Planes of a .geo file: which corners in which order, which material, which parts.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.geometry.build import Face
+from roomfit.geometry.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
+from roomfit.io.rooms.catt_language import (
+    CornerSource,
+    FileNames,
+    GeoFile,
+    Line,
+    Shared,
+    corner_of,
+    read_files,
+    value_of,
+)
+from roomfit.io.rooms.model import RoomModel, whole
+from roomfit.typing import FloatArray
+
+_MOST_STEPS = 10_000
+
+
+def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
+    """Return what the expressions of each file know.
+
+    Raises
+    ------
+    InputError
+        A constant is given twice, or a statement's numbers are not what they must be.
+    """
+    shared = Shared()
+    owners = [FileNames(shared, file) for file in files]
+    for owner in owners:
+        for kind, line in owner.file.constants:
+            name, expression = _definition(line)
+            known = shared.constants if kind == "global" else owner.local
+            if name in known:
+                raise InputError("a constant is given twice", where=line.where, found=name)
+            if kind == "global":
+                shared.constants[name] = (owner, expression)
+            else:
+                owner.local[name] = expression
+    for owner in owners:
+        _obey_directives(owner)
+    for owner in owners:
+        for line in owner.file.corners:
+            _add_corners(owner, line)
+    _check_images(shared)
+    return shared, owners
+
+
+def _check_images(shared: Shared) -> None:
+    """Two corners must not share a number, one of them as a mirror image."""
+    images: dict[int, CornerSource] = {}
+    for number, source in shared.corners.items():
+        if source.names.mirror is None:
+            continue
+        image = number + source.names.mirror[0]
+        other = shared.corners.get(image) or images.get(image)
+        if other is not None:
+            raise InputError(
+                "a corner and the mirror image of another have the same number",
+                where=other.where,
+                found=f"{image}, the image of corner {number}",
+                hint="let MIRROR add a larger number",
+            )
+        images[image] = source
+
+
+def _definition(line: Line) -> tuple[str, Line]:
+    match = re.fullmatch(r"\w+\s+([A-Za-z_]\w*)\s*=\s*([^=\"]+)", line.text, re.ASCII)
+    if match is None:
+        raise InputError(
+            "a constant of the .geo file is not understood",
+            where=line.where,
+            found=line.text[:80],
+            needed="GLOBAL or LOCAL, a name, = and a number or an expression",
+        )
+    return match.group(1).lower(), Line(match.group(2), line.where)
+
+
+def _obey_directives(owner: FileNames) -> None:
+    def numbers(word: str, count: int) -> list[float] | None:
+        line = owner.file.directives.get(word)
+        if line is None:
+            return None
+        words = line.text.split()[1:]
+        if len(words) != count:
+            raise InputError(
+                f"{word.upper()} needs {count} number{'s' if count > 1 else ''}",
+                where=line.where,
+                found=line.text[:80],
+            )
+        return [value_of(text, owner, line.where) for text in words]
+
+    offset = numbers("offsetco", 1)
+    mirror = numbers("mirror", 2)
+    shift = numbers("translate", 3)
+    if offset:
+        owner.offset = _integer(offset[0], owner, "offsetco")
+    if mirror:
+        owner.mirror = (
+            _integer(mirror[0], owner, "mirror"),
+            _integer(mirror[1], owner, "mirror"),
+        )
+        owner.shared.mirrors.add(owner.mirror[0])
+    if shift:
+        if "object" not in owner.file.directives:
+            raise InputError(
+                "TRANSLATE without OBJECT", where=owner.file.directives["translate"].where
+            )
+        owner.shift = (shift[0], shift[1], shift[2])
+
+
+def _integer(value: float, owner: FileNames, word: str) -> int:
+    if value != int(value) or value < 0:
+        where = owner.file.directives[word].where
+        raise InputError("a whole number was expected", where=where, found=f"{value:g}")
+    return int(value)
+
+
+def _add_corners(owner: FileNames, line: Line) -> None:
+    if not line.text[0].isdigit():
+        _add_loop(owner, line)
+        return
+    words = split_words(line.text)
+    if len(words) != 4:
+        raise InputError(
+            "a corner needs a number and three coordinates",
+            where=line.where,
+            found=line.text[:80],
+            hint="write an expression without blanks, as in 2*w-1",
+        )
+    source = CornerSource(owner, (words[1], words[2], words[3]), line.where)
+    _add(owner.shared, whole(words[0], line.where) + owner.offset, source)
+
+
+def _add(shared: Shared, number: int, source: CornerSource) -> None:
+    if number in shared.corners:
+        raise InputError(
+            "a corner number is given twice",
+            where=source.where,
+            found=str(number),
+            hint=f"the first one: {shared.corners[number].where}; OFFSETCO keeps included files "
+            "apart",
+        )
+    shared.corners[number] = source
+
+
+def _add_loop(owner: FileNames, line: Line) -> None:
+    """Read ``loop(first, i, start, stop, step, x, y, z)``: one corner for each value of i."""
+    match = re.fullmatch(r"loop\s*\((.*)\)", line.text, re.ASCII | re.IGNORECASE)
+    arguments = split_words(match.group(1), ",") if match else []
+    if len(arguments) != 8 or not re.fullmatch(r"[A-Za-z_]\w*", arguments[1], re.ASCII):
+        raise InputError(
+            "a loop of the .geo file is not understood",
+            where=line.where,
+            found=line.text[:80],
+            needed="loop(first number, name, start, stop, step, x, y, z)",
+        )
+    number, start, stop, step = (value_of(arguments[k], owner, line.where) for k in (0, 2, 3, 4))
+    steps = (stop - start) / step if step else -1.0
+    if number != int(number) or number < 0 or not 0.0 <= steps + 1e-9 <= _MOST_STEPS:
+        raise InputError("a loop that does not end, or has no step", where=line.where)
+    for k in range(int(steps + 1e-9) + 1):
+        running = (arguments[1].lower(), start + k * step)
+        expressions = (arguments[5], arguments[6], arguments[7])
+        source = CornerSource(owner, expressions, line.where, running)
+        _add(owner.shared, int(number) + k + owner.offset, source)
+
+
+def split_words(text: str, mark: str = " ") -> list[str]:
+    """Split at a mark (or at white space) outside brackets.
+
+    Examples
+    --------
+    >>> split_words("5 x(4) -w/2 lock(4 7 8)")
+    ['5', 'x(4)', '-w/2', 'lock(4 7 8)']
+    """
+    words, depth = [""], 0
+    for letter in text:
+        depth += (letter == "(") - (letter == ")")
+        if depth <= 0 and (letter == mark or (mark == " " and letter.isspace())):
+            words.append("")
+        else:
+            words[-1] += letter
+    words = [word.strip() for word in words]
+    return [word for word in words if word] if mark == " " else words
+
+
+def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
+    """Return what is left of each part once the earlier ones are taken out of it.
+
+    Parameters
+    ----------
+    parts : list of float arrays, shape (n_corners, 3)
+        Polygons in one plane, of any outline, in order of precedence.
+
+    Returns
+    -------
+    list of lists of float arrays, shape (n_corners, 3)
+        For each part its polygons, which turn as the part does. A part that nothing is taken out
+        of comes back whole; else the pieces are convex and meet without gaps. Pieces thinner than
+        the tolerance at which corners are welded are left out.
+
+    Notes
+    -----
+    Both polygons are cut into triangles. What a triangle leaves of a convex piece is, for each of
+    its edges in turn, the share of the piece beyond that edge and within all edges before it.
+    """
+    left: list[list[FloatArray]] = []
+    taken: list[FloatArray] = []
+    for part in parts:
+        pieces = [part]
+        for hole in taken:
+            if any(_overlap(piece, hole) for piece in _convex(pieces)):
+                pieces = [rest for piece in _convex(pieces) for rest in _without(piece, hole)]
+        left.append(pieces)
+        taken.extend(_triangles(part))
+    return left
+
+
+def area_m2(polygons: list[FloatArray]) -> float:
+    """Return the sum of the areas of some polygons."""
+    return float(sum(np.linalg.norm(area_vector_m2(polygon)) for polygon in polygons))
+
+
+def _triangles(polygon: FloatArray) -> list[FloatArray]:
+    return [polygon[corners] for corners in triangulate(polygon).triangles]
+
+
+def _convex(pieces: list[FloatArray]) -> list[FloatArray]:
+    return [t for piece in pieces for t in (_triangles(piece) if len(piece) > 3 else [piece])]
+
+
+def _overlap(piece: FloatArray, hole: FloatArray) -> bool:
+    inside = piece
+    for edge in range(3):
+        inside = _half(inside, *_line(hole, edge), keep_inside=True)
+    return not _thin(inside)
+
+
+def _without(piece: FloatArray, hole: FloatArray) -> list[FloatArray]:
+    """Return the convex pieces of a convex polygon outside a triangle of the same plane."""
+    if not _overlap(piece, hole):
+        return [piece]
+    outside: list[FloatArray] = []
+    rest = piece
+    for edge in range(3):
+        line = _line(hole, edge)
+        beyond = _half(rest, *line, keep_inside=False)
+        if not _thin(beyond):
+            outside.append(beyond)
+        rest = _half(rest, *line, keep_inside=True)
+    return outside
+
+
+def _line(hole: FloatArray, edge: int) -> tuple[FloatArray, FloatArray]:
+    """Return a point of one edge and the unit vector that leads away from the hole."""
+    a, b = hole[edge], hole[(edge + 1) % 3]
+    outwards = np.cross(b - a, area_vector_m2(hole))
+    return a, outwards / np.linalg.norm(outwards)
+
+
+def _half(
+    polygon: FloatArray, point: FloatArray, outwards: FloatArray, *, keep_inside: bool
+) -> FloatArray:
+    """Clip a convex polygon at a line (Sutherland and Hodgman 1974)."""
+    if not len(polygon):
+        return polygon
+    height = (polygon - point) @ outwards * (-1.0 if keep_inside else 1.0)
+    height[np.abs(height) < 0.1 * WELD_TOLERANCE_M] = 0.0
+    corners: list[FloatArray] = []
+    for k in range(len(polygon)):
+        n = (k + 1) % len(polygon)
+        if height[k] >= 0.0:
+            corners.append(polygon[k])
+        if height[k] * height[n] < 0.0:
+            share = height[k] / (height[k] - height[n])
+            corners.append(polygon[k] + share * (polygon[n] - polygon[k]))
+    return np.array(corners).reshape(-1, 3)
+
+
+def _thin(polygon: FloatArray) -> bool:
+    if len(polygon) < 3:
+        return True
+    edges = np.linalg.norm(np.roll(polygon, -1, axis=0) - polygon, axis=1)
+    return bool(2.0 * area_m2([polygon]) <= WELD_TOLERANCE_M * float(edges.sum()))
+
+
+_MOST_CORNERS = 2000
+_MOST_PLANES = 20_000
+
+
+@dataclass(frozen=True, slots=True)
+class Part:
+    """One piece of a plane, such as the door in a wall.
+
+    Attributes
+    ----------
+    name : str
+    corners : tuple of int
+        Numbers as the file writes them.
+    material : str
+    """
+
+    name: str
+    corners: tuple[int, ...]
+    material: str
+
+
+@dataclass(frozen=True, slots=True)
+class GeoPlane:
+    """One plane of a .geo file.
+
+    Attributes
+    ----------
+    number : int
+    outline : Part
+        Its material is empty where the plane has parts.
+    parts : tuple of Part
+        In order: an earlier part hides what a later one covers as well.
+    where : str
+        File and line.
+    """
+
+    number: int
+    outline: Part
+    parts: tuple[Part, ...]
+    where: str
+
+
+def parse_planes(line: Line) -> list[GeoPlane]:
+    """Return the plane that a text between brackets describes, or the planes of a plane loop.
+
+    ``30 wall / 5 6 56 55 / brick`` ; with ``\\`` for ``/`` the other side reflects ; corners
+    5 to 8 may be written 5-8 ; ``(door / 1 2 3 4 / wood)`` for parts ; ``*5 1 panel // 1 2 8 7 /
+    wood`` for five planes, each with numbers one higher (or as the list between the two slashes
+    says). A ``*`` behind a name or a material asks CATT-Acoustic for scattering at edges and an s
+    behind a corner hides an edge: neither changes the room.
+
+    Raises
+    ------
+    InputError
+        It is not of this form.
+    """
+    head, fields, turned = _fields(line)
+    times, number, name = _head(head, line)
+    steps: tuple[int, ...] | None = None
+    if times is not None:
+        if len(fields) != 3:
+            raise _malformed(line)
+        steps = _corners(fields.pop(0), line) if fields[0].strip() else None
+        if not fields[0].strip():
+            fields.pop(0)
+    if len(fields) != 2:
+        raise _malformed(line)
+    corners = _outline(fields[0], turned, line)
+    parts = _parts(fields[1], turned, line)
+    material = "" if parts else _material(fields[1], line)
+    plane = GeoPlane(number, Part(name, corners, material), parts, line.where)
+    if times is None:
+        return [plane]
+    return _loop(plane, times, steps, turned, line)
+
+
+def _fields(line: Line) -> tuple[str, list[str], bool]:
+    """Split at the slashes outside round brackets; backslashes turn the plane over."""
+    pieces, depth, marks = [""], 0, set()
+    for letter in line.text:
+        depth += (letter == "(") - (letter == ")")
+        if letter in "/\\" and depth == 0:
+            pieces.append("")
+            marks.add(letter)
+        else:
+            pieces[-1] += letter
+    if depth != 0 or len(marks) != 1:
+        raise _malformed(line)
+    return pieces[0].strip(), pieces[1:], marks == {"\\"}
+
+
+def _head(head: str, line: Line) -> tuple[int | None, int, str]:
+    match = re.fullmatch(r"(?:\*\s*(\d{1,6})\s+)?(\d{1,9})\b\s*(.*)", head, re.ASCII)
+    if match is None:
+        raise _malformed(line)
+    times = int(match.group(1)) if match.group(1) else None
+    if times is not None and not 1 <= times <= _MOST_PLANES:
+        raise _malformed(line)
+    return times, int(match.group(2)), match.group(3).rstrip("* ")
+
+
+def _outline(text: str, turned: bool, line: Line) -> tuple[int, ...]:
+    corners = _corners(text, line)
+    if len(corners) < 3:
+        raise InputError(
+            "a plane has fewer than three corners",
+            where=line.where,
+            found=text.strip()[:60] or "none",
+        )
+    return corners[::-1] if turned else corners
+
+
+def _corners(text: str, line: Line) -> tuple[int, ...]:
+    corners: list[int] = []
+    for token in re.sub(r"\s*-\s*", "-", text).split():
+        match = re.fullmatch(r"(\d{1,9})s?(?:-(\d{1,9})s?)?", token, re.ASCII | re.IGNORECASE)
+        if match is None:
+            raise InputError(
+                "a corner number was expected",
+                where=line.where,
+                found=repr(token[:40]),
+                needed="corner numbers such as 5 or 5-8",
+            )
+        first = whole(match.group(1), line.where)
+        last = whole(match.group(2) or match.group(1), line.where)
+        if abs(last - first) + len(corners) >= _MOST_CORNERS:
+            raise InputError("a plane has too many corners", where=line.where, found=token)
+        step = 1 if last >= first else -1
+        corners.extend(range(first, last + step, step))
+    return tuple(corners)
+
+
+def _parts(text: str, turned: bool, line: Line) -> tuple[Part, ...]:
+    text = text.strip()
+    if not text.startswith("("):
+        return ()
+    if not text.endswith(")") or re.search(r"\)[^(]*[^(\s][^(]*\(", text):
+        raise _malformed(line)
+    parts = []
+    for inner in text[1:-1].split("("):
+        fields = re.split(r"[/\\]", inner.strip().removesuffix(")"))
+        if len(fields) != 3:
+            raise _malformed(line)
+        name = fields[0].strip().rstrip("* ")
+        parts.append(Part(name, _outline(fields[1], turned, line), _material(fields[2], line)))
+    return tuple(parts)
+
+
+def _material(text: str, line: Line) -> str:
+    name = text.strip().rstrip("* ").strip('"').strip()
+    if not name or any(mark in name for mark in "()[]<>{}"):
+        raise _malformed(line)
+    return name
+
+
+def _loop(
+    plane: GeoPlane, times: int, steps: tuple[int, ...] | None, turned: bool, line: Line
+) -> list[GeoPlane]:
+    outline = plane.outline
+    each = steps or (1,) * len(outline.corners)
+    if plane.parts or len(each) != len(outline.corners):
+        raise _malformed(line)
+    each = each[::-1] if turned else each
+    return [
+        replace(
+            plane,
+            number=plane.number + k,
+            outline=replace(
+                outline,
+                corners=tuple(c + k * s for c, s in zip(outline.corners, each, strict=True)),
+            ),
+        )
+        for k in range(times)
+    ]
+
+
+def _malformed(line: Line) -> InputError:
+    return InputError(
+        "a plane of the .geo file is not understood",
+        where=line.where,
+        found=f"[{line.text.strip()[:80]}]",
+        needed="[number name / corners / material], or (name / corners / material) for its parts",
+    )
+
+
+_UNCOVERED = 1e-4  # share of a plane that its parts may leave open
+
+
+@dataclass(slots=True)
+class _Faces:
+    """Corners and faces as they come in."""
+
+    points: list[FloatArray]
+    faces: list[Face]
+    count: int = 0
+
+    def add(self, points: FloatArray, surface: Surface) -> None:
+        """Add one polygon; CATT-Acoustic's normals point into the air, roomfit's out of it."""
+        corners = tuple(reversed(range(self.count, self.count + len(points))))
+        self.points.append(points)
+        self.faces.append(Face(corners, surface))
+        self.count += len(points)
+
+
+def read_catt(path: Path) -> RoomModel:
+    """Read a room from a .geo file of CATT-Acoustic and the files that it includes.
+
+    Metres, z up. The name of a surface is its plane's number (OFFSETPL and MIRROR added), its
+    group the name of the plane or of its part, its material the one of the plane; where
+    ``ABS a = b`` says that a is b, it is b. Upper and lower case are the same; the spelling of the
+    ABS statement, or else the first one met, is kept. Absorption and scattering of ABS statements
+    are not used: they are what roomfit is to find.
+
+    OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL hold for the file they stand in.
+    MIRROR adds the image at x = 0 of every corner, and of every plane that names no image itself
+    and is not its own image. Two planes on the same corners with opposite reflecting sides and
+    one material become one sheet that reflects on both sides.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or holds a statement that is not supported (IF, ROTATE, COPY, cut()
+        and others): it is told with its line. Nothing that may shape the room is passed over.
+    """
+    files = read_files(path)
+    shared, owners = names_of(files)
+    materials, findings = _materials(owners)
+    faces = _Faces([], [])
+    used: dict[int, str] = {}
+    for owner in owners:
+        for plane in _planes(owner, used):
+            _add_plane(plane, shared, materials, faces)
+    if not faces.faces:
+        raise InputError(
+            "the room file has no planes",
+            where=str(path),
+            needed="PLANES, and below it [number name / corners / material]",
+            hint="the file may be cut short: export it again",
+        )
+    return RoomModel(np.concatenate(faces.points), _sheets(faces), findings, "m", "z")
+
+
+def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
+    """Return the planes of one file with final numbers of planes and corners, images included."""
+    line = owner.file.directives.get("offsetpl")
+    words = line.text.split()[1:] if line else ["0"]
+    if line and not (len(words) == 1 and re.fullmatch(r"\d{1,9}", words[0], re.ASCII)):
+        raise InputError("OFFSETPL needs a whole number", where=line.where, found=line.text[:80])
+    planes = []
+    for text in owner.file.planes:
+        for plane in parse_planes(text):
+            final = _renumbered(plane, int(words[0]), owner.offset)
+            planes.append(final)
+            image = _image(final, owner)
+            if image is not None:
+                planes.append(image)
+    for plane in planes:
+        if plane.number in used:
+            raise InputError(
+                "a plane number is given twice",
+                where=plane.where,
+                found=str(plane.number),
+                hint=f"the first one: {used[plane.number]}; OFFSETPL keeps included files apart",
+            )
+        used[plane.number] = plane.where
+    return planes
+
+
+def _renumbered(plane: GeoPlane, add_plane: int, add_corner: int) -> GeoPlane:
+    def moved(part: Part) -> Part:
+        return replace(part, corners=tuple(c + add_corner for c in part.corners))
+
+    parts = tuple(moved(part) for part in plane.parts)
+    return replace(
+        plane, number=plane.number + add_plane, outline=moved(plane.outline), parts=parts
+    )
+
+
+def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
+    """Return the plane's image at x = 0, or None where it has none of its own."""
+    if owner.mirror is None:
+        return None
+    add_corner, add_plane = owner.mirror
+    known = owner.shared.corners
+    corners = plane.outline.corners
+    if any(c not in known for c in corners):
+        return None  # it names images itself
+    points = [corner_of(owner.shared, c, plane.where) for c in corners]
+    rounded = {tuple(round(v, 6) + 0.0 for v in p) for p in points}
+    if rounded == {(0.0 - x, y, z) for x, y, z in rounded}:
+        return None  # it is its own image
+
+    def mirrored(part: Part) -> Part:
+        return replace(part, corners=tuple(c + add_corner for c in part.corners[::-1]))
+
+    parts = tuple(mirrored(part) for part in plane.parts)
+    return replace(
+        plane, number=plane.number + add_plane, outline=mirrored(plane.outline), parts=parts
+    )
+
+
+def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces: _Faces) -> None:
+    outline = _points(plane.outline, shared, plane.where)
+    if not plane.parts:
+        faces.add(outline, _surface(plane, plane.outline, materials))
+        return
+    shapes = [_points(part, shared, plane.where) for part in plane.parts]
+    left = cut_parts(shapes)
+    for part, pieces in zip(plane.parts, left, strict=True):
+        if not pieces:
+            raise InputError(
+                "a part of a plane is hidden by the parts before it",
+                where=plane.where,
+                found=f"{part.name!r} of plane {plane.number}",
+                hint="put the smaller part first",
+            )
+        for piece in pieces:
+            faces.add(piece, _surface(plane, part, materials))
+    whole = area_m2([outline])
+    covered = area_m2([piece for pieces in left for piece in pieces])
+    if not abs(covered - whole) <= _UNCOVERED * whole:
+        raise InputError(
+            "the parts of a plane do not make up the plane",
+            where=plane.where,
+            found=f"{covered:.4g} m2 of parts in plane {plane.number} of {whole:.4g} m2",
+            hint="give the rest a part of its own, as in (wall / 1 2 3 4 / brick)",
+        )
+
+
+def _points(part: Part, shared: Shared, where: str) -> FloatArray:
+    return np.array([corner_of(shared, number, where) for number in part.corners])
+
+
+def _surface(plane: GeoPlane, part: Part, materials: dict[str, str]) -> Surface:
+    key = part.material.lower()
+    return Surface(str(plane.number), part.name or None, materials.setdefault(key, part.material))
+
+
+def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, ...]]:
+    """Return the name to use for each material in lower case, with "a is b" followed to its end."""
+    spelling: dict[str, str] = {}
+    stands_for: dict[str, str] = {}
+    for owner in owners:
+        for line in owner.file.materials:
+            name, rest = _absorption(line)
+            if name.lower() in spelling:
+                raise InputError("a material is given twice", where=line.where, found=name)
+            spelling[name.lower()] = name
+            if not rest.startswith("<"):
+                stands_for[name.lower()] = rest.strip('"').strip()
+    followed: dict[str, str] = {}
+    for name in stands_for:
+        seen, end = {name}, stands_for[name]
+        while end.lower() in stands_for:
+            if end.lower() in seen:
+                raise InputError("materials that stand for each other", found=f"{name}, {end}")
+            seen.add(end.lower())
+            end = stands_for[end.lower()]
+        followed[name] = spelling.get(end.lower(), end)
+    if not followed:
+        return spelling, ()
+    told = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
+    text = f"The file says that one material stands for another: {told}."
+    evidence = {spelling[name]: end for name, end in followed.items()}
+    return spelling | followed, (Finding("materials-joined", "info", text, evidence),)
+
+
+def _absorption(line: Line) -> tuple[str, str]:
+    """Return the name of an ABS statement and what stands behind it: <numbers>, or a name."""
+    match = re.fullmatch(r"(?i:abs)\s+([^\s=<]+)\s*(?:=\s*|(?=<))(<[^<>]+>.*|[^<>{}=]+)", line.text)
+    if match is None:
+        raise InputError(
+            "an ABS statement is not understood",
+            where=line.where,
+            found=line.text[:80],
+            needed="ABS name = <10 10 10 10 10 10>, or ABS name = other name",
+        )
+    return match.group(1).strip('"'), match.group(2).strip()
+
+
+def _sheets(faces: _Faces) -> tuple[Face, ...]:
+    """Join planes on the same points, turned against each other, with one material."""
+    first: dict[tuple[object, ...], int] = {}
+    kept: list[Face | None] = []
+    for face, points in zip(faces.faces, faces.points, strict=True):
+        ring = [tuple(np.round(p, 6) + 0.0) for p in points]
+        back = (face.surface.file_material, *_from_smallest(ring[::-1]))
+        partner = first.pop(back, None)
+        if partner is None:
+            first[(face.surface.file_material, *_from_smallest(ring))] = len(kept)
+            kept.append(face)
+            continue
+        front = kept[partner]
+        if front is not None:
+            kept[partner] = Face(front.corners, replace(front.surface, double_sided=True))
+    return tuple(face for face in kept if face is not None)
+
+
+def _from_smallest(ring: list[tuple[float, ...]]) -> list[tuple[float, ...]]:
+    start = ring.index(min(ring))
+    return ring[start:] + ring[:start]

@@ -1,0 +1,561 @@
+"""Numbers of a .geo file: constants, corners of other corners, and the arithmetic around them.
+
+Constants and corners of all files of a room, worked out when they are asked for.
+
+The statements of a .geo file and of the files that it includes, each with its place.
+
+The format is CATT-Acoustic's; it is described in its manual's "Short GEO, LOC input file syntax
+reminder" [1]_, and shown by its tutorial's files MASTER.GEO and REFLECT.GEO.
+
+References
+----------
+.. [1] CATT, "CATT-Acoustic v8.0 with TUCT, Introduction Manual", appendix 2 (2010).
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import Protocol
+
+from roomfit.errors import InputError
+from roomfit.io.rooms.model import finite, read_text, whole
+
+_TOKEN = re.compile(
+    r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII
+)
+_EXPRESSIONS_DEEPEST = 40
+
+Point = tuple[float, float, float]
+
+# CATT-Acoustic's angles are degrees: loop(1, i, 0, 45, 9, ...) takes steps of 9 degrees.
+_FUNCTIONS: dict[str, Callable[[float], float]] = {
+    "sin": lambda v: math.sin(math.radians(v)),
+    "cos": lambda v: math.cos(math.radians(v)),
+    "tan": lambda v: math.tan(math.radians(v)),
+    "asin": lambda v: math.degrees(math.asin(v)),
+    "acos": lambda v: math.degrees(math.acos(v)),
+    "atan": lambda v: math.degrees(math.atan(v)),
+    "sqrt": math.sqrt,
+    "abs": abs,
+}
+_AXES = "xyz"
+
+
+class Names(Protocol):
+    """What the names in an expression stand for."""
+
+    def constant(self, name: str, where: str) -> float:
+        """Return the value of a constant, its name in lower case."""
+
+    def corner(self, number: int, where: str) -> Point:
+        """Return a corner by the number that its file writes."""
+
+
+@dataclass(slots=True)
+class _Reader:
+    """An expression on its way from left to right."""
+
+    tokens: list[str]
+    names: Names
+    where: str
+    lock: Callable[[Point, Point, Point], float] | None
+    at: int = 0
+    depth: int = 0
+
+    def peek(self) -> str:
+        return self.tokens[self.at] if self.at < len(self.tokens) else ""
+
+    def take(self) -> str:
+        token = self.peek()
+        self.at += 1
+        return token
+
+
+def value_of(
+    text: str,
+    names: Names,
+    where: str,
+    lock: Callable[[Point, Point, Point], float] | None = None,
+) -> float:
+    """Return what an expression amounts to.
+
+    Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
+    abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner and, where `lock` is
+    given, ``lock(4 7 8)`` for the place on the plane through three corners.
+
+    Raises
+    ------
+    InputError
+        Anything else, a name that is not known, or a value that is not a finite number.
+    """
+    reader = _Reader(_tokens(text, where), names, where, lock)
+    try:
+        value = _sum(reader)
+    except (ZeroDivisionError, ValueError, OverflowError) as error:
+        raise InputError(
+            "an expression has no value", where=where, found=f"{text!r}: {error}"
+        ) from None
+    if reader.peek():
+        raise _not_understood(text, where, reader.peek())
+    return finite(repr(value), where)
+
+
+def _tokens(text: str, where: str) -> list[str]:
+    tokens, at = [], 0
+    while at < len(text.rstrip()):
+        match = _TOKEN.match(text, at)
+        if match is None:
+            raise _not_understood(text, where, text[at:].strip()[:20])
+        tokens.append(match.group(0).strip())
+        at = match.end()
+    return tokens
+
+
+def _not_understood(text: str, where: str, token: str) -> InputError:
+    return InputError(
+        "an expression of the .geo file is not understood",
+        where=where,
+        found=f"{token!r} in {text.strip()[:80]!r}" if token else repr(text.strip()[:80]),
+        needed="numbers, constants, + - * / and brackets, sin, cos, tan, asin, acos, atan, sqrt, "
+        "abs, x(), y(), z(), lock()",
+    )
+
+
+def _sum(reader: _Reader) -> float:
+    value = _product(reader)
+    while reader.peek() in ("+", "-"):
+        sign = 1.0 if reader.take() == "+" else -1.0
+        value += sign * _product(reader)
+    return value
+
+
+def _product(reader: _Reader) -> float:
+    value = _factor(reader)
+    while reader.peek() in ("*", "/"):
+        if reader.take() == "*":
+            value *= _factor(reader)
+        else:
+            value /= _factor(reader)
+    return value
+
+
+def _factor(reader: _Reader) -> float:
+    sign = 1.0
+    while reader.peek() in ("+", "-"):
+        sign = -sign if reader.take() == "-" else sign
+    token = reader.take()
+    if token == "(":
+        return sign * _bracket(reader)
+    if token[:1].isdigit() or token[:1] == ".":
+        return sign * float(token)
+    if not token[:1].isalpha() and token[:1] != "_":
+        raise _not_understood(" ".join(reader.tokens), reader.where, token)
+    name = token.lower()
+    if reader.peek() != "(":
+        return sign * reader.names.constant(name, reader.where)
+    reader.take()
+    if name in _FUNCTIONS:
+        return sign * _FUNCTIONS[name](_bracket(reader))
+    if name in _AXES:
+        (number,) = _numbers(reader, name, 1)
+        return sign * reader.names.corner(number, reader.where)[_AXES.index(name)]
+    if name == "lock" and reader.lock is not None:
+        a, b, c = (reader.names.corner(n, reader.where) for n in _numbers(reader, name, 3))
+        return sign * reader.lock(a, b, c)
+    raise _not_understood(" ".join(reader.tokens), reader.where, f"{token}(")
+
+
+def _bracket(reader: _Reader) -> float:
+    reader.depth += 1
+    if reader.depth > _EXPRESSIONS_DEEPEST:
+        raise InputError("an expression has too many brackets", where=reader.where)
+    value = _sum(reader)
+    reader.depth -= 1
+    if reader.take() != ")":
+        raise _not_understood(" ".join(reader.tokens), reader.where, "a bracket that stays open")
+    return value
+
+
+def _numbers(reader: _Reader, name: str, count: int) -> list[int]:
+    """Return the corner numbers up to the closing bracket."""
+    numbers: list[int] = []
+    while reader.peek() not in (")", ""):
+        token = reader.take()
+        if token != ",":
+            numbers.append(whole(token, reader.where))
+    if reader.take() != ")" or len(numbers) != count:
+        raise InputError(
+            f"{name}() needs {count} corner number{'s' if count > 1 else ''}",
+            where=reader.where,
+            found=" ".join(reader.tokens),
+        )
+    return numbers
+
+
+def lock_on_plane(
+    axis: int, point: Sequence[float], a: Point, b: Point, c: Point, where: str
+) -> float:
+    """Return the coordinate along `axis` of the point on the plane through a, b and c.
+
+    Parameters
+    ----------
+    axis : {0, 1, 2}
+    point : three floats
+        The one along `axis` is not looked at.
+
+    Raises
+    ------
+    InputError
+        The plane runs along the axis, or the three corners stand on one line.
+    """
+    u = [q - p for p, q in zip(a, b, strict=True)]
+    v = [q - p for p, q in zip(a, c, strict=True)]
+    normal = (
+        u[1] * v[2] - u[2] * v[1],
+        u[2] * v[0] - u[0] * v[2],
+        u[0] * v[1] - u[1] * v[0],
+    )
+    size = math.sqrt(sum(n * n for n in normal))
+    if abs(normal[axis]) <= 1e-9 * size or size == 0.0:
+        raise InputError(
+            "lock() finds no place",
+            where=where,
+            found=f"the plane of its three corners runs along {_AXES[axis]}",
+            needed="three corners that are not on one line, of a plane that is not parallel to it",
+        )
+    i, j = (k for k in range(3) if k != axis)
+    shift = normal[i] * (point[i] - a[i]) + normal[j] * (point[j] - a[j])
+    return a[axis] - shift / normal[axis]
+
+
+_MOST_FILES = 200
+_WORD = re.compile(r"[A-Za-z_]\w*", re.ASCII)
+
+# What concerns looks or the running of the program, not the room.
+_WITHOUT_EFFECT = ("say", "debug", "debugon", "debugoff")
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """One statement without its comment.
+
+    Attributes
+    ----------
+    text : str
+    where : str
+        File and line.
+    """
+
+    text: str
+    where: str
+
+
+@dataclass(slots=True)
+class GeoFile:
+    """The statements of one file, sorted by what they are about."""
+
+    path: Path
+    constants: list[tuple[str, Line]] = field(default_factory=list)  # "global" or "local"
+    materials: list[Line] = field(default_factory=list)
+    directives: dict[str, Line] = field(default_factory=dict)
+    corners: list[Line] = field(default_factory=list)
+    planes: list[Line] = field(default_factory=list)
+    includes: list[Line] = field(default_factory=list)
+
+
+def read_files(path: Path) -> list[GeoFile]:
+    """Return a file and, behind it, all that it includes.
+
+    An included file comes after the whole of the file that names it, so that it sees constants
+    which stand below the INCLUDE.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, includes itself, or holds a statement that is not understood.
+    """
+    files: list[GeoFile] = []
+    _gather(Path(path), (), files)
+    return files
+
+
+def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile]) -> None:
+    file = _sorted(path)
+    files.append(file)
+    if len(files) > _MOST_FILES:
+        raise InputError(
+            "too many files are included", where=str(path), needed=f"at most {_MOST_FILES}"
+        )
+    for line in file.includes:
+        inner = _included(line, path.parent)
+        if inner.resolve() in (*above, path.resolve()):
+            raise InputError("a file includes itself", where=line.where, found=inner.name)
+        _gather(inner, (*above, path.resolve()), files)
+
+
+def _included(line: Line, folder: Path) -> Path:
+    """Return the file that INCLUDE names: its ending may be missing, its case differ."""
+    name = line.text.split(None, 1)[1].strip().strip('"').replace("\\", "/")
+    wanted = folder / name
+    options = (wanted, wanted.with_name(wanted.name + ".geo"))
+    try:
+        beside = sorted(wanted.parent.iterdir()) if wanted.parent.is_dir() else []
+    except (OSError, ValueError):
+        beside = []
+    lower = [option.name.lower() for option in options]
+    for candidate in (*options, *(f for f in beside if f.name.lower() in lower)):
+        if candidate in beside:
+            return candidate
+    raise InputError(
+        "an included file does not exist",
+        where=line.where,
+        found=name,
+        needed=f"{wanted.name} or {wanted.name}.geo in {wanted.parent}",
+    )
+
+
+def _sorted(path: Path) -> GeoFile:
+    file = GeoFile(path)
+    section = ""
+    plane: list[str] = []
+    began = ""
+    for number, raw in enumerate(read_text(path).split("\n"), start=1):
+        where = f"{path}, line {number}"
+        text = raw.split(";", 1)[0].strip()
+        if plane or (section == "planes" and text.startswith("[")):
+            began = began or where
+            plane.append(text)
+            _close_planes(file, plane, began)
+            began = began if plane else ""
+            continue
+        word = (_WORD.match(text) or [""])[0].lower()
+        if text:
+            section = _sort(file, section, word, Line(text, where))
+    if plane:
+        raise InputError(
+            "a plane is not closed",
+            where=began,
+            found=" ".join(plane)[:60],
+            needed="[number name / corners / material]",
+            hint="the file may be cut short: export it again",
+        )
+    return file
+
+
+def _close_planes(file: GeoFile, pending: list[str], where: str) -> None:
+    """Move whole planes from the pending text to the file."""
+    text = " ".join(pending)
+    while "]" in text:
+        inner, text = text.split("]", 1)
+        file.planes.append(Line(inner.split("[", 1)[1] if "[" in inner else inner, where))
+        text = text.strip()
+        if text and not text.startswith("["):
+            raise _unknown(Line(text, where))
+    pending[:] = [text] if text else []
+
+
+def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
+    """Put a statement where it belongs and return the section that holds afterwards."""
+    alone = line.text.lower() == word
+    if alone and word in ("corners", "planes", "markers"):
+        return word
+    if section == "markers" or word in _WITHOUT_EFFECT:
+        return section
+    if word in ("global", "local"):
+        file.constants.append((word, line))
+    elif word == "abs" and section != "corners":
+        file.materials.append(line)
+    elif word == "include" and len(line.text.split(None, 1)) == 2:
+        file.includes.append(line)
+    elif word in ("offsetco", "offsetpl", "mirror", "translate", "object"):
+        if word in file.directives:
+            raise InputError("a statement stands twice in one file", where=line.where, found=word)
+        if file.corners or file.planes:
+            raise InputError(
+                f"{word.upper()} stands below corners or planes",
+                where=line.where,
+                needed="a place above CORNERS",
+            )
+        file.directives[word] = line
+    elif section == "corners" and (line.text[0].isdigit() or word == "loop"):
+        file.corners.append(line)
+    else:
+        raise _unknown(line)
+    return section
+
+
+def _unknown(line: Line) -> InputError:
+    return InputError(
+        "a statement of the .geo file is not supported",
+        where=line.where,
+        found=line.text[:80],
+        needed="ABS, GLOBAL, LOCAL, INCLUDE, OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE, "
+        "CORNERS with loop(), PLANES",
+        hint="let CATT-Acoustic (or TUCT) export the room with everything worked out, or export "
+        "it as OBJ",
+    )
+
+
+_NUMBERS_DEEPEST = 100
+
+
+@dataclass(slots=True)
+class CornerSource:
+    """Where a corner comes from: three expressions in the words of one file."""
+
+    names: FileNames
+    expressions: tuple[str, str, str]
+    where: str
+    loop: tuple[str, float] | None = None  # name and value of the running number
+    point: Point | None = None
+
+
+@dataclass(slots=True)
+class Shared:
+    """What all files see: global constants, and corners by their final number."""
+
+    constants: dict[str, tuple[FileNames, Line]] = field(default_factory=dict)
+    corners: dict[int, CornerSource] = field(default_factory=dict)
+    under_way: list[str] = field(default_factory=list)
+    mirrors: set[int] = field(default_factory=set)  # what any file's MIRROR adds to corners
+
+
+@dataclass(slots=True)
+class FileNames:
+    """The names that the expressions of one file know.
+
+    Attributes
+    ----------
+    shared : Shared
+    file : GeoFile
+    local : dict
+        Constants of this file alone.
+    offset : int
+        What OFFSETCO adds to its corner numbers.
+    mirror : tuple of two ints or None
+        What MIRROR adds to numbers of mirrored corners and planes.
+    shift : tuple of three floats
+        TRANSLATE.
+    """
+
+    shared: Shared
+    file: GeoFile
+    local: dict[str, Line] = field(default_factory=dict)
+    offset: int = 0
+    mirror: tuple[int, int] | None = None
+    shift: Point = (0.0, 0.0, 0.0)
+
+    def constant(self, name: str, where: str) -> float:
+        """Return the value of a constant: this file's, or everybody's."""
+        owner, line = self, self.local.get(name)
+        if line is None:
+            if name not in self.shared.constants:
+                raise InputError("a constant is not defined", where=where, found=name)
+            owner, line = self.shared.constants[name]
+        with _Step(self.shared, f"constant {name} of {owner.file.path.name}", where):
+            return value_of(line.text, owner, line.where)
+
+    def corner(self, number: int, where: str) -> Point:
+        """Return a corner by the number that this file writes for it, before TRANSLATE."""
+        x, y, z = corner_of(self.shared, number + self.offset, where)
+        if not any(self.shift):
+            return x, y, z
+        source = self.shared.corners.get(number + self.offset)
+        if source is None or source.names is not self:
+            raise InputError(
+                "an object that TRANSLATE moves refers to a corner outside it",
+                where=where,
+                found=f"corner {number}",
+                needed="corners of its own file, and not their mirror images",
+            )
+        return x - self.shift[0], y - self.shift[1], z - self.shift[2]
+
+
+@dataclass(frozen=True, slots=True)
+class _InLoop:
+    """The names of a file and the running number of a loop."""
+
+    names: FileNames
+    running: str
+    value: float
+
+    def constant(self, name: str, where: str) -> float:
+        return self.value if name == self.running else self.names.constant(name, where)
+
+    def corner(self, number: int, where: str) -> Point:
+        return self.names.corner(number, where)
+
+
+@dataclass(slots=True)
+class _Step:
+    """One step of working something out: refuses circles and endless chains."""
+
+    shared: Shared
+    what: str
+    where: str
+
+    def __enter__(self) -> None:
+        way = self.shared.under_way
+        if self.what in way or len(way) > _NUMBERS_DEEPEST:
+            raise InputError(
+                "numbers of the .geo file go in a circle, or refer to each other too often",
+                where=self.where,
+                found=" -> ".join([*way[-4:], self.what]),
+            )
+        way.append(self.what)
+
+    def __exit__(self, *error: object) -> None:
+        self.shared.under_way.pop()
+
+
+def corner_of(shared: Shared, number: int, where: str) -> Point:
+    """Return a corner in metres by its final number.
+
+    Raises
+    ------
+    InputError
+        There is none, or it cannot be worked out.
+    """
+    source = shared.corners.get(number)
+    if source is None:
+        original = _original(shared, number)
+        if original is None:
+            raise InputError("no corner has this number", where=where, found=str(number))
+        x, y, z = corner_of(shared, original, where)
+        return -x, y, z
+    if source.point is None:
+        with _Step(shared, f"corner {number}", where):
+            source.point = _worked_out(source)
+    return source.point
+
+
+def _original(shared: Shared, number: int) -> int | None:
+    """Return the number of the corner whose mirror image this number means."""
+    for offset in sorted(shared.mirrors):
+        source = shared.corners.get(number - offset)
+        if source and source.names.mirror and source.names.mirror[0] == offset:
+            return number - offset
+    return None
+
+
+def _worked_out(source: CornerSource) -> Point:
+    names: Names = source.names
+    if source.loop:
+        names = _InLoop(source.names, *source.loop)
+    point = [0.0, 0.0, 0.0]
+    locked = [k for k in range(3) if re.search(r"(?i)\block\s*\(", source.expressions[k])]
+    if len(locked) > 1:
+        raise InputError("a corner has more than one lock()", where=source.where)
+    for axis in (0, 1, 2):
+        if axis not in locked:
+            point[axis] = value_of(source.expressions[axis], names, source.where)
+    for axis in locked:
+        place = partial(lock_on_plane, axis, point, where=source.where)
+        point[axis] = value_of(source.expressions[axis], names, source.where, place)
+    x, y, z = (p + s for p, s in zip(point, source.names.shift, strict=True))
+    return x, y, z

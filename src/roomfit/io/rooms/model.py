@@ -1,0 +1,309 @@
+"""Formats read by trimesh: STL and GLB.
+
+What every reader of a room hands back, before units and axes are settled.
+
+Where a room comes from, as a campaign or a command line says it.
+
+Opening room files and reading numbers from them, with errors that say where.
+"""
+
+from __future__ import annotations
+
+import io
+import math
+import struct
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.geometry.build import Face
+from roomfit.geometry.mesh import Surface
+from roomfit.typing import FloatArray
+
+METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoomModel:
+    """The polygons of a file.
+
+    Attributes
+    ----------
+    vertices : float array, shape (n_vertices, 3)
+        In the file's own unit and axes.
+    faces : tuple of Face
+    findings : tuple of Finding
+        What the reader doubts.
+    unit : str or None
+        Unit that the format prescribes, None where it prescribes none.
+    up : {"y", "z"}
+        Axis that points up by the format's standard or habit, where the caller says nothing.
+    """
+
+    vertices: FloatArray
+    faces: tuple[Face, ...]
+    findings: tuple[Finding, ...] = ()
+    unit: str | None = None
+    up: str = "z"
+
+
+def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) -> FloatArray:
+    """Return the vertices in metres with z up, shape (n_vertices, 3).
+
+    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored.
+
+    Raises
+    ------
+    InputError
+        The unit is unknown, or neither the caller nor the format gives one.
+    """
+    chosen = unit or model.unit
+    known = ", ".join(METRES_PER_UNIT)
+    if chosen is None:
+        raise InputError(
+            "the unit of the room file is not known",
+            where=where,
+            needed=f"one of {known}: this format carries none",
+            hint='add unit = "m" (or --unit m) and compare the volume that is shown',
+        )
+    if chosen not in METRES_PER_UNIT:
+        raise InputError("unknown unit", where=where, found=repr(chosen), needed=f"one of {known}")
+    axis = up or model.up
+    if axis not in ("y", "z"):
+        raise InputError("unknown up axis", where=where, found=repr(axis), needed='"y" or "z"')
+    x, y, z = (model.vertices * METRES_PER_UNIT[chosen]).reshape(-1, 3).T
+    return np.stack([x, -z, y] if axis == "y" else [x, y, z], axis=1)
+
+
+@dataclass(frozen=True, slots=True)
+class PolygonSpec:
+    """A room as tables of corners and planes.
+
+    Attributes
+    ----------
+    corners, planes : tuple of Path
+        A corner or a plane in a later file replaces the one of the same number in an earlier.
+    replace : mapping from plane to Path
+        The planes of that table stand in for one plane.
+    drop : tuple
+        Numbers of planes that are left out.
+    sides : mapping from plane to 1 or 2
+        2 makes a plane a sheet in the air, 1 a wall, whatever its row says.
+    """
+
+    corners: tuple[Path, ...]
+    planes: tuple[Path, ...]
+    replace: Mapping[str, Path] = field(default_factory=dict)
+    drop: tuple[str | int, ...] = ()
+    sides: Mapping[str, int] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True)
+class RoomSpec:
+    """Which room to read, and how to understand it. One of the first three is given.
+
+    Attributes
+    ----------
+    file : Path or None
+        OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, or DXF, by the end of its name.
+    shoebox : tuple of three floats or None
+        Lengths along x, y and z of a box with one corner at the origin.
+    polygons : PolygonSpec or None
+    unit : str or None
+        m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons: m)
+        or the file says (DXF's $INSUNITS).
+    up : {"z", "y"} or None
+        None: what the format prescribes (GLB: y, all others: z).
+    materials : mapping from str to str
+        From the name of a surface, a group or a file's material (in that precedence) to a
+        material. Surfaces that are not named keep the file's material name.
+    """
+
+    file: Path | None = None
+    shoebox: tuple[float, float, float] | None = None
+    polygons: PolygonSpec | None = None
+    unit: str | None = None
+    up: str | None = None
+    materials: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        given = [self.file is not None, self.shoebox is not None, self.polygons is not None]
+        if sum(given) != 1:
+            raise InputError(
+                "a room comes from exactly one place",
+                found=f"{sum(given)} of file, shoebox and polygons",
+                needed="one of them",
+            )
+
+
+# Far above any room in any unit, far below where squares overflow.
+_LARGEST = 1e9
+
+
+def read_bytes(path: Path) -> bytes:
+    """Return the contents of a file that must exist and hold something.
+
+    Raises
+    ------
+    InputError
+        It is missing, empty, a folder, or cannot be read.
+    """
+    try:
+        content = Path(path).read_bytes()
+    except FileNotFoundError:
+        hint = "check the path; in a campaign it is relative to the campaign file"
+        raise InputError("the room file does not exist", where=str(path), hint=hint) from None
+    except (OSError, ValueError) as error:
+        raise InputError(
+            "the room file cannot be read", where=str(path), found=str(error)
+        ) from error
+    if not content.strip():
+        raise InputError("the room file is empty", where=str(path), hint="export it again")
+    return content
+
+
+def read_text(path: Path) -> str:
+    """Return the contents of a text file: UTF-8, or Latin-1 where it is not that.
+
+    Raises
+    ------
+    InputError
+        As `read_bytes`, or it is binary.
+    """
+    content = read_bytes(path)
+    if b"\0" in content:
+        raise InputError(
+            "the room file is not text",
+            where=str(path),
+            needed=f"a text file, as {Path(path).suffix or 'its name'} promises",
+            hint="check that the file's name ends as its format demands",
+        )
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def finite(token: str, where: str) -> float:
+    """Return a coordinate.
+
+    Raises
+    ------
+    InputError
+        Not a number, NaN, infinite, or absurdly large.
+    """
+    try:
+        value = float(token)
+    except ValueError:
+        value = math.nan
+    if not abs(value) <= _LARGEST:
+        raise InputError(
+            "a coordinate is not a finite number",
+            where=where,
+            found=repr(token[:40]),
+            needed=f"a number of size up to {_LARGEST:g}",
+        )
+    return value
+
+
+def whole(token: str, where: str) -> int:
+    """Return a whole number.
+
+    Raises
+    ------
+    InputError
+        It is not one.
+    """
+    try:
+        return int(token)
+    except ValueError:
+        raise InputError(
+            "a whole number was expected", where=where, found=repr(token[:40])
+        ) from None
+
+
+# What a parser of others may raise on a damaged file; anything else is a fault of this program.
+PARSER_ERRORS = (
+    *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
+    *(NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error),
+)
+
+
+def read_stl(path: Path) -> RoomModel:
+    """Read an STL file: triangles without unit, names or materials.
+
+    There is one surface, named as the file.
+
+    Raises
+    ------
+    InputError
+        Not an STL file, cut short, or a coordinate that is not finite.
+    """
+    parts = _load(path, "stl")
+    surface = Surface(path.stem or "unnamed")
+    return _joined(path, [(p, t, surface) for _, p, t, _ in parts])
+
+
+def read_glb(path: Path) -> RoomModel:
+    """Read a GLB file, the binary form of glTF 2.0 [1]_: metres, y up by its standard.
+
+    The name of a surface is its node's, its material the one the file gives it.
+
+    Raises
+    ------
+    InputError
+        Not a GLB file, cut short, or a coordinate that is not finite.
+
+    References
+    ----------
+    .. [1] ISO/IEC 12113:2022, "Runtime 3D asset delivery format (glTF 2.0)".
+    """
+    parts = _load(path, "glb")
+    model = _joined(path, [(p, t, Surface(name, None, m)) for name, p, t, m in parts])
+    return RoomModel(model.vertices, model.faces, model.findings, "m", "y")
+
+
+def _load(path: Path, kind: str) -> list[tuple[str, FloatArray, np.ndarray[Any, Any], str | None]]:
+    """Return name, vertices, triangles and material of every part, where the file places it."""
+    import trimesh
+
+    content = io.BytesIO(read_bytes(path))
+    try:
+        scene = trimesh.load_scene(content, file_type=kind, process=False)
+        parts = []
+        for node in scene.graph.nodes_geometry:
+            transform, key = scene.graph[node]
+            mesh = scene.geometry[key]
+            points = trimesh.transform_points(mesh.vertices, transform)
+            material = getattr(getattr(mesh.visual, "material", None), "name", None)
+            parts.append((str(node), points, np.asarray(mesh.faces), material or None))
+    except PARSER_ERRORS as error:
+        raise InputError(
+            f"this {kind.upper()} file cannot be read",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}"[:200],
+            hint="the file may be damaged or cut short: export it again",
+        ) from error
+    return parts
+
+
+def _joined(path: Path, parts: list[tuple[FloatArray, np.ndarray[Any, Any], Surface]]) -> RoomModel:
+    faces: list[Face] = []
+    first = 0
+    for points, triangles, surface in parts:
+        bad = np.argwhere(~np.isfinite(points))
+        if len(bad):
+            vertex, axis = bad[0]
+            finite(str(points[vertex, axis]), f"{path}, {surface.name!r}, vertex {vertex}")
+        faces.extend(Face(tuple((t + first).tolist()), surface) for t in triangles)
+        first += len(points)
+    if not faces:
+        hint = "the file may be damaged or cut short: export it again"
+        raise InputError("the room file has no faces", where=str(path), hint=hint)
+    return RoomModel(np.concatenate([p for p, _, _ in parts]), tuple(faces))

@@ -1,0 +1,359 @@
+"""Corner and plane tables as spreadsheets hold them, with headings and notes between the rows.
+
+A room from tables of corners and planes: which planes hold, and what the tables doubt.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from roomfit._checks import nearest
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.geometry.build import Face
+from roomfit.geometry.mesh import Surface, area_vector_m2
+from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite, read_text
+from roomfit.typing import FloatArray
+
+_NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
+
+
+@dataclass(frozen=True, slots=True)
+class Plane:
+    """One polygon of a plane table.
+
+    Attributes
+    ----------
+    number : str
+        As written, without a decimal part.
+    corners : tuple of str
+        Numbers of its corners, in order.
+    material, description : str or None
+    double_sided : bool
+        The row says "double sided", or has 2 in a column "sides".
+    stated_area_m2 : float or None
+        Area that the table gives, for a comparison.
+    where : str
+        File and line.
+    """
+
+    number: str
+    corners: tuple[str, ...]
+    material: str | None
+    description: str | None
+    double_sided: bool
+    stated_area_m2: float | None
+    where: str
+
+
+def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
+    """Return the corners of one table by their number, in the table's unit.
+
+    The columns are found by the heading that holds the words number, x, y and z. Rows without a
+    number are headings or notes and are passed over.
+
+    Raises
+    ------
+    InputError
+        No such heading, no corners, a corner twice in one table, or a coordinate that is none.
+    """
+    corners: dict[str, tuple[float, float, float]] = {}
+    for where, row, heading in _rows(path, ("x", "y", "z")):
+        number = _as_number(row[_number_column(heading)])
+        cells = [row[heading.index(axis)] for axis in "xyz"]
+        if number is None:
+            if all(_is_finite(cell) for cell in cells):
+                raise InputError(
+                    "a corner without a number", where=where, found=", ".join(row)[:60]
+                )
+            continue
+        if number in corners:
+            raise InputError("a corner is given twice in one table", where=where, found=number)
+        x, y, z = (finite(cell, where) for cell in cells)
+        corners[number] = (x, y, z)
+    if not corners:
+        raise InputError("the table holds no corners", where=str(path))
+    return corners
+
+
+def read_planes(path: Path) -> dict[str, Plane]:
+    """Return the planes of one table by their number.
+
+    The columns are found by the heading that holds the words number and corner; "material", "area"
+    and "name" or "description" are used where they stand. The corners of a plane end at the first
+    cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
+    A column "sides" may hold 1 or 2.
+
+    Raises
+    ------
+    InputError
+        No such heading, no planes, a plane twice in one table, or with fewer than three corners.
+    """
+    planes: dict[str, Plane] = {}
+    for where, row, heading in _rows(path, ("corner",)):
+        number = _as_number(row[_number_column(heading)])
+        corners = _corners_of(row, heading)
+        if number is None and len(corners) < 3:
+            continue
+        if number is None:
+            raise InputError("a plane without a number", where=where, found=", ".join(row)[:60])
+        if number in planes:
+            raise InputError("a plane is given twice in one table", where=where, found=number)
+        if len(corners) < 3:
+            raise InputError(
+                "a plane has fewer than three corners",
+                where=where,
+                found=f"plane {number} with {len(corners)}",
+                needed="at least three corner numbers without a gap between them",
+            )
+        area = _cell(row, heading, ("area",))
+        planes[number] = Plane(
+            number,
+            corners,
+            _cell(row, heading, ("material",)),
+            _cell(row, heading, ("name", "description")),
+            _is_double_sided(row, heading, where),
+            float(area) if area and _is_finite(area) else None,
+            where,
+        )
+    if not planes:
+        raise InputError("the table holds no planes", where=str(path))
+    return planes
+
+
+def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
+    """Yield place, cells and heading of each row below a heading; a later heading takes over."""
+    heading: list[str] | None = None
+    reader = csv.reader(read_text(path).split("\n"))
+    try:
+        for row in reader:
+            cells = [cell.strip() for cell in row]
+            words = [" ".join(cell.lower().split()) for cell in cells]
+            if any(w in _NUMBER_WORDS for w in words) and all(
+                any(w.startswith(n) if len(n) > 1 else w == n for w in words) for n in needed
+            ):
+                heading = words
+            elif heading is not None and any(cells):
+                padded = cells + [""] * (len(heading) - len(cells))
+                yield f"{path}, line {reader.line_num}", padded, heading
+    except csv.Error as error:
+        raise InputError("the table cannot be read", where=str(path), found=str(error)) from error
+    if heading is None:
+        raise InputError(
+            "the table has no heading that names its columns",
+            where=str(path),
+            needed=f"a row with the words number, {', '.join(needed)}",
+        )
+
+
+def _number_column(heading: list[str]) -> int:
+    return next(i for i, word in enumerate(heading) if word in _NUMBER_WORDS)
+
+
+def _corners_of(row: list[str], heading: list[str]) -> tuple[str, ...]:
+    """Return the run of numbers from the first corner column up to the next other column."""
+    number_column = _number_column(heading)
+    first = next(i for i, w in enumerate(heading) if w.startswith("corner") and i != number_column)
+    corners: list[str] = []
+    for column in range(first, len(row)):
+        word = heading[column] if column < len(heading) else ""
+        number = _as_number(row[column])
+        if number is None or word.startswith(("material", "area", "name", "sides")):
+            break
+        corners.append(number)
+    return tuple(corners)
+
+
+def _is_double_sided(row: list[str], heading: list[str], where: str) -> bool:
+    sides = _cell(row, heading, ("sides",))
+    if sides is not None and _as_number(sides) not in ("1", "2"):
+        raise InputError("a plane has one side or two", where=where, found=sides, needed="1 or 2")
+    return _as_number(sides or "") == "2" or any("double" in cell.lower() for cell in row)
+
+
+def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | None:
+    column = next((i for i, word in enumerate(heading) if word.startswith(starts)), None)
+    return (row[column] or None) if column is not None else None
+
+
+def _as_number(cell: str) -> str | None:
+    """Return a whole number as it is meant, or None.
+
+    Examples
+    --------
+    >>> _as_number("616.0"), _as_number("007"), _as_number("K26")
+    ('616', '7', None)
+    """
+    match = re.fullmatch(r"0*([0-9]{1,18})(\.0*)?", cell)
+    return match.group(1) if match else None
+
+
+def _is_finite(cell: str) -> bool:
+    try:
+        return abs(float(cell)) < float("inf")
+    except ValueError:
+        return False
+
+
+_AREA_DISAGREES = 0.02
+_SHOWN = 5
+
+Corners = dict[str, tuple[float, float, float]]
+
+
+def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
+    """Read a room from tables.
+
+    The name of a surface is its plane's number, its group the plane's description.
+
+    Parameters
+    ----------
+    tables : PolygonSpec
+    unit : str, optional
+        Unit of the corners, for comparing areas with those that the table states in m2.
+
+    Raises
+    ------
+    InputError
+        A table cannot be read, a plane to drop or replace is not there, or a plane names a corner
+        that does not exist.
+    """
+    corners, moved = _merged_corners(tables.corners)
+    planes, replaced = _chosen_planes(tables)
+    index = {number: i for i, number in enumerate(corners)}
+    vertices = np.array(list(corners.values()))
+    faces = []
+    for plane in planes.values():
+        sides = tables.sides.get(plane.number, 2 if plane.double_sided else 1)
+        surface = Surface(plane.number, plane.description, plane.material, sides == 2)
+        faces.append(Face(_indices(plane, index), surface))
+    scale = METRES_PER_UNIT.get(unit or "m", 1.0)
+    areas = _areas_m2(vertices * scale, faces)
+    findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes))
+    return RoomModel(vertices, tuple(faces), findings, "m", "z")
+
+
+def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
+    corners: Corners = {}
+    moved: dict[str, float] = {}
+    for path in paths:
+        for number, point in read_corners(path).items():
+            if point != corners.get(number, point):
+                moved[number] = float(np.linalg.norm(np.subtract(point, corners[number])))
+            corners[number] = point
+    if not moved:
+        return corners, []
+    text = (
+        f"{len(moved)} corners differ between the tables, by up to {max(moved.values()):.3g}; the "
+        f"last table holds: {_some(list(moved))}."
+    )
+    return corners, [Finding("corners-differ", "info", text, {"moved": moved})]
+
+
+def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]]:
+    planes: dict[str, Plane] = {}
+    findings: list[Finding] = []
+    for path in tables.planes:
+        found = read_planes(path)
+        twice = [number for number in found if number in planes]
+        if twice:
+            text = f"{len(twice)} planes of {path.name} replace earlier ones: {_some(twice)}."
+            findings.append(Finding("planes-replaced", "info", text, {"planes": twice}))
+        planes.update(found)
+    drop = [str(number) for number in tables.drop]
+    _check_known("drop", drop, planes)
+    _check_known("replace", tables.replace, planes)
+    _check_known("sides", tables.sides, planes)
+    for number in drop:
+        planes.pop(number, None)
+    for number, path in tables.replace.items():
+        planes.pop(number, None)
+        for plane in read_planes(path).values():
+            if plane.number in planes:
+                raise InputError(
+                    "a plane is there already",
+                    where=plane.where,
+                    found=f"plane {plane.number}",
+                    hint="number it differently, or drop the other one",
+                )
+            planes[plane.number] = plane
+    return planes, findings
+
+
+def _check_known(key: str, numbers: Mapping[str, object] | list[str], planes: object) -> None:
+    known = planes if isinstance(planes, dict) else {}
+    for number in numbers:
+        if number not in known:
+            like = nearest(number, known)
+            raise InputError(
+                "no plane has this number",
+                where=f"polygons, {key}",
+                found=number,
+                needed="a number from the first column of the plane tables",
+                hint=f"did you mean {like}?" if like else None,
+            )
+
+
+def _indices(plane: Plane, index: Mapping[str, int]) -> tuple[int, ...]:
+    for corner in plane.corners:
+        if corner not in index:
+            raise InputError(
+                "a plane names a corner that does not exist",
+                where=plane.where,
+                found=f"corner {corner} in plane {plane.number}",
+                needed="a corner of the corner tables",
+                hint="add the corner table that holds it",
+            )
+    return tuple(index[corner] for corner in plane.corners)
+
+
+def _areas_m2(vertices_m: FloatArray, faces: list[Face]) -> list[float]:
+    return [float(np.linalg.norm(area_vector_m2(vertices_m[list(f.corners)]))) for f in faces]
+
+
+def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Finding]:
+    """Compare with the stated areas, allowing for their two decimals."""
+    wrong = {
+        plane.number: (plane.stated_area_m2, area)
+        for plane, area in zip(planes.values(), areas, strict=True)
+        if plane.stated_area_m2 is not None
+        and abs(plane.stated_area_m2 - area) > max(_AREA_DISAGREES * area, 0.02)
+    }
+    if not wrong:
+        return []
+    told = [
+        f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
+    ]
+    text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(told)}."
+    return [Finding("stated-area-disagrees", "warning", text, {"planes": wrong})]
+
+
+def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
+    """Tell of material names that differ in blanks, underscores, case or a plural s only."""
+    families: dict[str, set[str]] = {}
+    for plane in planes.values():
+        if plane.material:
+            plain = "".join(c for c in plane.material.lower() if c not in " _-").rstrip("s")
+            families.setdefault(plain, set()).add(plane.material)
+    alike = [sorted(names) for names in families.values() if len(names) > 1]
+    return [
+        Finding(
+            "materials-look-alike",
+            "warning",
+            f"The materials {' and '.join(map(repr, names))} differ in spelling only and are kept "
+            "apart; give them one name in [room.materials] if they are one.",
+            {"materials": names},
+        )
+        for names in alike
+    ]
+
+
+def _some(items: list[str]) -> str:
+    more = f" and {len(items) - _SHOWN} more" if len(items) > _SHOWN else ""
+    return ", ".join(items[:_SHOWN]) + more

@@ -1,0 +1,231 @@
+"""What is known of a material before anything was measured.
+
+The scattering coefficient of walls: what a trace must know, apart from absorption.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit._checks import float_array, unique_names
+from roomfit.errors import InputError
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+# A broad prior of absorption: 95 % of it from 0.01 to 0.77.
+DEFAULT_MEAN = 0.15
+DEFAULT_LOGIT_SD = 1.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MaterialKnowledge:
+    """Beforehand knowledge of one material in every fitted band.
+
+    Attributes
+    ----------
+    name : str
+    prior_logit_mean, prior_logit_sd : float arrays, shape (n_bands,)
+        Gaussian prior of logit absorption.
+    scattering : float array, shape (n_bands,), or None
+        Scattering coefficient of every band, 0 to 1; None where nothing was told.
+    known : float array, shape (n_bands,), or None
+        Absorption that is held fixed.
+    lower, upper : float
+        Absorption lies strictly between them.
+    fit_scattering : bool
+        Scattering is an unknown of the fit; `scattering`, where told, is where it starts.
+    tied_to : str or None
+        Another material whose absorption this one shares in every band.
+    wall_delay_sd_s : float or None
+        Spread beforehand of the delay that the material adds at each reflection, in seconds,
+        about zero; None where the fit shall decide whether and how widely it looks.
+    """
+
+    name: str
+    prior_logit_mean: FloatArray
+    prior_logit_sd: FloatArray
+    scattering: FloatArray | None = None
+    known: FloatArray | None = None
+    lower: float = 0.0
+    upper: float = 1.0
+    fit_scattering: bool = False
+    tied_to: str | None = None
+    wall_delay_sd_s: float | None = None
+
+    def __post_init__(self) -> None:
+        where = f"materials.{self.name}"
+        if not 0.0 <= self.lower < self.upper <= 1.0:
+            raise InputError(
+                "lower bound is not below the upper one",
+                where=f"{where}.bounds",
+                found=f"{self.lower:g} and {self.upper:g}",
+                needed="0 <= lower < upper <= 1",
+            )
+        n = len(self.prior_logit_mean)
+        for name in ("prior_logit_mean", "prior_logit_sd"):
+            values = float_array(f"{where} {name}", getattr(self, name), (n,))
+            object.__setattr__(self, name, values)
+        for name, key in (("known", "absorption"), ("scattering", "scattering")):
+            told = getattr(self, name)
+            if told is not None:
+                values = float_array(f"{where}.{key}", told, (n,), low=0.0, high=1.0)
+                object.__setattr__(self, name, values)
+        _check_tie(self)
+        if self.wall_delay_sd_s is not None and not 0.0 <= self.wall_delay_sd_s < 0.1:
+            raise InputError(
+                "spread of a wall's delay out of range",
+                where=where,
+                found=f"{self.wall_delay_sd_s:g} s",
+                needed="0 to 0.1 s",
+                hint="absorbers delay by tenths of a millisecond: 0.0003",
+            )
+
+
+def sampling_scattering(knowledge: MaterialKnowledge) -> float | None:
+    """Return the one coefficient to trace with, the mean over the bands; None where none is told.
+
+    Paths traced with it are weighed for the coefficients of each band afterwards.
+    """
+    told = knowledge.scattering
+    if told is None:
+        return None
+    # the mean of equal numbers is not always that number, to the last bit
+    return float(told[0] if np.all(told == told[0]) else np.mean(told))
+
+
+def in_bands(
+    knowledge: tuple[MaterialKnowledge, ...], chosen: IntArray
+) -> tuple[MaterialKnowledge, ...]:
+    """Return what is known in some of the bands only.
+
+    Parameters
+    ----------
+    chosen : int array
+        Places among the bands that `knowledge` is told for.
+    """
+    return tuple(
+        replace(
+            k,
+            prior_logit_mean=k.prior_logit_mean[chosen],
+            prior_logit_sd=k.prior_logit_sd[chosen],
+            scattering=None if k.scattering is None else k.scattering[chosen],
+            known=None if k.known is None else k.known[chosen],
+        )
+        for k in knowledge
+    )
+
+
+def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return mean and standard deviation of logit absorption from those of absorption.
+
+    To first order: ``sd_logit = sd / (mean (1 - mean))``.
+
+    Parameters
+    ----------
+    mean : float array
+        0 < mean < 1.
+    sd : float array
+        Above 0, dimensionless.
+    """
+    return np.log(mean) - np.log1p(-mean), sd / (mean * (1.0 - mean))
+
+
+def prior_logits(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+    """Return mean and standard deviation of logit absorption beforehand, side by side.
+
+    Those of its leader where a material is tied.
+
+    Parameters
+    ----------
+    knowledge : tuple of MaterialKnowledge
+
+    Returns
+    -------
+    float array, shape (2, n_materials, n_bands)
+    """
+    by_name = {k.name: k for k in knowledge}
+    leaders = [by_name[k.tied_to or k.name] for k in knowledge]
+    return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
+
+
+def unknown_material(name: str, n_bands: int) -> MaterialKnowledge:
+    """Return what is known of a material nobody told anything about: the broad prior."""
+    mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
+    return MaterialKnowledge(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+
+
+def is_assumed(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
+    """Return which priors are the broad one, of walls of which nobody told anything.
+
+    Parameters
+    ----------
+    prior_logit_mean, prior_logit_sd : float arrays, any one shape
+    """
+    mean, _ = logit_prior(np.array(DEFAULT_MEAN), np.array(1.0))
+    # numbers that went through a file
+    same = np.isclose(prior_logit_mean, mean, rtol=1e-4)
+    return np.asarray(same & np.isclose(prior_logit_sd, DEFAULT_LOGIT_SD, rtol=1e-4))
+
+
+def _check_tie(knowledge: MaterialKnowledge) -> None:
+    if knowledge.tied_to is None:
+        return
+    if knowledge.tied_to == knowledge.name or knowledge.known is not None:
+        own = knowledge.tied_to == knowledge.name
+        raise InputError(
+            "a material is tied to itself" if own else "a tied material has a value of its own",
+            where=f"materials.{knowledge.name}",
+            found=f"tied to {knowledge.tied_to!r}" + ("" if own else " and absorption given"),
+            needed="another material's name" if own else "either a tie or a given absorption",
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scattering:
+    """Sampling scattering coefficient of every material.
+
+    A ray that strikes a material leaves it in a direction drawn from Lambert's law with
+    probability s and specularly otherwise. Nothing is lost: after n hits a ray has the energy
+    ``(1 - a) ** n`` for every s.
+
+    Attributes
+    ----------
+    materials : tuple of str
+    coefficients : float array, shape (n_materials,)
+        0 <= s <= 1, dimensionless (ISO 17497-1: the share of reflected energy that does not leave
+        specularly).
+    """
+
+    materials: tuple[str, ...]
+    coefficients: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "materials", unique_names("material", self.materials))
+        s = float_array(
+            "scattering coefficient", self.coefficients, (len(self.materials),), low=0.0, high=1.0
+        )
+        object.__setattr__(self, "coefficients", s)
+
+
+def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scattering:
+    """Return the same scattering coefficient for every material."""
+    return Scattering(materials, [coefficient] * len(materials))  # type: ignore[arg-type]
+
+
+def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) -> FloatArray:
+    """Return a copy of the coefficients in the order of a room's materials, shape (n_materials,).
+
+    Raises
+    ------
+    InputError
+        The two name different materials.
+    """
+    if set(scattering.materials) != set(materials):
+        raise InputError(
+            "scattering and room name different materials",
+            found=", ".join(scattering.materials),
+            needed=", ".join(materials),
+        )
+    order = [scattering.materials.index(m) for m in materials]
+    return np.array(scattering.coefficients[order])

@@ -1,0 +1,351 @@
+"""Measured window energies of one band against the energies that traced paths predict."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import cast
+
+import numpy as np
+from scipy.sparse import csr_array
+
+from roomfit._checks import float_array
+from roomfit.errors import InputError
+from roomfit.objective.parameters import Parameters, fitted_columns, physical_values
+from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.objective.windows import in_windows
+from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
+from roomfit.typing import BoolArray, FloatArray
+
+_RINGING_S = 2e-3
+
+# Windows are not independent: the band filter overlaps neighbours, and every pair and every window
+# sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
+# checked on six others: docs/decisions/0002-three-windows-count-as-one.md.
+WINDOWS_PER_INDEPENDENT_ONE = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Observation:
+    """What one measurement says in one band, and how the model is to be reduced to the same.
+
+    Attributes
+    ----------
+    pair : int
+        Index of the pair in the scene.
+    edges_s : float array, shape (n_windows + 1,)
+        Time windows after emission.
+    energy : float array, shape (n_windows,)
+        Measured energy of each window, noise included; unit of the record squared times s.
+    noise : float array, shape (n_windows,)
+        Expected noise energy of each window.
+    shares : sparse array, shape (n_windows, n_bins)
+        Share of the energy of each fine time bin that the band filter carries into each window.
+    fine_edges_s : float array, shape (n_fine + 1,)
+        The same windows cut into pieces that the band filter just resolves; see `fine_edges_s`.
+    fine_shares : sparse array, shape (n_fine, n_bins)
+        As `shares`, for the pieces.
+    slopes : sparse array, shape (n_windows, n_bins)
+        Derivative of `shares` by the arrival time of each bin, 1/s.
+    timing_sd_s : float
+        Standard deviation of arrival times, from that of the positions.
+    gain : int
+        Which unknown gain applies; -1 where the level is absolute.
+    """
+
+    pair: int
+    edges_s: FloatArray
+    energy: FloatArray
+    noise: FloatArray
+    shares: csr_array
+    fine_edges_s: FloatArray
+    fine_shares: csr_array
+    slopes: csr_array
+    timing_sd_s: float
+    gain: int
+
+    def __post_init__(self) -> None:
+        edges = float_array("window edges", self.edges_s, (None,), unit="s")
+        n = len(edges) - 1
+        object.__setattr__(self, "edges_s", edges)
+        for name in ("energy", "noise"):
+            values = float_array(f"window {name}", getattr(self, name), (n,), low=0.0)
+            object.__setattr__(self, name, values)
+        if self.shares.shape[0] != n:
+            raise InputError(
+                "shares and windows differ in number",
+                found=f"{self.shares.shape[0]} and {n}",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class EnergyProblem:
+    """One band: find absorption and gains under which the paths explain every window.
+
+    Rows, hits and windows stand open, for methods that need more than a function to call.
+
+    Attributes
+    ----------
+    centre_hz : float
+    bandwidth_hz : float
+        Statistical bandwidth of the band filter.
+    attenuation_per_m : float
+        Energy attenuation of the air.
+    rows : tuple of EnergyRows
+        Paths of each observation's pair in fine time bins.
+    lone_rows : tuple of EnergyRows
+        What `lone_rows` makes of each of them.
+    observations : tuple of Observation
+    parameters : Parameters
+        Blocks "absorption" (one entry a material) and "gain" (one an unknown level).
+    model_error : float
+        Relative standard deviation that the model may be wrong by in any window.
+    ringing_error : float
+        Share of the energy of each window that may come up to a few milliseconds late, because a
+        real loudspeaker rings and real walls scatter between the reflections that are modelled.
+    """
+
+    centre_hz: float
+    bandwidth_hz: float
+    attenuation_per_m: float
+    rows: tuple[EnergyRows, ...]
+    lone_rows: tuple[EnergyRows, ...]
+    observations: tuple[Observation, ...]
+    parameters: Parameters
+    model_error: float = 0.2
+    ringing_error: float = 0.1
+
+    def measured(self) -> FloatArray:
+        """Return the measured window energies, all observations end to end, (n_windows,)."""
+        return np.concatenate([o.energy for o in self.observations])
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return what the model expects in every window; see `predict_windows`."""
+        return predict_windows(self, vector)
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return how far every window may scatter; see `window_variance`."""
+        return window_variance(self, vector)
+
+    def counted_as_one(self) -> FloatArray:
+        """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
+        return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
+
+    def are_energies(self) -> BoolArray:
+        """Return True for every window."""
+        return np.ones(self.measured().size, dtype=np.bool_)
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log density of every window's energy."""
+        return gamma_log_likelihood(self.measured(), expected, variance)
+
+
+def in_air(problem: EnergyProblem) -> EnergyProblem:
+    """Return the same problem with the air's loss put into the rows' weights for good.
+
+    Saves an exponential a row and evaluation; costs the memory of the weights in this band.
+    """
+    m = problem.attenuation_per_m
+    return replace(
+        problem,
+        rows=tuple(rows_in_air(rows, m) for rows in problem.rows),
+        lone_rows=tuple(rows_in_air(rows, m) for rows in problem.lone_rows),
+        attenuation_per_m=0.0,
+    )
+
+
+def first_windows(seen: Observation, end_s: float) -> Observation:
+    """Return an observation of the windows that end by a time, one at least."""
+    n = max(int(np.searchsorted(seen.edges_s, end_s + 1e-9, side="right")) - 1, 1)
+    n_fine = int(np.searchsorted(seen.fine_edges_s, seen.edges_s[n]))
+    return replace(
+        seen,
+        edges_s=seen.edges_s[: n + 1],
+        energy=seen.energy[:n],
+        noise=seen.noise[:n],
+        shares=seen.shares[:n],
+        fine_edges_s=seen.fine_edges_s[: n_fine + 1],
+        fine_shares=seen.fine_shares[:n_fine],
+        slopes=seen.slopes[:n],
+    )
+
+
+def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
+    """Return what the model expects in every window for a vector of free parameters."""
+    values, slopes = physical_values(problem.parameters, vector)
+    coefficients = values["absorption"][:, None]
+    attenuation = np.array([problem.attenuation_per_m])
+    gains = np.append(values["gain"], 1.0)  # index -1: absolute level
+    signals, noises, by_absorption, by_gain = [], [], [], []
+    for rows, observation in zip(problem.rows, problem.observations, strict=True):
+        response = weigh(rows, coefficients, attenuation)
+        gain = gains[observation.gain]
+        signal = gain * (observation.shares @ response.energy[0])
+        signals.append(signal)
+        noises.append(observation.noise)
+        derivative = cast(FloatArray, response.derivative)
+        by_absorption.append(gain * in_windows(observation.shares, derivative[:, 0, :]))
+        columns = np.zeros((signal.size, values["gain"].size))
+        if observation.gain >= 0:
+            columns[:, observation.gain] = signal / gain
+        by_gain.append(columns)
+    jacobians = {
+        "absorption": np.concatenate(by_absorption) * slopes["absorption"],
+        "gain": np.concatenate(by_gain) * slopes["gain"],
+    }
+    signal = np.concatenate(signals)
+    return Prediction(
+        signal + np.concatenate(noises), signal, fitted_columns(problem.parameters, jacobians)
+    )
+
+
+def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
+    """Return the variance of every measured window energy about its expectation.
+
+    Reflections interfere, however finely one traces: the energy of a band of bandwidth B has the
+    variance ``1 / B`` times the integral of P^2 - Q, where P is the smeared sum of path energies
+    and Q that of the squares of each single one, so that a lone reflection carries no such noise.
+    It may still fall on either side of a window's edge where positions are a centimetre wrong. To
+    this come background noise, its beat with the signal, the trace's own Monte-Carlo noise (from
+    independent batches) and the error of the model.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+    """
+    values, _ = physical_values(problem.parameters, vector)
+    gains = np.append(values["gain"], 1.0)
+    return np.concatenate(
+        [
+            observation_variance(problem, o, w, float(gains[seen.gain]))
+            for o, (w, seen) in enumerate(
+                zip(weighed(problem, values["absorption"]), problem.observations, strict=True)
+            )
+        ]
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Weighed:
+    """What the paths of one observation bring for a gain of 1.
+
+    Attributes
+    ----------
+    energy, squares : float arrays, shape (n_bins,)
+        Of all paths, and of the squares of the single image paths.
+    tracing : float array, shape (n_windows,)
+        Monte-Carlo variance of each window's energy.
+    """
+
+    energy: FloatArray
+    squares: FloatArray
+    tracing: FloatArray
+
+
+def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ...]:
+    """Return what the variance of each observation is made of, absorption (n_materials,)."""
+    coefficients = absorption[:, None]
+    attenuation = np.array([problem.attenuation_per_m])
+    return tuple(
+        Weighed(
+            weigh(rows, coefficients, attenuation, derivative=False).energy[0],
+            weigh(lone, coefficients, attenuation, derivative=False).energy[0],
+            tracing_variance(rows, seen, coefficients, attenuation),
+        )
+        for rows, lone, seen in zip(
+            problem.rows, problem.lone_rows, problem.observations, strict=True
+        )
+    )
+
+
+def observation_variance(
+    problem: EnergyProblem, observation: int, paths: Weighed, gain: float
+) -> FloatArray:
+    """Return `window_variance` of one observation, shape (n_windows,)."""
+    seen = problem.observations[observation]
+    timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ paths.squares)
+    interference = _interference(problem.bandwidth_hz, seen, paths.energy, paths.squares)
+    rest = noise_and_model_variance(problem, seen, gain * (seen.shares @ paths.energy))
+    return np.asarray(gain**2 * (interference + timing + paths.tracing) + rest)
+
+
+def noise_and_model_variance(
+    problem: EnergyProblem, seen: Observation, signal: FloatArray
+) -> FloatArray:
+    """Return the variance of each window by background noise and by the errors of the model.
+
+    Parameters
+    ----------
+    signal : float array, shape (n_windows,)
+        Expected energy without noise.
+    """
+    noise = seen.noise * (seen.noise + 2.0 * signal)
+    noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
+    # where the measurement is far above, its own size bounds the certainty: a window that a
+    # trial absorption leaves empty must not outweigh all others
+    scale = np.maximum(signal, 0.5 * (seen.energy - seen.noise))
+    model = (problem.model_error * scale) ** 2
+    model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
+    return np.asarray(noise + model)
+
+
+def lone_rows(rows: EnergyRows) -> EnergyRows:
+    """Return rows whose weighed energies are the squared energies of the single image paths.
+
+    ``(w exp(-m d) x**h)**2`` is the energy of a path with the weight squared and length and hits
+    doubled. Rays are left out: they sample very many weak reflections, whose squares vanish.
+    """
+    image = rows.batch < 0
+    kept = np.concatenate(([0], np.cumsum(image)))
+    return EnergyRows(
+        rows.materials,
+        rows.n_windows,
+        kept[rows.offsets],
+        rows.weight_per_m2[image] ** 2,
+        2 * rows.hits[image],
+        2.0 * rows.length_m[image],
+        rows.batch[image],
+        rows.n_batches,
+    )
+
+
+def fine_edges_s(edges_s: FloatArray, bandwidth_hz: float) -> FloatArray:
+    """Return the edges of windows cut into up to eight pieces of at least half of 1 / B each."""
+    counts = np.clip(np.ceil(2.0 * bandwidth_hz * np.diff(edges_s)), 1, 8).astype(np.int64)
+    pieces = [
+        np.linspace(low, high, n, endpoint=False)
+        for low, high, n in zip(edges_s[:-1], edges_s[1:], counts, strict=True)
+    ]
+    return np.concatenate((*pieces, edges_s[-1:]))
+
+
+def _interference(
+    bandwidth_hz: float, seen: Observation, energy: FloatArray, squares: FloatArray
+) -> FloatArray:
+    """Return the variance of each window by interference, for a gain of 1."""
+    overlapping = (seen.fine_shares @ energy) ** 2 - seen.fine_shares.power(2) @ squares
+    widths_s = np.diff(seen.fine_edges_s)
+    pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
+    first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+    return np.asarray(np.add.reduceat(pieces, first))
+
+
+def _ringing(edges_s: FloatArray, signal: FloatArray) -> FloatArray:
+    """Return what each window would get if all energy came late by an exponential of 2 ms.
+
+    Without it a window between two reflections would be expected to be empty, with certainty.
+    """
+    middle_s = 0.5 * (edges_s[1:] + edges_s[:-1])
+    late_s = np.maximum(edges_s[:, None] - middle_s[None, :], 0.0)
+    arrived = 1.0 - np.exp(-late_s / _RINGING_S)
+    return np.asarray(np.tril(np.diff(arrived, axis=0), -1) @ signal)
+
+
+def tracing_variance(
+    rows: EnergyRows, seen: Observation, coefficients: FloatArray, attenuation: FloatArray
+) -> FloatArray:
+    """Return the Monte-Carlo variance of each window's energy, from independent batches."""
+    if rows.n_batches < 2:
+        return np.zeros(seen.energy.size)
+    batches = batch_energies(rows, coefficients, attenuation)[:, 0, :]
+    windows = in_windows(seen.shares, batches)
+    return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))

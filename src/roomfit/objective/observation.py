@@ -1,0 +1,330 @@
+"""A campaign's data and paths as one problem a band: the same reduction on both sides."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.signal import fftconvolve
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.errors import CannotTell
+from roomfit.findings import Finding
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.measurement import MeasuredPair
+from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.parameters import Block, Parameters
+from roomfit.objective.windows import window_edges_s
+from roomfit.response.binned import BIN_S, BinnedPaths, in_band
+from roomfit.response.energy import EnergyRows, first_rows, weigh
+from roomfit.scene import Scene
+from roomfit.signals.filters import (
+    FilterBank,
+    SmearingKernel,
+    energy_bandwidth_hz,
+    energy_share,
+    share_matrix,
+    share_reach_s,
+    share_slopes_per_s,
+    smearing_kernel,
+    statistical_bandwidth_hz,
+    window_energies,
+)
+from roomfit.typing import FloatArray
+
+# Positions are taken with a tape, unless the campaign says how well they are known.
+UNTOLD_POSITION_SD_M = 0.02
+# A window is used down to where the decay stands 4 dB above the noise.
+_CLEAR_OF_NOISE = 2.5
+# Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
+_ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
+
+
+def band_problems(
+    scene: Scene,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    measured: tuple[MeasuredPair, ...],
+    binned: BinnedPaths,
+    start: FloatArray,
+    *,
+    periods: float = 1.5,
+) -> Iterator[EnergyProblem | None]:
+    """Make the problem of one band after the other, over the measurements that are to be fitted.
+
+    None stands for a band in which fewer windows rise above the noise than there are unknowns.
+    Problems of large jobs are large: take what is needed of one before asking for the next.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    periods : float
+        How short the windows may be; see `window_edges_s`.
+
+    Notes
+    -----
+    A measurement is left out of the bands in which no decay rises above its noise: one window of
+    noise would say nothing of the walls, and its gain nothing at all.
+    """
+    attenuation = attenuation_per_m(scene.air, bands)
+    kernel = smearing_kernel(FilterBank(bands))
+    for band in range(len(bands)):
+        fitted = tuple(m for m in measured if tells_of_band(m, band))
+        coarse = in_band(binned, float(bands.centres_hz[band]))
+        gain_labels = _gain_labels(fitted)
+        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        observations = tuple(
+            _observation(
+                (bank, kernel),
+                band,
+                m,
+                coarse.edges_s,
+                _timing_sd_s(scene, m),
+                _gain_index(gain_labels, m),
+                periods,
+            )
+            for m in fitted
+        )
+        if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
+            yield None
+            continue
+        absorption = absorption_block(knowledge, band, float(start[band]))
+        # what no window hears would be weighed for nothing
+        rows = tuple(
+            first_rows(coarse.rows[m.pair], seen.shares.shape[1])
+            for m, seen in zip(fitted, observations, strict=True)
+        )
+        gain = _gain_block(gain_labels, observations, rows, absorption, float(attenuation[band]))
+        problem = EnergyProblem(
+            float(bands.centres_hz[band]),
+            float(statistical_bandwidth_hz(bank)[0]),
+            float(attenuation[band]),
+            rows,
+            tuple(lone_rows(r) for r in rows),
+            observations,
+            Parameters((absorption, gain)),
+        )
+        yield in_air(problem)
+
+
+def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
+    """Return a finding for the bands in which nothing could be fitted.
+
+    Parameters
+    ----------
+    fitted : sequence of bool
+        For each band.
+
+    Raises
+    ------
+    CannotTell
+        There is no other band.
+    """
+    untold = [float(f) for f, told in zip(bands.centres_hz, fitted, strict=True) if not told]
+    if not untold:
+        return ()
+    if len(untold) == len(bands):
+        raise CannotTell(
+            "no band has enough windows above the noise",
+            needed="in some band, more windows than unknown absorptions and gains",
+            hint="choose other bands with from_hz and to_hz, or measure with less noise",
+        )
+    return (
+        Finding(
+            "band-not-fitted",
+            "warning",
+            f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in untold)} Hz: "
+            "absorption there is what was known beforehand, with the interval 0 to 1.",
+            {"bands_hz": untold},
+        ),
+    )
+
+
+def tells_of_band(m: MeasuredPair, band: int) -> bool:
+    """Whether a measurement is to be fitted and a decay rises above its noise in a band."""
+    return m.file.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
+
+
+def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple[Finding, ...]:
+    """Return which measurements `band_problems` leaves out of which bands."""
+    findings = []
+    for m in measured:
+        told = [tells_of_band(m, band) for band in range(len(bands))]
+        if m.file.use != "fit" or all(told):
+            continue
+        missing = [float(f) for f, t in zip(bands.centres_hz, told, strict=True) if not t]
+        name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
+        findings.append(
+            Finding(
+                "band-left-out",
+                "warning",
+                f"{name}: no decay rises above the noise at "
+                f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
+                {"bands_hz": missing},
+            )
+        )
+    return tuple(findings)
+
+
+def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
+    """Return bin energies as the band filters would show them, shape (n_bands, n_bins)."""
+    kernel = smearing_kernel(FilterBank(bands))
+    n = energies.shape[1]
+    lags_s = BIN_S * (np.arange(-n, n + 1) - 0.5)
+    out = np.empty_like(energies)
+    for band, row in enumerate(energies):
+        share = energy_share(kernel, band, [0.0], lags_s)[0]
+        # the transform's rounding, 1e-16 of the largest, must not make an energy negative
+        out[band] = np.maximum(fftconvolve(row, share)[n : 2 * n], 0.0)
+    return out
+
+
+def _observation(
+    reduction: tuple[FilterBank, SmearingKernel],
+    band: int,
+    m: MeasuredPair,
+    bin_edges_s: FloatArray,
+    timing_sd_s: float,
+    gain: int,
+    periods: float,
+) -> Observation:
+    bank, kernel = reduction
+    clear_s = (
+        m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
+    )
+    bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
+    end_s = min(float(clear_s), float(bin_edges_s[-1]))
+    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
+    fine = fine_edges_s(edges, bandwidth_hz)
+    unit = _ENERGY_PER_PRESSURE_SQUARED if m.file.level == "absolute" else 1.0
+    # noise power in the unit of `window_energies`: a lone sample of height 1 has the energy 1
+    rate_hz = m.response.sampling_rate_hz
+    per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
+    centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
+    heard = centres[: int(np.searchsorted(centres, edges[-1] + share_reach_s(kernel, band)))]
+    return Observation(
+        m.pair,
+        edges,
+        unit * window_energies(bank, m.response, edges)[0],
+        unit * per_second * np.diff(edges),
+        share_matrix(kernel, band, heard, edges),
+        fine,
+        share_matrix(kernel, band, heard, fine),
+        share_slopes_per_s(kernel, band, heard, edges),
+        timing_sd_s,
+        gain,
+    )
+
+
+def untold_position_findings(scene: Scene) -> tuple[Finding, ...]:
+    """Return a finding that names the positions whose spread was assumed."""
+    untold = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
+    if not untold:
+        return ()
+    return (
+        Finding(
+            "position-spread-assumed",
+            "info",
+            f"No position_sd is told for {', '.join(untold)}; {100 * UNTOLD_POSITION_SD_M:g} cm a "
+            "coordinate was assumed.",
+            {"points": untold, "position_sd_m": UNTOLD_POSITION_SD_M},
+        ),
+    )
+
+
+def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
+    """Return how uncertain arrival times are, from both ends' positions along the path."""
+    source, receiver = scene.pairs[m.pair]
+    told = (scene.sources[source].position_sd_m, scene.receivers[receiver].position_sd_m)
+    sd_m = [UNTOLD_POSITION_SD_M if sd is None else sd for sd in told]
+    return float(np.linalg.norm(sd_m) / speed_of_sound_m_s(scene.air))
+
+
+def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:
+    labels = [_gain_label(m) for m in fitted]
+    return tuple(dict.fromkeys(label for label in labels if label))
+
+
+def _gain_label(m: MeasuredPair) -> str:
+    if m.file.level == "per-source":
+        return m.file.source
+    if m.file.level == "per-file":
+        r = m.file.response
+        chosen = (r.channel, r.variable, r.measurement, r.receiver_index)
+        part = ", ".join(str(c) for c in chosen if c is not None)
+        return f"{m.file.source} to {m.file.receiver}, {r.path}[{part}]"
+    return ""
+
+
+def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
+    label = _gain_label(m)
+    return labels.index(label) if label else -1
+
+
+def absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
+    """Return the unknown absorptions of one band, those that are not known starting alike."""
+    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
+    names = [k.name for k in knowledge]
+    leader = np.array([names.index(k.tied_to or k.name) for k in knowledge])
+    follows = leader != np.arange(len(names))
+    known = known[leader]
+    fitted = np.isnan(known) & ~follows
+    lower = np.array([k.lower for k in knowledge])[leader]
+    upper = np.array([k.upper for k in knowledge])[leader]
+    inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
+    return Block(
+        "absorption",
+        tuple(k.name for k in knowledge),
+        "logit",
+        np.where(np.isnan(known), inside, known),
+        fitted,
+        np.array([k.prior_logit_mean[band] for k in knowledge]),
+        np.array([k.prior_logit_sd[band] for k in knowledge]),
+        lower,
+        upper,
+        leader if follows.any() else None,
+    )
+
+
+def _gain_block(
+    labels: tuple[str, ...],
+    observations: tuple[Observation, ...],
+    rows: tuple[EnergyRows, ...],
+    absorption: Block,
+    attenuation: float,
+) -> Block:
+    """Unknown levels, starting where measured and predicted energy agree as a whole."""
+    sums = np.zeros((2, len(labels)))
+    for own, seen in zip(rows, observations, strict=True):
+        if seen.gain < 0:
+            continue
+        energy = weigh(
+            own,
+            absorption.start[:, None],
+            np.array([attenuation]),
+            derivative=False,
+        ).energy[0]
+        sums[0, seen.gain] += float(np.maximum(seen.energy - seen.noise, 0.0).sum())
+        sums[1, seen.gain] += float((seen.shares @ energy).sum())
+    for label, (found, expected) in zip(labels, sums.T, strict=True):
+        if not (found > 0.0 and expected > 0.0):
+            raise CannotTell(
+                "a measurement and its prediction cannot be brought to one level",
+                where=label,
+                found="no energy above the noise" if expected > 0.0 else "no path in any window",
+                hint="look at the response; leave the band out with from_hz and to_hz",
+            )
+    n = len(labels)
+    return Block(
+        "gain",
+        labels,
+        "log",
+        sums[0] / sums[1],
+        np.ones(n, dtype=np.bool_),
+        np.zeros(n),
+        np.full(n, np.inf),
+        np.full(n, 0.0),
+        np.full(n, 1.0),
+    )

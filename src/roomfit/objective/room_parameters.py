@@ -1,0 +1,434 @@
+"""Measured ISO 3382 values of a campaign as one problem a band, and predictions beside them.
+
+Measured ISO 3382 values of one band against those of the energies that traced paths predict.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import cast
+
+import numpy as np
+
+from roomfit._checks import read_only
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.errors import InputError
+from roomfit.materials.priors import MaterialKnowledge
+from roomfit.objective.energy import lone_rows
+from roomfit.objective.observation import absorption_block
+from roomfit.objective.parameters import Parameters, fitted_columns, physical_values, start_vector
+from roomfit.objective.problem import Prediction
+from roomfit.objective.windows import Smearing, band_smearing, before_smearing, smear, smear_squares
+from roomfit.response.binned import BinnedPaths, regrouped, rows_at
+from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
+from roomfit.scene import Scene, distances_m
+from roomfit.signals.decay import echogram_decay_curve, jnd_of
+from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
+from roomfit.typing import BoolArray, FloatArray
+
+# What is wrong about the decay, or about the early part, is wrong in all values read from it.
+_FAMILY = {"EDT_s": 0, "T20_s": 0, "T30_s": 0, "G_dB": 2}
+_EARLY_TO_LATE = 1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValueObservation:
+    """The measured values of one pair in one band.
+
+    Attributes
+    ----------
+    pair : int
+        Index of the pair in the scene.
+    direct_s : float
+        Travel time of the direct sound, from which early and late are counted.
+    names : tuple of str
+        Of `roomfit.signals.iso3382.VALUE_NAMES`.
+    measured : float array, shape (n_values,)
+        In the units that the names tell.
+    spread : float array, shape (n_values,)
+        Stated standard deviation of each value, 0 where none was stated.
+    """
+
+    pair: int
+    direct_s: float
+    names: tuple[ValueName, ...]
+    measured: FloatArray
+    spread: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class RoomValuesProblem:
+    """One band: find the absorption under which the paths have the measured room parameters.
+
+    Attributes
+    ----------
+    bands : Bands
+        The one band.
+    bandwidth_hz : float
+        Statistical bandwidth of its filter.
+    attenuation_per_m : float
+        Energy attenuation of the air.
+    edges_s : float array, shape (n_bins + 1,)
+        Uniform bins of the rows.
+    rows, lone_rows : tuples of EnergyRows
+        Paths of each observation's pair, and what
+        `roomfit.objective.energy.lone_rows` makes of them.
+    observations : tuple of ValueObservation
+    smearing : Smearing
+    parameters : Parameters
+        Only the block "absorption" acts: room parameters know no unknown gain or delay.
+    model_error_jnd : float
+        Standard deviation by which the model may be wrong, in just noticeable differences.
+    """
+
+    bands: Bands
+    bandwidth_hz: float
+    attenuation_per_m: float
+    edges_s: FloatArray
+    rows: tuple[EnergyRows, ...]
+    lone_rows: tuple[EnergyRows, ...]
+    observations: tuple[ValueObservation, ...]
+    smearing: Smearing
+    parameters: Parameters
+    model_error_jnd: float = 0.3
+
+    def __post_init__(self) -> None:
+        if not 0.0 <= self.model_error_jnd <= 100.0:
+            raise InputError(
+                "model error out of range",
+                found=f"{self.model_error_jnd:g}",
+                needed="0 to 100 just noticeable differences",
+            )
+        if not self.observations:
+            raise InputError("no measured room parameter in a band")
+
+    def measured(self) -> FloatArray:
+        """Return the measured values, pair after pair, shape (n_values,)."""
+        return np.concatenate([o.measured for o in self.observations])
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return the values that the paths predict, with exact derivatives."""
+        values, slopes = physical_values(self.parameters, vector)
+        found, by_absorption = [], []
+        for i in range(len(self.observations)):
+            response = weigh(
+                self.rows[i], values["absorption"][:, None], np.array([self.attenuation_per_m])
+            )
+            predicted, gradients, _ = _values(self, i, response.energy)
+            derivative = cast(FloatArray, response.derivative)[:, 0, :]
+            found.append(predicted)
+            by_absorption.append(before_smearing(self.smearing, gradients) @ derivative.T)
+        signal = np.concatenate(found)
+        jacobians = {name: np.zeros((signal.size, v.size)) for name, v in values.items()}
+        jacobians["absorption"] = np.concatenate(by_absorption) * slopes["absorption"]
+        return Prediction(signal, signal, fitted_columns(self.parameters, jacobians))
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return the variance of every value about its prediction, shape (n_values,)."""
+        return np.concatenate([np.diag(c) for c in value_covariances(self, vector)])
+
+    def counted_as_one(self) -> FloatArray:
+        """Return how many values of the same pair tell the same, shape (n_values,).
+
+        T20 and T30 are read from one decay: the sum of the squared correlations of each value with
+        all values of its pair, 1 where it stands alone. From where the fit starts.
+        """
+        return self._counted_as_one
+
+    @cached_property
+    def _counted_as_one(self) -> FloatArray:
+        counts = []
+        for covariance in value_covariances(self, start_vector(self.parameters)):
+            sd = np.sqrt(np.diag(covariance))
+            counts.append(np.sum((covariance / np.outer(sd, sd)) ** 2, axis=1))
+        return read_only(np.concatenate(counts))
+
+    def are_energies(self) -> BoolArray:
+        """Return False for every value."""
+        return np.zeros(self.measured().size, dtype=np.bool_)
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log of each value's Gaussian density, shape (n_values,)."""
+        squares = (self.measured() - expected) ** 2 / variance
+        return np.asarray(-0.5 * (squares + np.log(2.0 * np.pi * variance)))
+
+
+def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[FloatArray, ...]:
+    """Return the covariance of the values of each pair about their prediction.
+
+    Four parts: the stated spread; reflections that interfere; the number of rays; and the error of
+    the model, which those read from the decay share, and those read from early against late.
+
+    Returns
+    -------
+    tuple of float arrays, shape (n_values, n_values), one an observation
+
+    Notes
+    -----
+    The energy of a band of bandwidth B scatters about the sum of the paths' energies like white
+    noise of the spectral density ``(P^2 - Q) / B``, P the smeared power and Q that of lone
+    reflections, which interfere with nothing. Carried through the derivatives of a value this is
+    its variance to first order. For an exponential decay it gives the theory of [1]_, on which ISO
+    354 and ISO 3382-2 build: ``0.55 T30 (B T30) ** -0.5`` for many averaged decays.
+
+    References
+    ----------
+    .. [1] J. L. Davy, I. P. Dunn, P. Dubout, "The variance of decay rates in reverberation rooms",
+           Acustica 43, 12-25 (1979).
+    """
+    values, _ = physical_values(problem.parameters, vector)
+    covariances = []
+    for i, seen in enumerate(problem.observations):
+        energy = weigh(
+            problem.rows[i],
+            values["absorption"][:, None],
+            np.array([problem.attenuation_per_m]),
+            derivative=False,
+        ).energy
+        predicted, gradients, smeared = _values(problem, i, energy)
+        spread = np.diag(seen.spread**2)
+        interference = _interference(problem, i, values["absorption"], gradients, smeared)
+        tracing = _tracing(problem, i, values["absorption"], gradients)
+        covariances.append(spread + interference + tracing + _model(problem, seen, predicted))
+    return tuple(covariances)
+
+
+def _values(
+    problem: RoomValuesProblem, i: int, energy: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return predicted values, derivatives by smeared energies, and these energies."""
+    seen = problem.observations[i]
+    smeared = smear(problem.smearing, energy)
+    curve = echogram_decay_curve(problem.bands, smeared, problem.edges_s, seen.direct_s)
+    return *value_gradients(curve, 0, seen.names), smeared[0]
+
+
+def _interference(
+    problem: RoomValuesProblem,
+    i: int,
+    absorption: FloatArray,
+    gradients: FloatArray,
+    smeared: FloatArray,
+) -> FloatArray:
+    attenuation = np.array([problem.attenuation_per_m])
+    lone = weigh(problem.lone_rows[i], absorption[:, None], attenuation, derivative=False).energy[0]
+    overlapping = np.maximum(smeared**2 - smear_squares(problem.smearing, lone), 0.0)
+    variance = overlapping / (problem.bandwidth_hz * np.diff(problem.edges_s))
+    return np.asarray((gradients * variance) @ gradients.T)
+
+
+def _tracing(
+    problem: RoomValuesProblem, i: int, absorption: FloatArray, gradients: FloatArray
+) -> FloatArray:
+    """Return the Monte-Carlo covariance, from independent batches of rays."""
+    rows = problem.rows[i]
+    n = gradients.shape[0]
+    if rows.n_batches < 2:
+        return np.zeros((n, n))
+    batches = batch_energies(rows, absorption[:, None], np.array([problem.attenuation_per_m]))
+    parts = batches[:, 0, :] @ before_smearing(problem.smearing, gradients).T
+    return np.asarray(len(parts) * np.cov(parts.T, ddof=1).reshape(n, n))
+
+
+def _model(problem: RoomValuesProblem, seen: ValueObservation, predicted: FloatArray) -> FloatArray:
+    # the larger of both, so that a trial far off does not pass for a precise one
+    units = [
+        float(jnd_of(name, np.maximum(m, p)))
+        for name, m, p in zip(seen.names, seen.measured, predicted, strict=True)
+    ]
+    sd = problem.model_error_jnd * np.array(units)
+    family = np.array([_FAMILY.get(name, _EARLY_TO_LATE) for name in seen.names])
+    return np.asarray(np.outer(sd, sd) * (family[:, None] == family[None, :]))
+
+
+MODEL_ERROR_JND = 0.3
+# Room parameters do not feel when within half a millisecond a path arrives: it moves TS by a
+# fortieth of a just noticeable difference at most, and all others by less.
+_BINS_AS_ONE = 5
+
+
+def value_problems(
+    scene: Scene,
+    bands: Bands,
+    knowledge: tuple[MaterialKnowledge, ...],
+    measured: Sequence[MeasuredValues],
+    binned: BinnedPaths,
+    start: FloatArray,
+    *,
+    parameters: Sequence[Parameters | None] | None = None,
+    names: Sequence[ValueName] = VALUE_NAMES,
+    model_error_jnd: float = MODEL_ERROR_JND,
+) -> tuple[RoomValuesProblem | None, ...]:
+    """Return the problem of every band, over all given values; None where a band has none.
+
+    Parameters
+    ----------
+    measured : sequence of MeasuredValues
+        Those to be fitted, each of a pair of the scene, with the centres of `bands` among its own.
+    binned : BinnedPaths
+        Traced so long that the slowest band falls by 35 dB, where T30 is to be fitted.
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    parameters : sequence of Parameters, optional
+        Those of another problem of each band, to be joined with. Where it is None or left out, the
+        absorptions alone.
+    names : sequence of str
+        Which parameters to fit.
+    model_error_jnd : float
+        See `RoomValuesProblem`.
+
+    Raises
+    ------
+    InputError
+        A pair that the scene does not have, or twice the same.
+    """
+    pairs = _pairs(scene, measured)
+    coarse = coarser(binned, _BINS_AS_ONE)
+    attenuation = attenuation_per_m(scene.air, bands)
+    direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
+    problems: list[RoomValuesProblem | None] = []
+    for band, centre_hz in enumerate(bands.centres_hz):
+        seen = [
+            _observation(pair, float(direct_s[pair]), m, float(centre_hz), names)
+            for pair, m in zip(pairs, measured, strict=True)
+        ]
+        observations = tuple(o for o in seen if o.names)
+        if not observations:
+            problems.append(None)
+            continue
+        shared = None if parameters is None else parameters[band]
+        own = Parameters((absorption_block(knowledge, band, float(start[band])),))
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        bank = FilterBank(one)
+        m = float(attenuation[band])
+        heard = rows_at(coarse, centre_hz)
+        rows = {o.pair: rows_in_air(heard[o.pair], m) for o in observations}
+        problems.append(
+            RoomValuesProblem(
+                one,
+                float(statistical_bandwidth_hz(bank)[0]),
+                0.0,
+                coarse.edges_s,
+                tuple(rows[o.pair] for o in observations),
+                tuple(lone_rows(rows[o.pair]) for o in observations),
+                observations,
+                bin_smearing(bank, coarse),
+                own if shared is None else shared,
+                model_error_jnd,
+            )
+        )
+    return tuple(problems)
+
+
+def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
+    """Return the same paths in bins of n times the width; bins that are left over at the end go."""
+    kept = (binned.edges_s.size - 1) // n
+
+    def joined(fine: EnergyRows) -> EnergyRows:
+        offsets = fine.offsets[: n * kept + 1 : n]
+        last = int(offsets[-1])
+        return EnergyRows(
+            fine.materials,
+            kept,
+            offsets,
+            fine.weight_per_m2[:last],
+            fine.hits[:last],
+            fine.length_m[:last],
+            fine.batch[:last],
+            fine.n_batches,
+        )
+
+    return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
+
+
+def bin_smearing(bank: FilterBank, binned: BinnedPaths) -> Smearing:
+    """Return how the first band of a bank smears the bins of binned paths."""
+    width_s = float(binned.edges_s[1] - binned.edges_s[0])
+    return band_smearing(bank, binned.edges_s.size - 1, width_s)
+
+
+def predicted_values(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    absorption: FloatArray,
+    names: Sequence[ValueName] = VALUE_NAMES,
+) -> FloatArray:
+    """Return the room parameters that the paths predict, shape (n_pairs, n_names, n_bands).
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    """
+    attenuation = attenuation_per_m(scene.air, bands)
+    direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
+    coarse = coarser(binned, _BINS_AS_ONE)
+    found = np.empty((len(binned.rows), len(names), len(bands)))
+    for band in range(len(bands)):
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        smearing = bin_smearing(FilterBank(one), coarse)
+        chosen = slice(band, band + 1)
+        for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
+            energy = _energy(rows, absorption[:, chosen], attenuation[chosen])
+            curve = echogram_decay_curve(
+                one, smear(smearing, energy), coarse.edges_s, float(direct_s[pair])
+            )
+            found[pair, :, band] = value_gradients(curve, 0, names)[0]
+    return found
+
+
+def values_at(measured: MeasuredValues, name: ValueName, bands: Bands) -> FloatArray:
+    """Return a measured parameter at the centres of bands, NaN where unknown, (n_bands,)."""
+    return _at(measured.centres_hz, measured.values.get(name), bands.centres_hz)
+
+
+def _at(centres_hz: FloatArray, row: FloatArray | None, wanted_hz: FloatArray) -> FloatArray:
+    out: FloatArray = np.full(wanted_hz.size, np.nan)
+    if row is not None:
+        match = np.abs(centres_hz[None, :] / wanted_hz[:, None] - 1.0) < 1e-6
+        found = match.any(axis=1)
+        out[found] = row[match.argmax(axis=1)[found]]
+    return out
+
+
+def _pairs(scene: Scene, measured: Sequence[MeasuredValues]) -> list[int]:
+    index = {
+        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
+    }
+    found = []
+    for m in measured:
+        key = (m.source, m.receiver)
+        if key not in index or index[key] in found:
+            raise InputError(
+                "measured values of a pair that the scene "
+                + ("lacks" if key not in index else "has once, given twice"),
+                found=f"{m.source} to {m.receiver}",
+                needed=", ".join(f"{s} to {r}" for s, r in index),
+                hint="define the source and the receiver; join what was measured twice",
+            )
+        found.append(index[key])
+    return found
+
+
+def _observation(
+    pair: int, direct_s: float, m: MeasuredValues, centre_hz: float, names: Sequence[ValueName]
+) -> ValueObservation:
+    at = np.array([centre_hz])
+    found = {n: float(_at(m.centres_hz, m.values.get(n), at)[0]) for n in names}
+    known = tuple(n for n in names if np.isfinite(found[n]))
+    spread = [float(_at(m.centres_hz, m.spread.get(n), at)[0]) for n in known]
+    return ValueObservation(
+        pair,
+        direct_s,
+        known,
+        np.array([found[n] for n in known]),
+        np.where(np.isfinite(spread), spread, 0.0),
+    )
+
+
+def _energy(rows: EnergyRows, absorption: FloatArray, attenuation: FloatArray) -> FloatArray:
+    return weigh(rows, absorption, attenuation, derivative=False).energy

@@ -1,1 +1,0 @@
-"""Where to measure: what each possible measurement would tell, and which few tell most."""

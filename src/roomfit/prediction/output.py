@@ -1,0 +1,242 @@
+"""predicted.json and predicted.csv, format_version 1.
+
+A prediction in pictures: decay curves with the band that the absorption leaves open.
+
+A prediction in words and tables, for a terminal.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Iterable, Mapping
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
+from roomfit.report.figures import OKABE_ITO, new_figure
+from roomfit.report.text import findings_text
+from roomfit.signals.iso3382 import ValueName
+
+_COLUMNS = (
+    *("source", "receiver", "use", "parameter", "band_hz"),
+    *("predicted", "lower95", "upper95", "measured", "jnd", "mean_of_others"),
+)
+
+
+def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) -> None:
+    """Write ``predicted.json`` and ``predicted.csv`` into a folder.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    content = predicted_content(predicted, inputs)
+    write_text_atomically(folder / "predicted.csv", predicted_csv(predicted))
+    write_json_atomically(folder / "predicted.json", content)
+
+
+def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return what predicted.json holds: lists as long as bands_hz, null where nothing is known.
+
+    The first of the inputs is the campaign; the others are named as seen from its folder.
+    """
+    return {
+        "format": "roomfit-predicted",
+        "format_version": 1,
+        "bands_hz": numbers(predicted.bands.centres_hz),
+        "materials": {
+            name: {
+                "absorption": numbers(predicted.absorption[i]),
+                "lower95": numbers(predicted.lower95[i]),
+                "upper95": numbers(predicted.upper95[i]),
+            }
+            for i, name in enumerate(predicted.materials)
+        },
+        "changes": list(predicted.changes),
+        "pairs": [
+            {
+                "source": p.source,
+                "receiver": p.receiver,
+                "use": p.use,
+                "parameters": _parameters(p.parameters),
+            }
+            for p in predicted.pairs
+        ],
+        "mean": _parameters(predicted.mean),
+        "findings": [finding_content(f) for f in predicted.findings],
+        "prediction": {
+            "draws": predicted.n_draws,
+            "seed": predicted.seed,
+            "seconds": round(predicted.seconds, 3),
+        },
+        "provenance": {
+            "roomfit": version("roomfit"),
+            "inputs_sha256": input_digests(tuple(inputs)),
+        },
+    }
+
+
+def predicted_csv(predicted: Predicted) -> str:
+    """Return one row a pair, parameter and band; empty cells where nothing is known."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(_COLUMNS)
+    for pair in predicted.pairs:
+        for name, value in pair.parameters.items():
+            for band, centre in enumerate(predicted.bands.centres_hz):
+                writer.writerow(_row(pair, name, value, band, float(centre)))
+    return stream.getvalue()
+
+
+def _row(
+    pair: PredictedPair, name: ValueName, value: PredictedValue, band: int, centre_hz: float
+) -> list[str]:
+    told = (
+        *(value.predicted, value.lower95, value.upper95),
+        *(value.measured, value.jnd, value.null),
+    )
+    cells = [f"{v[band]:.4f}" if np.isfinite(v[band]) else "" for v in told]
+    return [pair.source, pair.receiver, pair.use or "", name, f"{centre_hz:g}", *cells]
+
+
+def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
+    return {
+        name: {
+            "predicted": numbers_or_null(v.predicted),
+            "lower95": numbers_or_null(v.lower95),
+            "upper95": numbers_or_null(v.upper95),
+            "sd_absorption": numbers_or_null(v.sd_absorption),
+            "sd_rest": numbers_or_null(v.sd_rest),
+            "measured": numbers_or_null(v.measured),
+            "jnd": numbers_or_null(v.jnd),
+            "mean_of_others": numbers_or_null(v.null),
+        }
+        for name, v in table.items()
+    }
+
+
+def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
+    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
+    n = len(predicted.bands)
+    columns = min(n, 3)
+    rows = -(-n // columns)
+    figure = new_figure(3.4 * columns, 2.4 * rows + 0.6)
+    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    decay, t20 = pair.decay, pair.parameters["T20_s"]
+    shown_s = 1e-3
+    for j, axes in enumerate(panels.ravel()):
+        if j >= n:
+            axes.set_visible(False)
+            continue
+        axes.fill_between(
+            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
+            lw=0.0, label="95 % of the absorptions that are possible",
+        )  # fmt: skip
+        axes.plot(
+            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
+        )
+        if decay.measured_db is not None:
+            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
+        shown_s = max(shown_s, float(decay.time_s[decay.predicted_db[j] > -45.0].max(initial=0.0)))
+        label = f"{predicted.bands.centres_hz[j]:g} Hz"
+        if np.isfinite(t20.predicted[j]):
+            label += f": T20 {t20.predicted[j]:.2f} s"
+        axes.set_title(label, fontsize=9)
+        axes.grid(alpha=0.25)
+    panels[0, 0].set_ylim(-45.0, 2.0)
+    panels[0, 0].set_xlim(0.0, shown_s)
+    figure.supxlabel("time after emission (s)")
+    figure.supylabel("energy decay curve (dB)")
+    handles, labels = panels[0, 0].get_legend_handles_labels()
+    title = f"{pair.source} to {pair.receiver}"
+    if predicted.changes:
+        title += " with " + "; ".join(predicted.changes)
+    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, title=title)
+    return figure
+
+
+_SHOWN: tuple[tuple[ValueName, str, str], ...] = (
+    ("T20_s", "T20 s", "{:.2f}"),
+    ("T30_s", "T30 s", "{:.2f}"),
+    ("EDT_s", "EDT s", "{:.2f}"),
+    ("C80_dB", "C80 dB", "{:.1f}"),
+    ("D50_percent", "D50 %", "{:.0f}"),
+    ("TS_ms", "TS ms", "{:.0f}"),
+    ("G_dB", "G dB", "{:.1f}"),
+)
+_PAIRS_SHOWN = 12
+
+
+def predict_text(predicted: Predicted) -> str:
+    """Return the mean over the pairs, every pair, and all findings."""
+    parts = []
+    if predicted.changes:
+        parts.append("Changed: " + "; ".join(predicted.changes))
+    parts += [mean_table(predicted), pairs_text(predicted), findings_text(predicted.findings)]
+    return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
+
+
+def mean_table(predicted: Predicted) -> str:
+    """Return the mean of every parameter with its interval, and the measured mean below it."""
+    lines = [
+        "Mean over the pairs (over those measured, where some are): predicted, 95 % interval",
+        _head(predicted),
+    ]
+    for name, label, form in _SHOWN:
+        value = predicted.mean[name]
+        lines.append(_line(label, value, form))
+        if np.isfinite(value.measured).any():
+            lines.append(_measured_line(value, form))
+    return "\n".join(lines)
+
+
+def pairs_text(predicted: Predicted) -> str:
+    """Return T20 and C80 of every pair, of the first dozen where there are many."""
+    lines = ["By pair", _head(predicted)]
+    for pair in predicted.pairs[:_PAIRS_SHOWN]:
+        lines.append(f"{pair.source} to {pair.receiver}{_use(pair)}")
+        for name, label, form in (_SHOWN[0], _SHOWN[3]):
+            value = pair.parameters[name]
+            lines.append(_line(label, value, form))
+            if np.isfinite(value.measured).any():
+                lines.append(_measured_line(value, form))
+    left = len(predicted.pairs) - _PAIRS_SHOWN
+    if left > 0:
+        lines.append(f"... and {left} more in predicted.csv")
+    return "\n".join(lines)
+
+
+def _head(predicted: Predicted) -> str:
+    cells = "  ".join(f"{f:>20g}" for f in predicted.bands.centres_hz)
+    return f"{'Hz':<10}  {cells}"
+
+
+def _use(pair: PredictedPair) -> str:
+    if pair.use is None:
+        return ", not measured"
+    return ", measured" if pair.use == "fit" else ", measured, kept for validation"
+
+
+def _line(label: str, value: PredictedValue, form: str) -> str:
+    cells = [
+        f"{form.format(v)} ({form.format(low)} to {form.format(high)})" if np.isfinite(v) else "-"
+        for v, low, high in zip(value.predicted, value.lower95, value.upper95, strict=True)
+    ]
+    return f"{label:<10}  " + "  ".join(f"{c:>20}" for c in cells)
+
+
+def _measured_line(value: PredictedValue, form: str) -> str:
+    """Measured values; in brackets how far the prediction is above, in just noticeable steps."""
+    cells = []
+    for m, steps in zip(value.measured, value.jnd, strict=True):
+        told = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
+        cells.append(f"{form.format(m)}{told}" if np.isfinite(m) else "-")
+    return f"{'  measured':<10}  " + "  ".join(f"{c:>20}" for c in cells)

@@ -1,0 +1,342 @@
+"""An answer in words and tables, for a terminal.
+
+The catalogue of materials as text.
+
+A checked room in words.
+"""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Sequence
+
+import numpy as np
+
+from roomfit.findings import Finding
+from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
+from roomfit.results import Answer, ComparedPair
+from roomfit.scene import RoomCheck
+from roomfit.typing import BoolArray, FloatArray
+
+_SHOWN = ("T20_s", "EDT_s", "C80_dB")
+_BELOW_BAND = " " * 11
+_RELATIVE = ("T20_s", "T30_s", "EDT_s", "TS_ms")
+
+
+def answer_text(answer: Answer) -> str:
+    """Return everything a user must see: absorption, what can be told apart, pairs, findings."""
+    parts = [
+        absorption_table(answer),
+        separable_text(answer),
+        shares_table(answer),
+        directivity_text(answer),
+        certificate_text(answer),
+        pairs_table(answer),
+        findings_text(answer.findings),
+    ]
+    return "\n\n".join(p for p in parts if p)
+
+
+def absorption_table(answer: Answer) -> str:
+    """Return absorption with its interval per material and band; ``?`` marks what is not sure."""
+    width = max(len(n) for n in (*answer.materials, "room mean"))
+    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
+    lines = [
+        f"Absorption, 95 % interval ({answer.interval_kind}); ? = not identifiable",
+        f"{'Hz':<{width}}  {head}",
+    ]
+    for i, name in enumerate(answer.materials):
+        cells = [
+            _interval_cell(*values, sure=bool(sure))
+            for *values, sure in zip(
+                answer.absorption[i],
+                answer.lower95[i],
+                answer.upper95[i],
+                answer.identifiable[i],
+                strict=True,
+            )
+        ]
+        lines.append(f"{name:<{width}}  " + "  ".join(cells))
+    cells = [_interval_cell(*column, sure=True) for column in answer.mean_absorption.T]
+    lines.append(f"{'room mean':<{width}}  " + "  ".join(cells))
+    return "\n".join(lines)
+
+
+def separable_text(answer: Answer) -> str:
+    """Return in words which materials the data tell apart, band by band."""
+    told = any(answer.sentences)
+    lines = ["What the data tell" + (" (+-: half of the 95 % interval)" if told else "")]
+    for j, centre in enumerate(answer.bands.centres_hz):
+        held = answer.lower95[:, j] == answer.upper95[:, j]
+        sure = _names(answer.materials, answer.identifiable[:, j] & ~held)
+        mean, lower, upper = answer.mean_absorption[:, j]
+        known = sure if sure else "no single material"
+        if held.any():
+            known += f"; given: {_names(answer.materials, held)}"
+        fit = "" if answer.phi[j] <= 2.0 else f"; the model does not fit (phi {answer.phi[j]:.1f})"
+        lines.append(
+            f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
+            f"({lower:.2f} to {upper:.2f}){fit}"
+        )
+        if answer.sentences and answer.sentences[j]:
+            lines.append(_below_band(answer.sentences[j]))
+    return "\n".join(lines)
+
+
+def _below_band(sentence: str) -> str:
+    return textwrap.fill(sentence, 100, initial_indent=_BELOW_BAND, subsequent_indent=_BELOW_BAND)
+
+
+def shares_table(answer: Answer) -> str:
+    """Return what each material contributes to the room's absorption, in percent."""
+    if answer.shares is None:
+        return ""
+    width = max(len(n) for n in answer.materials)
+    head = "  ".join(f"{f:>10g}" for f in answer.bands.centres_hz)
+    lines = [
+        "Share of the room's absorption in %, 95 % interval (air left out)",
+        f"{'Hz':<{width}}  {head}",
+    ]
+    for i, name in enumerate(answer.materials):
+        cells = [
+            f"{100 * value:.0f} ({100 * low:.0f}-{100 * high:.0f})"
+            for value, low, high in answer.shares[:, i].T
+        ]
+        lines.append(f"{name:<{width}}  " + "  ".join(f"{cell:>10}" for cell in cells))
+    return "\n".join(lines)
+
+
+def directivity_text(answer: Answer) -> str:
+    """Return strength and axis of every source whose directivity was fitted, band by band."""
+    lines = []
+    for found in answer.directivities:
+        lines.append(f"{found.source} sends with the amplitude 1 + b cos of the angle to its axis")
+        for centre, b, sd in zip(answer.bands.centres_hz, found.b, found.sd, strict=True):
+            length = float(np.linalg.norm(b))
+            axis = b / length if length > 0.0 else b
+            along = float(np.sqrt(axis**2 @ sd**2)) if length > 0.0 else float(sd.max())
+            towards = ", ".join(f"{x:.2f}" for x in axis)
+            lines.append(f"{centre:>6g} Hz  b {length:.2f} +- {along:.2f} towards ({towards})")
+    return "\n".join(lines)
+
+
+def certificate_text(answer: Answer) -> str:
+    """Return what was proven of the cost in each band, and the places that come near the lowest."""
+    lines = []
+    for centre, proof in zip(answer.bands.centres_hz, answer.certificates, strict=False):
+        if proof is None:
+            continue
+        lines.append(f"{centre:>6g} Hz  {proof.sentence}")
+        for cluster in proof.clusters if len(proof.clusters) > 1 else ():
+            at = ", ".join(
+                f"{name} {value:.2f}"
+                for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
+            )
+            lines.append(f"           {cluster.value:.4g} at {at}")
+    head = ["Cost of the energies with their weights held:"] if lines else []
+    return "\n".join(head + lines)
+
+
+def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
+    return ", ".join(n for n, c in zip(materials, chosen, strict=True) if c)
+
+
+def pairs_table(answer: Answer) -> str:
+    """Return mean absolute errors of predicted parameters beside the null model's.
+
+    The null model is the mean of the same parameter over the other fitted measurements.
+    """
+    if not answer.pairs:
+        return ""
+    lines = [
+        "Predicted against measured: mean T20 (measured > predicted), then mean absolute errors "
+        "(model | mean of the others)"
+    ]
+    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
+    lines.append(f"{'Hz':<16}  {head}")
+    for use in ("fit", "validate"):
+        pairs = [p for p in answer.pairs if p.use == use]
+        if not pairs:
+            continue
+        lines.append(_decay_line(pairs, use))
+        for name in _SHOWN:
+            compared = [p.parameters[name] for p in pairs]
+            ours = _mean_error(
+                name, [c.predicted for c in compared], [c.measured for c in compared]
+            )
+            null = _mean_error(name, [c.null for c in compared], [c.measured for c in compared])
+            unit = "%" if name in _RELATIVE else name.split("_")[1]
+            cells = [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
+            label = f"{name.split('_')[0]} {unit} {_said(use)}"
+            lines.append(f"{label:<16}  " + "  ".join(cells))
+    return "\n".join(lines)
+
+
+def _decay_line(pairs: list[ComparedPair], use: str) -> str:
+    """Return the mean T20 in seconds, measured > predicted, over pairs that have both."""
+    measured = np.array([p.parameters["T20_s"].measured for p in pairs])
+    predicted = np.array([p.parameters["T20_s"].predicted for p in pairs])
+    both = np.isfinite(measured) & np.isfinite(predicted)
+    counts = np.maximum(both.sum(axis=0), 1)
+    means = [np.where(both, t, 0.0).sum(axis=0) / counts for t in (measured, predicted)]
+    cells = [
+        f"{m:5.2f} > {p:5.2f}" if known else f"{'-':>5} > {'-':>5}"
+        for m, p, known in zip(*means, both.any(axis=0), strict=True)
+    ]
+    return f"{'T20 s ' + _said(use):<16}  " + "  ".join(cells)
+
+
+def _said(use: str) -> str:
+    return "fitted" if use == "fit" else "not fitted"
+
+
+def findings_text(findings: tuple[Finding, ...]) -> str:
+    """Return the findings, most serious first; what many files share is told once."""
+    order = {"serious": 0, "warning": 1, "info": 2}
+    alike: dict[str, list[Finding]] = {}
+    for finding in sorted(findings, key=lambda f: order[f.severity]):
+        alike.setdefault(finding.code, []).append(finding)
+    lines = ["Findings"] if findings else []
+    for code, same in alike.items():
+        more = f" (and {len(same) - 1} more of this kind in result.json)" if same[1:] else ""
+        text = f"{same[0].severity}: {same[0].sentence}{more} [{code}]"
+        lines.append(textwrap.fill(text, 100, initial_indent="- ", subsequent_indent="  "))
+    return "\n".join(lines)
+
+
+def _interval_cell(value: float, lower: float, upper: float, *, sure: bool) -> str:
+    mark = " " if sure else "?"
+    return f"{_short(value)}{mark}{_short(lower)}-{_short(upper)}"
+
+
+def _short(value: float) -> str:
+    """Three characters and a point less: .07, 1.0."""
+    return "1.00"[:3] if value >= 0.995 else f"{value:.2f}"[1:]
+
+
+def _pair_cell(ours: float, null: float) -> str:
+    def told(value: float) -> str:
+        return f"{value:.1f}" if np.isfinite(value) else "-"
+
+    return f"{told(ours):>5} | {told(null):>5}"
+
+
+def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
+    """Mean absolute error over pairs, in percent for times; NaN where nothing can be compared."""
+    errors = np.abs(np.array(guesses) - np.array(measured))
+    if name in _RELATIVE:
+        errors = 100.0 * errors / np.array(measured)
+    known = np.isfinite(errors)
+    counts = known.sum(axis=0)
+    sums = np.where(known, errors, 0.0).sum(axis=0)
+    return np.asarray(np.where(counts > 0, sums / np.maximum(counts, 1), np.nan))
+
+
+_WIDTH = 34
+
+
+def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
+    """Return one line for each entry, under its group: name and absorption in octaves."""
+    head = f"{'absorption at':<{_WIDTH}}" + "".join(f"{_hertz(f):>6}" for f in OCTAVES_HZ)
+    lines = [head]
+    group = None
+    for entry in entries:
+        if entry.group != group:
+            group = entry.group
+            lines += ["", group]
+        lines.append(f"  {entry.name:<{_WIDTH - 2}}" + _row(entry.absorption))
+    count = f"{len(entries)} materials" if len(entries) != 1 else "1 material"
+    lines += ["", f"{count}. roomfit catalogue NAME shows one with its spread and sources."]
+    return "\n".join(lines)
+
+
+def entry_text(entry: CatalogueEntry) -> str:
+    """Return one entry in full: middle, spread, and every reading with its source."""
+    low, high = (
+        1.0 / (1.0 + np.exp(-(entry.logit_mean + z * entry.logit_sd))) for z in (-1.96, 1.96)
+    )
+    rows: list[tuple[str, FloatArray]] = [
+        ("absorption", entry.absorption),
+        ("standard deviation", entry.sd),
+        ("95 % from", low),
+        ("95 % to", high),
+    ]
+    lines = [
+        entry.name,
+        f"{entry.description} ({entry.group})",
+        "",
+        f"{'octave, Hz':<{_WIDTH}}" + "".join(f"{_hertz(f):>6}" for f in OCTAVES_HZ),
+        *(f"{label:<{_WIDTH}}{_row(values)}" for label, values in rows),
+        "",
+        "readings",
+    ]
+    for reading in entry.readings:
+        lines += [
+            f"{'':<{_WIDTH}}{_row(reading.absorption)}",
+            f"  {reading.row}",
+            f"    {reading.source}",
+        ]
+    lines += [
+        "",
+        "63 Hz and 8 kHz are carried on from their neighbours, with a wider spread, where no",
+        f'reading has them. As a prior in a campaign: prior = "{entry.name}"',
+    ]
+    return "\n".join(lines)
+
+
+def _row(values: FloatArray) -> str:
+    return "".join(f"{'-':>6}" if np.isnan(v) else f"{v:6.2f}" for v in values)
+
+
+def _hertz(frequency: float) -> str:
+    return f"{frequency:g}" if frequency < 1000.0 else f"{frequency / 1000.0:g}k"
+
+
+def room_text(title: str, check: RoomCheck) -> str:
+    """Return the room's size, its materials, and what is wrong with it, ready to print."""
+    about = "" if check.closed else "  (approximate: the mesh is not closed)"
+    x, y, z = check.size_m
+    rows = [
+        title,
+        f"  size            {x:.2f} x {y:.2f} x {z:.2f} m",
+        f"  volume V        {check.volume_m3:.2f} m3{about}",
+        f"  surface S       {check.surface_m2:.2f} m2",
+        f"  mean free path  {check.mean_free_path_m:.3f} m  (4 V / S)",
+        f"  mesh            {check.n_triangles} triangles, {check.n_surfaces} surfaces, "
+        f"{'closed' if check.closed else 'not closed'}, {_leak(check.leak)}",
+        "",
+        *_materials(check),
+    ]
+    faults = [f for f in check.findings if f.severity == "serious"]
+    doubts = [f for f in check.findings if f.severity != "serious"]
+    if doubts:
+        rows += ["", "findings", *(f"  {f.severity:<8} {f.sentence}" for f in doubts)]
+    if faults:
+        rows += ["", "faults that forbid tracing", *(line for f in faults for line in _fault(f))]
+    else:
+        rows += ["", "The room can be traced."]
+    return "\n".join(rows)
+
+
+def _leak(leak: float | None) -> str:
+    if leak is None:
+        return "no point inside found"
+    return f"{1e2 * leak:.3g} % of hits lost" if leak else "no ray lost"
+
+
+def _materials(check: RoomCheck) -> list[str]:
+    names = [name or "(no material)" for name, _ in check.material_areas_m2]
+    width = max(map(len, (*names, "material")))
+    rows = [f"  {'material':<{width}}  {'area in m2':>10}  {'share':>6}"]
+    for name, (_, area) in zip(names, check.material_areas_m2, strict=True):
+        share = area / check.surface_m2 if check.surface_m2 > 0.0 else 0.0
+        rows.append(f"  {name:<{width}}  {area:10.2f}  {1e2 * share:5.1f} %")
+    return rows
+
+
+def _fault(finding: Finding) -> list[str]:
+    rows = [f"  {finding.evidence.get('what', finding.sentence)}"]
+    for key in ("where", "found", "needed", "try"):
+        if key in finding.evidence:
+            rows.append(f"    {key:<7} {finding.evidence[key]}")
+    return rows

@@ -1,0 +1,412 @@
+"""Which material each surface of a mesh has.
+
+Whether sources and receivers stand where they can.
+
+A mesh whose every face has a material.
+
+What a room is like, and whether it can be traced.
+
+A room with sources, receivers and air: all that a simulation needs but the absorption.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit._checks import float_array, int_array, nearest, unique_names
+from roomfit.air import Air
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.geometry.check import examine
+from roomfit.geometry.inside import is_inside, nearest_triangles
+from roomfit.geometry.mesh import (
+    Mesh,
+    Surface,
+    corners_m,
+    fault,
+    is_double_sided,
+    place,
+    refuse,
+    triangle_areas_m2,
+)
+from roomfit.typing import FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Room:
+    """A closed mesh and the material of each of its surfaces.
+
+    A material is a set of faces that share one absorption. What that absorption is, a room does
+    not know.
+
+    Attributes
+    ----------
+    mesh : Mesh
+    materials : tuple of str
+        In the order of every array with a material axis.
+    surface_material : int32 array, shape (n_surfaces,)
+        Index into `materials` for each of `mesh.surfaces`.
+    shoebox_m : tuple of three floats or None
+        Lengths in x, y, z where the room is a box with one corner at the origin, so that image
+        sources can use the lattice; `mesh.surfaces` are then west (x = 0), east, south (y = 0),
+        north, floor and ceiling, in that order.
+    """
+
+    mesh: Mesh
+    materials: tuple[str, ...]
+    surface_material: IntArray
+    shoebox_m: tuple[float, float, float] | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "materials", unique_names("material", self.materials))
+        if not self.materials:
+            raise InputError("a room without materials", needed="at least one material")
+        owner = int_array(
+            "material of each surface",
+            self.surface_material,
+            (len(self.mesh.surfaces),),
+            low=0,
+            high=len(self.materials) - 1,
+        )
+        object.__setattr__(self, "surface_material", owner)
+
+
+def triangle_material(room: Room) -> IntArray:
+    """Return the material index of every triangle, shape (n_triangles,)."""
+    return np.asarray(room.surface_material[room.mesh.triangle_surface])
+
+
+def material_areas_m2(room: Room) -> FloatArray:
+    """Return the area of each material that sound can strike, shape (n_materials,).
+
+    Both sides of a double-sided sheet count.
+    """
+    areas = triangle_areas_m2(room.mesh) * np.where(is_double_sided(room.mesh), 2.0, 1.0)
+    owner = triangle_material(room)
+    return np.asarray(np.bincount(owner, areas, len(room.materials)), dtype=np.float64)
+
+
+_SHOWN = 12
+
+
+def room_from_mesh(
+    mesh: Mesh,
+    materials: Mapping[str, str],
+    shoebox_m: tuple[float, float, float] | None = None,
+) -> Room:
+    """Give every surface its material.
+
+    Parameters
+    ----------
+    mesh : Mesh
+    materials : mapping from str to str
+        From the name of a surface, a group or a file's material, in that precedence, to a
+        material. What is not named keeps the file's material name.
+    shoebox_m : tuple of three floats, optional
+        Lengths, where the mesh is the box of `geometry.shoebox`.
+
+    Returns
+    -------
+    Room
+        Materials in the order of their first surface.
+
+    Raises
+    ------
+    InputError
+        A key matches nothing, or a surface has no material.
+    """
+    refuse(material_findings(mesh, materials))
+    names = [str(name) for name in surface_materials(mesh.surfaces, materials)]
+    order = tuple(dict.fromkeys(names))
+    return Room(mesh, order, np.array([order.index(n) for n in names]), shoebox_m)
+
+
+def surface_materials(
+    surfaces: Iterable[Surface], materials: Mapping[str, str]
+) -> tuple[str | None, ...]:
+    """Return the material of every surface, None where neither the mapping nor the file has one."""
+    return tuple(_material_of(surface, materials) for surface in surfaces)
+
+
+def _material_of(surface: Surface, materials: Mapping[str, str]) -> str | None:
+    for key in (surface.name, surface.group, surface.file_material):
+        if key is not None and key in materials:
+            return materials[key]
+    return surface.file_material
+
+
+def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding, ...]:
+    """Return a fault for surfaces without a material.
+
+    Raises
+    ------
+    InputError
+        A key matches no surface, group or material of the file; the names are listed.
+    """
+    _check_keys(mesh.surfaces, materials)
+    found = surface_materials(mesh.surfaces, materials)
+    bare = np.array([not name for name in found])[mesh.triangle_surface]
+    if not bare.any():
+        return ()
+    first = int(np.flatnonzero(bare)[0])
+    name = mesh.surfaces[mesh.triangle_surface[first]].name
+    area = float(triangle_areas_m2(mesh)[bare].sum())
+    return (
+        fault(
+            "no-material",
+            "surfaces without a material",
+            where=f"{name!r} near {place(corners_m(mesh)[first].mean(axis=0))}",
+            found=f"{sum(not n for n in found)} surfaces, {area:.2f} m2",
+            needed="a material for every face",
+            hint=f'name it in [room.materials], as in "{name}" = "plaster"',
+        ),
+    )
+
+
+def material_areas(mesh: Mesh, materials: Mapping[str, str]) -> dict[str | None, float]:
+    """Return the area in m2 of each material that sound can strike, largest first.
+
+    The key None stands for surfaces without a material. Both sides of a sheet count.
+    """
+    areas = triangle_areas_m2(mesh) * np.where(is_double_sided(mesh), 2.0, 1.0)
+    per_surface = np.bincount(mesh.triangle_surface, areas, len(mesh.surfaces))
+    total: dict[str | None, float] = {}
+    for name, area in zip(surface_materials(mesh.surfaces, materials), per_surface, strict=True):
+        total[name] = total.get(name, 0.0) + float(area)
+    return dict(sorted(total.items(), key=lambda item: -item[1]))
+
+
+def _check_keys(surfaces: Iterable[Surface], materials: Mapping[str, str]) -> None:
+    names = [n for s in surfaces for n in (s.name, s.group, s.file_material) if n]
+    known = list(dict.fromkeys(names))
+    for key, material in materials.items():
+        if not material:
+            raise InputError("a material without a name", where=f"[room.materials] {key!r}")
+        if key in known:
+            continue
+        like = nearest(key, known)
+        listing = ", ".join(repr(name) for name in known[:_SHOWN])
+        more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
+        raise InputError(
+            "a material is given to a surface that does not exist",
+            where="[room.materials]",
+            found=repr(key),
+            needed=f"a surface, group or material of the file: {listing}{more}",
+            hint=f"did you mean {like!r}?" if like else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class RoomCheck:
+    """What a room is like.
+
+    Attributes
+    ----------
+    volume_m3 : float
+        Approximate where the mesh is not closed.
+    surface_m2 : float
+        Area that sound can strike; both sides of a sheet in the air count.
+    mean_free_path_m : float
+        4 V / S.
+    size_m : tuple of three floats
+        Of the box along x, y and z that just holds the room.
+    n_triangles, n_surfaces : int
+    closed : bool
+    leak : float or None
+        Rays lost per hit of a wall; None where no point inside was found.
+    material_areas_m2 : tuple of (str or None, float)
+        Largest first; None stands for surfaces without a material.
+    findings : tuple of Finding
+        Repairs, doubts and faults; the latter are the serious ones.
+    """
+
+    volume_m3: float
+    surface_m2: float
+    mean_free_path_m: float
+    size_m: tuple[float, float, float]
+    n_triangles: int
+    n_surfaces: int
+    closed: bool
+    leak: float | None
+    material_areas_m2: tuple[tuple[str | None, float], ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def traceable(self) -> bool:
+        """Whether no fault forbids tracing the room."""
+        return all(finding.severity != "serious" for finding in self.findings)
+
+
+def check_mesh(
+    mesh: Mesh, materials: Mapping[str, str], earlier: Iterable[Finding] = ()
+) -> RoomCheck:
+    """Examine a mesh and its materials.
+
+    Parameters
+    ----------
+    mesh : Mesh
+        Oriented, see `geometry.orientation`.
+    materials : mapping from str to str
+        As `scene.rooms.room_from_mesh` takes it.
+    earlier : iterable of Finding
+        What was found on the way to this mesh; it comes first in the result.
+
+    Raises
+    ------
+    InputError
+        A key of `materials` matches nothing.
+    """
+    bare = material_findings(mesh, materials)
+    examination = examine(mesh)
+    x, y, z = (mesh.vertices_m.max(axis=0) - mesh.vertices_m.min(axis=0)).tolist()
+    return RoomCheck(
+        examination.volume_m3,
+        examination.surface_m2,
+        examination.mean_free_path_m,
+        (x, y, z),
+        len(mesh.triangles),
+        len(mesh.surfaces),
+        examination.closed,
+        examination.leak,
+        tuple(material_areas(mesh, materials).items()),
+        (*earlier, *bare, *examination.findings),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Point:
+    """A named position of a source or a receiver.
+
+    Attributes
+    ----------
+    name : str
+    position_m : float array, shape (3,)
+    position_sd_m : float or None
+        Standard deviation of each coordinate as told; None where nothing was told.
+    """
+
+    name: str
+    position_m: FloatArray
+    position_sd_m: float | None = None
+
+    def __post_init__(self) -> None:
+        position = float_array(
+            f"position of {self.name}", self.position_m, (3,), low=-1e6, high=1e6, unit="m"
+        )
+        object.__setattr__(self, "position_m", position)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scene:
+    """Everything that directs the sound, and nothing that absorbs it at walls.
+
+    Attributes
+    ----------
+    room : Room
+    sources, receivers : tuple of Point
+        Sources are omnidirectional with unit sound power.
+    pairs : int32 array, shape (n_pairs, 2)
+        Index of source and of receiver of each pair whose response is wanted.
+    air : Air
+    """
+
+    room: Room
+    sources: tuple[Point, ...]
+    receivers: tuple[Point, ...]
+    pairs: IntArray
+    air: Air
+
+    def __post_init__(self) -> None:
+        unique_names("source", (s.name for s in self.sources))
+        unique_names("receiver", (r.name for r in self.receivers))
+        pairs = int_array("pairs", self.pairs, (None, 2), low=0)
+        limits = (len(self.sources), len(self.receivers))
+        for column, high in enumerate(limits):
+            int_array("pair", pairs[:, column], (len(pairs),), low=0, high=high - 1)
+        object.__setattr__(self, "sources", tuple(self.sources))
+        object.__setattr__(self, "receivers", tuple(self.receivers))
+        object.__setattr__(self, "pairs", pairs)
+
+
+def distances_m(scene: Scene) -> FloatArray:
+    """Return the straight distance of every pair, shape (n_pairs,)."""
+    sources = np.array([s.position_m for s in scene.sources])
+    receivers = np.array([r.position_m for r in scene.receivers])
+    steps = receivers[scene.pairs[:, 1]] - sources[scene.pairs[:, 0]]
+    return np.asarray(np.linalg.norm(steps, axis=1))
+
+
+NEAREST_WALL_M = 0.01
+"""A point nearer to a wall than 1 cm counts as inside it; positions are seldom known better."""
+
+NEAREST_PAIR_M = 0.01
+
+
+def position_findings(
+    room: Room, sources: Sequence[Point], receivers: Sequence[Point]
+) -> tuple[Finding, ...]:
+    """Return a fault for each point outside the room or in a wall, and each pair at one place.
+
+    Pass the result to `roomfit.geometry.mesh.refuse` to have the first one raised.
+    """
+    named = [*(("source", p) for p in sources), *(("receiver", p) for p in receivers)]
+    if not named:
+        return ()
+    points = np.array([p.position_m for _, p in named])
+    inside = is_inside(room.mesh, points)
+    distance, triangle = nearest_triangles(room.mesh, points)
+    low, high = room.mesh.vertices_m.min(axis=0), room.mesh.vertices_m.max(axis=0)
+    found: list[Finding] = []
+    for i, (kind, point) in enumerate(named):
+        wall = room.mesh.surfaces[room.mesh.triangle_surface[triangle[i]]].name
+        if distance[i] < NEAREST_WALL_M:
+            found.append(_in_wall(f"{kind} {point.name!r}", point, wall, float(distance[i])))
+        elif not inside[i]:
+            found.append(_outside(f"{kind} {point.name!r}", point, wall, distance[i], low, high))
+    return (*found, *_coinciding(sources, receivers))
+
+
+def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:
+    return fault(
+        "position-in-wall",
+        f"{who} stands in a wall",
+        where=place(point.position_m),
+        found=f"{1e3 * distance_m:.1f} mm from surface {wall!r}",
+        needed=f"at least {1e3 * NEAREST_WALL_M:.0f} mm",
+        hint="move it to where it truly stood, in front of the wall",
+    )
+
+
+def _outside(
+    who: str, point: Point, wall: str, distance_m: float, low: FloatArray, high: FloatArray
+) -> Finding:
+    return fault(
+        "position-outside",
+        f"{who} stands outside the room",
+        where=place(point.position_m),
+        found=f"{distance_m:.3g} m from the nearest surface, {wall!r}",
+        needed=f"a place within the walls; the room reaches from {place(low)} to {place(high)}",
+        hint="check unit, up axis and origin of the room file against the positions",
+    )
+
+
+def _coinciding(sources: Sequence[Point], receivers: Sequence[Point]) -> list[Finding]:
+    found = []
+    for source in sources:
+        for receiver in receivers:
+            apart = float(np.linalg.norm(source.position_m - receiver.position_m))
+            if apart < NEAREST_PAIR_M:
+                found.append(
+                    fault(
+                        "source-at-receiver",
+                        f"source {source.name!r} stands where receiver {receiver.name!r} is",
+                        where=place(source.position_m),
+                        found=f"{1e3 * apart:.1f} mm apart",
+                        needed=f"at least {1e3 * NEAREST_PAIR_M:.0f} mm",
+                        hint="check the two positions",
+                    )
+                )
+    return found

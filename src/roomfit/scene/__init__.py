@@ -1,1 +1,0 @@
-"""What is simulated: a room with materials, sources, receivers and air."""

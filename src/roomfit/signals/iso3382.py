@@ -1,0 +1,423 @@
+"""Room parameters that somebody measured, and whether they can be true.
+
+Parameters of ISO 3382-1 of an echogram, with their derivative by the energy of every bin.
+
+One vector of derivatives a parameter serves three ends: with the derivative of the energies by an
+absorption it gives that of the parameter; with the scatter of the energies by interference, or
+from batch to batch of a trace, the scatter of the parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Literal, get_args
+
+import numpy as np
+
+from roomfit._checks import float_array
+from roomfit.errors import InputError
+from roomfit.findings import Finding, Severity
+from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, ParameterName, jnd_of
+from roomfit.typing import FloatArray
+
+ValueName = Literal[ParameterName, "G_dB"]
+VALUE_NAMES: tuple[ValueName, ...] = (*get_args(ParameterName), "G_dB")
+
+_DB = 10.0 / np.log(10.0)
+# The direct sound of a source of unit power at 10 m: the level to which G refers.
+_ENERGY_AT_10_M = 1.0 / (4.0 * np.pi * 100.0)
+_EARLY_S = {"C50_dB": 0.05, "C80_dB": 0.08, "D50_percent": 0.05}
+
+
+def value_gradients(
+    curve: DecayCurve, band: int, names: Sequence[ValueName]
+) -> tuple[FloatArray, FloatArray]:
+    """Return parameters of an echogram and their derivatives by the energies of its bins.
+
+    Parameters
+    ----------
+    curve : DecayCurve
+        From `roomfit.signals.decay.echogram_decay_curve`, for energies per square metre of a
+        source of unit power where G is asked for.
+    band : int
+    names : sequence of str
+        Of `VALUE_NAMES`.
+
+    Returns
+    -------
+    values : float array, shape (n_names,)
+        As `room_parameters` gives them. A decay that does not fall far enough within the echogram
+        is evaluated as far as it falls, where `room_parameters` refuses: a fit must be able to
+        come back from there. G is the level above that of the free field at 10 m.
+    gradients : float array, shape (n_names, n_bins)
+        Exact, with the instants at which the curve crosses -5 dB and the like moving along, and
+        with the energy that is added for the time after the echogram.
+
+    Raises
+    ------
+    InputError
+        An unknown name, or an echogram without energy.
+    """
+    total = float(curve.energy_left[band, 0])
+    if not total > 0.0:
+        raise InputError("an echogram without energy has no room parameters")
+    values = np.empty(len(names))
+    by_left = np.zeros((len(names), len(curve.time_s)))
+    for row, name in enumerate(names):
+        if name in FIT_RANGES_DB:
+            values[row], by_left[row] = _decay_time_s(curve, band, FIT_RANGES_DB[name])
+        elif name in _EARLY_S:
+            values[row], by_left[row] = _early(curve, band, name)
+        elif name == "G_dB":
+            values[row] = _DB * np.log(total / _ENERGY_AT_10_M)
+            by_left[row, 0] = _DB / total
+        elif name == "TS_ms":
+            values[row], by_left[row] = _centre_time_ms(curve, band)
+        else:
+            raise InputError(
+                "unknown room parameter", found=repr(name), needed=", ".join(VALUE_NAMES)
+            )
+    tail, tail_moment_s = _tail_gradients(curve, band)
+    # a bin counts at every boundary before it, and a little in what comes after the echogram
+    gradients = np.cumsum(by_left, axis=1)[:, :-1]
+    gradients += by_left.sum(axis=1)[:, None] * tail
+    for row in (i for i, name in enumerate(names) if name == "TS_ms"):
+        gradients[row] += 1000.0 / total * tail_moment_s
+    return values, gradients
+
+
+def _decay_time_s(
+    curve: DecayCurve, band: int, fit_range_db: tuple[float, float]
+) -> tuple[float, FloatArray]:
+    """Return a decay time and its derivative by the energy left at each boundary."""
+    time_s, left = curve.time_s, curve.energy_left[band]
+    level_db = np.maximum(_DB * np.log(np.maximum(left / left[0], 1e-30)), -300.0)
+    begin_s, by_begin = _crossing(time_s, level_db, fit_range_db[0], curve.onset_s)
+    end_s, by_end = _crossing(time_s, level_db, fit_range_db[1], curve.onset_s)
+    span_s = end_s - begin_s
+    if not span_s > 0.0:
+        # nothing falls after the onset: longer than the echogram, by any measure
+        return 60.0 * float(time_s[-1] - time_s[0]), np.zeros_like(left)
+    u = np.linspace(0.0, 1.0, POINTS_OF_A_FIT)
+    times = begin_s + span_s * u
+    i = np.clip(np.searchsorted(time_s, times, side="right") - 1, 0, len(time_s) - 2)
+    step_s = time_s[i + 1] - time_s[i]
+    share = (times - time_s[i]) / step_s
+    levels = (1.0 - share) * level_db[i] + share * level_db[i + 1]
+    fall = (level_db[i + 1] - level_db[i]) / step_s
+    weight = (u - 0.5) / (span_s * np.sum((u - 0.5) ** 2))
+    slope = float(weight @ levels)
+    if not slope < 0.0:
+        return 60.0 * float(time_s[-1] - time_s[0]), np.zeros_like(left)
+    by_level: FloatArray = np.zeros_like(left)
+    np.add.at(by_level, i, weight * (1.0 - share))
+    np.add.at(by_level, i + 1, weight * share)
+    # the range moves: its points climb along the curve, and its width divides the slope
+    along = weight * fall
+    by_level += float(along @ (1.0 - u) + slope / span_s) * by_begin
+    by_level += float(along @ u - slope / span_s) * by_end
+    by_left = _DB * by_level / np.maximum(left, 1e-30 * left[0])
+    by_left[0] -= _DB * float(by_level.sum()) / left[0]
+    return -60.0 / slope, 60.0 / slope**2 * by_left
+
+
+def _crossing(
+    time_s: FloatArray, level_db: FloatArray, depth_db: float, onset_s: float
+) -> tuple[float, FloatArray]:
+    """Return when the curve falls below a depth, and the derivative by its levels.
+
+    Not before the onset, and at the last boundary where it never falls so far: there the instant
+    stands still.
+    """
+    by_level = np.zeros_like(level_db)
+    below = np.flatnonzero(level_db < -depth_db)
+    if not below.size:
+        return float(time_s[-1]), by_level
+    i = int(below[0])
+    if i == 0:
+        return onset_s, by_level
+    fall = level_db[i - 1] - level_db[i]
+    share = (level_db[i - 1] + depth_db) / fall
+    step_s = time_s[i] - time_s[i - 1]
+    found_s = float(time_s[i - 1] + share * step_s)
+    if found_s <= onset_s:
+        return onset_s, by_level
+    by_level[i - 1] = (1.0 - share) * step_s / fall
+    by_level[i] = share * step_s / fall
+    return found_s, by_level
+
+
+def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
+    """Return C50 or C80 in dB, or D50 in percent, with its derivative by the energy left."""
+    left = curve.energy_left[band]
+    i, share = _place(curve.time_s, curve.onset_s + _EARLY_S[name])
+    weights: FloatArray = np.zeros_like(left)
+    weights[i : i + 2] = 1.0 - share, share
+    total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
+    if name == "D50_percent":
+        by_left = -100.0 / total * weights
+        by_left[0] += 100.0 * late / total**2
+        return 100.0 * (1.0 - late / total), by_left
+    # one part in 1e12 on either side keeps the logarithm where all is early, or all late
+    late = float(np.clip(late, 1e-12 * total, (1.0 - 1e-12) * total))
+    by_left = -_DB * total / (late * (total - late)) * weights
+    by_left[0] += _DB / (total - late)
+    return float(_DB * np.log(total / late - 1.0)), by_left
+
+
+def _centre_time_ms(curve: DecayCurve, band: int) -> tuple[float, FloatArray]:
+    """Return the centre time, with its derivative by the energy left (the tail's moment apart)."""
+    time_s, left = curve.time_s, curve.energy_left[band]
+    steps_s = np.diff(time_s)
+    weights = 0.5 * (np.append(steps_s, 0.0) + np.insert(steps_s, 0, 0.0))
+    moment = float(weights @ left) + float(left[-1] * curve.tail_time_constant_s[band])
+    total = float(left[0])
+    by_left = 1000.0 / total * weights
+    by_left[0] -= 1000.0 * moment / total**2
+    return 1000.0 * (moment / total - (curve.onset_s - float(time_s[0]))), by_left
+
+
+def _tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArray]:
+    """Return the derivatives of the tail's energy and of its moment by the energies of the bins.
+
+    The tail is ``last**2 / (before - last)`` of two equal stretches at the end of the echogram,
+    and its time constant ``step / ln(before / last)``.
+    """
+    edges = curve.time_s
+    tail, constant_s = float(curve.energy_left[band, -1]), float(curve.tail_time_constant_s[band])
+    if not (tail > 0.0 and constant_s > 0.0):
+        return np.zeros(len(edges) - 1), np.zeros(len(edges) - 1)
+    step_s = float(edges[-1] - edges[0]) / 6.0
+    r = np.exp(-step_s / constant_s)
+    last = tail * (1.0 - r) / r
+    before = last / r
+    after = [
+        np.clip((edges[1:] - at_s) / np.diff(edges), 0.0, 1.0)
+        for at_s in edges[-1] - step_s * np.array([2.0, 1.0])
+    ]
+    by_last, by_before = after[1], after[0] - after[1]
+    gap = before - last
+    by_tail = last * (2.0 * before - last) / gap**2 * by_last - (last / gap) ** 2 * by_before
+    by_constant = constant_s**2 / step_s * (by_last / last - by_before / before)
+    return by_tail, constant_s * by_tail + tail * by_constant
+
+
+def _place(time_s: FloatArray, at_s: float) -> tuple[int, float]:
+    """Return the boundary before an instant, and how far on the way to the next it lies, 0 to 1."""
+    i = int(np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2))
+    return i, float(np.clip((at_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
+
+
+# What a room can have. Churches and reverberation chambers stay below 15 s; a hand's breadth from
+# the source in a treated room C80 and G stay below 40 dB.
+POSSIBLE: dict[ValueName, tuple[float, float, str]] = {
+    "EDT_s": (0.01, 15.0, "s"),
+    "T20_s": (0.03, 15.0, "s"),
+    "T30_s": (0.03, 15.0, "s"),
+    "C50_dB": (-40.0, 40.0, "dB"),
+    "C80_dB": (-40.0, 40.0, "dB"),
+    "D50_percent": (0.0, 100.0, "%"),
+    "TS_ms": (0.1, 3000.0, "ms"),
+    "G_dB": (-40.0, 45.0, "dB"),
+}
+_USUAL_UNIT = {"s": "milliseconds", "ms": "seconds", "%": "a fraction of 1", "dB": "a ratio"}
+# T30 over T20, and EDT over either: beyond the first a doubt, beyond the second an error.
+_DECAY_RATIOS: dict[ValueName, tuple[float, float]] = {"T30_s": (1.35, 2.5), "EDT_s": (2.0, 8.0)}
+# D50 is C50 in other words. Means over teams or directions are taken of each by itself.
+_DOUBT_PERCENT, _ERROR_PERCENT = 5.0, 20.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredValues:
+    """What was measured between one source and one receiver.
+
+    Attributes
+    ----------
+    source, receiver : str
+    centres_hz : float array, shape (n_bands,)
+        Nominal centres, rising.
+    values : mapping of value name to float array, shape (n_bands,)
+        In the units that the names of `VALUE_NAMES` tell; NaN where unknown.
+    spread : mapping of value name to float array, shape (n_bands,)
+        Stated standard deviation; NaN where none was stated. Of no other names than `values`.
+    """
+
+    source: str
+    receiver: str
+    centres_hz: FloatArray
+    values: Mapping[ValueName, FloatArray]
+    spread: Mapping[ValueName, FloatArray]
+
+    def __post_init__(self) -> None:
+        centres = float_array("band centres", self.centres_hz, (None,), low=1.0, unit="Hz")
+        object.__setattr__(self, "centres_hz", centres)
+        for name in ("values", "spread"):
+            table = {}
+            for key, row in getattr(self, name).items():
+                if key not in VALUE_NAMES or key not in self.values:
+                    raise InputError(
+                        "unknown room parameter",
+                        where=f"{self.source} to {self.receiver}",
+                        found=repr(key),
+                        needed=", ".join(VALUE_NAMES),
+                    )
+                array = np.array(row, dtype=np.float64)
+                if array.shape != centres.shape:
+                    raise InputError(
+                        f"{key} has not one value a band",
+                        where=f"{self.source} to {self.receiver}",
+                        found=f"{array.size} values",
+                        needed=f"{centres.size}",
+                    )
+                array.setflags(write=False)
+                table[key] = array
+            object.__setattr__(self, name, MappingProxyType(table))
+
+
+def check_possible(name: ValueName, value: float, where: str) -> None:
+    """Refuse a value that no room has.
+
+    Raises
+    ------
+    InputError
+        Names the value, the limits and the mistake that is behind it most often.
+    """
+    low, high, unit = POSSIBLE[name]
+    if not low <= value <= high:
+        raise InputError(
+            "implausible room parameter",
+            where=where,
+            found=f"{_short(name)} of {value:g} {unit}",
+            needed=f"{low:g} to {high:g} {unit}",
+            hint=f"is it in {_USUAL_UNIT[unit]}, or in the wrong row? leave the cell empty where "
+            "it is not known",
+        )
+
+
+def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Finding, ...]:
+    """Return the doubts about values of one pair that do not go together.
+
+    Raises
+    ------
+    InputError
+        They cannot be of one response: C80 below C50, D50 of another C50, or decay times that
+        differ by a factor that no decay has.
+    """
+    doubts: list[tuple[float, str]] = []
+    for band, centre_hz in enumerate(measured.centres_hz):
+        at = f"{where}, {measured.source} to {measured.receiver} at {centre_hz:g} Hz"
+        known = {k: float(v[band]) for k, v in measured.values.items() if np.isfinite(v[band])}
+        for sentence in (*_energy_doubts(known, at), *_decay_doubts(known, at)):
+            doubts.append((float(centre_hz), sentence))
+    if not doubts:
+        return ()
+    bands = sorted({f for f, _ in doubts})
+    return (
+        Finding(
+            "parameters-doubtful",
+            "warning",
+            f"{where}, {measured.source} to {measured.receiver}: {len(doubts)} pairs of values do "
+            f"not go well together; the first: {doubts[0][1]} at {doubts[0][0]:g} Hz.",
+            {"bands_hz": bands, "doubts": [f"{f:g} Hz: {s}" for f, s in doubts]},
+        ),
+    )
+
+
+def joined_values(
+    repeated: tuple[MeasuredValues, ...],
+) -> tuple[MeasuredValues, tuple[Finding, ...]]:
+    """Return several measurements of one pair as one, and a finding where they differ.
+
+    The mean of what is known. Their spread is what is stated or half of the range between them,
+    whichever is larger: a pair that was measured twice with different results is less sure.
+
+    Parameters
+    ----------
+    repeated : tuple of MeasuredValues
+        Of one pair and with the same bands, at least one.
+    """
+    first = repeated[0]
+    if len(repeated) == 1:
+        return first, ()
+    names = list(dict.fromkeys(name for m in repeated for name in m.values))
+    values: dict[ValueName, FloatArray] = {}
+    spread: dict[ValueName, FloatArray] = {}
+    worst: tuple[float, str, float] = (0.0, "", 0.0)
+    for name in names:
+        empty = np.full(first.centres_hz.size, np.nan)
+        rows = np.array([m.values.get(name, empty) for m in repeated])
+        stated = np.array([m.spread.get(name, empty) for m in repeated])
+        values[name], half = empty.copy(), empty.copy()
+        for band in np.flatnonzero(np.isfinite(rows).any(axis=0)):
+            seen = rows[np.isfinite(rows[:, band]), band]
+            values[name][band] = seen.mean()
+            half[band] = 0.5 * np.ptp(seen) if seen.size > 1 else np.nan
+            apart = float(np.ptp(seen) / jnd_of(name, np.abs(seen.mean())))
+            if apart > worst[0]:
+                worst = (apart, name, float(first.centres_hz[band]))
+        candidates = np.vstack((stated, half[None]))
+        spread[name] = np.fmax.reduce(candidates, axis=0)
+    joined = MeasuredValues(first.source, first.receiver, first.centres_hz, values, spread)
+    apart, worst_name, centre_hz = worst
+    if apart == 0.0:
+        return joined, ()
+    sentence = (
+        f"{first.source} to {first.receiver} was measured {len(repeated)} times with different "
+        f"results, {_short(worst_name)} at {centre_hz:g} Hz by {apart:.1f} just noticeable "
+        "differences. Their mean is used, and half of the difference as its spread."
+    )
+    severity: Severity = "warning" if apart > 1.0 else "info"
+    evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
+    return joined, (Finding("pair-measured-twice", severity, sentence, evidence),)
+
+
+def _energy_doubts(known: dict[ValueName, float], at: str) -> list[str]:
+    if "C80_dB" in known and "C50_dB" in known and known["C80_dB"] < known["C50_dB"]:
+        raise _contradiction(
+            at,
+            f"C80 of {known['C80_dB']:g} dB and C50 of {known['C50_dB']:g} dB",
+            "C80 at least as large as C50: what is early within 50 ms is early within 80 ms",
+        )
+    if "C50_dB" not in known or "D50_percent" not in known:
+        return []
+    expected = 100.0 / (1.0 + 10.0 ** (-0.1 * known["C50_dB"]))
+    told = f"D50 of {known['D50_percent']:g} % beside C50 of {known['C50_dB']:g} dB"
+    off = abs(expected - known["D50_percent"])
+    if off > _ERROR_PERCENT:
+        raise _contradiction(at, told, f"D50 near {expected:.0f} %, which is that C50")
+    return [told] if off > _DOUBT_PERCENT else []
+
+
+def _decay_doubts(known: dict[ValueName, float], at: str) -> list[str]:
+    times: tuple[ValueName, ...] = ("T20_s", "T30_s")
+    reference = next((n for n in times if n in known), None)
+    doubts: list[str] = []
+    if reference is None:
+        return doubts
+    for name, (doubt, error) in _DECAY_RATIOS.items():
+        value = known.get(name)
+        if value is None or name == reference:
+            continue
+        told = f"{_short(name)} of {value:g} s beside {_short(reference)} of {known[reference]:g} s"
+        ratio = max(value / known[reference], known[reference] / value)
+        if ratio > error:
+            raise _contradiction(at, told, f"times that differ by less than {error:g} times")
+        if ratio > doubt:
+            doubts.append(told)
+    return doubts
+
+
+def _contradiction(at: str, found: str, needed: str) -> InputError:
+    return InputError(
+        "room parameters that contradict each other",
+        where=at,
+        found=found,
+        needed=needed,
+        hint="check units and rows; leave a cell empty where the value is not sure",
+    )
+
+
+def _short(name: str) -> str:
+    return name.split("_")[0]

@@ -1,0 +1,593 @@
+"""Downhill simplex, by equations (2) to (7) of Suh (2001).
+
+Where that text is incomplete or unusual, this is what is done here:
+
+- A failed contraction: the paper is silent. The simplex shrinks to half its size towards its lowest
+  vertex, as Nelder and Mead (1965) have it.
+- The order of operations: as printed, every reflection below the highest vertex is taken, and the
+  expansion is tried only where the reflection has *failed*, which doubles a step in a direction
+  that has just proved wrong. Nelder and Mead expand where the reflection is the best point so far,
+  and contract where it is no better than the second highest. Both are offered; theirs is the
+  default.
+- Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
+  the wall instead would flatten the simplex into the wall, out of which no reflection leads.
+- Test (7) asks for a small *relative* difference. Where the lowest error is 0, as with data made
+  by the model itself, it is met only when rounding ends all differences; a simplex too small for
+  further change in any coordinate therefore ends the search under either test.
+
+References
+----------
+.. [1] J. S. Suh, "In-situ determination of absorption coefficients in a room" (2001).
+.. [2] J. A. Nelder, R. Mead, "A simplex method for function minimization", Computer Journal 7,
+       308-313 (1965).
+
+Simulated annealing combined with the downhill simplex, after Suh (2001), (8) to (10).
+
+The paper gives the rule of acceptance and the schedule (a start of, for example, 1e6, times 0.9)
+and leaves open how the two methods are combined, how a next state is proposed, how many trials a
+temperature gets and where the schedule ends. The choices here:
+
+- A next state is the current one plus an even random step in every coordinate, mirrored at the
+  walls of the box. The largest step grows where more than six trials in ten are accepted and
+  shrinks where fewer than four are (Corana et al. 1987), so that it follows the temperature;
+  every fifth step may still be as long as half the box, for a walk of short steps alone never
+  leaves a valley before it has cooled.
+- Each temperature gets a fixed number of trials for every unknown.
+- The start temperature is the spread of the error over random points unless it is given: 1e6 is
+  only right for errors of about that size.
+- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
+  quarter of the schedule (a cold walk may have settled in the wrong one of two valleys that it
+  crossed while warm), and the lowest goes on with fresh edges from its own answer until that gains
+  nothing more. (A simplex that has lost its shape stops short in more than four or five
+  dimensions; fresh edges cure that.)
+
+References
+----------
+.. [1] N. Metropolis et al., "Equation of state calculations by fast computing machines", J. Chem.
+       Phys. 21, 1087-1092 (1953).
+.. [2] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
+       'simulated annealing' algorithm", ACM Trans. Math. Softw. 13, 262-280 (1987).
+
+What every search hands back: where it ended, how much it cost, and how it ended.
+"""
+
+from __future__ import annotations
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal, NamedTuple, TypeAlias
+
+import numpy as np
+
+from roomfit._checks import float_array
+from roomfit.errors import InputError
+from roomfit.typing import FloatArray, Progress
+
+ErrorFunction: TypeAlias = Callable[[FloatArray], float]
+"""Error of one point of the unit box, shape (n,); lower is better."""
+
+
+@dataclass(frozen=True, slots=True)
+class Ending:
+    """How a search ended.
+
+    Attributes
+    ----------
+    code : str
+        Short and stable, in kebab case, for programs.
+    sentence : str
+        For a person: what happened and, where it did not go well, what to do.
+    converged : bool
+        Whether the search met its own test; it may still sit in a local minimum.
+    """
+
+    code: str
+    sentence: str
+    converged: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Fit:
+    """Where a search ended.
+
+    Attributes
+    ----------
+    x : float array, shape (n,)
+        Best point found, within the unit box.
+    cost : float
+        Error there.
+    evaluations : int
+        How often the error was computed, with or without its derivative.
+    iterations : int
+        Steps of the method, in its own sense.
+    ending : Ending
+    trail : float array, shape (n_visited, n)
+        Points at which the search stood, in order; what "stood" means, each method says.
+    trail_cost : float array, shape (n_visited,)
+    """
+
+    x: FloatArray
+    cost: float
+    evaluations: int
+    iterations: int
+    ending: Ending
+    trail: FloatArray
+    trail_cost: FloatArray
+
+    def __post_init__(self) -> None:
+        x = float_array("answer", self.x, (None,), low=0.0, high=1.0)
+        object.__setattr__(self, "x", x)
+        object.__setattr__(self, "trail", float_array("trail", self.trail, (None, x.size)))
+        cost = float_array("errors of the trail", self.trail_cost, (len(self.trail),))
+        object.__setattr__(self, "trail_cost", cost)
+
+
+class Counted:
+    """An error function that counts its calls and is infinite outside the unit box.
+
+    A point outside costs nothing, because nothing is computed there.
+    """
+
+    def __init__(self, error: ErrorFunction) -> None:
+        self._error = error
+        self.evaluations = 0
+
+    def __call__(self, x: FloatArray) -> float:
+        if x.min() < 0.0 or x.max() > 1.0:
+            return np.inf
+        self.evaluations += 1
+        return float(self._error(x))
+
+
+def best_of(fits: Sequence[Fit]) -> Fit:
+    """Return the fit of lowest cost with the work and the trails of all."""
+    best = min(fits, key=lambda fit: fit.cost)
+    return Fit(
+        best.x,
+        best.cost,
+        sum(fit.evaluations for fit in fits),
+        sum(fit.iterations for fit in fits),
+        best.ending,
+        np.concatenate([fit.trail for fit in fits]),
+        np.concatenate([fit.trail_cost for fit in fits]),
+    )
+
+
+Order = Literal["nelder-mead", "as-printed"]
+ConvergenceTest = Literal["spread", "fraction"]
+
+# Below this extent the error no longer changes by more than its own rounding.
+_COLLAPSED = 1e-11
+
+
+@dataclass(frozen=True, slots=True)
+class SimplexSettings:
+    """How the simplex moves and when it stops.
+
+    Attributes
+    ----------
+    order : {"nelder-mead", "as-printed"}
+        Which operation is tried when; see the module's text.
+    test : {"spread", "fraction"}
+        Equation (6), root mean square difference from the error at the centroid, in the unit of
+        the error (one more evaluation a step); or equation (7), relative difference of highest and
+        lowest.
+    tolerance : float
+        tau of either test.
+    reflection, expansion, contraction, shrinkage : float
+        alpha in (0, 1], gamma > 1, beta in (0, 1), and the factor after a failed contraction.
+    max_evaluations : int
+    """
+
+    order: Order = "nelder-mead"
+    test: ConvergenceTest = "spread"
+    tolerance: float = 1e-6
+    reflection: float = 1.0
+    expansion: float = 2.0
+    contraction: float = 0.5
+    shrinkage: float = 0.5
+    max_evaluations: int = 20_000
+
+    def __post_init__(self) -> None:
+        if self.order not in ("nelder-mead", "as-printed"):
+            raise InputError("unknown order of simplex operations", found=repr(self.order))
+        if self.test not in ("spread", "fraction"):
+            raise InputError("unknown convergence test", found=repr(self.test))
+        ranges = (
+            ("reflection", 0.0 < self.reflection <= 1.0, "above 0, at most 1"),
+            ("expansion", self.expansion > 1.0, "above 1"),
+            ("contraction", 0.0 < self.contraction < 1.0, "between 0 and 1"),
+            ("shrinkage", 0.0 < self.shrinkage < 1.0, "between 0 and 1"),
+            ("tolerance", self.tolerance > 0.0, "above 0"),
+            ("max_evaluations", self.max_evaluations >= 1, "at least 1"),
+        )
+        for name, holds, needed in ranges:
+            if not holds:
+                raise InputError(
+                    "simplex setting is out of range",
+                    where=name,
+                    found=f"{getattr(self, name):g}",
+                    needed=needed,
+                )
+
+
+@dataclass(slots=True)
+class Simplex:
+    """The vertices and their errors, lowest first; the state of a search.
+
+    Attributes
+    ----------
+    vertices : float array, shape (n + 1, n)
+    errors : float array, shape (n + 1,)
+    """
+
+    vertices: FloatArray
+    errors: FloatArray
+
+    def sort(self) -> None:
+        """Bring the lowest vertex to the front and the highest to the end."""
+        order = np.argsort(self.errors, kind="stable")
+        self.vertices, self.errors = self.vertices[order], self.errors[order]
+
+    def replace_highest(self, x: FloatArray, error: float) -> None:
+        """Put a new vertex in the place of the highest."""
+        self.vertices[-1], self.errors[-1] = x, error
+
+
+def downhill_simplex(
+    error: ErrorFunction, start: FloatArray, settings: SimplexSettings | None = None
+) -> Fit:
+    """Move a simplex downhill until its vertices agree.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    start : float array, shape (n + 1, n)
+        Vertices of the first simplex, within the unit box, not all in one plane.
+    settings : SimplexSettings, optional
+
+    Returns
+    -------
+    Fit
+        The trail holds the lowest vertex of every simplex, as Table 2 of the paper does.
+    """
+    settings = SimplexSettings() if settings is None else settings
+    n = np.shape(start)[-1]
+    vertices = np.array(float_array("simplex", start, (n + 1, n), low=0.0, high=1.0))
+    counted = Counted(error)
+    state = Simplex(vertices, np.array([counted(v) for v in vertices]))
+    state.sort()
+    trail, costs = [state.vertices[0].copy()], [state.errors[0]]
+    ending = _ending(state, counted, settings)
+    while ending is None:
+        move_once(state, counted, settings)
+        trail.append(state.vertices[0].copy())
+        costs.append(state.errors[0])
+        ending = _ending(state, counted, settings)
+    return Fit(
+        state.vertices[0],
+        float(state.errors[0]),
+        counted.evaluations,
+        len(trail) - 1,
+        ending,
+        np.array(trail),
+        np.array(costs),
+    )
+
+
+def move_once(state: Simplex, error: ErrorFunction, settings: SimplexSettings) -> None:
+    """Replace the highest vertex of a sorted simplex by a lower point, or shrink; sort again."""
+    centroid = state.vertices[:-1].mean(axis=0)  # (2)
+    if settings.order == "as-printed":
+        _move_as_printed(state, error, settings, centroid)
+    else:
+        _move_nelder_mead(state, error, settings, centroid)
+    state.sort()
+
+
+def simplex_around(x: FloatArray, size: float) -> FloatArray:
+    """Return a simplex with one vertex at `x` and its n edges along the axes.
+
+    Parameters
+    ----------
+    x : float array, shape (n,)
+        Within the unit box.
+    size : float
+        Length of each edge, at most 0.5; the edge points to the farther wall.
+
+    Returns
+    -------
+    float array, shape (n + 1, n)
+    """
+    edges = np.diag(np.where(x <= 0.5, size, -size))
+    return np.concatenate((x[None, :], x + edges))
+
+
+def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
+    """Return a simplex with edges of 0.3 at a place drawn evenly from the unit box, (n + 1, n)."""
+    return simplex_around(rng.random(n), 0.3)
+
+
+def _move_nelder_mead(
+    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
+) -> None:
+    away = centroid - state.vertices[-1]
+    x_r = centroid + settings.reflection * away  # (3)
+    e_r = error(x_r)
+    if e_r < state.errors[0]:
+        x_e = centroid + settings.expansion * away  # (4)
+        e_e = error(x_e)
+        state.replace_highest(*((x_e, e_e) if e_e < e_r else (x_r, e_r)))
+        return
+    if e_r < state.errors[-2]:
+        state.replace_highest(x_r, e_r)
+        return
+    if e_r < state.errors[-1]:
+        state.replace_highest(x_r, e_r)
+    _contract(state, error, settings, centroid)
+
+
+def _move_as_printed(
+    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
+) -> None:
+    away = centroid - state.vertices[-1]
+    for factor in (settings.reflection, settings.expansion):  # (3), then (4)
+        x = centroid + factor * away
+        e = error(x)
+        if e < state.errors[-1]:
+            state.replace_highest(x, e)
+            return
+    _contract(state, error, settings, centroid)
+
+
+def _contract(
+    state: Simplex, error: ErrorFunction, settings: SimplexSettings, centroid: FloatArray
+) -> None:
+    x_c = centroid + settings.contraction * (state.vertices[-1] - centroid)  # (5)
+    e_c = error(x_c)
+    if e_c < state.errors[-1]:
+        state.replace_highest(x_c, e_c)
+        return
+    lowest = state.vertices[0]
+    state.vertices[1:] = lowest + settings.shrinkage * (state.vertices[1:] - lowest)
+    state.errors[1:] = [error(v) for v in state.vertices[1:]]
+
+
+def spread(state: Simplex, error: ErrorFunction) -> float:
+    """Return the left side of equation (6): rms difference from the error at the centroid.
+
+    The centroid tells a small simplex from one that lies evenly across a minimum.
+    """
+    at_centroid = error(state.vertices[:-1].mean(axis=0))
+    return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))
+
+
+def fraction(state: Simplex) -> float:
+    """Return the left side of equation (7): (highest - lowest) / highest; 0 where both are 0."""
+    highest, lowest = float(state.errors[-1]), float(state.errors[0])
+    return (highest - lowest) / highest if highest != lowest else 0.0
+
+
+def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
+    tests: dict[ConvergenceTest, Callable[[], float]] = {
+        "spread": lambda: spread(state, counted),
+        "fraction": lambda: fraction(state),
+    }
+    if tests[settings.test]() <= settings.tolerance:
+        number = {"spread": 6, "fraction": 7}[settings.test]
+        return Ending(
+            "simplex-converged",
+            f"The simplex met test ({number}) with tolerance {settings.tolerance:g}. It may be a "
+            "local minimum: start again elsewhere and compare.",
+            converged=True,
+        )
+    if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
+        return Ending(
+            "simplex-collapsed",
+            "The simplex became too small to change before the test was met, as happens with "
+            "test (7) where the lowest error is 0; the point is as exact as numbers allow.",
+            converged=True,
+        )
+    if counted.evaluations >= settings.max_evaluations:
+        return Ending(
+            "evaluations-used-up",
+            f"The simplex still moved after {counted.evaluations} evaluations: start again from "
+            "its best point with a fresh simplex, or use least squares.",
+            converged=False,
+        )
+    return None
+
+
+_SMALLEST_STEP, _LARGEST_STEP = 1e-3, 0.5
+_LONG_EVERY = 5
+_EDGE = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class AnnealingSettings:
+    """Schedule of temperatures, and the simplex that follows.
+
+    Attributes
+    ----------
+    start_temperature : float or None
+        In the unit of the error; None takes the spread of the error over random points.
+    cooling : float
+        Factor from one temperature to the next.
+    levels : int
+        How many temperatures.
+    trials_per_unknown : int
+        Trials at each temperature for every unknown.
+    simplex : SimplexSettings
+    max_restarts : int
+        How often the simplex may start again from its own answer.
+    """
+
+    start_temperature: float | None = None
+    cooling: float = 0.9
+    levels: int = 60
+    trials_per_unknown: int = 10
+    simplex: SimplexSettings = field(default_factory=SimplexSettings)
+    max_restarts: int = 10
+
+    def __post_init__(self) -> None:
+        ranges = (
+            ("start_temperature", self.start_temperature is None or self.start_temperature > 0.0),
+            ("cooling", 0.0 < self.cooling < 1.0),
+            ("levels", self.levels >= 1),
+            ("trials_per_unknown", self.trials_per_unknown >= 1),
+            ("max_restarts", self.max_restarts >= 0),
+        )
+        for name, holds in ranges:
+            if not holds:
+                raise InputError(
+                    "annealing setting is out of range",
+                    where=name,
+                    found=f"{getattr(self, name):g}",
+                    needed="a factor between 0 and 1" if name == "cooling" else "a positive number",
+                )
+
+
+def accepts(change: float, temperature: float, rng: np.random.Generator) -> bool:
+    """Return whether a step that changes the error by `change` is taken, by equation (10).
+
+    ``T log(random) < -(E_n - E_c)``: always where the error falls, and with probability
+    ``exp(-change / T)`` where it rises.
+    """
+    # 1 - random lies in (0, 1], whose logarithm is finite
+    return temperature * math.log(1.0 - rng.random()) < -change
+
+
+def anneal(
+    error: ErrorFunction,
+    n: int,
+    rng: np.random.Generator,
+    settings: AnnealingSettings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> Fit:
+    """Walk the unit box while it cools, then go downhill from the best point met.
+
+    Parameters
+    ----------
+    error : callable
+        Takes a point of the unit box, shape (n,).
+    n : int
+        Number of unknowns.
+    rng : numpy.random.Generator
+    settings : AnnealingSettings, optional
+
+    Returns
+    -------
+    Fit
+        The trail holds the state at the end of each temperature, then the simplexes' own trails.
+    """
+    settings = AnnealingSettings() if settings is None else settings
+    counted = Counted(error)
+    walk = _walk(counted, n, rng, settings, progress)
+    polished = _polish(error, _lowest_of_quarters(walk), settings)
+    if progress is not None:
+        progress(1.0)
+    return Fit(
+        polished.x,
+        polished.cost,
+        counted.evaluations + polished.evaluations,
+        settings.levels * settings.trials_per_unknown * n + polished.iterations,
+        polished.ending,
+        np.concatenate(([level.x for level in walk], polished.trail)),
+        np.concatenate(([level.error for level in walk], polished.trail_cost)),
+    )
+
+
+class _Level(NamedTuple):
+    """State at the end of a temperature, the lowest met there, and the share of accepted trials."""
+
+    x: FloatArray
+    error: float
+    lowest_x: FloatArray
+    lowest_error: float
+    accepted: float
+
+
+def _walk(
+    error: Counted,
+    n: int,
+    rng: np.random.Generator,
+    settings: AnnealingSettings,
+    progress: Progress | None,
+) -> list[_Level]:
+    samples = rng.random((10 * n, n))
+    errors = np.array([error(x) for x in samples])
+    temperature = settings.start_temperature or max(float(np.std(errors)), np.finfo(float).tiny)
+    start = int(np.argmin(errors))
+    x, e, step = samples[start], float(errors[start]), _LARGEST_STEP
+    levels: list[_Level] = []
+    for number in range(settings.levels):
+        proposals = rng.uniform(-step, step, (settings.trials_per_unknown * n, n))
+        proposals[::_LONG_EVERY] *= _LARGEST_STEP / step
+        level = _walk_at(error, x, e, temperature, proposals, rng)
+        levels.append(level)
+        x, e = level.x, level.error
+        step = _next_step(step, level.accepted)
+        temperature *= settings.cooling
+        if progress is not None:
+            progress((number + 1) / (settings.levels + 1))
+    return levels
+
+
+def _walk_at(
+    error: Counted,
+    x: FloatArray,
+    e: float,
+    temperature: float,
+    proposals: FloatArray,
+    rng: np.random.Generator,
+) -> _Level:
+    """Walk at one temperature; `proposals` are the steps to try, shape (n_trials, n)."""
+    lowest_x, lowest = x, e
+    accepted = 0
+    for proposal in proposals:
+        next_x = _mirrored(x + proposal)
+        next_e = error(next_x)
+        if accepts(next_e - e, temperature, rng):
+            x, e = next_x, next_e
+            accepted += 1
+            if e < lowest:
+                lowest_x, lowest = x, e
+    return _Level(x, e, lowest_x, lowest, accepted / len(proposals))
+
+
+def _lowest_of_quarters(walk: list[_Level]) -> list[FloatArray]:
+    """Return the lowest state of each quarter of the schedule."""
+    bounds = np.linspace(0, len(walk), 5).round().astype(int)
+    quarters = [walk[a:b] for a, b in itertools.pairwise(bounds) if b > a]
+    return [min(quarter, key=lambda level: level.lowest_error).lowest_x for quarter in quarters]
+
+
+def _polish(error: ErrorFunction, starts: list[FloatArray], settings: AnnealingSettings) -> Fit:
+    """Descend from every start, and from the lowest end again until that gains nothing more."""
+    fits = [downhill_simplex(error, simplex_around(x, _EDGE), settings.simplex) for x in starts]
+    edge = _EDGE
+    for _ in range(settings.max_restarts):
+        last = best_of(fits)
+        edge *= 0.5
+        again = downhill_simplex(error, simplex_around(last.x, edge), settings.simplex)
+        fits.append(again)
+        if last.cost - again.cost <= settings.simplex.tolerance:
+            break
+    return best_of(fits)
+
+
+def _mirrored(x: FloatArray) -> FloatArray:
+    """Fold a point at most half a box outside back through the wall it left."""
+    return np.asarray(1.0 - np.abs(1.0 - np.abs(x)))
+
+
+def _next_step(step: float, accepted: float) -> float:
+    if accepted > 0.6:
+        step *= 1.5
+    elif accepted < 0.4:
+        step /= 1.5
+    return min(max(step, _SMALLEST_STEP), _LARGEST_STEP)

@@ -1,0 +1,197 @@
+"""An error function over its box: values on a grid, minima of that grid, and the true minima.
+
+A grid's minimum need not be one of the function: where a narrow valley runs askew to the grid, the
+points next to it alternate between its floor and its flanks, and a point of the grid may lie below
+its neighbours although the valley falls all the way. Only descents tell.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit.solvers.least_squares import ResidualFunction
+from roomfit.solvers.search import ErrorFunction
+from roomfit.typing import FloatArray
+
+Neighbours = Literal[4, 8]
+
+_SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_DAMPINGS = 10.0 ** np.arange(-9.0, 0.0, 0.5)
+_CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minima:
+    """Distinct ends of descents, lowest error first.
+
+    Attributes
+    ----------
+    x : float array, shape (n_minima, n)
+    error : float array, shape (n_minima,)
+    descents : tuple of int, n_minima long
+        How many descents ended there.
+    """
+
+    x: FloatArray
+    error: FloatArray
+    descents: tuple[int, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landscape:
+    """An error function of two unknowns as a grid shows it, and as it is.
+
+    Attributes
+    ----------
+    grid : float array, shape (n_points,)
+    errors : float array, shape (n_points, n_points)
+        First unknown along the first axis.
+    four_neighbours, eight_neighbours : tuple of (float, float)
+        Minima of the grid, lowest first.
+    minima : Minima
+        Where descents from every grid point end.
+    """
+
+    grid: FloatArray
+    errors: FloatArray
+    four_neighbours: tuple[tuple[float, float], ...]
+    eight_neighbours: tuple[tuple[float, float], ...]
+    minima: Minima
+
+
+def landscape(error: ErrorFunction, residuals: ResidualFunction, n_points: int = 21) -> Landscape:
+    """Return the grid, its minima and the true minima of an error function of two unknowns.
+
+    Parameters
+    ----------
+    error : callable
+        Sum of the squares of what `residuals` returns.
+    residuals : callable
+    n_points : int
+        Along each axis; 21 is the paper's grid.
+    """
+    grid = unit_grid(n_points)
+    errors = grid_errors(error, grid)
+    starts = np.array([(a, b) for a in grid for b in grid])
+    return Landscape(
+        grid,
+        errors,
+        grid_minima(errors, grid, 4),
+        grid_minima(errors, grid, 8),
+        minima_of_descents(residuals, starts),
+    )
+
+
+def unit_grid(n_points: int = 21) -> FloatArray:
+    """Return the points 0 to 1 of one axis, by default in the paper's steps of 0.05."""
+    return np.arange(n_points) / (n_points - 1)
+
+
+def grid_errors(error: ErrorFunction, grid: FloatArray) -> FloatArray:
+    """Return the error of two unknowns on a square grid, the first unknown along the first axis."""
+    return np.array([[error(np.array([a, b])) for b in grid] for a in grid])
+
+
+def grid_minima(
+    errors: FloatArray, grid: FloatArray, neighbours: Neighbours
+) -> tuple[tuple[float, float], ...]:
+    """Return the grid points that lie below all their neighbours, lowest first.
+
+    Parameters
+    ----------
+    errors : float array, shape (n_points, n_points)
+    grid : float array, shape (n_points,)
+    neighbours : {4, 8}
+        Those along the axes, or the diagonal ones as well. Beyond the wall there are none.
+    """
+    n = len(grid)
+    walled = np.pad(errors, 1, constant_values=np.inf)
+    below = np.ones_like(errors, dtype=np.bool_)
+    for i, j in _SIDES if neighbours == 4 else _SIDES + _CORNERS:
+        below &= errors < walled[1 + i : 1 + i + n, 1 + j : 1 + j + n]
+    found = sorted(np.argwhere(below).tolist(), key=lambda index: errors[index[0], index[1]])
+    return tuple((float(grid[i]), float(grid[j])) for i, j in found)
+
+
+def minima_of_descents(
+    residuals: ResidualFunction, starts: FloatArray, *, apart: float = 0.005
+) -> Minima:
+    """Return where descents from all starts end, ends nearer than `apart` as one.
+
+    Parameters
+    ----------
+    residuals : callable
+    starts : float array, shape (n_starts, n)
+    apart : float
+        Largest difference in any unknown between ends that count as one.
+    """
+    ends = sorted((descend(residuals, start) for start in starts), key=lambda end: end[1])
+    kept: list[tuple[FloatArray, float]] = []
+    counts: list[int] = []
+    for x, error in ends:
+        near = [i for i, (other, _) in enumerate(kept) if np.max(np.abs(other - x)) <= apart]
+        if near:
+            counts[near[0]] += 1
+        else:
+            kept.append((x, error))
+            counts.append(1)
+    return Minima(
+        np.array([x for x, _ in kept]), np.array([error for _, error in kept]), tuple(counts)
+    )
+
+
+def descend(
+    residuals: ResidualFunction,
+    start: FloatArray,
+    *,
+    longest_step: float = 0.02,
+    max_steps: int = 2000,
+) -> tuple[FloatArray, float]:
+    """Return the foot of the slope on which a point lies, and the error there.
+
+    Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than
+    `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it is to
+    tell how many minima there are.
+
+    Parameters
+    ----------
+    residuals : callable
+    start : float array, shape (n,)
+        Taken into the box by 0.001 where it lies on a wall: a black wall (absorption 1) has no
+        slope by any path that meets it twice.
+    """
+    x = np.clip(start, 1e-3, 1.0 - 1e-3)
+    r, jacobian = residuals(x)
+    longest = longest_step
+    for _ in range(max_steps):
+        trial = np.clip(x + _damped_step(x, r, jacobian, longest), 0.0, 1.0)
+        if np.max(np.abs(trial - x)) < 1e-10:
+            break
+        trial_r, trial_jacobian = residuals(trial)
+        if trial_r @ trial_r < r @ r:
+            x, r, jacobian = trial, trial_r, trial_jacobian
+            longest = min(2.0 * longest, longest_step)
+        else:
+            longest = 0.25 * float(np.max(np.abs(trial - x)))
+    return x, float(r @ r)
+
+
+def _damped_step(x: FloatArray, r: FloatArray, jacobian: FloatArray, longest: float) -> FloatArray:
+    """Return a step damped until it is short enough, in the unknowns that no wall holds."""
+    slope = jacobian.T @ r
+    free = ~(((x <= 0.0) & (slope > 0.0)) | ((x >= 1.0) & (slope < 0.0)))
+    step = np.zeros_like(x)
+    if not np.any(slope[free]):
+        return step
+    curvature, axes = np.linalg.eigh(jacobian[:, free].T @ jacobian[:, free])
+    along = axes.T @ slope[free]
+    # the last damping is enough for any slope
+    enough = np.linalg.norm(along) / longest
+    damping = np.append(max(curvature[-1], enough) * _DAMPINGS, enough)
+    steps = -(along / (np.maximum(curvature, 0.0) + damping[:, None])) @ axes.T
+    short_enough = np.abs(steps).max(axis=1) <= longest
+    step[free] = steps[int(np.argmax(short_enough))]
+    return step

@@ -1,1 +1,0 @@
-"""Rooms whose truth is known, for tests and for users."""

@@ -1,0 +1,614 @@
+"""Image sources of a scene as paths: the lattice for boxes, a tree of beams for the rest.
+
+How far image sources pay: their number beforehand, and the time that a budget of work buys.
+
+Image sources of any room of flat walls, convex or not, with sheets in it or not.
+
+Image sources of a box: a lattice, every image of which is visible from everywhere.
+"""
+
+from __future__ import annotations
+
+import math
+from concurrent.futures import ThreadPoolExecutor
+from typing import NamedTuple
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.errors import InputError
+from roomfit.geometry.mesh import area_vectors_m2, surface_area_m2, volume_m3
+from roomfit.materials.priors import Scattering, coefficients_in_order
+from roomfit.scene import Room, Scene, distances_m, triangle_material
+from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
+from roomfit.tracing.paths import (
+    ImageSet,
+    Paths,
+    Reflections,
+    reflections_in_order,
+    unfolded_normals,
+)
+from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
+from roomfit.typing import FloatArray, IntArray, Progress
+
+# Bytes that a kept image and a kept hit take, growing and in the sets made of them.
+_BYTES = 400
+# Walls held against beams; some ten minutes on one core.
+WORK_LIMIT = 5e9
+
+
+def polyhedron_images(
+    room: Room,
+    source_m: FloatArray,
+    receivers_m: FloatArray,
+    order: int,
+    max_length_m: float,
+    *,
+    with_reflections: bool = False,
+    with_unfolding: bool = False,
+    mirrors: tuple[Walls, Blockers] | None = None,
+    memory_limit_bytes: float = 4 * 2**30,
+    work_limit: float = WORK_LIMIT,
+) -> list[ImageSet]:
+    """Return for each receiver the visible images of a source, by one tree of beams for all.
+
+    An image counts where every reflection point lies on its wall and nothing stands between.
+    Lengths, hits and angles are exact. In a room of few walls all images within some ten mean free
+    paths are a matter of seconds; in a room of thousands of walls, order 1 or 2, see
+    `roomfit.tracing.image_sources`.
+
+    Parameters
+    ----------
+    room : Room
+    source_m : float array, shape (3,)
+    receivers_m : float array, shape (n_receivers, 3)
+    order : int
+        Most hits of a path, 0 or more.
+    max_length_m : float
+    with_reflections, with_unfolding : bool
+        Return the ordered hits with the normals of their walls, and the product of the
+        reflections, as well.
+    mirrors : tuple of Walls and Blockers, optional
+        From `mirrors_of`, where several sources share a room of thousands of walls.
+    memory_limit_bytes : float
+    work_limit : float
+        Most walls to hold against beams.
+
+    Raises
+    ------
+    InputError
+        The images pass the memory limit, or the search for them that of the work.
+
+    Notes
+    -----
+    A path through an edge, within the tolerance of `Walls`, is found from both its walls and kept
+    once. One that passes an edge of a wall in its way that closely is not stopped.
+    """
+    walls, blockers = mirrors_of(room) if mirrors is None else mirrors
+    source = np.array(source_m, dtype=np.float64)
+    receivers = np.array(receivers_m, dtype=np.float64).reshape(-1, 3)
+    found = beam_tree(
+        walls,
+        blockers,
+        source,
+        receivers,
+        distances_to_m(walls, receivers),
+        limits_of(order, max_length_m, work_limit, memory_limit_bytes / _BYTES),
+    )
+    _refuse(found)
+    first = np.concatenate(([0], np.cumsum(found.order)))
+    owner = triangle_material(room)
+    sets = []
+    for number, receiver in enumerate(receivers):
+        own = _one_of_each(np.flatnonzero(found.receiver == number), found, walls.tolerance_m)
+        sets.append(
+            _image_set(room, found, first, own, receiver, owner, with_reflections, with_unfolding)
+        )
+    return sets
+
+
+def limits_of(order: int, max_length_m: float, work: float, n_hits: float) -> Limits:
+    """Return the limits as the compiled tree takes them."""
+    largest = 2.0**62
+    return Limits(
+        int(order), float(max_length_m), int(min(work, largest)), int(min(n_hits, largest))
+    )
+
+
+def distances_to_m(walls: Walls, receivers_m: FloatArray) -> FloatArray:
+    """Return how far each wall's plane is from the nearest receiver at least, (n_walls,)."""
+    heights = np.abs(walls.normal @ receivers_m.T - walls.offset_m[:, None])
+    return np.asarray(np.min(heights, axis=1, initial=np.inf))
+
+
+def _refuse(found: Found) -> None:
+    if found.ending == TOO_MUCH_MEMORY:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"more than {len(found.receiver)} images of one source",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+    if found.ending == TOO_MUCH_WORK:
+        raise InputError(
+            "too many image sources to look for",
+            found=f"{found.work:.3g} walls held against beams, and more to do",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+
+
+def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
+    """Return some images, nearest order first, without those that stand where an earlier one does.
+
+    Two images in one place are one path that touches an edge, found from both its walls.
+    """
+    own = own[np.argsort(found.order[own], kind="stable")]
+    if own.size < 2:
+        return own
+    tree = cKDTree(found.position_m[own])
+    near = tree.query_pairs(10.0 * tolerance_m, output_type="ndarray")
+    return np.delete(own, np.unique(near.max(axis=1)) if len(near) else [])
+
+
+def _image_set(
+    room: Room,
+    found: Found,
+    first: IntArray,
+    own: IntArray,
+    receiver: FloatArray,
+    owner: IntArray,
+    with_reflections: bool,
+    with_unfolding: bool,
+) -> ImageSet:
+    to_receiver = receiver - found.position_m[own]
+    length = np.linalg.norm(to_receiver, axis=1)
+    near = np.argsort(length, kind="stable")
+    own, to_receiver, length = own[near], to_receiver[near], length[near]
+    arrival = to_receiver / length[:, None]
+    matrix = found.matrix[own].reshape(-1, 3, 3)
+    # the image's direction, folded back to the source by the transposed matrix
+    departure = np.einsum("pij,pi->pj", matrix, arrival)
+    counts = found.order[own].astype(np.int64)
+    path = np.repeat(np.arange(len(own)), counts)
+    place = np.arange(len(path)) - np.repeat(np.cumsum(counts) - counts, counts)
+    entry = np.repeat(first[own], counts) + place
+    material = owner[found.triangle[entry]]
+    n_materials = len(room.materials)
+    hits = np.bincount(path * n_materials + material, minlength=len(own) * n_materials)
+    reflections: Reflections | None = None
+    normals: FloatArray | None = None
+    if with_reflections:
+        vectors = area_vectors_m2(room.mesh)[found.triangle[entry]]
+        unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
+        normals = unfolded_normals(unit, np.concatenate(([0], np.cumsum(counts))))
+        cosine = found.cosine[entry]
+        reflections = reflections_in_order(
+            path, place.astype(np.float64), material, cosine, len(own)
+        )
+    return ImageSet(
+        length,
+        hits.reshape(-1, n_materials).astype(np.uint16),
+        departure,
+        arrival,
+        reflections,
+        matrix if with_unfolding else None,
+        normals,
+    )
+
+
+# Steps in which a duration is tried; a step costs some 1.1**5 = 1.6 times the one before.
+_STEP = 1.1
+
+
+def expected_images(volume_m3: float, length_m: float) -> float:
+    """Return how many images a receiver sees within a distance, on average over a closed room.
+
+    Whatever its shape, the images seen fill space with one for each volume of the room:
+    ``4/3 pi length**3 / volume``.
+    """
+    return 4.0 / 3.0 * math.pi * length_m**3 / volume_m3
+
+
+def affordable_duration_s(
+    scene: Scene,
+    longest_s: float,
+    *,
+    order: int = 1000,
+    work: float = 1e7,
+    images: float = 2e5,
+) -> float:
+    """Return the duration up to which the images of any one source of a scene cost so much.
+
+    Counted, not timed, so that the same scene gives the same answer on any machine.
+
+    Parameters
+    ----------
+    scene : Scene
+    longest_s : float
+        No more is tried.
+    order : int
+        Most hits of a path.
+    work : float
+        Walls held against beams for one source; ten million take about 2 s on one core.
+    images : float
+        Images kept for one source, all receivers together.
+
+    Returns
+    -------
+    float
+        `longest_s`, or less by a power of 1.1; at least the hundredth part of it, even where that
+        costs more.
+    """
+    walls, blockers = mirrors_of(scene.room)
+    speed = speed_of_sound_m_s(scene.air)
+    affordable_s = longest_s
+    for source in np.unique(scene.pairs[:, 0]):
+        own = scene.pairs[scene.pairs[:, 0] == source, 1]
+        receivers = np.array([scene.receivers[r].position_m for r in own])
+        to_receiver_m = distances_to_m(walls, receivers)
+        start = np.array(scene.sources[source].position_m)
+        duration_s = longest_s / 100.0
+        while duration_s < affordable_s:
+            next_s = min(duration_s * _STEP, affordable_s)
+            # images count for their hits in the tree: a generous bound keeps it from growing
+            limits = limits_of(order, next_s * speed, work, 100.0 * images)
+            found = beam_tree(walls, blockers, start, receivers, to_receiver_m, limits)
+            if found.ending != DONE or len(found.receiver) > images:
+                break
+            duration_s = next_s
+        affordable_s = duration_s
+    return affordable_s
+
+
+def affordable_order(
+    scene: Scene,
+    most: int,
+    duration_s: float,
+    *,
+    work: float = 1e7,
+    images: float = 2e5,
+) -> int:
+    """Return the order up to which the images of any one source of a scene cost so much.
+
+    For rooms of thousands of walls, where each order costs a hundred times the one before it.
+    Counted, not timed, so that the same scene gives the same answer on any machine.
+
+    Parameters
+    ----------
+    scene : Scene
+    most : int
+        No more is tried; 0 or more.
+    duration_s : float
+        Of the trace.
+    work, images : float
+        As of `affordable_duration_s`.
+
+    Returns
+    -------
+    int
+        At least 0: the direct sound costs nothing.
+    """
+    walls, blockers = mirrors_of(scene.room)
+    length_m = duration_s * speed_of_sound_m_s(scene.air)
+    affordable = most
+    for source in np.unique(scene.pairs[:, 0]):
+        own = scene.pairs[scene.pairs[:, 0] == source, 1]
+        receivers = np.array([scene.receivers[r].position_m for r in own])
+        to_receiver_m = distances_to_m(walls, receivers)
+        start = np.array(scene.sources[source].position_m)
+        order = 0
+        while order < affordable:
+            limits = limits_of(order + 1, length_m, work, 100.0 * images)
+            found = beam_tree(walls, blockers, start, receivers, to_receiver_m, limits)
+            if found.ending != DONE or len(found.receiver) > images:
+                break
+            order += 1
+        affordable = order
+    return affordable
+
+
+def shoebox_images(
+    room: Room,
+    source_m: FloatArray,
+    receiver_m: FloatArray,
+    order: int,
+    max_length_m: float,
+    *,
+    with_reflections: bool = False,
+    with_unfolding: bool = False,
+) -> ImageSet:
+    """Return all images up to an order and a distance.
+
+    Image i along an axis of length L stands at ``i L + x`` for even i and ``i L + L - x`` for odd
+    i, and its path has \\|i\\| hits on that axis, the two walls in turn: from i > 0 it comes last
+    from the far wall [1]_.
+
+    Parameters
+    ----------
+    room : Room
+        With `shoebox_m`.
+    source_m, receiver_m : float array, shape (3,)
+    order : int
+        Most hits of a path, 0 or more.
+    max_length_m : float
+    with_reflections, with_unfolding : bool
+        Return the ordered hits, and the product of the reflections, as well.
+
+    References
+    ----------
+    .. [1] J. B. Allen, D. A. Berkley, "Image method for efficiently simulating small-room
+           acoustics", J. Acoust. Soc. Am. 65, 943-950 (1979).
+    """
+    lengths = np.array(room.shoebox_m, dtype=np.float64)
+    index = lattice_indices(lengths, source_m, receiver_m, order, max_length_m)
+    to_receiver = receiver_m - image_positions_m(index, lengths, source_m)
+    distance = np.linalg.norm(to_receiver, axis=1)
+    near = np.argsort(distance, kind="stable")
+    index, to_receiver, distance = index[near], to_receiver[near], distance[near]
+    arrival = to_receiver / distance[:, None]
+    # every hit on an axis turns that component of the direction
+    turned = np.where(index % 2 == 0, 1.0, -1.0)
+    departure = arrival * turned
+    hits = np.zeros((len(index), len(room.materials)), dtype=np.uint16)
+    for wall in range(6):
+        hits[:, room.surface_material[wall]] += wall_hits(index, wall).astype(np.uint16)
+    reflections = _reflections(room, index, receiver_m, to_receiver) if with_reflections else None
+    unfolding = turned[:, :, None] * np.eye(3) if with_unfolding else None
+    return ImageSet(distance, hits, departure, arrival, reflections, unfolding)
+
+
+def count_of_shoebox_images(
+    lengths_m: tuple[float, float, float], order: int, max_length_m: float
+) -> float:
+    """Return an upper bound of how many images lie within an order and a distance."""
+    octahedron = (2 * order + 1) * (2 * order**2 + 2 * order + 3) / 3
+    # cells that a sphere about the receiver touches
+    reach = max_length_m + math.hypot(*lengths_m)
+    return min(octahedron, 4.0 / 3.0 * math.pi * reach**3 / math.prod(lengths_m))
+
+
+def lattice_indices(
+    lengths: FloatArray, source: FloatArray, receiver: FloatArray, order: int, max_length_m: float
+) -> IntArray:
+    """Return the indices (n, 3) of the images within order and distance, slice by slice in x.
+
+    See `shoebox_images` for what an index means.
+    """
+    # image i is at least |i| - 1 lengths away
+    last = np.minimum(order, np.floor(max_length_m / lengths).astype(np.int64) + 1)
+    y, z = (np.arange(-n, n + 1) for n in last[1:])
+    slices = []
+    for i in range(-int(last[0]), int(last[0]) + 1):
+        j, k = (g.ravel() for g in np.meshgrid(y, z, indexing="ij"))
+        low = abs(i) + np.abs(j) + np.abs(k) <= order
+        index = np.column_stack([np.full(int(low.sum()), i), j[low], k[low]])
+        away = np.linalg.norm(image_positions_m(index, lengths, source) - receiver, axis=1)
+        slices.append(index[away <= max_length_m])
+    return np.concatenate(slices)
+
+
+def image_positions_m(index: IntArray, lengths: FloatArray, source: FloatArray) -> FloatArray:
+    """Return where the images of these indices stand, (n, 3)."""
+    mirrored = np.where(index % 2 == 0, source, lengths - source)
+    return np.asarray(index * lengths + mirrored)
+
+
+def wall_hits(index: IntArray, wall: int) -> IntArray:
+    """Return how often each path hits a wall: 2 axis for the one at 0, 2 axis + 1 for the other."""
+    i = index[:, wall // 2]
+    # of |i| hits the wall on the image's side has the odd one
+    on_this_side = (i > 0) == (wall % 2 == 1)
+    return np.asarray((np.abs(i) + on_this_side) // 2)
+
+
+def _reflections(
+    room: Room, index: IntArray, receiver: FloatArray, to_receiver: FloatArray
+) -> Reflections:
+    """Follow the straight line from each image to the receiver through the walls' images."""
+    lengths = np.array(room.shoebox_m)
+    distance = np.linalg.norm(to_receiver, axis=1)
+    parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray]] = []
+    for axis in range(3):
+        counts = np.abs(index[:, axis])
+        path = np.repeat(np.arange(len(index)), counts)
+        # hits counted outwards from the receiver: 0 is the last one of the path
+        back = np.arange(len(path)) - np.repeat(np.cumsum(counts) - counts, counts)
+        beyond = index[path, axis] > 0
+        plane = np.where(beyond, back + 1, -back) * lengths[axis]
+        share = (plane - receiver[axis]) / -to_receiver[path, axis]
+        wall = 2 * axis + (beyond == (back % 2 == 0))
+        cosine = np.abs(to_receiver[path, axis]) / distance[path]
+        parts.append((path, -share, room.surface_material[wall], cosine))
+    path, place, material, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
+    return reflections_in_order(path, place, material, cosine, len(index))
+
+
+def trace_images(
+    scene: Scene,
+    order: int,
+    duration_s: float,
+    scattering: Scattering,
+    *,
+    with_reflections: bool = False,
+    with_unfolding: bool = False,
+    memory_limit_bytes: float = 4 * 2**30,
+    work_limit: float = WORK_LIMIT,
+    progress: Progress | None = None,
+) -> Paths:
+    """Return the exact specular paths of every pair, shortest first within a pair.
+
+    Parameters
+    ----------
+    scene : Scene
+        A room with `shoebox_m` gets the lattice, any other a tree of beams.
+    order : int
+        Most hits of a path; 0 for the direct sound alone.
+    duration_s : float
+        Paths that take longer are left out.
+    scattering : Scattering
+        Thins a path by ``1 - s`` a hit; materials in any order.
+    with_reflections : bool
+        Keep the ordered hits with their angles.
+    with_unfolding : bool
+        Keep the product of each path's reflections, with which the paths of moved sources and
+        receivers are known without another search, see `Paths`.
+    memory_limit_bytes : float
+        A trace that would need more is refused, early where the volume tells.
+    work_limit : float
+        Most walls to hold against beams for one source of a room that is no box; see
+        `roomfit.tracing.image_sources.affordable_duration_s`.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        Other materials, a source where a receiver is, or more images than the memory or the work
+        allows.
+    """
+    coefficients = coefficients_in_order(scattering, scene.room.materials)
+    distances = distances_m(scene)
+    if distances.size and distances.min() < 1e-6:
+        source, receiver = scene.pairs[int(np.argmin(distances))]
+        raise InputError(
+            "a source stands where a receiver is",
+            where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
+        )
+    max_length_m = duration_s * speed_of_sound_m_s(scene.air)
+    mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
+    wanted = _Wanted(order, max_length_m, with_reflections, with_unfolding)
+    sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
+    if mirrors is None:
+        _check_lattice(scene, wanted, memory_limit_bytes)
+    else:
+        _check_volume(scene, wanted, memory_limit_bytes)
+
+    def of_source(source: int) -> list[ImageSet]:
+        return _images_of_source(scene, source, mirrors, wanted, memory_limit_bytes, work_limit)
+
+    sets: list[ImageSet | None] = [None] * len(scene.pairs)
+    # kernels let go of the interpreter, so that sources share the processors as threads
+    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        for done, (source, found) in enumerate(
+            zip(sources, pool.map(of_source, sources), strict=True)
+        ):
+            own = np.flatnonzero(scene.pairs[:, 0] == source)
+            for pair, images in zip(own, found, strict=True):
+                sets[pair] = images
+            if progress is not None:
+                progress((done + 1) / len(sources))
+    return _as_paths([s for s in sets if s is not None], scene, coefficients)
+
+
+class _Wanted(NamedTuple):
+    """Which images, and what of them."""
+
+    order: int
+    max_length_m: float
+    with_reflections: bool
+    with_unfolding: bool
+
+
+def _images_of_source(
+    scene: Scene,
+    source: int,
+    mirrors: tuple[Walls, Blockers] | None,
+    wanted: _Wanted,
+    memory_limit_bytes: float,
+    work_limit: float,
+) -> list[ImageSet]:
+    """Return the images of one source for each of its pairs, in the order of the pairs."""
+    room = scene.room
+    start = scene.sources[source].position_m
+    receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
+    if mirrors is not None:
+        return polyhedron_images(
+            *(room, start, np.array(receivers), wanted.order, wanted.max_length_m),
+            with_reflections=wanted.with_reflections,
+            with_unfolding=wanted.with_unfolding,
+            mirrors=mirrors,
+            memory_limit_bytes=memory_limit_bytes,
+            work_limit=work_limit,
+        )
+    return [
+        shoebox_images(
+            *(room, start, r, wanted.order, wanted.max_length_m),
+            with_reflections=wanted.with_reflections,
+            with_unfolding=wanted.with_unfolding,
+        )
+        for r in receivers
+    ]
+
+
+def _check_lattice(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> None:
+    lengths_m = scene.room.shoebox_m
+    if lengths_m is None:
+        return
+    count = count_of_shoebox_images(lengths_m, wanted.order, wanted.max_length_m)
+    # columns of the paths, of the set that they are made from and of the lattice
+    per_image = 150.0 + 6.0 * len(scene.room.materials) + 108.0 * wanted.with_unfolding
+    _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
+
+
+def _check_volume(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> None:
+    """Refuse what the volume of the room tells to be too much, before anything is searched."""
+    mesh = scene.room.mesh
+    volume = max(volume_m3(mesh), 1e-9)
+    free_path_m = 4.0 * volume / surface_area_m2(mesh)
+    # so far, an order hardly cuts: twice the mean number of hits is rare
+    length_m = min(wanted.max_length_m, 0.5 * wanted.order * free_path_m)
+    count = expected_images(volume, length_m)
+    per_image = 250.0 + 6.0 * len(scene.room.materials) + 12.0 * length_m / free_path_m
+    _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
+
+
+def _refuse_above(memory_limit_bytes: float, count: float, per_image: float) -> None:
+    needed = count * per_image
+    if needed > memory_limit_bytes:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"about {count:.3g} images, {needed / 2**30:.3g} GiB",
+            needed=f"at most {memory_limit_bytes / 2**30:.3g} GiB",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
+
+
+def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Paths:
+    counts = [len(s.length_m) for s in sets]
+    length = np.concatenate([np.zeros(0), *(s.length_m for s in sets)])
+    no_hits = np.zeros((0, len(scene.room.materials)), dtype=np.uint16)
+    hits = np.concatenate([no_hits, *(s.hits for s in sets)])
+    kept = np.prod((1.0 - scattering) ** hits, axis=1)
+    nowhere = np.zeros((0, 3))
+    return Paths(
+        len(scene.pairs),
+        scene.room.materials,
+        np.repeat(np.arange(len(sets)), counts).astype(np.int32),
+        length,
+        kept / (4.0 * np.pi * length**2),
+        hits,
+        np.zeros_like(hits),
+        np.concatenate([nowhere, *(s.departure for s in sets)]).astype(np.float32),
+        np.concatenate([nowhere, *(s.arrival for s in sets)]).astype(np.float32),
+        np.full(len(length), -1, dtype=np.int32),
+        0,
+        scattering,
+        _joined_reflections([s.reflections for s in sets if s.reflections is not None]),
+        _joined_unfolding([s.unfolding for s in sets if s.unfolding is not None]),
+    )
+
+
+def _joined_unfolding(parts: list[FloatArray]) -> NDArray[np.float32] | None:
+    return np.concatenate(parts).astype(np.float32) if parts else None
+
+
+def _joined_reflections(parts: list[Reflections]) -> Reflections | None:
+    if not parts:
+        return None
+    counts = np.concatenate([np.diff(r.offsets) for r in parts])
+    return Reflections(
+        np.concatenate(([0], np.cumsum(counts))),
+        np.concatenate([r.material for r in parts]),
+        np.concatenate([r.cosine for r in parts]),
+    )

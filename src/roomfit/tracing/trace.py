@@ -1,0 +1,205 @@
+"""The front door of tracing: image sources for the early part, rays for the rest."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from roomfit.air import speed_of_sound_m_s
+from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.geometry.inside import distance_to_walls_m
+from roomfit.materials.priors import Scattering
+from roomfit.scene import Scene, distances_m
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
+from roomfit.tracing.rays import RayStatistics, RayTrace, trace_rays
+from roomfit.typing import BoolArray, FloatArray, Progress
+
+# A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
+_CLEARANCE = 0.999
+_SMALLEST_RADIUS_M = 0.005
+_TOLERABLE_LEAK = 1e-3
+_SHARE_OF_IMAGES = 0.1
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trace:
+    """All paths of a scene, and what to know about them.
+
+    Attributes
+    ----------
+    paths : Paths
+        Image paths (batch -1) before rays.
+    statistics : RayStatistics
+        Of all rays, those included whose paths gave way to image paths.
+    findings : tuple of Finding
+        "receiver-sphere-shrunk", "rays-escaped".
+    """
+
+    paths: Paths
+    statistics: RayStatistics
+    findings: tuple[Finding, ...]
+
+
+def trace(
+    scene: Scene,
+    settings: TraceSettings,
+    scattering: Scattering,
+    progress: Progress | None = None,
+) -> Trace:
+    """Return the paths of every pair: images up to an order, and rays for what they leave.
+
+    A ray's path with no diffuse hit and at most `settings.image_order` hits that arrives before
+    `settings.image_until_s` is left out, because it is a noisy copy of an image path; all others
+    have something that images do not: nothing is counted twice and nothing lost. With scattering s
+    an image path carries ``(1 - s) ** hits`` of its energy, and the rays bring the rest, later or
+    with a diffuse hit.
+
+    Parameters
+    ----------
+    scene : Scene
+    settings : TraceSettings
+        ``image_order=-1`` leaves everything to rays, ``n_rays=0`` to images.
+    scattering : Scattering
+        One coefficient for each material of the room, in any order.
+    progress : callable, optional
+
+    Raises
+    ------
+    InputError
+        Neither images nor rays are asked for, scattering of other materials, a receiver in a wall
+        or on a source, or more paths than the memory holds.
+
+    Notes
+    -----
+    An image path is seen from the centre of the receiver and a ray from anywhere in its sphere;
+    the two sides of the join agree in the mean over the sphere. One pair in a furnished room, where
+    edges cut through spheres, may differ by some per cent. The sphere of a receiver nearer to
+    a wall or a source than its radius is shrunk to fit. Peak memory is twice that of the paths.
+    """
+    if settings.image_order < 0 and settings.n_rays == 0:
+        raise InputError(
+            "nothing to trace",
+            found="image_order -1 and n_rays 0",
+            needed="image_order of 0 or more, or rays",
+        )
+    parts: list[Paths] = []
+    share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
+    if settings.image_order >= 0:
+        order, duration_s = settings.image_order, _images_end_s(settings)
+        shown = _part_of(progress, 0.0, share)
+        parts.append(
+            trace_images(
+                *(scene, order, duration_s, scattering),
+                with_unfolding=settings.keep_unfolding,
+                progress=shown,
+            )
+        )
+    rays, findings = _rays_beyond_images(
+        scene, settings, scattering, _part_of(progress, share, 1.0)
+    )
+    parts.append(rays.paths)
+    paths = concatenate(parts) if len(parts) > 1 else rays.paths
+    return Trace(paths, rays.statistics, (*findings, *_leaks(rays.statistics)))
+
+
+def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -> BoolArray:
+    """Return which paths images up to an order and a length stand for: specular only, and short."""
+    specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
+    near = (specular <= image_order) & (paths.length_m < reach_m)
+    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
+
+
+def _images_end_s(settings: TraceSettings) -> float:
+    if settings.image_until_s is None:
+        return settings.duration_s
+    return min(settings.image_until_s, settings.duration_s)
+
+
+def _rays_beyond_images(
+    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None
+) -> tuple[RayTrace, tuple[Finding, ...]]:
+    radii: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
+    if settings.n_rays:
+        radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
+    rays = trace_rays(scene, settings, scattering, progress, receiver_radii_m=radii)
+    if settings.image_order < 0:
+        return rays, findings
+    reach_m = _images_end_s(settings) * speed_of_sound_m_s(scene.air)
+    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order, reach_m))
+    return RayTrace(late, rays.statistics), findings
+
+
+def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:
+    """Return for each receiver the largest radius up to `radius_m` clear of walls and sources.
+
+    A sphere that a wall cuts or that holds the source does not average ``1 / (4 pi r**2)``.
+
+    Returns
+    -------
+    float array, shape (n_receivers,)
+    tuple of Finding
+        One for each shrunken sphere.
+
+    Raises
+    ------
+    InputError
+        A receiver of some pair has less than 5 mm about it.
+    """
+    centres = np.array([r.position_m for r in scene.receivers]).reshape(-1, 3)
+    to_wall = distance_to_walls_m(scene.room.mesh, centres)
+    to_source = np.full(len(centres), np.inf)
+    np.minimum.at(to_source, scene.pairs[:, 1], distances_m(scene))
+    free = _CLEARANCE * np.minimum(to_wall, to_source)
+    free[np.setdiff1d(np.arange(len(centres)), scene.pairs[:, 1])] = np.inf
+    radii = np.minimum(free, radius_m)
+    findings = []
+    for r in np.flatnonzero(radii < radius_m):
+        name = scene.receivers[r].name
+        near = "the nearest wall" if to_wall[r] <= to_source[r] else "a source"
+        if radii[r] < _SMALLEST_RADIUS_M:
+            raise InputError(
+                f"a receiver stands in {near.replace('the nearest', 'a')}",
+                where=name,
+                found=f"{min(to_wall[r], to_source[r]):.3g} m away",
+                needed=f"more than {_SMALLEST_RADIUS_M:g} m",
+                hint="correct its position",
+            )
+        findings.append(_shrunk(name, near, radius_m, float(radii[r])))
+    return radii, tuple(findings)
+
+
+def _shrunk(name: str, near: str, asked_m: float, used_m: float) -> Finding:
+    fewer = (asked_m / used_m) ** 2
+    return Finding(
+        "receiver-sphere-shrunk",
+        "info" if fewer < 4.0 else "warning",
+        f"The sphere of receiver {name} reached beyond {near} and was shrunk from {asked_m:.2f} m "
+        f"to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
+        {"receiver": name, "asked_m": asked_m, "used_m": used_m},
+    )
+
+
+def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
+    if statistics.n_escaped == 0:
+        return ()
+    share = statistics.escape_fraction
+    place = ", ".join(f"{x:.2f}" for x in statistics.escapes_from_m[0])
+    return (
+        Finding(
+            "rays-escaped",
+            "warning" if share < _TOLERABLE_LEAK else "serious",
+            f"{statistics.n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
+            f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
+            {"n_escaped": statistics.n_escaped, "escape_fraction": share},
+        ),
+    )
+
+
+def _part_of(progress: Progress | None, start: float, stop: float) -> Progress | None:
+    if progress is None:
+        return None
+    return lambda fraction: progress(start + fraction * (stop - start))

@@ -1,0 +1,206 @@
+"""Intervals of a fitted band where a Gaussian does not do: profiles, samples; and mirror images."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from roomfit.objective.parameters import (
+    Block,
+    Parameters,
+    leaders,
+    physical_values,
+    position_of,
+    to_free,
+    to_physical,
+)
+from roomfit.objective.problem import BandProblem
+from roomfit.solvers.least_squares import BandFit, score_band
+from roomfit.typing import FloatArray, IntArray, Progress
+from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE, BandAnswer, MirrorTrial
+from roomfit.uncertainty.posterior import logit
+from roomfit.uncertainty.profile import may_be_bent, profile
+from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
+
+_Z95 = 1.959963984540054  # standard normal, 97.5 %
+# A profile never narrows either side of an interval, in the logit, to less than this of the
+# Gaussian's: a skew likelihood halves a side at most in every case looked at, and what asks for
+# more is rather an error of the weights that are held.
+LEAST_SIDE = 0.5
+_DRAWS_KEPT = 2048
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Refinement:
+    """What is done to every band after its fit.
+
+    Attributes
+    ----------
+    intervals : {"gaussian", "profile", "posterior"}
+    areas_m2 : float array, shape (n_materials,)
+    seed : int
+    exchanges : tuple of int arrays, shape (n_materials,)
+        Of materials, by a symmetry of room and positions: fitted a second time from there.
+    sampling : SamplingSettings, optional
+    """
+
+    intervals: Literal["gaussian", "profile", "posterior"]
+    areas_m2: FloatArray
+    seed: int
+    exchanges: tuple[IntArray, ...] = ()
+    sampling: SamplingSettings | None = None
+
+    def __call__(
+        self,
+        problem: BandProblem,
+        fit: BandFit,
+        answer: BandAnswer,
+        progress: Progress | None = None,
+    ) -> BandAnswer:
+        """Return the answer with better intervals, and what mirror images explain."""
+        if fit.vector.size == 0:
+            return answer
+        trials = tuple(_mirrored(problem, fit, exchange) for exchange in self.exchanges)
+        answer = replace(answer, mirrors=trials)
+        if self.intervals == "profile":
+            return profiled(problem, fit, answer)
+        if self.intervals == "posterior":
+            rng = np.random.default_rng(self.seed)
+            law = log_posterior(problem, fit)
+            found = sample(law, surrogate(law, fit), rng, self.sampling, progress=progress)
+            first = position_of(problem.parameters, "absorption")
+            fitted = np.flatnonzero(_absorption(problem.parameters).fitted)
+            beyond = _beyond_fit(fit, answer, first, fitted)
+            return sampled(problem.parameters, found, answer, self.areas_m2, beyond)
+        return answer
+
+
+def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnswer:
+    """Return the answer with profile intervals for the absorptions whose likelihood is skew.
+
+    Weights are held. An interval of 0 to 1, where the data say nothing, stays as it is. What the
+    Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added to
+    either side as one more standard deviation.
+    """
+    block = _absorption(problem.parameters)
+    first, fitted = position_of(problem.parameters, "absorption"), np.flatnonzero(block.fitted)
+    free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
+    lower, upper = np.array(answer.lower95), np.array(answer.upper95)
+    kinds, found = list(answer.kinds), []
+    more = np.sqrt(np.diag(_beyond_fit(fit, answer, first, fitted)))
+    for number, own in enumerate(fitted):
+        untold = (lower[own], upper[own]) == (0.0, 1.0)
+        if untold or not may_be_bent(fit, first + number):
+            continue
+        line = profile(problem, fit, first + number)
+        found.append(replace(line, entry=int(own)))
+        if line.gaussian:
+            continue
+        ends, at, least = np.array(free), free[own], LEAST_SIDE * _Z95 * sd[own]
+        ends[own] = at - max(np.hypot(at - line.lower, _Z95 * more[number]), least)
+        lower[own] = to_physical(block, ends)[0][own]
+        ends[own] = at + max(np.hypot(line.upper - at, _Z95 * more[number]), least)
+        upper[own] = to_physical(block, ends)[0][own]
+        kinds[own] = "profile"
+    leader = leaders(block)
+    lower, upper = lower[leader], upper[leader]
+    held = ~block.fitted[leader]
+    sure = (answer.phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE)
+    sure &= sd <= 0.5 * block.prior_sd[leader]
+    return replace(
+        answer,
+        lower95=lower,
+        upper95=upper,
+        identifiable=sure | held,
+        kinds=tuple(kinds[i] for i in leader),
+        profiles=tuple(found),
+    )
+
+
+def _beyond_fit(fit: BandFit, answer: BandAnswer, first: int, fitted: IntArray) -> FloatArray:
+    """Return the covariance of an answer's fitted logits that its fit does not know of.
+
+    Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
+    """
+    own = slice(first, first + fitted.size)
+    plain = np.linalg.inv(fit.information)[own, own] * max(fit.phi, 1.0)
+    more = answer.logit_covariance[np.ix_(fitted, fitted)] - plain
+    size, directions = np.linalg.eigh(0.5 * (more + more.T))
+    # what is left by rounding is no noise
+    size = np.where(size > 1e-9 * max(float(np.trace(plain)), 1e-300), size, 0.0)
+    return np.asarray((directions * size) @ directions.T)
+
+
+def sampled(
+    parameters: Parameters,
+    found: Sampled,
+    answer: BandAnswer,
+    areas_m2: FloatArray,
+    beyond: FloatArray | None = None,
+) -> BandAnswer:
+    """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
+
+    Where the walkers did not come to rest the Gaussian answer stays, with `sampling` telling so.
+
+    Parameters
+    ----------
+    beyond : float array, shape (n_fitted, n_fitted), optional
+        Covariance of the logits that the sampled law does not know of; samples are scattered by it.
+    """
+    if not found.converged:
+        return replace(answer, sampling=found)
+    block = _absorption(parameters)
+    first, fitted = position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+    chosen = np.linspace(0, len(found.draws) - 1, min(_DRAWS_KEPT, len(found.draws))).astype(int)
+    draws = np.tile(answer.absorption, (len(found.draws), 1))
+    low, high = block.lower[fitted], block.upper[fitted]
+    free = found.draws[:, first : first + fitted.size]
+    if beyond is not None and beyond.any():
+        size, directions = np.linalg.eigh(beyond)
+        root = directions * np.sqrt(np.maximum(size, 0.0))
+        free = free + np.random.default_rng(1).standard_normal(free.shape) @ root.T
+    draws[:, fitted] = low + (high - low) * 0.5 * (1.0 + np.tanh(0.5 * free))
+    draws = draws[:, leaders(block)]
+    lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
+    own = np.zeros((areas_m2.size, areas_m2.size))
+    own[np.ix_(fitted, fitted)] = np.cov(free.T).reshape(fitted.size, fitted.size)
+    leader = leaders(block)
+    held = ~block.fitted[leader]
+    untold = (answer.lower95 == 0.0) & (answer.upper95 == 1.0) & ~held
+    lower, upper = np.where(untold, 0.0, lower), np.where(untold, 1.0, upper)
+    covariance = own[np.ix_(leader, leader)]
+    sure = (answer.phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE)
+    sure &= np.sqrt(np.diag(covariance)) <= 0.5 * block.prior_sd[leader]
+    means = draws @ (areas_m2 / areas_m2.sum())
+    middle = (float(np.quantile(means, q)) for q in (0.5, 0.025, 0.975))
+    return replace(
+        answer,
+        absorption=np.where(held, answer.absorption, median),
+        lower95=np.where(held, answer.absorption, lower),
+        upper95=np.where(held, answer.absorption, upper),
+        identifiable=sure | held,
+        logit_mean=np.where(held, answer.logit_mean, logit(median)),
+        logit_covariance=covariance,
+        mean=(next(middle), next(middle), next(middle)),
+        kinds=tuple(k if k in ("given", "none") else "sampled" for k in answer.kinds),
+        samples=draws[chosen],
+        sampling=found,
+    )
+
+
+def _mirrored(problem: BandProblem, fit: BandFit, exchange: IntArray) -> MirrorTrial:
+    """Return where a second fit ends that begins with the absorptions exchanged."""
+    block = _absorption(problem.parameters)
+    values, _ = physical_values(problem.parameters, fit.vector)
+    start, first = np.array(fit.vector), position_of(problem.parameters, "absorption")
+    free = to_free(block, values["absorption"][exchange])[block.fitted]
+    start[first : first + free.size] = free
+    other = score_band(problem, start)
+    there, _ = physical_values(problem.parameters, other.vector)
+    return MirrorTrial(there["absorption"], other.log_likelihood - fit.log_likelihood)
+
+
+def _absorption(parameters: Parameters) -> Block:
+    return next(b for b in parameters.blocks if b.name == "absorption")
