@@ -1,0 +1,246 @@
+"""The shape of the code in numbers: modules, lines, types, functions, and the way to the kernels.
+
+Run it with ``--frames`` to identify the demo's room as well and count how many frames of roomfit
+lie on the stack at the deepest, from `roomfit.identify` to the innermost call (compiled kernels
+are entered from there).
+
+    python benchmarks/shape.py [--frames]
+"""
+
+from __future__ import annotations
+
+import argparse
+import ast
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+SOURCE = Path(__file__).resolve().parents[1] / "src" / "roomfit"
+SATELLITES = (
+    "certified",
+    "coverage",
+    "experiment_design",
+    "impedance",
+    "prediction",
+    "suh2001",
+    "synthetic",
+)
+# What `identify` works with in the first place; commands, reports and files come on top of it.
+FRONT = "inversion.identify"
+
+
+@dataclass(frozen=True, slots=True)
+class Module:
+    """One file of the package with something in it."""
+
+    name: str
+    """Dotted, without ``roomfit.``; the package itself is the empty string."""
+    path: Path
+    tree: ast.Module
+    n_lines: int
+
+
+def modules(source: Path = SOURCE) -> list[Module]:
+    """Return every module that has more in it than a docstring."""
+    found = []
+    for path in sorted(source.rglob("*.py")):
+        text = path.read_text(encoding="utf-8")
+        tree = ast.parse(text)
+        if any(not _is_text(node) for node in tree.body):
+            name = ".".join(path.relative_to(source).with_suffix("").parts)
+            name = name.removesuffix("__init__").rstrip(".")
+            found.append(Module(name, path, tree, text.count("\n")))
+    return found
+
+
+def _is_text(node: ast.stmt) -> bool:
+    return isinstance(node, ast.Expr) and isinstance(node.value, ast.Constant)
+
+
+def imported(module: Module, names: frozenset[str], *, lazily: bool = True) -> set[str]:
+    """Return which modules of roomfit one imports.
+
+    Parameters
+    ----------
+    module : Module
+    names : frozenset of str
+        Of all modules.
+    lazily : bool
+        Count imports inside functions, too. Those for type checkers alone never count.
+    """
+    nodes = _nodes(module.tree, lazily=lazily)
+    found: set[str] = set()
+    for node in nodes:
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "roomfit":
+            base = (node.module or "").removeprefix("roomfit").removeprefix(".")
+            for alias in node.names:
+                inner = f"{base}.{alias.name}".removeprefix(".")
+                found.add(inner if inner in names else base)
+        elif isinstance(node, ast.Import):
+            found |= {
+                a.name.removeprefix("roomfit").removeprefix(".")
+                for a in node.names
+                if a.name.split(".")[0] == "roomfit"
+            }
+    return found & (names | {""}) - {module.name}
+
+
+def _nodes(tree: ast.AST, *, lazily: bool) -> Iterator[ast.AST]:
+    for node in ast.iter_child_nodes(tree):
+        if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING":
+            continue
+        if isinstance(node, ast.FunctionDef) and not lazily:
+            continue
+        yield node
+        yield from _nodes(node, lazily=lazily)
+
+
+def core(found: list[Module]) -> list[Module]:
+    """Return the modules that `roomfit.identify` cannot do without: what it imports, and so on."""
+    names = frozenset(m.name for m in found)
+    by_name = {m.name: m for m in found}
+    waiting, seen = [FRONT], {FRONT}
+    while waiting:
+        for name in imported(by_name[waiting.pop()], names) - {""}:
+            if name not in seen and name in by_name:
+                seen.add(name)
+                waiting.append(name)
+    return [m for m in found if m.name in seen]
+
+
+def functions(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
+    """Return every function and method with its module."""
+    return [
+        (m, node) for m in found for node in ast.walk(m.tree) if isinstance(node, ast.FunctionDef)
+    ]
+
+
+def dataclasses(found: list[Module]) -> list[tuple[Module, ast.ClassDef]]:
+    """Return every class with a decorator ``dataclass``."""
+    return [
+        (m, node)
+        for m in found
+        for node in ast.walk(m.tree)
+        if isinstance(node, ast.ClassDef)
+        and any("dataclass" in ast.unparse(d) for d in node.decorator_list)
+    ]
+
+
+def used_once(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:
+    """Return the private functions at the top of a module that one place of it mentions."""
+    once = []
+    for m in found:
+        uses = Counter(n.id for n in ast.walk(m.tree) if isinstance(n, ast.Name))
+        once += [
+            (m, node)
+            for node in m.tree.body
+            if isinstance(node, ast.FunctionDef)
+            and node.name.startswith("_")
+            and uses[node.name] == 1
+        ]
+    return once
+
+
+def n_parameters(function: ast.FunctionDef) -> int:
+    """Return how many arguments a function takes, `self` and `cls` not counted."""
+    a = function.args
+    named = [p.arg for p in (*a.posonlyargs, *a.args, *a.kwonlyargs)]
+    return len([p for p in named if p not in ("self", "cls")])
+
+
+def is_compiled(function: ast.FunctionDef) -> bool:
+    """Whether a function is compiled by numba, or stands for one that is."""
+    marks = ("kernel", "njit", "overload", "intrinsic", "device_function")
+    return any(mark in ast.unparse(d) for d in function.decorator_list for mark in marks)
+
+
+def splats(found: list[Module]) -> list[tuple[Module, int]]:
+    """Return where a call spreads a tuple written on the spot: ``f(*(a, b), c)``."""
+    return [
+        (m, node.lineno)
+        for m in found
+        for node in ast.walk(m.tree)
+        if isinstance(node, ast.Call)
+        and any(isinstance(a, ast.Starred) and isinstance(a.value, ast.Tuple) for a in node.args)
+    ]
+
+
+def deepest_stack() -> list[str]:
+    """Identify the demo's room, and return the deepest stack of roomfit's own frames."""
+    from tempfile import TemporaryDirectory
+
+    import numpy as np
+
+    import roomfit
+    from roomfit.synthetic.boxes import demo_plan, write_measured_box
+
+    deepest: list[str] = []
+
+    def watch(frame: FrameType, event: str, _argument: Any) -> None:
+        if event != "call":
+            return
+        stack: list[str] = []
+        at: FrameType | None = frame
+        while at is not None:
+            code = at.f_code
+            own = SOURCE.as_posix() in Path(code.co_filename).as_posix()
+            if own and not code.co_name.startswith("<"):
+                stack.append(f"{Path(code.co_filename).relative_to(SOURCE)}:{code.co_name}")
+            at = at.f_back
+        if len(stack) > len(deepest):
+            deepest[:] = stack[::-1]
+
+    with TemporaryDirectory() as folder:
+        box = write_measured_box(demo_plan(), Path(folder), np.random.default_rng(1))
+        arguments = roomfit.load_campaign(box.campaign)
+        roomfit.identify(**arguments)  # compiles: frames of numba's typing are no frames of ours
+        sys.setprofile(watch)
+        try:
+            roomfit.identify(**arguments)
+        finally:
+            sys.setprofile(None)
+    return deepest
+
+
+def main() -> None:
+    """Print the table."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("--frames", action="store_true", help="identify, and count the frames")
+    wanted = parser.parse_args()
+    found = modules()
+    names = frozenset(m.name for m in found)
+    inner = core(found)
+    defined = functions(found)
+    arrows = sum(len(imported(m, names) - {""}) for m in found)
+    rows = [
+        ("lines of src", sum(m.n_lines for m in found)),
+        ("lines of the core (what identify imports)", sum(m.n_lines for m in inner)),
+        ("modules", len(found)),
+        ("modules of the core", len(inner)),
+        ("longest module, lines", max(m.n_lines for m in found)),
+        ("dataclasses", len(dataclasses(found))),
+        ("functions and methods", len(defined)),
+        ("private functions used once", len(used_once(found))),
+        (
+            "functions of more than 8 parameters, kernels apart",
+            sum(n_parameters(f) > 8 and not is_compiled(f) for _, f in defined),
+        ),
+        ("calls of the form f(*(a, b), c)", len(splats(found))),
+        ("import arrows", arrows),
+    ]
+    if wanted.frames:
+        stack = deepest_stack()
+        rows.append(("frames of roomfit's at the deepest", len(stack)))
+    width = max(len(text) for text, _ in rows)
+    for text, number in rows:
+        print(f"{text:<{width}}  {number:>7,}")
+    if wanted.frames:
+        print("\n".join(f"{'  ' * i}{at}" for i, at in enumerate(stack)))
+
+
+if __name__ == "__main__":
+    main()
