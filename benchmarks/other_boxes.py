@@ -29,12 +29,13 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import OtherBox, write_other_box
+from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
 from roomfit.results import Answer
 
 # Findings of nearly every one of these rooms: their decays are short, some bands low.
-QUIET = {"decay-range-too-small", "below-schroeder-frequency"}
+QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
 from roomfit.results import Answer
@@ -100,7 +101,7 @@ def main() -> None:
                 print(
                     line(f"{seed} {name}", [done]), *dict.fromkeys(done.answer.models), flush=True
                 )
-        fired += any(f.code == "scattering-suspected" for f in done.answer.findings)
+        fired += any(f.code == Code.SCATTERING_UNDERESTIMATED for f in done.answer.findings)
     for name, all_of in pooled.items():
         print(line(f"all, {name}", all_of))
     nearest = min(GRID, key=lambda g: abs(np.log(asked.scattering / g)))

@@ -21,12 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from _wrongly_told import FAULTS, Fault, truth_of, write_wrongly_told
+from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
 from roomfit.results import Answer
 
 # Findings that short decays and low bands have in any of these rooms.
-QUIET = {"decay-range-too-small", "below-schroeder-frequency"}
+QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
 HEAD = "fault                    |error|  90 %   hold  width   sure  wrong   far   null  findings"
 
 
@@ -38,7 +39,7 @@ class Outcome:
     true: np.ndarray
 
     @property
-    def codes(self) -> set[str]:
+    def codes(self) -> set[Code]:
         """Findings that tell a reader to doubt this room in particular."""
         return {f.code for f in self.answer.findings if f.severity != "info"} - QUIET
 

@@ -17,12 +17,13 @@ import numpy as np
 import soundfile
 
 from _other_box import OtherBox, write_other_box
+from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
 
 KINDS = ("whole", "clipped", "room", "gain", "swapped", "place")
 TARGET = "LS1_MP2.wav"
-TELLING = {"measurement-disagrees", "response-clipped", "time-zero-disagrees"}
+TELLING = {Code.MEASUREMENT_OUTLIER, Code.RESPONSE_CLIPPED, Code.TIME_ZERO_MISMATCH}
 
 
 def spoil(kind: str, box: OtherBox, seed: int) -> None:

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit.air import Air
 from roomfit.bands import bands_between
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.results import Answer, Compared, ComparedPair, Decay
 from roomfit.scene import Point, Room, Scene, material_areas_m2
@@ -90,8 +90,9 @@ def pair_of(rng, source, receiver, n_bands, use="fit"):
     return ComparedPair(source, receiver, use, found, Decay(time_s, measured_db, predicted_db))
 
 
-def finding(severity, sentence, code="some-code"):
-    return Finding(code, severity, sentence)
+def finding(severity, sentence):
+    """Return a finding of the first code that has this severity."""
+    return Finding(next(code for code in Code if code.severity == severity), sentence)
 
 
 @dataclass

@@ -11,6 +11,7 @@ import pytest
 
 from roomfit.air import Air, attenuation_per_m
 from roomfit.bands import bands_between
+from roomfit.findings import Code
 from roomfit.io.responses import read_response
 from roomfit.measurement import ResponseSpec
 from roomfit.signals.decay import (
@@ -84,7 +85,7 @@ def test_the_living_room_has_its_published_clarity(real_data):
     response, findings = read_response(
         ResponseSpec(real_data / "openair_iso3382" / "living_room_1.wav")
     )
-    assert [finding.code for finding in findings] == ["dc-offset"]
+    assert [finding.code for finding in findings] == [Code.DC_OFFSET]
     bank = FilterBank(bands_between("octave", 63.0, 8000.0))
     kept = analysed(response, bank, keep_noise=True).of("C80_dB")
     np.testing.assert_allclose(kept[2:], published[2:], atol=0.5)

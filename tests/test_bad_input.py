@@ -12,6 +12,7 @@ import pytest
 from scipy.io import savemat
 
 from roomfit.cache import CACHE_FOLDER
+from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
 from small_campaign import (
     MATERIALS,
@@ -296,7 +297,7 @@ def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     shrunk = [
         f
         for f in identify(read_campaign(campaign)).findings
-        if f.code == "receiver-sphere-shrunk" and f.evidence["receiver"] == "MP1"
+        if f.code == Code.RECEIVER_SPHERE_SHRUNK and f.evidence["receiver"] == "MP1"
     ]
     assert len(shrunk) == 1
     assert 0.19 < shrunk[0].evidence["used_m"] <= 0.2
@@ -307,7 +308,9 @@ def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
     from roomfit.inversion.identify import identify
 
     campaign = write_campaign(tmp_path / "campaign", (FIRST_FILE, f"{FIRST_FILE}\nlatency_s=-0.02"))
-    late = [f for f in identify(read_campaign(campaign)).findings if f.code.startswith("time-zero")]
+    late = [
+        f for f in identify(read_campaign(campaign)).findings if f.code is Code.TIME_ZERO_MISMATCH
+    ]
     # 20 ms at 344 m/s
     assert max(f.evidence["difference_m"] for f in late) == pytest.approx(6.9, abs=0.2)
     assert any(f.severity == "serious" for f in late)

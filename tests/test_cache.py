@@ -30,6 +30,7 @@ from roomfit.cache import (
     whole_output_folder,
 )
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.inversion.trace_plan import cached_trace
 from roomfit.materials.priors import uniform_scattering
@@ -184,7 +185,7 @@ def test_a_damaged_file_is_told_and_computed_anew(tmp_path, damage):
     )
     again = cached_trace(scene, SETTINGS, scattering, cache)
     assert not again.found
-    assert [f.code for f in again.findings] == ["cache-file-damaged"]
+    assert [f.code for f in again.findings] == [Code.CACHE_FILE_DAMAGED]
     assert same_paths(first.value.paths, again.value.paths)
     assert file.read_bytes() == whole
     assert cached_trace(scene, SETTINGS, scattering, cache).found
@@ -215,8 +216,8 @@ def test_a_cache_that_cannot_be_written_leaves_the_value_and_says_so(tmp_path):
     )
     assert found.value.numbers.tolist() == [1.0, 1.0, 1.0]
     # a file in the place of a folder cannot be read, either
-    assert {f.code for f in found.findings} <= {"cache-not-written", "cache-file-damaged"}
-    assert "cache-not-written" in {f.code for f in found.findings}
+    assert {f.code for f in found.findings} <= {Code.CACHE_NOT_WRITTEN, Code.CACHE_FILE_DAMAGED}
+    assert Code.CACHE_NOT_WRITTEN in {f.code for f in found.findings}
 
 
 def test_without_a_cache_nothing_is_written(tmp_path, monkeypatch):

@@ -17,7 +17,14 @@ import roomfit.coverage.simulate
 import roomfit.inversion.trace_plan
 from roomfit.bands import bands_between
 from roomfit.cli.commands import app
-from roomfit.coverage.calibrate import calibrate, read_replicate, replicate_path
+from roomfit.coverage.calibrate import (
+    Found,
+    Replicate,
+    calibrate,
+    read_replicate,
+    replicate_path,
+    write_replicate,
+)
 from roomfit.coverage.report import (
     calibrate_to_folder,
     calibration_json,
@@ -51,6 +58,7 @@ from roomfit.coverage.truth import (
     draw_truth,
 )
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import read_campaign
 from roomfit.io.iso3382 import read_parameters
@@ -487,6 +495,19 @@ def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):
         with pytest.raises(InputError, match="damaged"):
             read_replicate(tmp_path, 3, "d")
     assert read_replicate(tmp_path, 4, "d") is None
+
+
+def test_findings_of_a_replicate_come_back_as_codes_and_unknown_ones_are_refused(tmp_path):
+    table, bands = np.full((2, 1), 0.5), np.ones(1)
+    codes = (Code.BAND_NOT_FITTED, Code.MODEL_DOES_NOT_FIT)
+    found = Found(table, table, table, table > 0.0, bands, bands, ("energy",), codes)
+    path = write_replicate(tmp_path, Replicate(3, "d", BOX, table, None, found, 1.0))
+    back = read_replicate(tmp_path, 3, "d").found.findings
+    assert [type(code) for code in back] == [Code, Code]
+    assert back == codes
+    path.write_text(path.read_text().replace("band-not-fitted", "band-not-told"))
+    with pytest.raises(InputError, match=r"unknown code[\s\S]*0003\.json[\s\S]*band-not-told"):
+        read_replicate(tmp_path, 3, "d")
 
 
 @pytest.mark.parametrize(

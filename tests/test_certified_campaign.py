@@ -23,6 +23,7 @@ from roomfit.certified.certificate import (
 from roomfit.certified.convex import total_misfit
 from roomfit.certified.question import energy_question, free_vector
 from roomfit.certified.search import tools_for
+from roomfit.findings import Code
 from roomfit.inversion import bands as fitting
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
@@ -192,9 +193,9 @@ def test_open_searches_and_several_answers_are_findings(
     assert certificate_findings(bands, [clean]) == ()
     assert certificate_findings(bands, [None]) == ()
     stopped = replace(clean, status="stopped", lower_bound=clean.value - 1.0)
-    assert [f.code for f in certificate_findings(bands, [stopped])] == ["not-certified"]
+    assert [f.code for f in certificate_findings(bands, [stopped])] == [Code.NOT_CERTIFIED]
     two = replace(proof, clusters=(cluster, cluster))
     told = certificate_text(replace(certified[0], certificates=(two,)))
     assert proof.sentence in told
     assert told.count("gain of LS1") == 2
-    assert [f.code for f in certificate_findings(bands, [two])] == ["several-answers"]
+    assert [f.code for f in certificate_findings(bands, [two])] == [Code.MULTIPLE_MINIMA_CERTIFIED]

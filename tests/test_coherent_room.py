@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roomfit.findings import Code
 from roomfit.inversion.coherent import CoherentFit, fit_coherent
 from roomfit.inversion.geometry_checks import delay_findings, place_findings
 from roomfit.inversion.sequential import CoherentOptions
@@ -68,7 +69,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
         np.stack([getattr(a, name) for a in fit.answers], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
-    assert "measurement-disagrees" not in {f.code for f in fit.findings}
+    assert Code.MEASUREMENT_OUTLIER not in {f.code for f in fit.findings}
     # two bands alone, and a loudspeaker whose level and phase change within them
     assert np.median(np.abs(found - true)) < 0.05
     assert np.sum((true < low) | (true > high)) <= 2
@@ -96,7 +97,7 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
         fit = fitted(campaign)
     finally:
         (campaign.parent / names[1]).write_bytes(right)
-    told = [f.sentence for f in fit.findings if f.code == "measurement-disagrees"]
+    told = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
     assert len(told) == 1
     assert names[1] in told[0]
     found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
@@ -107,15 +108,15 @@ def test_places_that_are_held_and_wrong_are_found(box: tuple[Path, np.ndarray]) 
     """All coordinates are 1 cm wrong, which two octaves of pressures contradict."""
     campaign, _ = box
     held = fitted(campaign, positions="fixed")
-    assert "places-move" in {f.code for f in held.findings}
-    assert "places-move" not in {f.code for f in fitted(campaign).findings}
+    assert Code.POSITION_INCONSISTENT in {f.code for f in held.findings}
+    assert Code.POSITION_INCONSISTENT not in {f.code for f in fitted(campaign).findings}
 
 
 def test_few_units_of_likelihood_do_not_speak_for_many_unknowns() -> None:
     """Thirty unknowns that explain nothing gain fifteen units, give or take four."""
     assert place_findings(15.0 + 4 * 4.0, 30, 100) == ()
-    assert place_findings(60.0, 30, 100)[0].code == "places-move"
+    assert place_findings(60.0, 30, 100)[0].code == Code.POSITION_INCONSISTENT
     # of a thousand windows these are next to nothing
     assert place_findings(60.0, 30, 1000) == ()
     assert delay_findings(3.0 + 4 * 1.7) == ()
-    assert delay_findings(20.0)[0].code == "walls-delay"
+    assert delay_findings(20.0)[0].code == Code.REFLECTION_DELAY_DETECTED

@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import least_squares
 
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.uncertainty.combinations import (
     Combination,
     band_combinations,
@@ -205,7 +206,7 @@ def test_a_room_whose_mean_alone_is_known_is_told_so():
     found = band_combinations(a[:, None], covariance[None], prior, areas, 1)
     told = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
 
-    assert [f.code for f in told] == ["materials-not-separable"]
+    assert [f.code for f in told] == [Code.MATERIALS_NOT_SEPARABLE]
     assert "1000 Hz" in told[0].sentence
     assert not inseparable_findings(names, np.array([1000.0]), np.ones((5, 1), dtype=bool), found)
 

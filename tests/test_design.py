@@ -34,6 +34,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
+from roomfit.findings import Code
 from roomfit.suh2001.room import paper_scene
 from small_campaign import run_command, write_campaign
 
@@ -321,7 +322,7 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     campaign = roomfit.read_campaign(path, to_fit=False)
     found = roomfit.design(campaign, choose_n=2, most_sources=1, criterion="mean", n_random=3)
     assert found.n_held == 0 and not found.after_fit
-    assert [f.code for f in found.findings if f.code == "few-candidates"]
+    assert [f.code for f in found.findings if f.code == Code.FEW_CANDIDATES]
     assert np.unique(found.scene.pairs[found.chosen, 0]).size == 1
     names = {r.name for r in found.scene.receivers}
     assert names <= {"MP1", "MP2", "R1", "R2", "R3"}

@@ -20,7 +20,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import CoherentFit, fit_coherent
 from roomfit.inversion.directivity import (
@@ -229,7 +229,7 @@ def test_an_omnidirectional_source_may_be_fitted_without_harm(tmp_path: Path) ->
 def test_a_directional_source_taken_for_omnidirectional_is_found_out(tmp_path: Path) -> None:
     """The finding names the source and tells where it sends."""
     fit, found = coherent_answer(case_of(tmp_path, "", directional=True))
-    (finding,) = (f for f in fit.findings if f.code == "source-directs")
+    (finding,) = (f for f in fit.findings if f.code == Code.SOURCE_NOT_OMNIDIRECTIONAL)
     assert finding.severity == "serious"
     assert finding.evidence["source"] == "LS1"
     for b in np.array(finding.evidence["b"]):
@@ -243,7 +243,7 @@ def test_an_omnidirectional_source_raises_no_doubt(tmp_path: Path) -> None:
     case = case_of(tmp_path, "", directional=False)
     fit, _ = coherent_answer(case)
     _, _, doubts = energy_answer(case)
-    assert not [f for f in (*fit.findings, *doubts) if f.code == "source-directs"]
+    assert not [f for f in (*fit.findings, *doubts) if f.code == Code.SOURCE_NOT_OMNIDIRECTIONAL]
 
 
 @pytest.mark.slow
@@ -256,7 +256,7 @@ def test_energies_alone_find_and_doubt_sources_as_well(tmp_path: Path) -> None:
     assert holds(answers).sum() >= 8
     assert not doubts
     _, _, doubts = energy_answer(case_of(tmp_path, "", directional=True))
-    assert [f.code for f in doubts] == ["source-directs"]
+    assert [f.code for f in doubts] == [Code.SOURCE_NOT_OMNIDIRECTIONAL]
 
 
 @pytest.mark.slow
@@ -359,7 +359,7 @@ def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Pa
     asked = read_campaign(campaign(tmp_path, 'directivity = "fit"', directional=False))
     directed, doubts = directed_as_found(asked, bands, alone)
     assert directed.directivities["LS1"] == "omni"
-    assert [f.code for f in doubts] == ["directivity-not-known"]
+    assert [f.code for f in doubts] == [Code.DIRECTIVITY_NOT_KNOWN]
 
 
 def _kept_apart(text: str) -> str:

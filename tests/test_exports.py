@@ -18,6 +18,7 @@ from roomfit.bands import bands_between
 from roomfit.cli import main
 from roomfit.commands import export_result
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.io.exports import FORMATS, RAVEN_BANDS, read_material_table, resample, short_names
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
@@ -189,9 +190,9 @@ def test_the_wide_table_holds_values_and_intervals(tmp_path):
 @pytest.mark.parametrize("wanted", FORMATS)
 def test_what_the_data_do_not_hold_is_told_with_every_format(tmp_path, wanted):
     written = export_result(write_result(tmp_path), wanted, tmp_path / "out")
-    doubt = {f.code: f for f in written.findings}["export-not-identifiable"]
+    doubt = {f.code: f for f in written.findings}[Code.EXPORT_NOT_IDENTIFIABLE]
     assert doubt.evidence["materials"] == {"Wand grün": [250.0]}
-    assumed = "export-scattering-assumed" in {f.code for f in written.findings}
+    assumed = Code.EXPORT_SCATTERING_ASSUMED in {f.code for f in written.findings}
     assert assumed == (wanted not in ("csv", "odeon"))
 
 

@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.build import Face, build_mesh, oriented
 from roomfit.geometry.check import examine, leak_fraction
 from roomfit.geometry.inside import distance_to_walls_m, interior_points, is_inside
@@ -113,7 +114,7 @@ def test_a_room_that_is_wholly_inside_out_is_turned_and_said_to_be():
 
     repaired, findings = oriented(replace(mesh, triangles=mesh.triangles[:, ::-1]))
 
-    assert codes(findings) == ["inside-out"]
+    assert codes(findings) == [Code.INSIDE_OUT]
     assert volume_m3(repaired) == pytest.approx(21.0, rel=1e-14)
 
 
@@ -250,10 +251,10 @@ def test_a_hole_is_an_error_and_a_pinhole_a_finding_with_its_place():
     large = examine(holed_box(0.5))
     small = examine(holed_box(0.1))
 
-    assert "leak" in codes(large.findings)
+    assert Code.LEAK in codes(large.findings)
     with pytest.raises(InputError, match=r"the mesh leaks\n  where +leaving from '"):
         refuse(large.findings)
-    assert codes(small.findings) == ["small-leak", "not-closed"]
+    assert codes(small.findings) == [Code.SMALL_LEAK, Code.NOT_CLOSED]
     assert "4 of 54 edges have no neighbour, 0.40 m in all" in small.findings[1].sentence
     assert "(1.600, 1.500, 3.000) m" in small.findings[1].sentence
     # a hole of 0.01 m2, seen from the middle 1.5 m below, is 0.005 m3 of the divergence sum
@@ -267,7 +268,7 @@ def test_a_face_without_area_is_a_fault_with_its_place():
         bad = Face(corners, Surface("sliver", None, "glass"))
         _, findings = build_mesh(vertices, [*box_faces(), bad])
 
-        assert codes(findings) == ["zero-area-face"]
+        assert codes(findings) == [Code.ZERO_AREA_FACE]
         with pytest.raises(InputError, match=r"faces without area\n  where +'sliver' near \("):
             refuse(findings)
 
@@ -280,7 +281,7 @@ def test_a_face_without_area_that_fills_a_seam_is_left_out():
 
     mesh, findings = build_mesh(vertices, [*faces, *halves])
 
-    assert codes(findings) == ["seam-faces"]
+    assert codes(findings) == [Code.SEAM_FACES]
     assert examine(mesh).closed
 
 
@@ -293,21 +294,24 @@ def test_repeated_and_back_to_back_faces_are_named():
     mesh, repeated = build_mesh(BOX, [*box_faces(), again])
     _, reversed_ = build_mesh(BOX, [*box_faces(), reverse])
 
-    assert codes(repeated) == ["repeated-face"]
+    assert codes(repeated) == [Code.REPEATED_FACE]
     assert "'ceiling' near (2.500, 2.000, 3.000) m" in repeated[0].sentence
     assert volume_m3(mesh) == pytest.approx(60.0, rel=1e-14)
-    assert codes(reversed_) == ["back-to-back-faces"]
+    assert codes(reversed_) == [Code.BACK_TO_BACK_FACES]
 
 
 def test_a_warped_polygon_is_a_finding_and_beyond_a_centimetre_a_fault():
     """One corner of the ceiling lifted by 8 mm and by 80 mm is 2 and 20 mm off the plane."""
-    for lift, severity, said in ((0.008, "info", "2.0 mm"), (0.08, "serious", "20 mm")):
+    for lift, code, severity, said in (
+        (0.008, Code.WARPED_POLYGON, "info", "2.0 mm"),
+        (0.08, Code.POLYGON_NOT_PLANAR, "serious", "20 mm"),
+    ):
         vertices = BOX.copy()
         vertices[7, 2] += lift
         flat = [f for f in box_faces() if f.surface.name in ("ceiling", "floor")]
         _, findings = build_mesh(vertices, flat)
 
-        assert [(f.code, f.severity) for f in findings] == [("warped-polygon", severity)]
+        assert [(f.code, f.severity) for f in findings] == [(code, severity)]
         assert said in findings[0].sentence
 
 
@@ -325,19 +329,19 @@ def test_a_moebius_strip_has_one_side():
 
     _, findings = oriented(build_mesh(np.array(low), faces)[0])
 
-    assert "one-sided" in codes(findings)
+    assert Code.SURFACE_NOT_ORIENTABLE in codes(findings)
 
 
 def test_a_flat_floor_is_no_room():
     """No volume, no inside, not closed."""
     mesh, _ = build_mesh(BOX, box_faces()[4:5])
 
-    assert set(codes(examine(mesh).findings)) == {"no-inside", "no-volume", "not-closed"}
+    assert set(codes(examine(mesh).findings)) == {Code.NO_INTERIOR, Code.NO_VOLUME, Code.NOT_CLOSED}
 
 
 def test_a_box_in_millimetres_taken_for_metres_makes_one_ask_for_the_unit():
     """5000 x 4000 x 3000 m."""
     found = examine(shoebox_mesh(np.array(LENGTHS) * 1000)).findings
 
-    assert codes(found) == ["unusual-size"]
+    assert codes(found) == [Code.UNUSUAL_SIZE]
     assert "is the unit right?" in found[0].sentence

@@ -40,8 +40,8 @@ JND = {"T20_s": 0.05, "T30_s": 0.05, "EDT_s": 0.05, "C50_dB": 1.0, "C80_dB": 1.0
 FINDINGS = (
     finding("info", "Good to know."),
     finding("serious", "Do not use it."),
-    finding("warning", "Look at it.", "other-code"),
-    finding("warning", "Look at this as well.", "other-code"),
+    finding("warning", "Look at it."),
+    finding("warning", "Look at this as well."),
 )
 
 

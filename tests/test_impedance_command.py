@@ -10,6 +10,7 @@ import pytest
 import soundfile
 
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.impedance.campaign import (
     campaign_pressures,
     identify_campaign_impedance,
@@ -317,4 +318,4 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_tells_them(tm
 
     without = pressures_of(tmp_path, late, 'level = "absolute"\n')
     assert without.nuisances.gain == "known" and without.nuisances.delay_sd_s == 2e-5
-    assert [f.code for f in without.findings] == ["time-zero-disagrees"] * 5
+    assert [f.code for f in without.findings] == [Code.TIME_ZERO_MISMATCH] * 5

@@ -7,6 +7,7 @@ import pytest
 
 from impedance_cases import exact
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import identify_impedance
@@ -87,7 +88,7 @@ def test_positions_that_are_wrong_and_not_estimated_do_not_fit():
     answer = identified(observed, nuisances=EXACT)
     assert answer.verdict.word == "does not fit"
     assert answer.verdict.cause.startswith("positions")
-    assert [f.code for f in answer.findings] == ["impedance-does-not-fit"]
+    assert [f.code for f in answer.findings] == [Code.IMPEDANCE_DOES_NOT_FIT]
 
 
 def test_a_gain_that_is_taken_for_known_is_the_cause_that_is_named():
@@ -121,7 +122,7 @@ def test_levels_over_a_whole_band_are_allowed_and_called_weaker():
     levels = Observed(F_HZ, TAU_S, np.abs(observed.pressure), observed.noise, has_phase=False)
     answer = identified(levels, nuisances=EXACT)
     assert answer.verdict.weaker
-    assert "levels-only" in [f.code for f in answer.findings]
+    assert Code.LEVELS_ONLY in [f.code for f in answer.findings]
     # a third of the data of A6 of docs/impedance.md, which asks for 0.02
     assert rms_by_material(found_r0(answer) - r0, F_HZ).max() <= 0.03
 
@@ -133,7 +134,7 @@ def test_a_single_frequency_that_cannot_tell_is_refused_before_any_computing(n_p
         Observed(np.array([500.0]), TAU_S, p, 0.01 * np.ones((n_pairs, 1)), phase), n_pairs=n_pairs
     )
     assert answer.verdict.word == "not identifiable"
-    assert [f.code for f in answer.findings] == ["too-few-data"]
+    assert [f.code for f in answer.findings] == [Code.TOO_FEW_DATA]
     assert answer.evaluations == 0
     for material in answer.materials:
         assert np.all(material.r0_lower95 == -1 - 1j) and np.all(material.r0_upper95 == 1 + 1j)
@@ -182,7 +183,7 @@ def test_noise_that_is_not_told_is_estimated_and_makes_the_verdict_weaker():
     observed, r0 = image_data(np.random.default_rng(17))
     answer = identified(Observed(F_HZ, TAU_S, observed.pressure), nuisances=EXACT)
     assert answer.verdict.weaker
-    finding = next(f for f in answer.findings if f.code == "noise-estimated")
+    finding = next(f for f in answer.findings if f.code == Code.NOISE_ESTIMATED)
     assert finding.evidence["noise_over_level"] == pytest.approx(0.01, rel=0.5)
     assert rms_by_material(found_r0(answer) - r0, F_HZ).max() <= 0.02
 

@@ -21,6 +21,7 @@ from images_reference import (
     scene_of,
 )
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.geometry.mesh import Mesh
 from roomfit.materials.priors import uniform_scattering
@@ -266,7 +267,7 @@ def test_a_sphere_that_a_wall_or_a_source_would_cut_is_shrunk_with_a_finding() -
     radii, findings = fitting_radii_m(scene, 0.5)
     np.testing.assert_allclose(radii, [0.2, 0.25, 0.5], rtol=2e-3)
     assert np.all(radii[:2] < [0.2, 0.25])
-    assert [f.code for f in findings] == ["receiver-sphere-shrunk"] * 2
+    assert [f.code for f in findings] == [Code.RECEIVER_SPHERE_SHRUNK] * 2
     assert "R0" in findings[0].sentence and "wall" in findings[0].sentence
     assert "R1" in findings[1].sentence and "source" in findings[1].sentence
     # a receiver that no pair uses is left alone
@@ -279,7 +280,7 @@ def test_rays_near_a_wall_still_bring_the_direct_sound() -> None:
     scene = scene_of(box_room(), [[3.0, 2.0, 1.5]], [[3.6, 2.1, 0.15]])
     black = np.ones(6)
     result = traced(scene, 60_000, -1)
-    assert [f.code for f in result.findings] == ["receiver-sphere-shrunk"]
+    assert [f.code for f in result.findings] == [Code.RECEIVER_SPHERE_SHRUNK]
     energy, error = energies(result.paths, black, np.array([0.0, 0.1]))
     distance = np.linalg.norm([0.6, 0.1, 1.35])
     expected = smeared(np.array([distance]), 0.15 * 0.999, 0.0, 10.0)[0]
@@ -303,7 +304,7 @@ def test_a_leak_is_told() -> None:
     )
     scene = scene_of(Room(open_mesh, BOX_MATERIALS, np.arange(6)), *PLACES)
     findings = traced(scene, 1000, 1).findings
-    assert [(f.code, f.severity) for f in findings] == [("rays-escaped", "serious")]
+    assert [(f.code, f.severity) for f in findings] == [(Code.RAYS_ESCAPED, "serious")]
     assert findings[0].evidence["n_escaped"] > 500
 
 

@@ -9,6 +9,7 @@ import pytest
 
 from roomfit.air import Air
 from roomfit.bands import Bands
+from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.inversion.measurements import Gathered
 from roomfit.inversion.symmetry import mirror_findings
@@ -47,7 +48,7 @@ def test_floor_and_ceiling_can_be_exchanged_where_everything_stands_at_half_heig
     ambiguous, (finding,) = found(gathered(1.5, 1.51))
     # at 1 kHz both answers lie within the intervals
     assert ambiguous.tolist() == [[False, False], [True, False], [True, False]]
-    assert finding.code == "mirror-images"
+    assert finding.code == Code.MIRROR_AMBIGUITY
     assert finding.evidence["materials"] == ["floor", "ceiling"]
     assert finding.evidence["other_answer"]["floor"] == [0.6, 0.35]
     assert finding.evidence["bands_hz"] == [500.0]

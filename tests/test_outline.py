@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air, speed_of_sound_m_s
+from roomfit.findings import Code
 from roomfit.inversion.room_outline import outline_findings
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
@@ -57,7 +58,7 @@ def test_a_room_told_right_raises_no_doubt(seed):
 )
 def test_a_wall_told_wrong_is_named_with_its_distance(told_m, surface, metres):
     (finding,) = outline_findings(*told_and_heard(3, told_m))
-    assert finding.code == "outline-disagrees"
+    assert finding.code == Code.WALL_POSITION_MISMATCH
     assert finding.evidence["surface"] == surface
     assert finding.evidence["metres_outward"] == pytest.approx(metres, abs=0.05)
     assert surface in finding.sentence

@@ -12,6 +12,7 @@ import pytest
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.inversion.measurements import duplicate_findings, unmet_findings
 from roomfit.io.campaign import read_campaign
 from roomfit.io.measurements import measure
@@ -183,7 +184,7 @@ def test_a_changed_material_is_predicted_as_if_it_had_been_found_so(campaign):
     for name in ("T20_s", "C80_dB", "G_dB"):
         np.testing.assert_allclose(values(found, name), values(direct, name), rtol=1e-12)
     assert found.changes == ("carpet=x0.5", "tiles=0.6,0.7")
-    assert "materials-changed" in {f.code for f in found.findings}
+    assert Code.MATERIALS_CHANGED in {f.code for f in found.findings}
 
 
 def test_more_absorption_means_less_reverberation_and_level(campaign, predicted):
@@ -234,7 +235,7 @@ def test_a_change_that_cannot_be_made_is_refused(campaign, text, words):
 def test_a_factor_beyond_all_absorption_is_clipped_and_told(campaign):
     found = predict_campaign(campaign, posterior(), [read_change("carpet=x4")], n_draws=2)
     np.testing.assert_array_equal(found.absorption[1], 1.0)
-    assert "absorption-clipped" in {f.code for f in found.findings}
+    assert Code.ABSORPTION_CLIPPED in {f.code for f in found.findings}
     assert np.all(np.isfinite(values(found, "T20_s")))
 
 
@@ -259,7 +260,7 @@ def test_bands_without_absorption_are_left_out_and_told(campaign):
     known = posterior(bands=bands_between("octave", 1000, 4000))
     found = predict_campaign(campaign, known, n_draws=2)
     assert found.bands.centres_hz.tolist() == [1000.0]
-    assert "band-not-predicted" in {f.code for f in found.findings}
+    assert Code.BAND_NOT_PREDICTED in {f.code for f in found.findings}
     with pytest.raises(InputError, match="other bands"):
         predict_campaign(campaign, posterior(bands=bands_between("octave", 125, 250)), n_draws=2)
 
@@ -428,7 +429,7 @@ def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):
 )
 def test_a_pair_measured_twice_with_other_results_is_told(campaign, tmp_path, change, words):
     (finding,) = duplicate_findings(measured_twice(campaign, tmp_path, change))
-    assert finding.code == "pair-measured-twice-differs"
+    assert finding.code == Code.REPEATED_RESPONSES_DIFFER
     assert "LS1 to MP1" in finding.sentence
     import re
 

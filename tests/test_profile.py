@@ -17,6 +17,7 @@ from posterior_cases import (
     linear_case,
 )
 from roomfit.bands import Bands
+from roomfit.findings import Code
 from roomfit.inversion.bands import from_random_starts, starts_findings
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
 from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
@@ -150,7 +151,7 @@ def test_random_starts_find_the_other_of_two_exchangeable_materials():
     assert abs(starts.loss) < 0.05
     assert 0 < starts.agreeing < 6
     (finding,) = starts_findings(Bands("octave", [500.0]), ("a", "b"), [starts])
-    assert finding.code == "other-minimum"
+    assert finding.code == Code.MULTIPLE_MINIMA_MULTISTART
     assert finding.evidence["bands_hz"] == [500.0]
 
 

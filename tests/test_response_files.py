@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.findings import Code
 from roomfit.io.responses import read_response
 from roomfit.measurement import ResponseSpec
 
@@ -102,7 +103,7 @@ def test_a_streamed_wav_without_lengths_is_read_to_its_end_with_a_finding(tmp_pa
     streamed.write_bytes(bytes(content))
     response, findings = read_response(ResponseSpec(streamed))
     np.testing.assert_allclose(response.pressure, decay(), atol=2.0**-15)
-    assert codes(findings) == ["wav-length-unknown"]
+    assert codes(findings) == [Code.WAV_LENGTH_UNKNOWN]
 
 
 def test_a_wav_of_more_than_four_gigabytes_form_is_read_and_checked(tmp_path):
@@ -140,7 +141,7 @@ def test_a_file_that_holds_no_response_is_refused(tmp_path, spoil, words):
 def test_clipping_is_found_and_a_normalised_peak_is_not_taken_for_it(tmp_path):
     loud = np.clip(30.0 * np.convolve(decay(), np.ones(8) / 8, "same"), -1.0, 1.0)
     _, findings = read_response(ResponseSpec(write_wav(tmp_path / "loud.wav", loud, "PCM_16")))
-    assert codes(findings) == ["response-clipped"]
+    assert codes(findings) == [Code.RESPONSE_CLIPPED]
     assert findings[0].severity == "serious"
     peak = decay() / np.abs(decay()).max()
     _, findings = read_response(ResponseSpec(write_wav(tmp_path / "peak.wav", peak)))
@@ -156,7 +157,7 @@ def test_many_equal_peaks_are_clipped_however_short(tmp_path):
     response[at] = rng.normal(size=400) * np.exp(-at / 1000.0)
     for name, samples, told in (
         ("whole.wav", response, []),
-        ("cut.wav", np.clip(response, -0.2, 0.2), ["response-clipped"]),
+        ("cut.wav", np.clip(response, -0.2, 0.2), [Code.RESPONSE_CLIPPED]),
     ):
         soundfile.write(tmp_path / name, samples.astype(np.float32), 16000, subtype="FLOAT")
         _, findings = read_response(ResponseSpec(tmp_path / name))
@@ -167,7 +168,7 @@ def test_a_constant_offset_is_told_and_subtracted(tmp_path):
     path = write_wav(tmp_path / "offset.wav", 0.5 * decay() + 0.01)
     response, findings = read_response(ResponseSpec(path))
     np.testing.assert_allclose(response.pressure, 0.5 * decay(), atol=1e-4)
-    assert codes(findings) == ["dc-offset"]
+    assert codes(findings) == [Code.DC_OFFSET]
     assert findings[0].evidence["offset"] == pytest.approx(0.01, rel=1e-2)
 
 

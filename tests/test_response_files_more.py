@@ -15,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
+from roomfit.findings import Code
 from roomfit.io.responses import read_response
 from roomfit.io.responses.sweeps import band_of
 from roomfit.measurement import ResponseSpec
@@ -125,14 +126,17 @@ def test_a_normalised_export_gets_its_level_back(tmp_path):
     np.testing.assert_allclose(response.pressure, samples, rtol=1e-14, atol=0)
     assert findings == ()
     lost = rew_text(samples / peak, -0.25, normalised="normalised", peak_value=0.0)
-    assert codes(read_response(ResponseSpec(written(tmp_path, lost)))[1]) == ["level-lost"]
+    assert codes(read_response(ResponseSpec(written(tmp_path, lost)))[1]) == [Code.LEVEL_UNKNOWN]
 
 
 def test_a_zero_at_the_peak_and_a_window_are_told(tmp_path):
     text = rew_text(decay(), -120 / RATE_HZ, window="")
     path = written(tmp_path, text)
-    assert codes(read_response(ResponseSpec(path))[1]) == ["window-applied", "time-zero-at-peak"]
-    assert codes(read_response(ResponseSpec(path, time_zero="direct"))[1]) == ["window-applied"]
+    assert codes(read_response(ResponseSpec(path))[1]) == [
+        Code.WINDOW_APPLIED,
+        Code.TIME_ZERO_AT_PEAK,
+    ]
+    assert codes(read_response(ResponseSpec(path, time_zero="direct"))[1]) == [Code.WINDOW_APPLIED]
 
 
 def longer(text: str) -> str:
@@ -239,7 +243,7 @@ def test_a_recorded_sweep_gives_the_known_response(tmp_path):
     assert times_s(response)[0] == pytest.approx(-0.02, abs=1e-12)
     assert response.sampling_rate_hz == RATE_HZ
     assert error_db(response, true) < -75
-    assert codes(findings) == ["deconvolved"]
+    assert codes(findings) == [Code.DECONVOLVED]
     # the decay goes on 6119 samples after the last sound of the sweep, give or take its fade-out
     assert len(after_zero(response)) == pytest.approx(len(true), abs=100)
 
@@ -366,8 +370,8 @@ def test_a_clipped_recording_is_told_and_the_crests_of_low_tones_are_not(tmp_pat
     words = soundfile.read(tmp_path / "soft.wav", dtype="int16")[0]
     crests = "".join("1" if w == words.max() else "0" for w in words)
     assert "1111" in crests  # the case is there
-    assert "response-clipped" not in told["soft"]
-    assert "response-clipped" in told["loud"]
+    assert Code.RESPONSE_CLIPPED not in told["soft"]
+    assert Code.RESPONSE_CLIPPED in told["loud"]
 
 
 def test_recordings_that_cannot_be_deconvolved_are_refused(tmp_path):

@@ -14,6 +14,7 @@ from typer.testing import CliRunner
 from roomfit.cli.commands import app
 from roomfit.commands import check_room
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import refuse
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
@@ -121,7 +122,7 @@ def test_points_outside_in_walls_and_upon_each_other_are_faults_with_their_place
     findings = position_findings(room, sources, receivers)
 
     assert [f.code for f in findings] == [
-        "position-outside", "position-in-wall", "source-at-receiver",
+        Code.POSITION_OUTSIDE, Code.POSITION_IN_WALL, Code.SOURCE_AT_RECEIVER,
     ]  # fmt: skip
     with pytest.raises(InputError, match=r"source 'S2' stands outside(.*\n)*.*1 m from .*'east'"):
         refuse(findings)

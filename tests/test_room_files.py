@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
@@ -111,7 +112,7 @@ def test_units_scale_the_room_and_y_up_turns_it_without_mirroring(tmp_path, unit
     assert volume_m3(mesh) == pytest.approx(21.0 * metres**3, rel=1e-6)
     np.testing.assert_allclose(mesh.vertices_m.min(axis=0), np.array([0, -3, 0]) * metres)
     np.testing.assert_allclose(mesh.vertices_m.max(axis=0), np.array([4, 0, 4]) * metres)
-    assert "inside-out" not in [f.code for f in findings]
+    assert Code.INSIDE_OUT not in [f.code for f in findings]
 
 
 def test_ac3d_puts_objects_where_their_parents_say(tmp_path):
@@ -137,7 +138,7 @@ def test_ac3d_two_sided_surfaces_are_sheets_only_where_others_are_not(tmp_path):
     curtain += "SURF 0x30\nmat 0\nrefs 4\n0 0 0\n1 0 0\n2 0 0\n3 0 0\nkids 0\n"
     text = l_ac3d().replace("OBJECT world\nkids 1", "OBJECT world\nkids 2") + curtain
     mesh, findings = read_mesh(RoomSpec(file=write(tmp_path, "one.ac", text), unit="m"))
-    assert [f.code for f in findings] == ["two-sided-taken-as-sheets"]
+    assert [f.code for f in findings] == [Code.TWO_SIDED_TAKEN_AS_SHEETS]
     assert volume_m3(mesh) == pytest.approx(21.0)
     assert surface_area_m2(mesh) == pytest.approx(62.0 + 2 * 0.6)
 
@@ -251,8 +252,8 @@ def test_tables_can_be_patched_by_later_ones(tmp_path):
     assert areas["oak"] == pytest.approx(7.0)
     assert "carpet" not in areas
     by_code = {f.code: f.sentence for f in findings}
-    assert "plane 71: 99 m2 stated, 3.50 m2" in by_code["stated-area-disagrees"]
-    assert "by up to 0.005" in by_code["corners-differ"]
+    assert "plane 71: 99 m2 stated, 3.50 m2" in by_code[Code.STATED_AREA_MISMATCH]
+    assert "by up to 0.005" in by_code[Code.CORNERS_DIFFER]
 
 
 @pytest.mark.parametrize(
@@ -374,7 +375,7 @@ def test_the_seminar_room_has_its_published_measures(real_data):
     expected = {"concrete": 56.94, "windows": 9.75, "ceiling": 51.62, "plaster": 34.93}
     expected["floor"] = 49.29
     assert {k.removeprefix("mat_scene09_"): round(v, 2) for k, v in areas.items()} == expected
-    assert {f.code for f in findings} <= {"seam-faces", "slivers"}
+    assert {f.code for f in findings} <= {Code.SEAM_FACES, Code.SLIVERS}
 
 
 def test_the_simplified_seminar_room_is_turned_outside_in(real_data):
@@ -384,7 +385,7 @@ def test_the_simplified_seminar_room_is_turned_outside_in(real_data):
 
     assert round(volume_m3(room.mesh), 1) == 144.3
     assert len(room.materials) == 5
-    assert [f.code for f in findings] == ["inside-out"]
+    assert [f.code for f in findings] == [Code.INSIDE_OUT]
 
 
 def ptb(real_data: Path, **changes) -> RoomSpec:
@@ -403,10 +404,10 @@ def test_the_studio_loads_in_spite_of_its_faults(real_data):
     # the boxes on the wall and the ceiling of phase 3 take 15 m3 from the 389 m3 of phase 2
     assert volume_m3(room.mesh) == pytest.approx(373.5, rel=1e-3)
     assert len(room.materials) == 9
-    assert "405, 408, 412, 415, 419 and 1 more" in by_code["corners-differ"].sentence
-    assert "plane 6: 25.74 m2 stated, 28.05 m2" in by_code["stated-area-disagrees"].sentence
-    assert "'studio wall' and 'studio_wall'" in by_code["materials-look-alike"].sentence
-    leak = by_code["small-leak"].evidence
+    assert "405, 408, 412, 415, 419 and 1 more" in by_code[Code.CORNERS_DIFFER].sentence
+    assert "plane 6: 25.74 m2 stated, 28.05 m2" in by_code[Code.STATED_AREA_MISMATCH].sentence
+    assert "'studio wall' and 'studio_wall'" in by_code[Code.MATERIAL_NAMES_SIMILAR].sentence
+    leak = by_code[Code.SMALL_LEAK].evidence
     assert 0 < leak["escapes"] / leak["hits"] < 1e-3
 
 

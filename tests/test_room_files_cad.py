@@ -18,6 +18,7 @@ from hypothesis import strategies as st
 
 from roomfit.commands import check_room
 from roomfit.errors import InputError, RoomfitError
+from roomfit.findings import Code
 from roomfit.geometry.mesh import is_double_sided, surface_area_m2, triangle_areas_m2, volume_m3
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.catt import area_m2, cut_parts
@@ -112,7 +113,7 @@ def test_a_plane_written_with_backslashes_reflects_on_its_other_side(tmp_path):
     _, plain = read_room(RoomSpec(file=written(tmp_path, BOX)))
     _, told = read_room(RoomSpec(file=written(tmp_path, turned, "turned.geo")))
     assert plain == ()
-    assert [f.code for f in told] == ["flipped-faces"]
+    assert [f.code for f in told] == [Code.FLIPPED_FACES]
 
 
 def test_expressions_includes_and_mirrors_make_a_hall_of_known_volume(tmp_path):
@@ -123,7 +124,7 @@ def test_expressions_includes_and_mirrors_make_a_hall_of_known_volume(tmp_path):
     outline_m = 8 + 2 * (6 + 2 + 6) + 4
     assert surface_area_m2(room.mesh) == pytest.approx(2 * 72 + 3 * outline_m, rel=1e-12)
     assert materials(room) == {"parquet", "brick", "tiles"}
-    assert [f.code for f in findings] == ["materials-joined"]
+    assert [f.code for f in findings] == [Code.MATERIALS_JOINED]
     numbers = {s.name for s in room.mesh.surfaces}
     assert numbers == {"1", "2", "3", "4", "204", "5", "205", "6", "206", "7"}
 
@@ -420,8 +421,8 @@ def test_what_is_no_face_is_counted_and_hidden_layers_are_told(tmp_path):
     room, findings = read_room(RoomSpec(file=saved(document, tmp_path)))
     assert volume_m3(room.mesh) == pytest.approx(60, rel=1e-12)
     told = {f.code: f for f in findings}
-    assert dict(told["entities-passed-over"].evidence) == {"LINE": 2, "open LWPOLYLINE": 1}
-    assert dict(told["layers-passed-over"].evidence) == {"old walls": 1}
+    assert dict(told[Code.ENTITIES_IGNORED].evidence) == {"LINE": 2, "open LWPOLYLINE": 1}
+    assert dict(told[Code.LAYERS_IGNORED].evidence) == {"old walls": 1}
 
 
 @pytest.mark.parametrize(

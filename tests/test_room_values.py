@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from roomfit.air import Air
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.compare import compared_values
 from roomfit.io.iso3382 import read_parameters
@@ -360,7 +361,7 @@ def test_a_pair_measured_twice_with_different_results_is_told(tmp_path):
 
     np.testing.assert_allclose(joined.values["T20_s"], [1.1, 1.0])
     np.testing.assert_allclose(joined.spread["T20_s"], [0.1, 0.0], atol=1e-12)
-    assert finding.code == "pair-measured-twice"
+    assert finding.code == Code.REPEATED_VALUES_DIFFER
     assert finding.severity == "warning"
     # 0.2 s of 1.1 s in steps of 5 %
     assert finding.evidence["jnd"] == pytest.approx(0.2 / 1.1 / 0.05)
@@ -371,7 +372,7 @@ def test_a_pair_measured_twice_with_different_results_is_told(tmp_path):
 def test_values_that_go_badly_together_raise_a_doubt(tmp_path):
     """D50 ten points from what C50 says; not an error, since both may be means over teams."""
     _, (finding,) = read_parameters(table(tmp_path, "A,1,C50,0,0\nA,1,D50,50,60\n"))
-    assert finding.code == "parameters-doubtful"
+    assert finding.code == Code.ROOM_PARAMETERS_INCONSISTENT
     assert "250 Hz" in finding.sentence
 
 

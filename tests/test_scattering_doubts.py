@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from roomfit.findings import Code
 from roomfit.inversion.measurements import gather
 from roomfit.inversion.scattering import scattering_doubts
 from roomfit.inversion.trace_plan import plan_trace
@@ -18,7 +19,9 @@ from roomfit.synthetic.boxes import demo_plan, write_scattering_box
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("scattering", "codes"), [(0.0, []), (0.15, ["scattering-suspected"])])
+@pytest.mark.parametrize(
+    ("scattering", "codes"), [(0.0, []), (0.15, [Code.SCATTERING_UNDERESTIMATED])]
+)
 def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     tmp_path: Path, scattering: float, codes: list[str]
 ) -> None:

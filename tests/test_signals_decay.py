@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
     check_decay_range,
@@ -136,7 +137,7 @@ def test_a_decay_that_drowns_too_early_gives_nan_and_a_finding_not_a_number():
     assert np.isnan(found.of("T30_s")).all()
     np.testing.assert_allclose(found.of("EDT_s"), TRUE_T_S, rtol=0.1)
     (finding,) = range_findings(found, "LS1 to MP1")
-    assert finding.code == "decay-range-too-small"
+    assert finding.code == Code.DECAY_RANGE_TOO_SMALL
     assert finding.evidence["bands_hz"] == [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
     check_decay_range(curve)
     clean = decay_curve(OCTAVES, tones(3.0), 0.0)

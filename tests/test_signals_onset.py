@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from scipy.signal import chirp, fftconvolve
 
 from roomfit.errors import InputError
+from roomfit.findings import Code
 from roomfit.signals.decay import check_is_response
 from roomfit.signals.response import (
     ImpulseResponse,
@@ -92,7 +93,7 @@ def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, told):
     findings = compare_onset(0.01 + apart_m / 340.0, 0.01, 340.0, "LS1 to MP1", RATE_HZ)
     assert len(findings) == told
     for finding in findings:
-        assert finding.code == "time-zero-disagrees"
+        assert finding.code == Code.TIME_ZERO_MISMATCH
         assert finding.evidence["difference_m"] == pytest.approx(apart_m)
         assert ("later" in finding.sentence) == (apart_m > 0.0)
 

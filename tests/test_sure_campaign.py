@@ -57,7 +57,7 @@ def test_a_campaign_by_samples_says_how_they_came_about(told):
 def test_a_prior_that_the_data_hardly_change_is_named_and_shown(told):
     """0.5 +- 0.02 for a ceiling of 0.3: one octave's energies cannot tell."""
     _, result, _ = told
-    (finding,) = [f for f in result["findings"] if f["code"] == "only-the-prior"]
+    (finding,) = [f for f in result["findings"] if f["code"] == "prior-dominated"]
     assert finding["evidence"]["material"] == "tiles"
     prior = result["materials"]["tiles"]["prior"]
     assert prior["absorption"] == [pytest.approx(0.5)]

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from roomfit.air import Air
+from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.inversion.geometry_checks import looser_places, places_findings, places_stretch
 from roomfit.inversion.model_checks import description_findings
@@ -80,7 +81,7 @@ def test_looser_places_are_the_same_places_with_a_wider_spread():
 def test_a_stretch_is_told():
     assert places_findings(1.0) == ()
     (finding,) = places_findings(3.2)
-    assert finding.code == "places-less-sure"
+    assert finding.code == Code.POSITION_UNCERTAINTY_INFLATED
     assert "3.2 times" in finding.sentence
 
 
@@ -102,7 +103,7 @@ def answers(phi: list[float], model: str = "coherent"):
 )
 def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):
     found_codes = [f.code for f in description_findings(answers(phi))]
-    assert found_codes == (["description-doubtful"] if doubtful else [])
+    assert found_codes == ([Code.MODEL_MISFIT_ALL_BANDS] if doubtful else [])
 
 
 def test_bands_of_tables_and_of_nothing_have_no_say():

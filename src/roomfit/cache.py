@@ -20,6 +20,7 @@ import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
+from enum import Enum
 from functools import cache
 from importlib.metadata import version
 from pathlib import Path
@@ -28,7 +29,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from roomfit.errors import InputError, RoomfitError, StoreError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 
 _LIBRARIES = ("numpy", "scipy", "numba")
 
@@ -128,8 +129,9 @@ def save_record(path: Path, value: object) -> None:
     path : Path
         Written directly: write aside and rename, see `roomfit.cache`.
     value : object
-        None, truth values, numbers, text, arrays, and dataclasses, tuples, lists and mappings
-        (with text as keys) of these. Lists come back as tuples.
+        None, truth values, numbers, text, arrays, members of enumerations of text, and
+        dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back
+        as tuples.
 
     Raises
     ------
@@ -181,6 +183,9 @@ def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
         return {"array": name}
     if isinstance(value, np.generic):
         return _outlined(value.item(), arrays)
+    # before text: a member of an enumeration may be one, and must come back as a member
+    if isinstance(value, Enum) and isinstance(value.value, str):
+        return {"member": type(value).__qualname__, "value": value.value}
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if is_dataclass(value) and not isinstance(value, type):
@@ -209,6 +214,8 @@ def _rebuilt(
         array = arrays[outline["array"]]
         array.setflags(write=False)
         return array
+    if "member" in outline:
+        return known[outline["member"]](outline["value"])
     if "mapping" in outline:
         return {key: _rebuilt(item, arrays, known) for key, item in outline["mapping"].items()}
     told = {name: _rebuilt(item, arrays, known) for name, item in outline["fields"].items()}
@@ -499,8 +506,7 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
     except OSError as error:
         return (
             Finding(
-                "cache-not-written",
-                "info",
+                Code.CACHE_NOT_WRITTEN,
                 f"An intermediate result ({kind}) could not be kept: {error}. The answer is not "
                 "affected; an interrupted run would begin this step again.",
                 {"kind": kind},
@@ -550,8 +556,7 @@ def _touch(path: Path) -> None:
 
 def _damaged(kind: str, path: Path) -> Finding:
     return Finding(
-        "cache-file-damaged",
-        "info",
+        Code.CACHE_FILE_DAMAGED,
         f"An intermediate result ({kind}, {path.name}) was damaged or cut short; it was computed "
         "anew.",
         {"kind": kind, "file": path.name},

@@ -19,7 +19,7 @@ import numpy as np
 from roomfit._checks import float_array, int_array, nearest, unique_names
 from roomfit.air import Air
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.check import examine
 from roomfit.geometry.inside import is_inside, nearest_triangles
 from roomfit.geometry.mesh import (
@@ -156,7 +156,7 @@ def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding
     area = float(triangle_areas_m2(mesh)[bare].sum())
     return (
         fault(
-            "no-material",
+            Code.NO_MATERIAL,
             "surfaces without a material",
             where=f"{name!r} near {place(corners_m(mesh)[first].mean(axis=0))}",
             found=f"{sum(not n for n in found)} surfaces, {area:.2f} m2",
@@ -371,7 +371,7 @@ def position_findings(
 
 def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:
     return fault(
-        "position-in-wall",
+        Code.POSITION_IN_WALL,
         f"{who} stands in a wall",
         where=place(point.position_m),
         found=f"{1e3 * distance_m:.1f} mm from surface {wall!r}",
@@ -384,7 +384,7 @@ def _outside(
     who: str, point: Point, wall: str, distance_m: float, low: FloatArray, high: FloatArray
 ) -> Finding:
     return fault(
-        "position-outside",
+        Code.POSITION_OUTSIDE,
         f"{who} stands outside the room",
         where=place(point.position_m),
         found=f"{distance_m:.3g} m from the nearest surface, {wall!r}",
@@ -401,7 +401,7 @@ def _coinciding(sources: Sequence[Point], receivers: Sequence[Point]) -> list[Fi
             if apart < NEAREST_PAIR_M:
                 found.append(
                     fault(
-                        "source-at-receiver",
+                        Code.SOURCE_AT_RECEIVER,
                         f"source {source.name!r} stands where receiver {receiver.name!r} is",
                         where=place(source.position_m),
                         found=f"{1e3 * apart:.1f} mm apart",

@@ -30,7 +30,7 @@ from roomfit.certified.search import (
     tools_for,
 )
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.objective.energy import EnergyProblem, tracing_variance
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import BandProblem
@@ -393,8 +393,7 @@ def certificate_findings(
         told = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
         findings.append(
             Finding(
-                "not-certified",
-                "warning",
+                Code.NOT_CERTIFIED,
                 "The search for a better answer was stopped before it was complete; the cost could "
                 f"be lower at {told}.",
                 {"bands_hz": [f for f, _ in open_]},
@@ -405,8 +404,7 @@ def certificate_findings(
         told = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
         findings.append(
             Finding(
-                "several-answers",
-                "warning",
+                Code.MULTIPLE_MINIMA_CERTIFIED,
                 f"Absorptions far apart explain the energies within what rays can tell: {told}. "
                 "The intervals are about one of them; fit.certified holds all.",
                 {"bands_hz": [f for f, _ in several]},

@@ -33,6 +33,7 @@ from roomfit.coverage.truth import (
     draw_truth,
 )
 from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
@@ -56,7 +57,7 @@ class Found:
         Eyring's absorption of the measured decay.
     phi : float array, shape (n_bands,)
     models : tuple of str, one a band
-    findings : tuple of str
+    findings : tuple of Code
         Codes of all findings above "info", each once.
     """
 
@@ -67,7 +68,7 @@ class Found:
     uniform: FloatArray
     phi: FloatArray
     models: tuple[str, ...]
-    findings: tuple[str, ...]
+    findings: tuple[Code, ...]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -147,7 +148,10 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
     if found is not None:
         for name in ("absorption", "lower95", "upper95", "identifiable", "uniform", "phi"):
             content[name] = getattr(found, name).tolist()
-        content["models"], content["findings"] = list(found.models), list(found.findings)
+        content["models"], content["findings"] = (
+            list(found.models),
+            [c.value for c in found.findings],
+        )
     return write_json_atomically(path, content)
 
 
@@ -178,12 +182,12 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
             hint="choose another folder",
         )
     try:
-        return _replicate(content)
+        return _replicate(content, path)
     except (KeyError, TypeError, ValueError) as error:
         raise _damaged(path, f"{type(error).__name__}: {error}") from error
 
 
-def _replicate(content: dict[str, Any]) -> Replicate:
+def _replicate(content: dict[str, Any], path: Path) -> Replicate:
     found = None
     if content["refused"] is None:
         absorption, lower95, upper95 = (
@@ -198,7 +202,7 @@ def _replicate(content: dict[str, Any]) -> Replicate:
             np.array(content["uniform"], dtype=np.float64),
             np.array(content["phi"], dtype=np.float64),
             tuple(content["models"]),
-            tuple(content["findings"]),
+            tuple(code_of(text, str(path)) for text in content["findings"]),
         )
     return Replicate(
         int(content["number"]),
@@ -319,7 +323,7 @@ class CalibrationResult:
     done: int
     refused: tuple[str, ...]
     roads: dict[str, int]
-    findings: dict[str, int]
+    findings: dict[Code, int]
     found: Calibration
     drawn_from: str
 

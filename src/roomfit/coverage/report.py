@@ -8,7 +8,7 @@ A calibration in a picture: what intervals of every level hold, and those of 95 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ from roomfit.coverage.statistics import (
     coverage_at,
 )
 from roomfit.coverage.truth import CalibrationSettings
+from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.typing import Progress
@@ -149,16 +150,16 @@ def calibration_text(
     done: int,
     asked: int,
     roads: Mapping[str, int],
-    findings: Mapping[str, int],
+    findings: Mapping[Code, int],
     refused: Sequence[str],
 ) -> str:
     """Return everything a user must see."""
-    lines = [f"{done} of {asked} replicates; made by " + _counts(roads)]
+    lines = [f"{done} of {asked} replicates; made by " + _counts(roads.items())]
     if done < asked:
         lines.append("The calibration is not complete: run it again, or the other slices.")
     lines += ["", calibration_table(rows), "", verdict(rows[-1])]
     if findings:
-        lines.append("Findings: " + _counts(findings))
+        lines.append("Findings: " + _counts(findings.items()))
     if refused:
         lines.append(_refusals(refused))
     return "\n".join(lines)
@@ -188,8 +189,8 @@ def calibration_csv(rows: Sequence[CalibrationRow]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _counts(counted: Mapping[str, int]) -> str:
-    return ", ".join(f"{name} ({n})" for name, n in counted.items())
+def _counts(counted: Iterable[tuple[str, int]]) -> str:
+    return ", ".join(f"{name} ({n})" for name, n in counted)
 
 
 def _told(share: Share) -> str:

@@ -26,7 +26,7 @@ from roomfit.experiment_design.information import (
     Unknowns,
     information_of_pairs,
 )
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m, is_inside
 from roomfit.geometry.mesh import refuse, volume_m3
 from roomfit.inversion.scattering import band_factors, told_scattering
@@ -296,7 +296,7 @@ def _traced(
     scattering = told_scattering(known.knowledge, plan.scattering.coefficients, len(known.bands))
     factors, worn = band_factors(campaign, own, known.bands, traced.paths, scattering)
     # a candidate near a wall is no doubt about anything
-    doubts = [f for f in traced.findings if f.code != "receiver-sphere-shrunk"]
+    doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
     return DesignTrace(traced.paths, factors, plan.settings.duration_s), (*doubts, *worn)
 
 
@@ -628,8 +628,7 @@ def _few(found: int, asked: int) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "few-candidates",
-            "info",
+            Code.FEW_CANDIDATES,
             f"Only {found} pairs of source and receiver are allowed where {asked} were asked for.",
             {"found": found, "asked": asked},
         ),

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import is_inside
 from roomfit.geometry.mesh import (
     Edges,
@@ -205,7 +205,7 @@ def _findings(doubts: _Doubts) -> tuple[Finding, ...]:
     if doubts.no_area:
         found.append(
             fault(
-                "zero-area-face",
+                Code.ZERO_AREA_FACE,
                 "faces without area",
                 where=listed(doubts.no_area),
                 found=f"{len(doubts.no_area)}",
@@ -215,15 +215,15 @@ def _findings(doubts: _Doubts) -> tuple[Finding, ...]:
         )
     if doubts.seams:
         text = f"{_count(doubts.seams)} a seam without area, left out: {listed(doubts.seams)}."
-        found.append(Finding("seam-faces", "info", text, {"places": doubts.seams}))
+        found.append(Finding(Code.SEAM_FACES, text, {"places": doubts.seams}))
     if doubts.repeated:
-        found.append(_warning("repeated-face", "given twice and kept once", doubts.repeated))
+        found.append(_warning(Code.REPEATED_FACE, "given twice and kept once", doubts.repeated))
     if doubts.back_to_back:
         sentence = "back to back with another face; which of the two materials sound meets is open"
-        found.append(_warning("back-to-back-faces", sentence, doubts.back_to_back))
+        found.append(_warning(Code.BACK_TO_BACK_FACES, sentence, doubts.back_to_back))
     if doubts.crossing:
         sentence = "with an outline that crosses itself; a part may be covered twice or not at all"
-        found.append(_warning("self-crossing-polygon", sentence, doubts.crossing))
+        found.append(_warning(Code.SELF_INTERSECTING_POLYGON, sentence, doubts.crossing))
     if doubts.warped:
         found.append(_warped(doubts))
     return tuple(found)
@@ -233,7 +233,7 @@ def _warped(doubts: _Doubts) -> Finding:
     off_plane_m = doubts.most_warped_m
     if off_plane_m > TOO_WARPED_FROM_M:
         return fault(
-            "warped-polygon",
+            Code.POLYGON_NOT_PLANAR,
             "polygons that are not flat",
             where=listed(doubts.warped),
             found=f"corners up to {1e3 * off_plane_m:.0f} mm off their plane",
@@ -245,12 +245,12 @@ def _warped(doubts: _Doubts) -> Finding:
         f"{_count(doubts.warped)} not flat, by up to {1e3 * off_plane_m:.1f} mm: "
         f"{listed(doubts.warped)}. They are cut into flat triangles."
     )
-    return Finding("warped-polygon", "info", text, {"off_plane_m": off_plane_m})
+    return Finding(Code.WARPED_POLYGON, text, {"off_plane_m": off_plane_m})
 
 
-def _warning(code: str, sentence: str, spots: list[tuple[str, str]]) -> Finding:
+def _warning(code: Code, sentence: str, spots: list[tuple[str, str]]) -> Finding:
     text = f"{_count(spots)} {sentence}: {listed(spots)}."
-    return Finding(code, "warning", text, {"places": spots})
+    return Finding(code, text, {"places": spots})
 
 
 def _count(spots: Sequence[object]) -> str:
@@ -280,8 +280,9 @@ def oriented(mesh: Mesh) -> tuple[Mesh, tuple[Finding, ...]]:
     mesh : Mesh
         The same triangles in the same order; sheets in the air stay as they are.
     findings : tuple of Finding
-        "inside-out" where most of the area pointed into the air, "flipped-faces" for a minority
-        that did not agree with the rest, "one-sided" where no orientation is possible.
+        `Code.INSIDE_OUT` where most of the area pointed into the air, `Code.FLIPPED_FACES` for a
+        minority that did not agree with the rest, `Code.SURFACE_NOT_ORIENTABLE` where no
+        orientation is possible.
     """
     flip, part, agrees = _agreement(edges_of(mesh), len(mesh.triangles))
     flip ^= _air_in_front(mesh, part, flip)[part]
@@ -289,7 +290,7 @@ def oriented(mesh: Mesh) -> tuple[Mesh, tuple[Finding, ...]]:
     findings = _flip_findings(mesh, flip)
     if not agrees:
         sentence = "The faces cannot be oriented: a surface has one side only, as a Moebius strip."
-        findings = (*findings, Finding("one-sided", "warning", sentence))
+        findings = (*findings, Finding(Code.SURFACE_NOT_ORIENTABLE, sentence))
     triangles = mesh.triangles.copy()
     triangles[flip] = triangles[flip][:, ::-1]
     return replace(mesh, triangles=triangles), findings
@@ -360,7 +361,7 @@ def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
     inside_out = bool(areas[flip].sum() > 0.5 * areas[walls].sum())
     if inside_out:
         sentence = "The file is inside out: its normals point into the room. They were turned."
-        found.append(Finding("inside-out", "info", sentence, {"flipped": int(flip.sum())}))
+        found.append(Finding(Code.INSIDE_OUT, sentence, {"flipped": int(flip.sum())}))
     odd = np.flatnonzero((flip != inside_out) & walls)
     if len(odd):
         first = odd[np.argmax(areas[odd])]
@@ -370,5 +371,5 @@ def _flip_findings(mesh: Mesh, flip: BoolArray) -> tuple[Finding, ...]:
             f"{len(odd)} triangles of {areas[odd].sum():.3g} m2 were oriented against the rest and "
             f"were flipped, the largest in {name!r} near {spot}."
         )
-        found.append(Finding("flipped-faces", "warning", sentence, {"triangles": len(odd)}))
+        found.append(Finding(Code.FLIPPED_FACES, sentence, {"triangles": len(odd)}))
     return tuple(found)

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit._numba import kernel
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.build import listed
 from roomfit.geometry.inside import (
     along,
@@ -199,7 +199,7 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
         what = "no point inside the room was found"
         needed = "faces that enclose a volume"
         hint = "check that walls are not all marked as double sided, and that none is missing"
-        return None, [fault("no-inside", what, needed=needed, hint=hint)]
+        return None, [fault(Code.NO_INTERIOR, what, needed=needed, hint=hint)]
     leak = find_leaks(mesh, points, n_rays, seed, _BOUNCES)
     if not leak.n_escapes:
         return 0.0, []
@@ -210,9 +210,9 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
             f"The mesh leaks a little: {told} ({1e2 * leak.fraction:.3g} %; "
             f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
         )
-        return leak.fraction, [Finding("small-leak", "warning", text, evidence)]
+        return leak.fraction, [Finding(Code.SMALL_LEAK, text, evidence)]
     serious = fault(
-        "leak",
+        Code.LEAK,
         "the mesh leaks",
         where=_ways_out(mesh, leak),
         found=f"{told} ({1e2 * leak.fraction:.3g} %)",
@@ -249,7 +249,7 @@ def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -
         f"The volume of {volume:.4g} m3 is approximate."
     )
     evidence = {"edges": len(open_edges), "of": len(edges.ends), "length_m": float(lengths.sum())}
-    return Finding("not-closed", "warning", text, evidence)
+    return Finding(Code.NOT_CLOSED, text, evidence)
 
 
 def _slivers(mesh: Mesh) -> list[Finding]:
@@ -265,19 +265,19 @@ def _slivers(mesh: Mesh) -> list[Finding]:
     ]
     count = "1 triangle is" if len(thin) == 1 else f"{len(thin)} triangles are"
     text = f"{count} thinner than 0.1 mm: {listed(spots)}."
-    return [Finding("slivers", "info", text, {"triangles": len(thin)})]
+    return [Finding(Code.SLIVERS, text, {"triangles": len(thin)})]
 
 
 def _size(volume: float) -> list[Finding]:
     if volume <= 0.0 or 1.0 <= volume <= 1e6:
         return []
     text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
-    return [Finding("unusual-size", "warning", text, {"volume_m3": volume})]
+    return [Finding(Code.UNUSUAL_SIZE, text, {"volume_m3": volume})]
 
 
 def _no_volume(volume: float) -> Finding:
     return fault(
-        "no-volume",
+        Code.NO_VOLUME,
         "the room encloses no volume",
         found=f"{volume:.3g} m3",
         needed="more than 0 m3",

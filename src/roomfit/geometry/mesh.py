@@ -28,12 +28,12 @@ from scipy.spatial import cKDTree
 
 from roomfit._checks import float_array, int_array
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray, IntArray
 
 
 def fault(
-    code: str,
+    code: Code,
     what: str,
     *,
     where: str | None = None,
@@ -42,7 +42,7 @@ def fault(
     hint: str | None = None,
     **evidence: Any,
 ) -> Finding:
-    """Return a serious finding that keeps the parts of an error message apart.
+    """Return a finding of a serious code that keeps the parts of an error message apart.
 
     `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
     """
@@ -50,7 +50,7 @@ def fault(
     told = {key: text for key, text in parts.items() if text}
     place = f" at {where}" if where else ""
     count = f": {found}" if found else ""
-    return Finding(code, "serious", f"{what}{place}{count}.", {"what": what, **told, **evidence})
+    return Finding(code, f"{what}{place}{count}.", {"what": what, **told, **evidence})
 
 
 def refuse(findings: Iterable[Finding]) -> None:

@@ -24,7 +24,7 @@ from typing import Literal
 import numpy as np
 
 from roomfit._checks import read_only
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m
 from roomfit.impedance.data import Observed, level_at, model_error
 from roomfit.impedance.fit import ImpedanceFit, Start, WallModel, reduced_chi2, share_in_best
@@ -61,8 +61,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
     if n_f < _COUPLED and not observed.has_phase:
         return (
             Finding(
-                "too-few-data",
-                "serious",
+                Code.TOO_FEW_DATA,
                 f"Levels without phase at {_frequencies(n_f)} do not tell a wall from others that "
                 "reflect as much with another phase. Give phases, or levels over a whole band.",
                 {"pairs": n_pairs, "frequencies": n_f},
@@ -71,8 +70,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
     if n_f < _COUPLED and n_pairs < n_materials + 1:
         return (
             Finding(
-                "too-few-data",
-                "serious",
+                Code.TOO_FEW_DATA,
                 f"{n_pairs} pair{'s' * (n_pairs != 1)} at {_frequencies(n_f)} cannot tell "
                 f"{n_materials} materials apart: {n_materials + 1} pairs are needed, or "
                 "frequencies that a smooth curve couples.",
@@ -90,8 +88,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
         return ()
     return (
         Finding(
-            "too-few-data",
-            "serious",
+            Code.TOO_FEW_DATA,
             f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
             "measure more pairs, or tell the gain or the laws of some walls.",
             {"data": data, "unknowns": needed},
@@ -705,8 +702,7 @@ def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
         share = float(problem.observed.noise.mean()) / level
         findings.append(
             Finding(
-                "noise-estimated",
-                "warning",
+                Code.NOISE_ESTIMATED,
                 f"The noise was not told; what the fit leaves ({share:.1%} of the level) was taken "
                 "for it. A model that does not fit cannot be told from noise then.",
                 {"noise_over_level": share},
@@ -715,8 +711,7 @@ def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
     if not observed.has_phase:
         findings.append(
             Finding(
-                "levels-only",
-                "warning",
+                Code.LEVELS_ONLY,
                 "Only levels were given. Other walls than those found may explain them; phases "
                 "would tell.",
                 {},
@@ -752,8 +747,7 @@ def _verdict(
             f" Likely cause: {cause}."
         )
         finding = Finding(
-            "impedance-does-not-fit",
-            "serious",
+            Code.IMPEDANCE_DOES_NOT_FIT,
             sentence + " Do not use the walls found.",
             {"chi2": reduced_chi2(fit), "cause": cause},
         )
@@ -768,8 +762,7 @@ def _verdict(
         )
         sentence = f"Not identifiable: {cause}."
         finding = Finding(
-            "impedance-not-identifiable",
-            "serious",
+            Code.IMPEDANCE_NOT_IDENTIFIABLE,
             sentence + " More pairs, or pairs nearer to the walls concerned, would tell.",
             {"rivals": len(rivals), "materials": unsure},
         )

@@ -12,7 +12,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.certified.certificate import affordable_certificate, certified_fit
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialKnowledge
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import (
@@ -108,8 +108,7 @@ def starts_findings(
     where = ", ".join(f"{f:g} Hz (log-likelihood lower by {s.loss:.1f})" for f, s in told)
     return (
         Finding(
-            "other-minimum",
-            "warning",
+            Code.MULTIPLE_MINIMA_MULTISTART,
             "Least squares from another start ends in absorptions outside of the intervals that "
             f"explain the energies alike: {where}. Measure more positions, or tell what is known.",
             {

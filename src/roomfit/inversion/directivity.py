@@ -16,7 +16,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
 from roomfit.io.materials import unknown_directivity
 from roomfit.materials.priors import MaterialKnowledge
@@ -185,8 +185,7 @@ def source_findings(
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
         findings.append(
             Finding(
-                "source-directs",
-                "serious",
+                Code.SOURCE_NOT_OMNIDIRECTIONAL,
                 f"{name} was taken for omnidirectional, and the data contradict that: they are "
                 f"likelier if it sends more towards ({towards}). Absorption makes up for it, so "
                 "nothing is called identifiable. Tell its directivity, or let it be fitted with "

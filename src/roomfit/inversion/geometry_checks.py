@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 from scipy.stats import chi2
 
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.inversion.sequential import CoherentBand, CoherentBandFit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.scene import Point, Scene
@@ -39,8 +39,7 @@ def delay_findings(gain: float) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "walls-delay",
-            "serious",
+            Code.REFLECTION_DELAY_DETECTED,
             "The measurements are far likelier if walls delay what they reflect, which was "
             "switched off (wall_delays = false): intervals are too narrow without, and nothing is "
             "called identifiable.",
@@ -66,8 +65,7 @@ def place_findings(gain: float, n_unknowns: int, n_windows: int) -> tuple[Findin
         return ()
     return (
         Finding(
-            "places-move",
-            "serious",
+            Code.POSITION_INCONSISTENT,
             "The measurements are far likelier if places, speed of sound and latencies move within "
             'their stated spread, which was switched off (positions = "fixed"): intervals are too '
             'narrow so, and nothing is called identifiable. Use positions = "fit".',
@@ -87,8 +85,7 @@ def geometry_findings(geometry: FittedGeometry | None) -> tuple[Finding, ...]:
     names = ", ".join(geometry.labels[i] for i in far)
     return (
         Finding(
-            "geometry-moved-far",
-            "warning",
+            Code.GEOMETRY_SHIFT_IMPLAUSIBLE,
             f"To explain the arrival times, the fit moved {names} by more than three and a half "
             "times its stated spread: it may be told wrong, or make up for an error of the model.",
             {
@@ -170,8 +167,7 @@ def places_findings(stretch: float) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "places-less-sure",
-            "warning",
+            Code.POSITION_UNCERTAINTY_INFLATED,
             f"Arrival times contradict the stated spread of the positions: taken all together they "
             f"are off {stretch:.1f} times as far, and were fitted with {stretch:.1f} times that "
             "spread. Measure them again; the drawing of the room may be wrong, too.",

@@ -56,16 +56,6 @@ from roomfit.uncertainty.posterior import plain_logit_covariance
 from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
 
-# Something about the room is not as told: what is found of any wall makes up for it.
-_NOTHING_IDENTIFIABLE = (
-    "outline-disagrees",
-    "description-doubtful",
-    "walls-delay",
-    "places-move",
-    "source-directs",
-    "scattering-suspected",
-)
-
 
 def assembled(
     campaign: Campaign,
@@ -88,7 +78,7 @@ def assembled(
     scene, found = gathered.scene, solved.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
-    told_wrong = any(f.code in _NOTHING_IDENTIFIABLE for f in findings)
+    told_wrong = any(f.code.voids_identifiability for f in findings)
     if told_wrong:
         identifiable &= np.array([[k.known is not None] for k in knowledge])
     lower, upper = (

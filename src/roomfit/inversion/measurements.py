@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.inversion.room_outline import outline_findings
 from roomfit.io.campaign import Campaign
@@ -53,8 +53,7 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
         names = f"{one.file.response.path.name} and {other.file.response.path.name}"
         findings.append(
             Finding(
-                "pair-measured-twice-differs",
-                "warning",
+                Code.REPEATED_RESPONSES_DIFFER,
                 f"{one.file.source} to {one.file.receiver} was measured twice ({names}) with "
                 f"different results: {'; '.join(told)}. One of them may belong to another pair, or "
                 "the room was changed in between.",
@@ -97,8 +96,7 @@ def unmet_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "material-not-met",
-            "warning",
+            Code.MATERIAL_NOT_REACHED,
             f"No path between the measured pairs strikes {', '.join(unmet)}: its absorption cannot "
             "be told, and what was known beforehand is all that is reported.",
             {"materials": list(unmet)},

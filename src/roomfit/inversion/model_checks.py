@@ -13,7 +13,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
 from roomfit.materials.priors import MaterialKnowledge, unknown_material
 from roomfit.typing import FloatArray
@@ -31,8 +31,7 @@ def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, 
         told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({answers[j].phi:.1f})" for j in bad)
         findings.append(
             Finding(
-                "model-does-not-fit",
-                "warning",
+                Code.MODEL_DOES_NOT_FIT,
                 f"The model does not explain the measurement within its noise at {told}: nothing "
                 "is called identifiable there, and intervals are widened by the misfit.",
                 {"bands_hz": [float(bands.centres_hz[j]) for j in bad]},
@@ -43,8 +42,7 @@ def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, 
         told = ", ".join(f"{bands.centres_hz[j]:g} Hz" for j in slow)
         findings.append(
             Finding(
-                "fit-not-settled",
-                "warning",
+                Code.FIT_NOT_CONVERGED,
                 f"The fit was still moving by more than a tenth of its interval at {told}.",
                 {"bands_hz": [float(bands.centres_hz[j]) for j in slow]},
             )
@@ -72,8 +70,7 @@ def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
     median = float(np.median(heard))
     return (
         Finding(
-            "description-doubtful",
-            "serious",
+            Code.MODEL_MISFIT_ALL_BANDS,
             f"In most bands the model does not explain the measurement within its noise (median "
             f"phi {median:.1f}): something in the description of the room is not so, as a "
             "material, an opening, scattering, a source or a place. Intervals are too narrow, and "
@@ -108,8 +105,7 @@ def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> t
     told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({limit_hz[j]:.0f} Hz)" for j in low)
     return (
         Finding(
-            "below-schroeder-frequency",
-            "warning",
+            Code.BELOW_SCHROEDER_FREQUENCY,
             f"Part of the band lies below the Schroeder frequency at {told}: single modes decide "
             "there, which the model does not have. Trust these intervals less.",
             {"bands_hz": [float(bands.centres_hz[j]) for j in low]},
@@ -169,8 +165,7 @@ def prior_findings(
         )
         findings.append(
             Finding(
-                "only-the-prior",
-                "warning",
+                Code.PRIOR_DOMINATED,
                 f"What is told of {own.name} is nearly the prior that was given for it, with so "
                 f"much of its spread left: {told}. The data add next to nothing.",
                 {
@@ -231,8 +226,7 @@ def sampling_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Find
     told = ", ".join(f"{f:g} Hz ({_quality(s)})" for f, s in bad)
     return (
         Finding(
-            "posterior-not-sampled",
-            "warning",
+            Code.SAMPLING_NOT_CONVERGED,
             f"The samples of the posterior did not come to rest within the evaluations allowed: "
             f"{told}. The intervals there are the Gaussian ones.",
             {

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyProblem
 from roomfit.solvers.least_squares import BandFit
@@ -101,8 +101,7 @@ def _misfits(band: Heard) -> FloatArray:
 def _finding(m: MeasuredPair, ratio: float) -> Finding:
     name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
     return Finding(
-        "measurement-disagrees",
-        "warning",
+        Code.MEASUREMENT_OUTLIER,
         f"{name} fits the room {ratio:.0f} times worse than the other measurements do: it was "
         "given that much less weight. Check its file, its positions and its level.",
         {"ratio": ratio},

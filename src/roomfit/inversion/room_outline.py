@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Room, Scene
@@ -77,8 +77,8 @@ def outline_findings(
     Returns
     -------
     tuple of Finding
-        Code "outline-disagrees"; `metres_outward` in the evidence is how much farther out of the
-        room than stated the wall seems to stand.
+        `Code.WALL_POSITION_MISMATCH`; `metres_outward` in the evidence is how much farther out of
+        the room than stated the wall seems to stand.
     """
     sources = {int(scene.pairs[pair, 0]) for pair, _ in responses}
     if len(responses) < _LEAST_RESPONSES or len(sources) < 2:
@@ -209,8 +209,7 @@ def _judged(
     way = "farther out than" if moved_m > 0.0 else "inside of where"
     return [
         Finding(
-            "outline-disagrees",
-            "warning",
+            Code.WALL_POSITION_MISMATCH,
             f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the stated "
             f"outline has it, in {round(100 * share)} % of {seen.size} responses. Measure the room "
             "again, or look for what hangs or stands in front of that wall.",

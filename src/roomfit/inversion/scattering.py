@@ -17,7 +17,7 @@ import numpy as np
 from roomfit._checks import read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Gathered
 from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 from roomfit.io.campaign import Campaign
@@ -312,9 +312,9 @@ def suspected_scattering(
     Returns
     -------
     tuple of Finding
-        "scattering-suspected" where a trial gains more than 5 in log likelihood, all bands
-        together, and no band loses as much, which speaks for something else than scattering: a
-        loudspeaker that rings, for instance. Empty otherwise, and where no wall is smooth.
+        `Code.SCATTERING_UNDERESTIMATED` where a trial gains more than 5 in log likelihood, all
+        bands together, and no band loses as much, which speaks for something else than scattering:
+        a loudspeaker that rings, for instance. Empty otherwise, and where no wall is smooth.
     """
     smooth = ~np.any(assumed > 0.0, axis=1)
     if not smooth.any():
@@ -330,8 +330,7 @@ def suspected_scattering(
     names = [name for name, is_smooth in zip(materials, smooth, strict=True) if is_smooth]
     return (
         Finding(
-            "scattering-suspected",
-            "serious",
+            Code.SCATTERING_UNDERESTIMATED,
             f"The measurement is explained better if {', '.join(names)} scatter: a coefficient of "
             f"{trials[best]:g} raises the log likelihood by {gains[best]:.0f}. Walls that "
             "are told to be smooth make up for it, and nothing is called identifiable. Tell their "
@@ -417,7 +416,7 @@ def chosen_scattering(
         if k.fit_scattering
     )
     sentence = f"Scattering that explains the data best, among eight values: {ranges}."
-    return chosen, (Finding("scattering-fitted", "info", sentence, {"materials": names}),)
+    return chosen, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
 
 
 def _quick(settings: TraceSettings) -> TraceSettings:
@@ -471,7 +470,7 @@ def assumed_scattering(
         for k, missing in zip(knowledge, untold, strict=True)
     )
     evidence = {"materials": names.split(", "), "scattering": value}
-    return known, (Finding("scattering-assumed", "info", sentence, evidence),)
+    return known, (Finding(Code.SCATTERING_ASSUMED, sentence, evidence),)
 
 
 def scattering_doubts(
@@ -601,8 +600,7 @@ def _worn_findings(bands: Bands, paths: Paths, factors: FloatArray) -> tuple[Fin
     told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({100 * shares[j]:.0f} %)" for j in worn)
     return (
         Finding(
-            "scattering-far-from-traced",
-            "warning",
+            Code.IMPORTANCE_WEIGHTS_DEGENERATE,
             f"Scattering differs so much from its mean over the bands that few rays carry the "
             f"energy at {told} of them: predictions are noisy there. Fit these bands by "
             "themselves.",

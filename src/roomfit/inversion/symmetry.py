@@ -12,7 +12,7 @@ from itertools import combinations
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.inversion.measurements import Gathered
@@ -344,8 +344,7 @@ def _finding(
             "the data do not decide."
         )
     return Finding(
-        "mirror-images",
-        "warning",
+        Code.MIRROR_AMBIGUITY,
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
         f"that symmetry: the data fit a second answer as well. At {centres} Hz: {told}."
         f"{confirmed} Measure a pair off the symmetry, or tell what is known of one of these "

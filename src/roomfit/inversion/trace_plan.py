@@ -11,7 +11,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.cache import Cache, Cached, cached
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import Campaign
 from roomfit.materials.priors import MaterialKnowledge, Scattering, sampling_scattering
@@ -22,7 +22,7 @@ from roomfit.tracing.rays import RayStatistics
 from roomfit.tracing.trace import Trace, trace
 from roomfit.typing import Progress
 
-TRACE_CLASSES = (Trace, Paths, Reflections, RayStatistics, Finding)
+TRACE_CLASSES = (Trace, Paths, Reflections, RayStatistics, Finding, Code)
 
 
 def cached_trace(
@@ -130,8 +130,7 @@ def plan_trace(
     if untold:
         findings.append(
             Finding(
-                "scattering-assumed",
-                "info",
+                Code.SCATTERING_ASSUMED,
                 f"No scattering is told for {', '.join(untold)}; {DEFAULT_SCATTERING:g} was "
                 "assumed.",
                 {"materials": untold, "scattering": DEFAULT_SCATTERING},
@@ -180,8 +179,7 @@ def plan_trace(
 
 def _few_images() -> Finding:
     return Finding(
-        "few-image-sources",
-        "info",
+        Code.FEW_IMAGE_SOURCES,
         "The room has too many walls to follow image sources of every order for "
         f"{1000 * _LEAST_COHERENT_S:g} ms: energies are compared, unless the campaign asks for "
         "pressures.",

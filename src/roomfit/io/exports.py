@@ -32,7 +32,7 @@ import numpy as np
 from roomfit._checks import bool_array, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.typing import BoolArray, FloatArray
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
@@ -527,8 +527,7 @@ def _where(bands: Bands, chosen: BoolArray) -> str:
 def _bands_filled(bands: Bands, filled: BoolArray) -> Finding:
     listed = [f"{f:g}" for f in bands.centres_hz[filled]]
     return Finding(
-        "export-bands-filled",
-        "info",
+        Code.EXPORT_BANDS_FILLED,
         f"Nothing was fitted at {', '.join(listed)} Hz: the nearest band's value stands there, or "
         "one between two neighbours.",
         {"bands_hz": [float(f) for f in bands.centres_hz[filled]]},
@@ -550,8 +549,7 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
     )
     return [
         Finding(
-            "export-not-identifiable",
-            "warning",
+            Code.EXPORT_NOT_IDENTIFIABLE,
             f"The measurement does not determine {listed}; the exported values there are not to "
             "be trusted one by one.",
             {"materials": doubtful},
@@ -561,8 +559,7 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
 
 def _scattering_assumed(scattering: float) -> Finding:
     return Finding(
-        "export-scattering-assumed",
-        "info",
+        Code.EXPORT_SCATTERING_ASSUMED,
         f"The result tells no scattering; {scattering:g} was written for every material.",
         {"scattering": scattering},
     )
@@ -571,8 +568,7 @@ def _scattering_assumed(scattering: float) -> Finding:
 def _odeon_numbers(table: MaterialTable) -> Finding:
     last = FIRST_NUMBER + len(table.names) - 1
     return Finding(
-        "export-without-scattering",
-        "info",
+        Code.EXPORT_WITHOUT_SCATTERING,
         f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library holds no "
         "scattering: enter it in the list of materials.",
         {"first": FIRST_NUMBER, "last": last},
@@ -586,8 +582,7 @@ def _renamed(names: dict[str, str]) -> list[Finding]:
     listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
     return [
         Finding(
-            "export-names-changed",
-            "info",
+            Code.EXPORT_NAMES_CHANGED,
             f"The other program cannot take every name; it is {listed}.",
             {"names": changed},
         )

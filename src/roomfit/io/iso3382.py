@@ -69,7 +69,7 @@ def read_parameters(
         One a pair, in the order in which the pairs first occur. A pair whose lines occur more than
         once is joined, see `roomfit.signals.iso3382.joined_values`.
     findings : tuple of Finding
-        "parameters-doubtful", "pair-measured-twice".
+        `Code.ROOM_PARAMETERS_INCONSISTENT`, `Code.REPEATED_VALUES_DIFFER`.
 
     Raises
     ------

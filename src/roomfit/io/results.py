@@ -394,7 +394,7 @@ def _pair(pair: ComparedPair) -> dict[str, Any]:
 def finding_content(finding: Finding) -> dict[str, Any]:
     """Return a finding as JSON holds it."""
     return {
-        "code": finding.code,
+        "code": finding.code.value,
         "severity": finding.severity,
         "sentence": finding.sentence,
         "evidence": _plain(finding.evidence),

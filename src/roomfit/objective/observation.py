@@ -10,7 +10,7 @@ from scipy.signal import fftconvolve
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialKnowledge
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
@@ -133,8 +133,7 @@ def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding,
         )
     return (
         Finding(
-            "band-not-fitted",
-            "warning",
+            Code.BAND_NOT_FITTED,
             f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in untold)} Hz: "
             "absorption there is what was known beforehand, with the interval 0 to 1.",
             {"bands_hz": untold},
@@ -158,8 +157,7 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
         name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
         findings.append(
             Finding(
-                "band-left-out",
-                "warning",
+                Code.RECORDING_BELOW_NOISE,
                 f"{name}: no decay rises above the noise at "
                 f"{', '.join(f'{f:g}' for f in missing)} Hz; it was not fitted there.",
                 {"bands_hz": missing},
@@ -225,8 +223,7 @@ def untold_position_findings(scene: Scene) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "position-spread-assumed",
-            "info",
+            Code.POSITION_UNCERTAINTY_ASSUMED,
             f"No position_sd is told for {', '.join(untold)}; {100 * UNTOLD_POSITION_SD_M:g} cm a "
             "coordinate was assumed.",
             {"points": untold, "position_sd_m": UNTOLD_POSITION_SD_M},

@@ -15,7 +15,7 @@ from scipy.special import ndtri
 from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
 from roomfit.cache import Cache, cached
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
 from roomfit.io.materials import material_knowledge
 from roomfit.io.rooms import read_room
@@ -283,8 +283,7 @@ def _what_if(changes: Sequence[Change], seen: Sequence[Seen]) -> tuple[Finding, 
     beside = " Measured values beside it are those of the room as it was measured." if seen else ""
     return (
         Finding(
-            "materials-changed",
-            "info",
+            Code.MATERIALS_CHANGED,
             f"Predicted with {told}.{beside}",
             {"changes": [change_text(c) for c in changes]},
         ),

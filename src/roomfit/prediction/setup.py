@@ -21,7 +21,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import Cache
 from roomfit.errors import InputError, located
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse, surface_area_m2, volume_m3
 from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.scattering import band_factors, told_scattering
@@ -129,7 +129,7 @@ def changed_draws(
     absorption : float array, shape (n_materials, n_bands)
     draws : float array, shape (n_draws, n_materials, n_bands)
     findings : tuple of Finding
-        "absorption-clipped" where a factor leads beyond 1.
+        `Code.ABSORPTION_CLIPPED` where a factor leads beyond 1.
 
     Raises
     ------
@@ -215,8 +215,7 @@ def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding,
     told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({wanted[j]:.2f})" for j in over)
     return (
         Finding(
-            "absorption-clipped",
-            "warning",
+            Code.ABSORPTION_CLIPPED,
             f"The change {change_text(change)} would make the absorption larger than 1 at {told}; "
             "1 was taken.",
             {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
@@ -308,8 +307,7 @@ def predicted_bands(campaign: Campaign, known: Bands) -> tuple[Bands, tuple[Find
         return told, ()
     return Bands(told.kind, np.array(common)), (
         Finding(
-            "band-not-predicted",
-            "warning",
+            Code.BAND_NOT_PREDICTED,
             f"The absorption is not known at {', '.join(f'{f:g}' for f in left_out)} Hz: nothing "
             "is predicted there.",
             {"bands_hz": left_out},
@@ -484,8 +482,7 @@ def _findings(untold: list[str]) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "directivity-not-known",
-            "warning",
+            Code.DIRECTIVITY_NOT_KNOWN,
             f"The directivity of {', '.join(untold)} was to be fitted, and the absorption comes "
             "without it: predicted as omnidirectional.",
             {"sources": untold},
@@ -607,8 +604,7 @@ def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
     centres = [float(bands.centres_hz[j]) for j in short]
     return (
         Finding(
-            "decay-not-followed",
-            "warning",
+            Code.DECAY_NOT_FOLLOWED,
             f"The trace does not follow the decay over 35 dB at "
             f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
             "swallow next to nothing.",

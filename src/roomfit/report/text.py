@@ -12,7 +12,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import RoomCheck
@@ -193,7 +193,7 @@ def _said(use: str) -> str:
 def findings_text(findings: tuple[Finding, ...]) -> str:
     """Return the findings, most serious first; what many files share is told once."""
     order = {"serious": 0, "warning": 1, "info": 2}
-    alike: dict[str, list[Finding]] = {}
+    alike: dict[Code, list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: order[f.severity]):
         alike.setdefault(finding.code, []).append(finding)
     lines = ["Findings"] if findings else []

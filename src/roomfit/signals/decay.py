@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import float_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.signals.filters import FilterBank, filter_pressure, ringing_s
 from roomfit.signals.noise import estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded
@@ -424,8 +424,7 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
     names = ", ".join(f"{f:g}" for f in missing)
     return (
         Finding(
-            "decay-range-too-small",
-            "warning",
+            Code.DECAY_RANGE_TOO_SMALL,
             f"{where}: noise or the end of the file leaves less than 25 dB of decay at {names} Hz; "
             "T20 is not evaluated there.",
             {"bands_hz": missing.tolist()},

@@ -18,7 +18,7 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Finding, Severity
+from roomfit.findings import Code, Finding, Severity
 from roomfit.signals.decay import FIT_RANGES_DB, POINTS_OF_A_FIT, DecayCurve, ParameterName, jnd_of
 from roomfit.typing import FloatArray
 
@@ -316,8 +316,7 @@ def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Findin
     bands = sorted({f for f, _ in doubts})
     return (
         Finding(
-            "parameters-doubtful",
-            "warning",
+            Code.ROOM_PARAMETERS_INCONSISTENT,
             f"{where}, {measured.source} to {measured.receiver}: {len(doubts)} pairs of values do "
             f"not go well together; the first: {doubts[0][1]} at {doubts[0][0]:g} Hz.",
             {"bands_hz": bands, "doubts": [f"{f:g} Hz: {s}" for f, s in doubts]},
@@ -368,9 +367,9 @@ def joined_values(
         f"results, {_short(worst_name)} at {centre_hz:g} Hz by {apart:.1f} just noticeable "
         "differences. Their mean is used, and half of the difference as its spread."
     )
-    severity: Severity = "warning" if apart > 1.0 else "info"
+    graded: Severity = "warning" if apart > 1.0 else "info"
     evidence = {"parameter": worst_name, "band_hz": centre_hz, "jnd": apart}
-    return joined, (Finding("pair-measured-twice", severity, sentence, evidence),)
+    return joined, (Finding(Code.REPEATED_VALUES_DIFFER, sentence, evidence, graded=graded),)
 
 
 def _energy_doubts(known: dict[ValueName, float], at: str) -> list[str]:

@@ -17,7 +17,7 @@ from scipy.signal import butter, hilbert, sosfiltfilt
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray
 
 
@@ -209,13 +209,13 @@ def compare_onset(
     order = "later" if apart_m > 0.0 else "earlier"
     return (
         Finding(
-            "time-zero-disagrees",
-            "serious" if abs(apart_m) > _SERIOUS_M else "warning",
+            Code.TIME_ZERO_MISMATCH,
             f"{where}: the direct sound arrives {1000.0 * abs(onset_s - travel_s):.2f} ms {order} "
             f"than the geometry says, which is {abs(apart_m):.2f} m of path. Check the positions, "
             "latency_s and time_zero; sound that is blocked or that a loudspeaker sends elsewhere "
             "arrives late, too.",
             {"onset_s": onset_s, "travel_s": travel_s, "difference_m": apart_m},
+            graded="serious" if abs(apart_m) > _SERIOUS_M else "warning",
         ),
     )
 

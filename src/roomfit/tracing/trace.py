@@ -8,7 +8,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
@@ -35,7 +35,7 @@ class Trace:
     statistics : RayStatistics
         Of all rays, those included whose paths gave way to image paths.
     findings : tuple of Finding
-        "receiver-sphere-shrunk", "rays-escaped".
+        `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`.
     """
 
     paths: Paths
@@ -175,11 +175,11 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
 def _shrunk(name: str, near: str, asked_m: float, used_m: float) -> Finding:
     fewer = (asked_m / used_m) ** 2
     return Finding(
-        "receiver-sphere-shrunk",
-        "info" if fewer < 4.0 else "warning",
+        Code.RECEIVER_SPHERE_SHRUNK,
         f"The sphere of receiver {name} reached beyond {near} and was shrunk from {asked_m:.2f} m "
         f"to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
         {"receiver": name, "asked_m": asked_m, "used_m": used_m},
+        graded="info" if fewer < 4.0 else "warning",
     )
 
 
@@ -190,11 +190,11 @@ def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
     place = ", ".join(f"{x:.2f}" for x in statistics.escapes_from_m[0])
     return (
         Finding(
-            "rays-escaped",
-            "warning" if share < _TOLERABLE_LEAK else "serious",
+            Code.RAYS_ESCAPED,
             f"{statistics.n_escaped} rays left the room through gaps, {100.0 * share:.2g} % of "
             f"their flights, the first one in a flight from ({place}) m: the room is not closed.",
             {"n_escaped": statistics.n_escaped, "escape_fraction": share},
+            graded="warning" if share < _TOLERABLE_LEAK else "serious",
         ),
     )
 

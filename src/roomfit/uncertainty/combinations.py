@@ -20,7 +20,7 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.posterior import band_draws, prior_draws
 
@@ -581,8 +581,7 @@ def inseparable_findings(
     told = ", ".join(f"{centres_hz[b]:g} Hz ({100 * found[b][0].relative:.0f} %)" for b in bands)
     return (
         Finding(
-            "materials-not-separable",
-            "warning",
+            Code.MATERIALS_NOT_SEPARABLE,
             f"The data do not tell the {len(materials)} materials apart, only their mean "
             f"absorption by area, with its 95 % interval to either side, at {told}.",
             {"bands_hz": [float(centres_hz[b]) for b in bands], "materials": list(materials)},

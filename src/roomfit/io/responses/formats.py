@@ -38,7 +38,7 @@ import soundfile
 
 from roomfit._checks import nearest
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.io.responses.sweeps import Recording, pick
 from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
@@ -444,7 +444,7 @@ def _with_its_level(
         f"{spec.path.name} was normalised by REW and does not say what its peak was: its level "
         "means nothing beside that of other files."
     )
-    return pressure, [Finding("level-lost", "warning", text, {})]
+    return pressure, [Finding(Code.LEVEL_UNKNOWN, text, {})]
 
 
 def _window_findings(header: _Header, spec: ResponseSpec) -> list[Finding]:
@@ -454,7 +454,7 @@ def _window_findings(header: _Header, spec: ResponseSpec) -> list[Finding]:
         f"{spec.path.name} was exported with REW's window applied, which bends the late decay and "
         "hides the noise; export it without the window."
     )
-    return [Finding("window-applied", "warning", text, {})]
+    return [Finding(Code.WINDOW_APPLIED, text, {})]
 
 
 def _clock_findings(
@@ -468,7 +468,7 @@ def _clock_findings(
         f"REW put the time zero of {spec.path.name} at the peak, so it does not tell when the "
         'sound left; say time_zero = "direct", or measure with a loopback as timing reference.'
     )
-    return [Finding("time-zero-at-peak", "warning", text, {"peak_s": peak_s})]
+    return [Finding(Code.TIME_ZERO_AT_PEAK, text, {"peak_s": peak_s})]
 
 
 # What netCDF4 and sofar raise on files that are not what they claim to be.
@@ -672,8 +672,7 @@ def _with_lengths(content: bytes, chunk: _DataChunk, available: int) -> bytes:
 
 def _streamed(path: Path, available: int) -> Finding:
     return Finding(
-        "wav-length-unknown",
-        "warning",
+        Code.WAV_LENGTH_UNKNOWN,
         f"{path.name} was written as a stream: its header does not tell its length, so a cut end "
         "would not be noticed. Everything up to the end of the file was read.",
         {"bytes_of_samples": available},

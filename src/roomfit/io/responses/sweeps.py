@@ -12,7 +12,7 @@ import numpy as np
 from scipy.fft import next_fast_len
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray
 
 _SHORTEST_S = 0.01
@@ -161,8 +161,7 @@ def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...
         return ()
     return (
         Finding(
-            "response-clipped",
-            "serious",
+            Code.RESPONSE_CLIPPED,
             f"{where.name} looks clipped: {longest} samples in a row have the largest value, "
             f"{size.max():.4g}. {harm}; measure again at a lower level.",
             {"longest_run": longest, "largest": float(size.max())},
@@ -188,8 +187,7 @@ def _equal_peaks(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
         return ()
     return (
         Finding(
-            "response-clipped",
-            "serious",
+            Code.RESPONSE_CLIPPED,
             f"{where.name} looks clipped: {n_peaks} peaks have the same largest value, "
             f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
             {"equal_peaks": n_peaks, "largest": float(size.max())},
@@ -209,8 +207,7 @@ def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ..
         return 0.0, ()
     return mean, (
         Finding(
-            "dc-offset",
-            "info",
+            Code.DC_OFFSET,
             f"{where.name} has a constant offset of {mean:.3g} ({abs(mean) / peak:.2%} of its "
             "peak); it was subtracted.",
             {"offset": mean, "relative_to_peak": mean / peak},
@@ -294,7 +291,7 @@ def deconvolved(
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
     )
     evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
-    told = Finding("deconvolved", "info", text, evidence)
+    told = Finding(Code.DECONVOLVED, text, evidence)
     clipped = clipping(recording.pressure, path, "The response deconvolved from it is distorted")
     findings = (*recording.findings, *excitation.findings, *clipped, told)
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
 from roomfit.io.rooms.catt_language import (
@@ -667,7 +667,7 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
     told = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
     text = f"The file says that one material stands for another: {told}."
     evidence = {spelling[name]: end for name, end in followed.items()}
-    return spelling | followed, (Finding("materials-joined", "info", text, evidence),)
+    return spelling | followed, (Finding(Code.MATERIALS_JOINED, text, evidence),)
 
 
 def _absorption(line: Line) -> tuple[str, str]:

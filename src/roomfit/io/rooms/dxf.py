@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding, Severity
+from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, finite, read_bytes
@@ -229,12 +229,12 @@ def _findings(drawing: _Drawing) -> tuple[Finding, ...]:
     found = []
     over, hidden = drawing.passed_over, drawing.hidden
     if over:
-        severity: Severity = "warning" if any(kind in _FLAT for kind in over) else "info"
+        graded: Severity = "warning" if any(kind in _FLAT for kind in over) else "info"
         text = f"The drawing holds entities that are no faces, passed over: {_counted(over)}."
-        found.append(Finding("entities-passed-over", severity, text, dict(over)))
+        found.append(Finding(Code.ENTITIES_IGNORED, text, dict(over), graded=graded))
     if hidden:
         text = f"Entities on layers that are off or frozen were passed over: {_counted(hidden)}."
-        found.append(Finding("layers-passed-over", "warning", text, dict(hidden)))
+        found.append(Finding(Code.LAYERS_IGNORED, text, dict(hidden)))
     return tuple(found)
 
 

@@ -19,7 +19,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.rooms.model import RoomModel, finite, read_bytes, read_text, whole
@@ -238,7 +238,7 @@ def _sheets(n_sheets: int, n: int) -> Finding:
         f"{n_sheets} of {n} surfaces are marked as two-sided and taken as sheets in the air, such "
         "as curtains. If they belong to the walls, unmark them."
     )
-    return Finding("two-sided-taken-as-sheets", "warning", text, {"sheets": n_sheets, "of": n})
+    return Finding(Code.TWO_SIDED_TAKEN_AS_SHEETS, text, {"sheets": n_sheets, "of": n})
 
 
 def _check_indices(path: Path, this: _Object, surf: _Surf, n_materials: int) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit._checks import nearest
 from roomfit.errors import InputError
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface, area_vector_m2
 from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite, read_text
@@ -253,7 +253,7 @@ def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
         f"{len(moved)} corners differ between the tables, by up to {max(moved.values()):.3g}; the "
         f"last table holds: {_some(list(moved))}."
     )
-    return corners, [Finding("corners-differ", "info", text, {"moved": moved})]
+    return corners, [Finding(Code.CORNERS_DIFFER, text, {"moved": moved})]
 
 
 def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]]:
@@ -264,7 +264,7 @@ def _chosen_planes(tables: PolygonSpec) -> tuple[dict[str, Plane], list[Finding]
         twice = [number for number in found if number in planes]
         if twice:
             text = f"{len(twice)} planes of {path.name} replace earlier ones: {_some(twice)}."
-            findings.append(Finding("planes-replaced", "info", text, {"planes": twice}))
+            findings.append(Finding(Code.PLANES_REPLACED, text, {"planes": twice}))
         planes.update(found)
     drop = [str(number) for number in tables.drop]
     _check_known("drop", drop, planes)
@@ -331,7 +331,7 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
         f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
     ]
     text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(told)}."
-    return [Finding("stated-area-disagrees", "warning", text, {"planes": wrong})]
+    return [Finding(Code.STATED_AREA_MISMATCH, text, {"planes": wrong})]
 
 
 def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
@@ -344,8 +344,7 @@ def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
     alike = [sorted(names) for names in families.values() if len(names) > 1]
     return [
         Finding(
-            "materials-look-alike",
-            "warning",
+            Code.MATERIAL_NAMES_SIMILAR,
             f"The materials {' and '.join(map(repr, names))} differ in spelling only and are kept "
             "apart; give them one name in [room.materials] if they are one.",
             {"materials": names},

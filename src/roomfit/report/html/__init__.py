@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from roomfit.findings import Finding, Severity
+from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.report.html.figures import (
     absorption_plot,
@@ -67,7 +67,7 @@ _TOLD = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 class FindingGroup:
     """Findings of one code: what many files share is told once, the rest can be unfolded."""
 
-    code: str
+    code: Code
     severity: Severity
     sentence: str
     others: tuple[str, ...]
@@ -100,7 +100,7 @@ def told_in_words(answer: Answer) -> tuple[tuple[str, str], ...]:
 
 def finding_groups(findings: tuple[Finding, ...]) -> tuple[FindingGroup, ...]:
     """Return the findings by severity, those of one code together."""
-    alike: dict[tuple[Severity, str], list[Finding]] = {}
+    alike: dict[tuple[Severity, Code], list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: _SEVERITIES.index(f.severity)):
         alike.setdefault((finding.severity, finding.code), []).append(finding)
     return tuple(

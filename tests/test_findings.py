@@ -1,0 +1,189 @@
+"""Kinds of finding: one list, which the sources use, the files hold and the documentation shows.
+
+``python tests/test_findings.py`` prints the table that docs/findings.md must show.
+"""
+
+from __future__ import annotations
+
+import ast
+import json
+import pickle
+import re
+from pathlib import Path
+
+import pytest
+
+import roomfit.findings
+from roomfit.cache import load_record, save_record
+from roomfit.errors import InputError
+from roomfit.findings import Code, Finding, code_of
+
+SOURCE = Path(roomfit.__file__).parent
+PAGE = SOURCE.parents[1] / "docs" / "findings.md"
+OWN = Path(roomfit.findings.__file__)
+TREES = {
+    path: ast.parse(path.read_text(encoding="utf-8"))
+    for path in sorted(SOURCE.rglob("*.py"))
+    if path != OWN
+}
+
+
+def table() -> str:
+    """Return the table of the documentation."""
+    rows = [
+        f"| `{code.value}` | {' or '.join(code.severities)} "
+        f"| {'yes' if code.voids_identifiability else 'no'} | {code.meaning} |"
+        for code in Code
+    ]
+    head = "| code | severity | voids identifiability | what it means, and what to do |"
+    return "\n".join([head, "|---|---|---|---|", *rows, ""])
+
+
+# One list.
+
+
+def test_the_name_of_a_code_is_its_text():
+    """Whoever reads a result file finds the member, and the other way round."""
+    for code in Code:
+        assert code.value == str(code) == code.name.lower().replace("_", "-")
+
+
+def test_every_code_means_something_that_fits_a_table():
+    for code in Code:
+        assert code.meaning.endswith((".", "?")), code
+        assert "|" not in code.meaning, code
+        assert "\n" not in code.meaning, code
+    assert len({code.meaning for code in Code}) == len(Code)
+
+
+def test_these_findings_and_no_others_void_identifiability():
+    """Each of them says that the description of the whole room is in doubt."""
+    assert {code.value for code in Code if code.voids_identifiability} == {
+        "model-misfit-all-bands",
+        "reflection-delay-detected",
+        "position-inconsistent",
+        "wall-position-mismatch",
+        "source-not-omnidirectional",
+        "scattering-underestimated",
+    }
+
+
+def test_the_documentation_shows_the_list():
+    if table() not in PAGE.read_text(encoding="utf-8"):
+        pytest.fail(f"{PAGE.name} must hold this table:\n\n{table()}", pytrace=False)
+
+
+# The sources.
+
+
+def test_no_other_module_writes_a_code_as_text():
+    """Where a code steers what is computed it must be a member, which a type checker knows.
+
+    Also in comments and docstrings, where a renamed code would be forgotten.
+    """
+    written = re.compile(rf"""["'`]({"|".join(code.value for code in Code)})["'`]""")
+    for path in TREES:
+        found = written.findall(path.read_text(encoding="utf-8"))
+        assert not found, f"{path.relative_to(SOURCE)} writes {found}"
+
+
+def test_every_code_is_used():
+    used = {
+        node.attr
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Attribute)
+        and isinstance(node.value, ast.Name)
+        and node.value.id == "Code"
+    }
+    assert used == set(Code.__members__)
+
+
+def calls(name: str) -> list[ast.Call]:
+    found = [
+        node
+        for tree in TREES.values()
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Call) and isinstance(node.func, ast.Name) and node.func.id == name
+    ]
+    assert found, name
+    return found
+
+
+def test_whatever_stops_a_room_has_a_serious_code():
+    """`refuse` raises serious findings only: a fault of another code would pass unseen."""
+    for call in calls("fault"):
+        code = call.args[0]
+        assert isinstance(code, ast.Attribute)
+        assert Code[code.attr].severities == ("serious",), code.attr
+
+
+def test_codes_of_two_severities_are_graded_wherever_they_come_up():
+    """Else the usual severity would be shown whatever the size."""
+    graded = {
+        call.args[0].attr
+        for call in calls("Finding")
+        if isinstance(call.args[0], ast.Attribute) and any(k.arg == "graded" for k in call.keywords)
+    }
+    plain = {
+        call.args[0].attr
+        for call in calls("Finding")
+        if isinstance(call.args[0], ast.Attribute) and all(k.arg != "graded" for k in call.keywords)
+    }
+    assert graded == {code.name for code in Code if len(code.severities) > 1}
+    assert not graded & plain
+
+
+# One finding.
+
+
+def test_the_severity_is_that_of_the_code_unless_graded():
+    assert Finding(Code.TIME_ZERO_MISMATCH, "Late.").severity == "warning"
+    assert Finding(Code.TIME_ZERO_MISMATCH, "Very late.", graded="serious").severity == "serious"
+    assert Finding(Code.LEAK, "It leaks.").severity == "serious"
+
+
+def test_a_severity_that_a_code_does_not_have_is_refused():
+    with pytest.raises(InputError, match="severity") as caught:
+        Finding(Code.LEAK, "It leaks.", graded="info")
+    error = caught.value
+    assert (error.where, error.found, error.needed) == ("leak", "info", "serious")
+    assert error.hint
+
+
+# Files.
+
+
+def test_a_code_is_found_by_its_text():
+    for code in Code:
+        assert code_of(code.value, "result.json") is code
+
+
+@pytest.mark.parametrize("text", ["only-the-prior", "LEAK", "", None, 3, ["leak"]])
+def test_an_unknown_code_in_a_file_is_told_in_five_parts(text):
+    with pytest.raises(InputError, match="unknown code") as caught:
+        code_of(text, "out/result.json")
+    error = caught.value
+    assert error.where == "out/result.json"
+    assert error.found == repr(text)
+    assert "docs/findings.md" in str(error.needed)
+    assert error.hint
+
+
+def test_a_code_keeps_its_kind_between_processes_and_in_json():
+    assert pickle.loads(pickle.dumps(Code.LEAK)) is Code.LEAK
+    assert json.loads(json.dumps({Code.LEAK: [Code.NOT_CLOSED]})) == {"leak": ["not-closed"]}
+
+
+def test_a_cached_finding_comes_back_with_its_code(tmp_path):
+    """A string in its place would void nothing."""
+    told = Finding(Code.RAYS_ESCAPED, "They left.", {"n_escaped": 3}, graded="serious")
+    save_record(tmp_path / "a.npz", told)
+    back = load_record(tmp_path / "a.npz", (Finding, Code))
+    assert back.code is Code.RAYS_ESCAPED
+    assert (back.sentence, back.severity) == ("They left.", "serious")
+    assert dict(back.evidence) == {"n_escaped": 3}
+
+
+if __name__ == "__main__":
+    print(table())
