@@ -1,0 +1,249 @@
+"""Prove that answers do not change: small cases run, their output files frozen, two runs compared.
+
+    python benchmarks/golden.py run --out DIR [--threads N] [--cases NAME ...] [--fresh-kernels]
+    python benchmarks/golden.py compare DIR1 DIR2 [--tolerance]
+    python benchmarks/golden.py list
+
+`run` leaves in DIR the outputs (work/), their canonical contents (contents/), and digests.json: for
+every file "whole", without seconds, versions, paths and provenance, and "numbers", without prose
+and the names of findings as well. Answers are the same bit by bit for any number of threads, not
+on another processor or with other libraries: compare runs of one machine.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import roomfit
+from _golden_cases import CASES, Case
+from _golden_digests import (
+    RENAMED,
+    Content,
+    FileDifference,
+    difference,
+    digests_of,
+    read_content,
+    renamed,
+)
+
+# The command line of whichever roomfit this Python imports.
+ROOMFIT = (sys.executable, "-c", "from roomfit.cli import main; main()")
+FORMAT = "roomfit-golden"
+
+
+def run_cases(out: Path, names: Sequence[str], threads: int, *, fresh_kernels: bool) -> None:
+    """Run cases one after the other, print the seconds of each, and write their digests."""
+    chosen = [case for case in CASES if not names or case.name in names]
+    environment = {
+        **os.environ,
+        "NUMBA_NUM_THREADS": str(threads),
+        "OMP_NUM_THREADS": "1",
+        "OPENBLAS_NUM_THREADS": "1",
+        "MPLBACKEND": "Agg",
+        "COLUMNS": "200",
+        # the commands run elsewhere, where a relative path would not be found
+        "PYTHONPATH": str(Path(roomfit.__file__).parents[1]),
+    }
+    if (out / "digests.json").exists():
+        for name in ("work", "contents"):
+            shutil.rmtree(out / name, ignore_errors=True)
+        (out / "digests.json").unlink()
+    elif out.exists() and any(out.iterdir()):
+        raise SystemExit(f"{out} is not empty and holds no earlier run: choose another folder")
+    print(f"{roomfit.__file__}, {threads} threads")
+    folders: dict[str, Path] = {}
+    with tempfile.TemporaryDirectory() as kernels:
+        if fresh_kernels:
+            environment["NUMBA_CACHE_DIR"] = kernels
+        for case in chosen:
+            started, busy = time.perf_counter(), _processor_s()
+            folders[case.name] = _run_case(case, out, environment)
+            took = f"{time.perf_counter() - started:6.1f} s, {_processor_s() - busy:6.1f} CPU s"
+            print(f"{took}  {case.name}: {case.about}", flush=True)
+            freeze(folders, out)  # again after each case, so that a run that is stopped counts
+
+
+def _processor_s() -> float:
+    """Return the processor time of this process and of its children that ended."""
+    used = os.times()
+    return used.user + used.system + used.children_user + used.children_system
+
+
+def _run_case(case: Case, out: Path, environment: Mapping[str, str]) -> Path:
+    """Run a case in a folder of its own and return the folder."""
+    folder = (out / "work" / case.name).resolve()
+    folder.mkdir(parents=True)
+    said: list[str] = []
+
+    def command(*arguments: object) -> None:
+        # within the folder and by relative paths, so that no output names a place of this machine
+        asked = [str(a.relative_to(folder)) if isinstance(a, Path) else str(a) for a in arguments]
+        done = subprocess.run(
+            [*ROOMFIT, *asked],
+            capture_output=True,
+            text=True,
+            env=environment,
+            cwd=folder,
+            check=False,
+        )
+        if done.returncode != 0:
+            raise SystemExit(
+                f"case {case.name}: roomfit {' '.join(asked)} ended with {done.returncode}\n"
+                f"{done.stdout}{done.stderr}"
+            )
+        said.append(done.stdout)
+        (folder / f"printed-{len(said)}.txt").write_text(done.stdout)
+
+    case.run(folder, command)
+    return folder
+
+
+def freeze(folders: Mapping[str, Path], out: Path) -> None:
+    """Write the canonical contents and the digests of the files of every case's folder."""
+    digests: dict[str, Any] = {}
+    for case, folder in folders.items():
+        digests[case] = {}
+        for path in _files(folder):
+            name = path.relative_to(folder).as_posix()
+            content = read_content(path)
+            digests[case][name] = digests_of(content)
+            _keep(out / "contents" / case / f"{name}.json", content)
+    out.mkdir(parents=True, exist_ok=True)
+    frozen = {"format": FORMAT, "format_version": 1, "cases": digests}
+    (out / "digests.json").write_text(json.dumps(frozen, indent=1) + "\n")
+
+
+def _files(folder: Path) -> list[Path]:
+    """Return the files of a folder; hidden ones (the cache of traces) are not results."""
+    every = sorted(p for p in folder.rglob("*") if p.is_file())
+    return [p for p in every if not any(q.startswith(".") for q in p.relative_to(folder).parts)]
+
+
+def _keep(path: Path, content: Content) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    value = {"kind": content.kind, "value": content.value}
+    path.write_text(json.dumps(value, indent=1, sort_keys=True) + "\n")
+
+
+def _kept(out: Path, case: str) -> dict[str, Content]:
+    """Return the canonical contents of a case by file name, under new names."""
+    folder = out / "contents" / case
+    found = {}
+    for path in _files(folder):
+        parts = path.relative_to(folder).as_posix().removesuffix(".json").split("/")
+        name = "/".join(_renamed_file(part) for part in parts)
+        value = json.loads(path.read_text())
+        found[name] = Content(value["kind"], renamed(value["value"], RENAMED))
+    return found
+
+
+def _renamed_file(name: str) -> str:
+    stem, dot, ending = name.partition(".")
+    return RENAMED.get(stem, stem) + dot + ending
+
+
+def compare_runs(
+    first: Path, second: Path, names: Sequence[str] = ()
+) -> tuple[list[FileDifference], list[str]]:
+    """Return the files that differ between two runs, and the cases that only one of them has.
+
+    Only the cases of the given names are looked at; all of them if none is given.
+    """
+    cases = [[c for c in _cases(run) if not names or c in names] for run in (first, second)]
+    if not any(cases):
+        raise SystemExit(f"neither {first} nor {second} holds any case that is asked for")
+    differences = []
+    for case in (c for c in cases[0] if c in cases[1]):
+        mine, yours = _kept(first, case), _kept(second, case)
+        for file in sorted({*mine, *yours}):
+            if file in mine and file in yours:
+                found = difference(case, file, mine[file], yours[file])
+                differences += [found] if found else []
+            else:
+                missing = "second" if file in mine else "first"
+                differences.append(FileDifference(case, file, True, True, missing))
+    return differences, [c for c in (*cases[0], *cases[1]) if not all(c in k for k in cases)]
+
+
+def _cases(out: Path) -> list[str]:
+    try:
+        content = json.loads((out / "digests.json").read_text())
+    except OSError as error:
+        raise SystemExit(f"{out} holds no finished run: {error}") from error
+    return list(content["cases"])
+
+
+def print_differences(
+    differences: list[FileDifference], lone_cases: list[str], *, tolerance: bool
+) -> int:
+    """Print what differs and return the exit code: 1 where numbers do, or a case is missing."""
+    for case in lone_cases:
+        print(f"{case}: in one of the two runs only")
+    for d in differences:
+        if d.missing:
+            print(f"{d.case}/{d.file}: not in the {d.missing} run")
+            continue
+        print(f"{d.case}/{d.file}: {'NUMBERS' if d.numbers else 'whole only, numbers agree'}")
+        for name, f in sorted(d.fields.items()):
+            most = f"largest difference {f.largest:.3g}" if f.largest else ""
+            changed = f"{f.changed} values changed, added or gone" if f.changed else ""
+            verdict = "beyond tolerance" if f.beyond else "within tolerance"
+            print(f"    {name}: {', '.join(filter(None, (most, changed, verdict)))}")
+    wrong = [d for d in differences if (d.beyond if tolerance else d.numbers)]
+    words = sum(not d.numbers for d in differences)
+    kind = "numbers beyond tolerance" if tolerance else "other numbers"
+    print(f"{len(wrong)} files with {kind}, {words} that differ in words, pictures or counts only")
+    return 1 if wrong or lone_cases else 0
+
+
+def main() -> int:
+    """Read the arguments, run or compare, and return the exit code."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    verbs = parser.add_subparsers(dest="verb", required=True)
+    run = verbs.add_parser("run", help="run the cases and freeze their answers")
+    run.add_argument("--out", type=Path, required=True, help="folder; an earlier run is replaced")
+    run.add_argument("--threads", type=int, default=1, help="NUMBA_NUM_THREADS of every case")
+    run.add_argument("--cases", nargs="+", default=(), choices=[c.name for c in CASES])
+    run.add_argument(
+        "--fresh-kernels",
+        action="store_true",
+        help="compile every kernel anew: numba's cache on disk does not see changed callees",
+    )
+    two = verbs.add_parser("compare", help="exit 1 where the numbers of two runs differ")
+    two.add_argument("first", type=Path)
+    two.add_argument("second", type=Path)
+    two.add_argument("--cases", nargs="+", default=(), choices=[c.name for c in CASES])
+    two.add_argument(
+        "--tolerance",
+        action="store_true",
+        help="allow 1e-9 of absorption, 1e-3 of an interval's width at its bounds, and 1e-3 of "
+        "the largest number of any other field",
+    )
+    verbs.add_parser("list", help="name the cases")
+    asked = parser.parse_args()
+    if asked.verb == "run":
+        run_cases(asked.out, asked.cases, asked.threads, fresh_kernels=asked.fresh_kernels)
+        return 0
+    if asked.verb == "compare":
+        return print_differences(
+            *compare_runs(asked.first, asked.second, asked.cases), tolerance=asked.tolerance
+        )
+    for case in CASES:
+        print(f"{case.name:<12} {case.about}")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main())
