@@ -13,7 +13,7 @@ import pytest
 import roomfit
 from small_campaign import MATERIALS, box_obj, run_command, write_campaign
 
-HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "pyfar", "soundfile", "trimesh")
+HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "h5py", "soundfile", "trimesh")
 
 
 def test_help_and_version_load_nothing_heavy():

@@ -197,6 +197,46 @@ def test_a_sofa_file_of_impulse_responses_is_read(tmp_path):
         np.testing.assert_allclose(measured_factor(measured, SPHERE, band), expected, atol=0.023)
 
 
+def spherical_source(folder: Path, kind: str, units: str) -> Path:
+    """Write the source of `sofa_file` with its receivers in spherical coordinates."""
+    h5py = pytest.importorskip("h5py")
+    path = sofa_file(folder, "FreeFieldDirectivityTF")
+    x, y, z = MANY.T
+    angles = np.degrees([np.arctan2(y, x), np.arcsin(np.clip(z, -1.0, 1.0))])
+    with h5py.File(path, "a") as file:
+        receivers = file["ReceiverPosition"]
+        receivers[...] = np.stack([*angles, np.full(len(MANY), 1.4)], axis=1).reshape(
+            receivers.shape
+        )
+        receivers.attrs["Type"], receivers.attrs["Units"] = kind, np.bytes_(units)
+    return path
+
+
+def test_receivers_in_spherical_coordinates_stand_where_their_cartesian_ones_do(tmp_path):
+    path = spherical_source(tmp_path, "spherical", "degrees, degrees, meters")
+    spherical = read_directivity(path, OCTAVES)
+    cartesian = read_directivity(sofa_file(tmp_path, "FreeFieldDirectivityTF"), OCTAVES)
+    for band in range(3):
+        np.testing.assert_allclose(
+            measured_factor(spherical, SPHERE, band),
+            measured_factor(cartesian, SPHERE, band),
+            rtol=1e-9,
+        )
+
+
+@pytest.mark.parametrize(
+    ("kind", "units", "message"),
+    [
+        ("spherical", "radian, radian, metre", "other units"),
+        ("cartesian", "degree, degree, metre", "other units"),
+        ("spherical harmonics", "metre", "another type"),
+    ],
+)
+def test_coordinates_of_another_type_or_unit_are_refused(tmp_path, kind, units, message):
+    with pytest.raises(InputError, match=message):
+        read_directivity(spherical_source(tmp_path, kind, units), OCTAVES)
+
+
 def test_directivities_that_say_too_little_are_refused(tmp_path):
     """Half a sphere, five directions, silence, and a loudspeaker whose top is its front."""
     axes, centres = np.eye(3), np.array([500.0])

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import struct
-import sys
 from pathlib import Path
 
+import h5py
 import numpy as np
 import pytest
 import scipy.io
@@ -16,7 +16,9 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.findings import Code
+from roomfit.io.responses import hdf5 as mat73
 from roomfit.io.responses import read_response
+from roomfit.io.responses.hdf5 import read_sofa_variables
 from roomfit.measurement import ResponseSpec
 
 RATE_HZ = 8000
@@ -285,11 +287,95 @@ def test_responses_in_rows_of_a_mat_file_are_not_taken_for_columns(tmp_path):
         read_response(ResponseSpec(path, variable="RIR", channel=0, sampling_rate_hz=48_000.0))
 
 
-def test_a_mat_file_of_version_7_3_is_named_as_such(tmp_path):
+def write_mat73(path: Path, compression: str | None = None) -> np.ndarray:
+    """Write what MATLAB writes with -v7.3: axes reversed, a class by each variable, a header."""
+    columns = np.stack([decay(seed=1), decay(seed=2)], axis=1)
+    phasors = np.zeros((1, 1), dtype=[("real", "f8"), ("imag", "f8")])
+    table = {
+        "RIR": (columns, "double"),
+        "short": (np.round(1000.0 * columns).astype("i2"), "int16"),
+        "row": (decay(seed=3)[None, :].astype("f4"), "single"),
+        "Fs": (np.array([[48_000.0]]), "double"),
+        "note": (np.array([[104, 105]], dtype="u2"), "char"),
+        "phasors": (phasors, "double"),
+    }
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, (values, kind) in table.items():
+            stored = file.create_dataset(name, data=values.T, compression=compression)
+            stored.attrs["MATLAB_class"] = np.bytes_(kind)
+        empty = file.create_dataset("empty", data=np.array([0, 3], dtype="u8"))
+        empty.attrs["MATLAB_class"], empty.attrs["MATLAB_empty"] = np.bytes_("double"), np.uint8(1)
+        cells = file.create_dataset("cells", (1, 1), dtype=h5py.ref_dtype)
+        cells[0, 0] = file.create_group("#refs#").ref
+        cells.attrs["MATLAB_class"] = np.bytes_("cell")
+        record = file.create_group("room")
+        record.attrs["MATLAB_class"] = np.bytes_("struct")
+        record["h"] = columns.T
+        sparse = file.create_group("sparse")
+        sparse.attrs["MATLAB_class"], sparse.attrs["MATLAB_sparse"] = np.bytes_("double"), 3
+        file["elsewhere"] = h5py.ExternalLink("other.mat", "/RIR")
+    with path.open("r+b") as file:
+        file.write(b"MATLAB 7.3 MAT-file, Platform: GLNXA64".ljust(124) + b"\x00\x02IM")
+    return columns
+
+
+@pytest.mark.parametrize("compression", [None, "gzip"])
+def test_a_column_of_a_mat_file_of_version_7_3_is_a_response(tmp_path, compression):
     path = tmp_path / "new.mat"
+    columns = write_mat73(path, compression)
+    spec = ResponseSpec(path, variable="RIR", channel=1, sampling_rate_variable="Fs")
+    response, findings = read_response(spec)
+    np.testing.assert_array_equal(response.pressure, columns[:, 1])
+    assert (response.sampling_rate_hz, findings) == (48_000.0, ())
+    row, _ = read_response(ResponseSpec(path, variable="row", sampling_rate_hz=48_000.0))
+    np.testing.assert_array_equal(row.pressure, decay(seed=3).astype("f4"))
+    whole, _ = read_response(
+        ResponseSpec(path, variable="short", channel=0, sampling_rate_hz=48_000.0)
+    )
+    np.testing.assert_array_equal(whole.pressure, np.round(1000.0 * columns[:, 0]))
+
+
+def test_what_a_mat_file_of_version_7_3_holds_besides_numbers_is_refused_by_its_kind(tmp_path):
+    path = tmp_path / "new.mat"
+    write_mat73(path)
+    kinds = {
+        "note": "text",
+        "phasors": "complex numbers",
+        "empty": r"\(0, 0\)",
+        "cells": r"a cell array.*as a variable of its own",
+        "room": r"a structure.*as a variable of its own",
+        "sparse": "a sparse array",
+    }
+    for name, kind in kinds.items():
+        with pytest.raises(InputError, match=f"(?s)holds no responses.*{kind}"):
+            read_response(ResponseSpec(path, variable=name, channel=0, sampling_rate_hz=8000.0))
+    for name in ("#refs#", "elsewhere"):
+        with pytest.raises(InputError, match="no such variable") as caught:
+            read_response(ResponseSpec(path, variable=name, channel=0, sampling_rate_hz=8000.0))
+        assert f"{name} (" not in str(caught.value)
+
+
+def test_a_file_that_matlab_itself_wrote_as_hdf5_is_read():
+    """MATLAB 7.4's, of scipy's own tests: a row of nine doubles from 0 to 2 pi, too short."""
+    path = Path(scipy.io.__file__).parent / "matlab/tests/data/testhdf5_7.4_GLNX86.mat"
+    if not path.exists():
+        pytest.skip("scipy came without its tests")
+    found = mat73.mat73_arrays(path.read_bytes())
+    np.testing.assert_allclose(found["testdouble"], [np.linspace(0.0, 2.0 * np.pi, 9)], rtol=1e-15)
+
+
+def test_a_mat_file_of_version_7_3_that_is_damaged_is_refused(tmp_path):
+    path = tmp_path / "new.mat"
+    spec = ResponseSpec(path, variable="RIR", channel=0, sampling_rate_hz=48_000.0)
     path.write_bytes(b"MATLAB 7.3 MAT-file, Platform: GLNXA64" + bytes(600))
     with pytest.raises(InputError, match="-v7"):
-        read_response(ResponseSpec(path, variable="RIR", sampling_rate_hz=48_000.0))
+        read_response(spec)
+    write_mat73(path, "gzip")
+    good = path.read_bytes()
+    for share in (0.2, 0.5, 0.9):
+        path.write_bytes(good[: int(share * len(good))])
+        with pytest.raises(InputError, match="not a MAT file that can be read"):
+            read_response(spec)
 
 
 def write_sofa(path: Path, responses: np.ndarray, delay: float = 0.0) -> Path:
@@ -324,11 +410,114 @@ def test_the_delay_that_a_sofa_file_tells_comes_before_its_first_sample(tmp_path
     assert response.time_zero_s == pytest.approx(-0.01)
 
 
-def test_without_the_sofa_reader_the_message_says_how_to_get_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "sofar", None)
-    (tmp_path / "a.sofa").write_bytes(b"anything")
-    with pytest.raises(InputError, match="pip install"):
-        read_response(ResponseSpec(tmp_path / "a.sofa"))
+def test_every_measurement_of_a_sofa_file_has_its_own_delay(tmp_path):
+    """One receiver, three measurements: 0, 48 and 96 samples at 48 kHz."""
+    sofar = pytest.importorskip("sofar")
+    sofa = sofar.Sofa("SingleRoomSRIR")
+    sofa.Data_IR = np.stack([decay(seed=i) for i in range(3)])[:, None, :]
+    sofa.Data_SamplingRate, sofa.Data_Delay = 48_000, np.array([[0.0], [48.0], [96.0]])
+    sofa.SourcePosition = sofa.ListenerPosition = np.ones((3, 3))
+    sofa.MeasurementDate = np.zeros(3)
+    path = tmp_path / "a.sofa"
+    sofar.write_sofa(str(path), sofa)
+    for i in range(3):
+        response, _ = read_response(ResponseSpec(path, measurement=i))
+        np.testing.assert_array_equal(response.pressure, decay(seed=i))
+        assert response.time_zero_s == pytest.approx(-0.001 * i, abs=1e-15)
+
+
+@pytest.mark.parametrize("convention", ["GeneralFIR", "SimpleFreeFieldHRIR"])
+def test_a_sofa_file_is_read_as_sofar_reads_it(tmp_path, convention):
+    """Every array of numbers, the texts beside the positions, and the type of data."""
+    sofar = pytest.importorskip("sofar")
+    sofa = sofar.Sofa(convention)
+    sofa.Data_IR = np.stack([[decay(seed=i), decay(seed=10 + i)] for i in range(3)])
+    sofa.Data_SamplingRate, sofa.Data_Delay = 44_100, np.array([[3.0, 4.0]])
+    sofa.ReceiverPosition = np.arange(6.0).reshape(2, 3)
+    sofa.SourcePosition = np.arange(9.0).reshape(3, 3)
+    path = tmp_path / "a.sofa"
+    sofar.write_sofa(str(path), sofa)
+    theirs = sofar.read_sofa(str(path), verify=False, verbose=False)
+    ours = read_sofa_variables(path.read_bytes(), "a.sofa")
+    assert ours.data_type == theirs.GLOBAL_DataType == "FIR"
+    names = ["Data.IR", "Data.SamplingRate", "Data.Delay", "ReceiverPosition", "SourcePosition"]
+    for name in [*names, "ListenerPosition", "EmitterPosition"]:
+        values = np.squeeze(getattr(theirs, name.replace(".", "_")))
+        np.testing.assert_array_equal(np.squeeze(ours.variables[name].values), values)
+    for name in ("SourcePosition", "ReceiverPosition"):
+        beside = ours.variables[name].attributes
+        assert beside["Type"] == getattr(theirs, f"{name}_Type")
+        assert beside["Units"] == getattr(theirs, f"{name}_Units")
+
+
+@pytest.mark.parametrize("order", ["MRNE", "MREN"])
+def test_the_one_emitter_of_a_sofa_file_may_stand_before_the_samples(tmp_path, order):
+    """Written by netCDF4: the dimensions' names tell which axis is which; two are refused."""
+    netcdf = pytest.importorskip("netCDF4")
+    for n_emitters in (1, 2):
+        path = tmp_path / f"{n_emitters}.sofa"
+        lengths = {"M": 2, "R": 3, "N": 400, "E": n_emitters, "I": 1}
+        with netcdf.Dataset(path, "w", format="NETCDF4") as file:
+            file.Conventions, file.SOFAConventions, file.DataType = "SOFA", "GeneralFIR-E", "FIR-E"
+            for axis, length in lengths.items():
+                file.createDimension(axis, length)
+            values = np.random.default_rng(1).standard_normal((2, 3, 400, n_emitters))
+            axes = ["MRNE".index(axis) for axis in order]
+            file.createVariable("Data.IR", "f8", tuple(order))[:] = values.transpose(axes)
+            file.createVariable("Data.SamplingRate", "f8", ("I",))[:] = 8000.0
+            delay = file.createVariable("Data.Delay", "f8", ("M", "R", "E"))
+            delay[:] = np.arange(6.0 * n_emitters).reshape(2, 3, n_emitters)
+        spec = ResponseSpec(path, measurement=1, receiver_index=2)
+        if n_emitters == 1:
+            response, _ = read_response(spec)
+            np.testing.assert_array_equal(response.pressure, values[1, 2, :, 0])
+            assert response.time_zero_s == pytest.approx(-5.0 / 8000.0)
+        else:
+            with pytest.raises(InputError, match="several emitters"):
+                read_response(spec)
+
+
+def test_what_is_no_sofa_file_is_refused_for_what_it_is(tmp_path):
+    path = tmp_path / "a.sofa"
+    for content, found in ((b"CDF\x01" + bytes(99), "netCDF-3"), (b"anything", "OSError")):
+        path.write_bytes(content)
+        with pytest.raises(InputError, match=f"not a SOFA file that can be read(?s:.*){found}"):
+            read_response(ResponseSpec(path))
+    with h5py.File(path, "w") as file:
+        file["Data.IR"] = np.zeros((1, 1, 400))
+    with pytest.raises(InputError, match="without the attribute SOFAConventions"):
+        read_response(ResponseSpec(path))
+    with h5py.File(path, "a") as file:
+        file.attrs["SOFAConventions"] = "SimpleFreeFieldHRTF"  # a str, not bytes
+        file.attrs["DataType"] = np.bytes_("TF")
+        file["SourcePosition"] = ["not", "numbers"]
+    with pytest.raises(InputError, match=r"no impulse responses(?s:.*)data type 'TF'"):
+        read_response(ResponseSpec(path))
+    with h5py.File(path, "a") as file:
+        file["Data.IR"].attrs["scale_factor"] = 0.5
+    with pytest.raises(InputError, match="packed numbers"):
+        read_response(ResponseSpec(path))
+
+
+def test_a_sofa_file_whose_numbers_lie_in_another_file_is_refused(tmp_path):
+    """It would read any file of the machine as numbers."""
+    path, other = tmp_path / "a.sofa", tmp_path / "other.bin"
+    other.write_bytes(decay().tobytes())
+    with h5py.File(path, "w") as file:
+        file.attrs["SOFAConventions"] = "GeneralFIR"
+        file.create_dataset("Data.IR", (1, 1, 4000), "f8", external=[(str(other), 0, 32_000)])
+        file["Data.SamplingRate"] = [8000.0]
+    with pytest.raises(InputError, match="lie in other files"):
+        read_response(ResponseSpec(path))
+
+
+def test_a_sofa_file_that_claims_more_numbers_than_memory_is_refused(tmp_path):
+    path = tmp_path / "a.sofa"
+    with h5py.File(path, "w") as file:
+        file.attrs["SOFAConventions"] = "GeneralFIR"
+        file.create_dataset("Data.IR", (10**6, 10**3, 10**6), "f8", chunks=(1, 1, 10**3))
+    with pytest.raises(InputError, match="more than 2 GiB"):
+        read_response(ResponseSpec(path))
 
 
 FULL_SPEC = {
@@ -387,3 +576,23 @@ def test_damaged_files_never_end_in_a_traceback(
     if cut:
         content = content[: int(keep * len(content))]
     read_bytes_as(folder, name, bytes(content))
+
+
+@pytest.mark.parametrize("share", [0.1, 0.3, 0.5, 0.7, 0.9, 0.99])
+def test_a_sofa_file_that_was_cut_off_is_refused(tmp_path, share):
+    good = write_sofa(tmp_path / "good.sofa", decay()[None, None, :]).read_bytes()
+    path = tmp_path / "cut.sofa"
+    path.write_bytes(good[: int(share * len(good))])
+    with pytest.raises(InputError, match="not a SOFA file that can be read"):
+        read_response(ResponseSpec(path))
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_a_sofa_file_with_overwritten_stretches_never_ends_in_a_traceback(tmp_path, seed):
+    """64 bytes at three positions: where the library reads on, it finds garbage, no loop."""
+    rng = np.random.default_rng(seed)
+    good = write_sofa(tmp_path / "good.sofa", decay()[None, None, :]).read_bytes()
+    content = np.frombuffer(good, dtype=np.uint8).copy()
+    for start in rng.integers(0, len(content) - 64, 3):
+        content[start : start + 64] = rng.integers(0, 256, 64)
+    read_bytes_as(tmp_path, "fuzz.sofa", content.tobytes())

@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.io.responses import read_response
-from roomfit.io.responses.sweeps import band_of
+from roomfit.io.responses.sweeps import band_of, regularised_quotient
 from roomfit.measurement import ResponseSpec
 from roomfit.signals.response import ImpulseResponse, times_s
 
@@ -399,3 +399,23 @@ def test_recordings_that_cannot_be_deconvolved_are_refused(tmp_path):
     short = wav(tmp_path / "short.wav", recorded(played, true)[: len(played) + 100])
     with pytest.raises(InputError, match="ends before the decay"):
         read_response(ResponseSpec(short, excitation=excitation))
+
+
+@pytest.mark.parametrize(
+    "band_hz", [(100.0, 3000.0), (20.0, 0.5 * RATE_HZ), (57.3, 0.42 * RATE_HZ), (11.0, 3200.0)]
+)
+@pytest.mark.parametrize("n", [20_011, 20_480])
+def test_the_quotient_of_spectra_is_that_of_pyfar(band_hz, n):
+    """The same formula, so equal to rounding, relative to the largest sample."""
+    rng = np.random.default_rng(5)
+    taken, played = rng.standard_normal(n), rng.standard_normal(9000)
+    ours = regularised_quotient(taken, played, RATE_HZ, band_hz)
+    padded = [pyfar.Signal(np.pad(x, (0, len(ours) - len(x))), RATE_HZ) for x in (taken, played)]
+    inverse = pyfar.dsp.RegularizedSpectrumInversion.from_frequency_range(
+        padded[1],
+        band_hz,
+        regularization_within=1e-5,
+        beta=float(np.max(np.abs(padded[1].freq)) ** 2),
+    ).invert
+    theirs = np.fft.irfft(padded[0].freq[0] * inverse.freq[0], len(ours))
+    np.testing.assert_allclose(ours, theirs, rtol=0, atol=1e-12 * np.abs(theirs).max())

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.io.responses.formats import opened_sofa, real_array
+from roomfit.io.responses.hdf5 import Sofa, read_sofa_variables, sofa_data, sofa_values
 from roomfit.response.directivity import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 from roomfit.typing import FloatArray
 
@@ -44,7 +43,7 @@ def read_directivity(
         raise InputError(
             "the directivity cannot be read", where=str(path), found=error.strerror
         ) from error
-    sofa = opened_sofa(content, str(path))
+    sofa = read_sofa_variables(content, str(path))
     frequencies_hz, magnitude = _spectra(sofa, str(path))
     directions = _directions(sofa, magnitude.shape[0], str(path))
     energy = np.empty((len(directions), len(bands)))
@@ -56,24 +55,24 @@ def read_directivity(
     return measured_directivity(directions, energy, bands.centres_hz, loudspeaker_axes(aim, up))
 
 
-def _spectra(sofa: Any, where: str) -> tuple[FloatArray, FloatArray]:
+def _spectra(sofa: Sofa, where: str) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (n,) and magnitudes (n_directions, n)."""
-    impulse = real_array(getattr(sofa, "Data_IR", None))
-    rate_hz = real_array(getattr(sofa, "Data_SamplingRate", None))
+    impulse = sofa_data(sofa, "Data.IR", where)
+    rate_hz = sofa_values(sofa, "Data.SamplingRate")
     if impulse is not None and rate_hz is not None and rate_hz.size == 1:
         samples = _one_measurement(impulse, where)
         spectrum = np.abs(np.fft.rfft(samples, axis=1))
-        step_s = 1.0 / float(rate_hz.reshape(-1)[0])
+        step_s = 1.0 / _positive_rate_hz(float(rate_hz.reshape(-1)[0]), where)
         own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
         return own, np.asarray(spectrum)
-    real = real_array(getattr(sofa, "Data_Real", None))
-    imaginary = real_array(getattr(sofa, "Data_Imag", None))
-    frequencies = real_array(getattr(sofa, "N", None))
+    real = sofa_data(sofa, "Data.Real", where)
+    imaginary = sofa_data(sofa, "Data.Imag", where)
+    frequencies = sofa_values(sofa, "N")
     if real is None or imaginary is None or frequencies is None or real.shape != imaginary.shape:
         raise InputError(
             "the SOFA file holds no directivity",
             where=where,
-            found=f"data type {getattr(sofa, 'GLOBAL_DataType', 'unknown')!r}",
+            found=f"data type {sofa.data_type!r}",
             needed="data type TF with its frequencies, or FIR with a sampling rate",
         )
     magnitude = np.hypot(_one_measurement(real, where), _one_measurement(imaginary, where))
@@ -86,11 +85,20 @@ def _spectra(sofa: Any, where: str) -> tuple[FloatArray, FloatArray]:
     return np.asarray(frequencies.reshape(-1)), np.asarray(magnitude)
 
 
+def _positive_rate_hz(rate_hz: float, where: str) -> float:
+    if not 0.0 < rate_hz < np.inf:
+        raise InputError(
+            "the sampling rate is out of range",
+            where=f"{where}, Data.SamplingRate",
+            found=f"{rate_hz:g} Hz",
+            needed="more than 0 Hz",
+        )
+    return rate_hz
+
+
 def _one_measurement(data: FloatArray, where: str) -> FloatArray:
-    """Return data as (n_receivers, n): one measurement, or one receiver at many places."""
-    if data.ndim == 2:  # sofar drops axes of length one
-        return data
-    if data.ndim == 3 and 1 in data.shape[:2]:
+    """Return data as (n_receivers, n): one measurement, or one receiver at many positions."""
+    if 1 in data.shape[:2]:
         return data.reshape(-1, data.shape[2])
     raise InputError(
         "the SOFA file is no directivity of one source",
@@ -100,20 +108,22 @@ def _one_measurement(data: FloatArray, where: str) -> FloatArray:
     )
 
 
-def _directions(sofa: Any, n: int, where: str) -> FloatArray:
+def _directions(sofa: Sofa, n: int, where: str) -> FloatArray:
     """Return directions in the loudspeaker's own frame: x front, y left, z top."""
-    places = _cartesian(sofa, "ReceiverPosition", n)
+    places = _cartesian(sofa, "ReceiverPosition", n, where)
     if places is None:
         raise InputError(
             "the SOFA file does not say where its receivers stood",
             where=where,
             needed=f"ReceiverPosition of {n} receivers",
         )
-    # receivers are told relative to the listener
-    source, listener = (_cartesian(sofa, f"{end}Position", 1) for end in ("Source", "Listener"))
+    # receivers are specified relative to the listener
+    source, listener = (
+        _cartesian(sofa, f"{end}Position", 1, where) for end in ("Source", "Listener")
+    )
     places = places + (0.0 if listener is None else listener)
     places = places - (0.0 if source is None else source)
-    view, top = _cartesian(sofa, "SourceView", 1), _cartesian(sofa, "SourceUp", 1)
+    view, top = (_cartesian(sofa, f"Source{way}", 1, where) for way in ("View", "Up"))
     axes = loudspeaker_axes(
         np.array([1.0, 0.0, 0.0]) if view is None else view[0],
         np.array([0.0, 0.0, 1.0]) if top is None else top[0],
@@ -121,21 +131,62 @@ def _directions(sofa: Any, n: int, where: str) -> FloatArray:
     return np.asarray(places @ axes.T)
 
 
-def _cartesian(sofa: Any, name: str, n: int) -> FloatArray | None:
-    """Return n places as (n, 3) in Cartesian coordinates, or None where there are not so many."""
-    values = real_array(getattr(sofa, name, None))
+def _cartesian(sofa: Sofa, name: str, n: int, where: str) -> FloatArray | None:
+    """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
+
+    Raises
+    ------
+    InputError
+        Coordinates of another type, or in other units than metres and degrees.
+    """
+    values = sofa_values(sofa, name)
     if values is None or values.size != 3 * n:
         return None
+    if values.ndim == 3:  # receiver, coordinate, measurement
+        values = np.moveaxis(values, 1, 2)
     values = values.reshape(n, 3)
-    kind = getattr(sofa, f"{name}_Type", None)
-    if kind is None and name.endswith("Up"):  # shares the type of the view
-        kind = getattr(sofa, name.replace("Up", "View") + "_Type", "cartesian")
-    if kind != "spherical":
+    spherical = _is_spherical(sofa, name, where)
+    units = sofa.variables[name].attributes.get("Units")
+    # the length of a direction in Cartesian coordinates has no unit that matters
+    if units is not None and (spherical or name.endswith("Position")):
+        _check_units(str(units), spherical, f"{where}, {name}")
+    if not spherical:
         return values
     azimuth, elevation = np.radians(values[:, 0]), np.radians(values[:, 1])
     across = values[:, 2] * np.cos(elevation)
     height = values[:, 2] * np.sin(elevation)
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
+
+
+def _is_spherical(sofa: Sofa, name: str, where: str) -> bool:
+    kind = sofa.variables[name].attributes.get("Type")
+    view = sofa.variables.get(name.replace("Up", "View"))
+    if kind is None and view is not None:  # an Up shares the type of the View
+        kind = view.attributes.get("Type")
+    if kind not in (None, "cartesian", "spherical"):
+        raise InputError(
+            "the SOFA file has coordinates of another type",
+            where=f"{where}, {name}",
+            found=f"Type {kind!r}",
+            needed="cartesian or spherical",
+            hint="directions on a grid instead of coefficients of spherical harmonics",
+        )
+    return kind == "spherical"
+
+
+def _check_units(units: str, spherical: bool, where: str) -> None:
+    """Refuse other units than AES69 has; it is written in several spellings."""
+    names = {"meter": "metre", "m": "metre", "deg": "degree"}
+    words = [word.rstrip("s") for word in units.lower().replace(",", " ").split()]
+    found = [names.get(word, word) for word in words]
+    expected = ["degree", "degree", "metre"] if spherical else ["metre"] * len(found)
+    if found != expected:
+        raise InputError(
+            "the SOFA file has coordinates in other units",
+            where=where,
+            found=repr(units),
+            needed="degree, degree, metre" if spherical else "metre",
+        )
 
 
 def _nearest(

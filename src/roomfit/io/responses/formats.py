@@ -1,6 +1,6 @@
 """Impulse responses that Room EQ Wizard (REW) exported as text.
 
-Responses in MATLAB files of versions 5 to 7.2.
+Responses in MATLAB files of versions 5 to 7.3.
 
 Arrays of real numbers in MATLAB files of versions 5 to 7.2.
 
@@ -11,8 +11,6 @@ measurement needs, full arrays of real numbers, and passes over everything else.
 References
 ----------
 .. [1] The MathWorks, "MAT-File Format", R2023b, chapter 1: level 5 MAT-files.
-
-SOFA files (AES69) with impulse responses.
 
 WAV files: PCM of 16, 24, 32 bits and floating point, with the header held against the file.
 
@@ -26,12 +24,10 @@ import io
 import math
 import re
 import struct
-import tempfile
 import zlib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import soundfile
@@ -39,15 +35,127 @@ import soundfile
 from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.sweeps import Recording, pick
 from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
+
+Variables = Mapping[str, FloatArray | str]  # what it is instead, where it is no real numbers
+
+
+def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return one column of a variable of a MAT file.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Names the variable, the column and where the sampling rate stands.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        Not a MAT file, version 4, no such variable or column, or no sampling rate.
+    """
+    where = str(spec.path)
+    variables = _variables(content, where)
+    responses = _responses(variables, spec, where)
+    channel = pick("response", spec.channel, responses.shape[1], "channel", where)
+    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec, where))
+
+
+def _variables(content: bytes, where: str) -> Variables:
+    try:
+        if is_mat73(content):
+            return mat73_arrays(content)
+        return mat5_arrays(content)
+    except ValueError as error:
+        raise InputError(
+            "this is not a MAT file that can be read",
+            where=where,
+            found=str(error),
+            needed="a MATLAB file of version 5 to 7.3",
+            hint="in MATLAB: save(file, '-v7')",
+        ) from error
+
+
+def _responses(variables: Variables, spec: ResponseSpec, where: str) -> FloatArray:
+    """Return the named variable as columns of samples."""
+    if spec.variable is None:
+        raise InputError(
+            "which variable of the MAT file holds the responses?",
+            where=where,
+            found=_listed(variables),
+            needed="variable = one of these names",
+        )
+    if spec.variable not in variables:
+        guess = nearest(spec.variable, variables)
+        raise InputError(
+            "the MAT file has no such variable",
+            where=where,
+            found=f"variable = {spec.variable!r}; the file holds {_listed(variables)}",
+            hint=f"did you mean {guess!r}?" if guess else None,
+        )
+    values = variables[spec.variable]
+    if isinstance(values, str) or values.ndim != 2 or values.size == 0:
+        nested = values in ("a structure", "a cell array") if isinstance(values, str) else False
+        raise InputError(
+            "the variable of the MAT file holds no responses",
+            where=f"{where}, {spec.variable}",
+            found=_kind(values),
+            needed="an array of real numbers, one response a column",
+            hint="in MATLAB, save what lies in it as a variable of its own" if nested else None,
+        )
+    if values.shape[0] == 1:
+        return np.ascontiguousarray(values.T)
+    if values.shape[1] > values.shape[0]:
+        raise InputError(
+            "the responses of the MAT file stand in rows",
+            where=f"{where}, {spec.variable}",
+            found=f"{values.shape[0]} rows and {values.shape[1]} columns",
+            needed="one response a column",
+            hint="transpose the variable",
+        )
+    return values
+
+
+def _sampling_rate_hz(variables: Variables, spec: ResponseSpec, where: str) -> float:
+    if spec.sampling_rate_variable is None:
+        if spec.sampling_rate_hz is not None:
+            return spec.sampling_rate_hz
+        single = [name for name, v in variables.items() if not isinstance(v, str) and v.size == 1]
+        raise InputError(
+            "the sampling rate of the MAT file is missing",
+            where=where,
+            needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
+            hint=f"single numbers in the file: {', '.join(single)}" if single else None,
+        )
+    values = variables.get(spec.sampling_rate_variable)
+    if values is None or isinstance(values, str) or values.size != 1:
+        raise InputError(
+            "the MAT file has no such sampling rate",
+            where=where,
+            found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
+            needed=f"one number; the file holds {_listed(variables)}",
+        )
+    return float(values.reshape(-1)[0])
+
+
+def _listed(variables: Variables) -> str:
+    return ", ".join(f"{name} {_kind(v)}" for name, v in variables.items()) or "nothing"
+
+
+def _kind(values: FloatArray | str) -> str:
+    return f"({values})" if isinstance(values, str) else str(values.shape)
+
 
 _HEADER_BYTES = 128
 _MAT5_NUMBERS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 9: "f8", 12: "i8"}
 _MAT5_NUMBERS[13] = "u8"
 _INT32, _UINT32, _INT8, _MATRIX, _COMPRESSED = 5, 6, 1, 14, 15
 _NUMERIC_CLASSES = range(6, 16)  # double, single and the integers
+_KINDS = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse array"}
 _COMPLEX_FLAG = 0x800
 _LARGEST_BYTES = 1 << 31
 
@@ -58,7 +166,7 @@ class _Element:
     data: bytes
 
 
-def real_arrays(content: bytes) -> dict[str, FloatArray | None]:
+def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
     """Return every variable of the file by name.
 
     Parameters
@@ -69,8 +177,8 @@ def real_arrays(content: bytes) -> dict[str, FloatArray | None]:
     Returns
     -------
     dict
-        Float64 arrays of the shape they have in the file; None for text, structures, cells, sparse
-        and complex arrays.
+        Float64 arrays of the shape they have in the file; what it is instead for text, structures,
+        cells, sparse and complex arrays.
 
     Raises
     ------
@@ -80,7 +188,7 @@ def real_arrays(content: bytes) -> dict[str, FloatArray | None]:
     order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER_BYTES])
     if order is None:
         raise ValueError("no header of a MAT file of version 5 to 7.2")
-    variables: dict[str, FloatArray | None] = {}
+    variables: dict[str, FloatArray | str] = {}
     for element in _elements(content[_HEADER_BYTES:], order):
         inner = element
         if element.kind == _COMPRESSED:
@@ -122,8 +230,8 @@ def _decompressed(data: bytes) -> bytes:
     return unpacked
 
 
-def _variable(data: bytes, order: str) -> tuple[str, FloatArray | None]:
-    """Return name and values of one array."""
+def _variable(data: bytes, order: str) -> tuple[str, FloatArray | str]:
+    """Return name and values of one array, or what it is instead."""
     parts = _elements(data, order)
     flags, shape, name = (next(parts, None) for _ in range(3))
     if flags is None or shape is None or name is None:
@@ -132,8 +240,10 @@ def _variable(data: bytes, order: str) -> tuple[str, FloatArray | None]:
         raise ValueError("an array with foreign flags or size")
     text = name.data.decode("utf-8", errors="replace")
     (word,) = struct.unpack_from(f"{order}I", flags.data)
-    if word & 0xFF not in _NUMERIC_CLASSES or word & _COMPLEX_FLAG:
-        return text, None
+    if word & 0xFF not in _NUMERIC_CLASSES:
+        return text, _KINDS.get(word & 0xFF, "of a class of its own")
+    if word & _COMPLEX_FLAG:
+        return text, "complex numbers"
     values = next(parts, None)
     if values is None or values.kind not in _MAT5_NUMBERS:
         raise ValueError(f"array {text!r} without numbers")
@@ -142,117 +252,6 @@ def _variable(data: bytes, order: str) -> tuple[str, FloatArray | None]:
     if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
         raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
     return text, numbers.reshape(lengths, order="F")
-
-
-Variables = Mapping[str, FloatArray | None]
-
-
-def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return one column of a variable of a MAT file.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Names the variable, the column and where the sampling rate stands.
-    content : bytes
-        The whole file.
-
-    Raises
-    ------
-    InputError
-        Not a MAT file, version 4 or 7.3, no such variable or column, or no sampling rate.
-    """
-    where = str(spec.path)
-    variables = _variables(content, where)
-    responses = _responses(variables, spec, where)
-    channel = pick("response", spec.channel, responses.shape[1], "channel", where)
-    return Recording(responses[:, channel].copy(), _sampling_rate_hz(variables, spec, where))
-
-
-def _variables(content: bytes, where: str) -> Variables:
-    needed, hint = "a MATLAB file of version 5 to 7.2", "in MATLAB: save(file, '-v7')"
-    if content[:19] == b"MATLAB 7.3 MAT-file" or content[:4] == b"\x89HDF":
-        raise InputError(
-            "MAT files of version 7.3 are not read", where=where, needed=needed, hint=hint
-        )
-    try:
-        return real_arrays(content)
-    except ValueError as error:
-        raise InputError(
-            "this is not a MAT file that can be read",
-            where=where,
-            found=str(error),
-            needed=needed,
-            hint=hint,
-        ) from error
-
-
-def _responses(variables: Variables, spec: ResponseSpec, where: str) -> FloatArray:
-    """Return the named variable as columns of samples."""
-    if spec.variable is None:
-        raise InputError(
-            "which variable of the MAT file holds the responses?",
-            where=where,
-            found=_listed(variables),
-            needed="variable = one of these names",
-        )
-    if spec.variable not in variables:
-        guess = nearest(spec.variable, variables)
-        raise InputError(
-            "the MAT file has no such variable",
-            where=where,
-            found=f"variable = {spec.variable!r}; the file holds {_listed(variables)}",
-            hint=f"did you mean {guess!r}?" if guess else None,
-        )
-    values = variables[spec.variable]
-    if values is None or values.ndim != 2 or values.size == 0:
-        raise InputError(
-            "the variable of the MAT file holds no responses",
-            where=f"{where}, {spec.variable}",
-            found=_kind(values),
-            needed="an array of real numbers, one response a column",
-        )
-    if values.shape[0] == 1:
-        return np.ascontiguousarray(values.T)
-    if values.shape[1] > values.shape[0]:
-        raise InputError(
-            "the responses of the MAT file stand in rows",
-            where=f"{where}, {spec.variable}",
-            found=f"{values.shape[0]} rows and {values.shape[1]} columns",
-            needed="one response a column",
-            hint="transpose the variable",
-        )
-    return values
-
-
-def _sampling_rate_hz(variables: Variables, spec: ResponseSpec, where: str) -> float:
-    if spec.sampling_rate_variable is None:
-        if spec.sampling_rate_hz is not None:
-            return spec.sampling_rate_hz
-        single = [name for name, v in variables.items() if v is not None and v.size == 1]
-        raise InputError(
-            "the sampling rate of the MAT file is missing",
-            where=where,
-            needed="sampling_rate_variable (a name) or sampling_rate_hz (a number)",
-            hint=f"single numbers in the file: {', '.join(single)}" if single else None,
-        )
-    values = variables.get(spec.sampling_rate_variable)
-    if values is None or values.size != 1:
-        raise InputError(
-            "the MAT file has no such sampling rate",
-            where=where,
-            found=f"sampling_rate_variable = {spec.sampling_rate_variable!r}",
-            needed=f"one number; the file holds {_listed(variables)}",
-        )
-    return float(values.reshape(-1)[0])
-
-
-def _listed(variables: Variables) -> str:
-    return ", ".join(f"{name} {_kind(v)}" for name, v in variables.items()) or "nothing"
-
-
-def _kind(values: FloatArray | None) -> str:
-    return "(no real numbers)" if values is None else str(values.shape)
 
 
 _TITLE = "impulse response data saved by rew"
@@ -469,107 +468,6 @@ def _clock_findings(
         'sound left; say time_zero = "direct", or measure with a loopback as timing reference.'
     )
     return [Finding(Code.TIME_ZERO_AT_PEAK, text, {"peak_s": peak_s})]
-
-
-# What netCDF4 and sofar raise on files that are not what they claim to be.
-_UNREADABLE = (
-    *(OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-    *(MemoryError, OverflowError, UnicodeError),
-)
-
-
-def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return one measurement at one receiver of a SOFA file.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Chooses measurement and receiver.
-    content : bytes
-        The whole file.
-
-    Raises
-    ------
-    InputError
-        The reader is not installed, the file is no SOFA file or holds no impulse responses, several
-        emitters at once, or no such measurement or receiver.
-    """
-    where = str(spec.path)
-    sofa = opened_sofa(content, where)
-    responses = real_array(getattr(sofa, "Data_IR", None))
-    rates_hz = real_array(getattr(sofa, "Data_SamplingRate", None))
-    if responses is None or rates_hz is None or responses.ndim not in (3, 4):
-        raise InputError(
-            "the SOFA file holds no impulse responses",
-            where=where,
-            found=f"data type {getattr(sofa, 'GLOBAL_DataType', 'unknown')!r}",
-            needed="data type FIR with a sampling rate",
-        )
-    if responses.ndim == 4:  # FIR-E: measurement, receiver, sample, emitter in sofar's order
-        if responses.shape[3] != 1:
-            raise InputError(
-                "the SOFA file holds several emitters at once",
-                where=where,
-                found=f"{responses.shape[3]} emitters",
-                needed="one emitter a file",
-            )
-        responses = responses[:, :, :, 0]
-    measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement", where)
-    receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index", where)
-    rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
-    delay_samples = _delay_samples(sofa, measurement, receiver)
-    pressure = responses[measurement, receiver].copy()
-    return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
-
-
-def opened_sofa(content: bytes, where: str) -> Any:
-    """Return what the reader makes of a SOFA file.
-
-    Raises
-    ------
-    InputError
-        The reader is not installed, or this is no SOFA file.
-    """
-    try:
-        import sofar
-    except ImportError as error:
-        raise InputError(
-            "SOFA files need a reader that is not installed",
-            where=where,
-            found=str(error),
-            hint='pip install "sofar>=1.2" "netCDF4<1.7.4"',
-        ) from error
-    # the netCDF library reads files, not memory; the copy has a plain name and no other writer
-    with tempfile.TemporaryDirectory() as folder:
-        copy = Path(folder) / "response.sofa"
-        copy.write_bytes(content)
-        try:
-            return sofar.read_sofa(str(copy), verify=False, verbose=False)
-        except _UNREADABLE as error:
-            raise InputError(
-                "this is not a SOFA file that can be read",
-                where=where,
-                found=f"{type(error).__name__}: {error}".replace(str(copy), where),
-                needed="a SOFA file (AES69) of a known convention",
-            ) from error
-
-
-def _delay_samples(sofa: Any, measurement: int, receiver: int) -> float:
-    """Return how many samples the file says its responses are to be delayed."""
-    delays = real_array(getattr(sofa, "Data_Delay", None))
-    if delays is None:
-        return 0.0
-    delays = np.atleast_2d(delays)  # sofar drops axes of length one
-    row, column = min(measurement, delays.shape[0] - 1), min(receiver, delays.shape[1] - 1)
-    return float(delays[row, column].reshape(-1)[0])
-
-
-def real_array(value: Any) -> FloatArray | None:
-    """Return real numbers as float64, or None for anything else."""
-    array = np.asarray(value if value is not None else ())
-    if array.size == 0 or array.dtype.kind not in "iuf":
-        return None
-    return np.asarray(array, dtype=np.float64)
 
 
 _SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")

@@ -1,6 +1,6 @@
-"""What every reader hands over, and the doubts that any recording is searched for.
+"""Recorded excitations: the impulse response from the recording of a sweep and the sweep itself.
 
-Recorded excitations: the impulse response from the recording of a sweep and the sweep itself.
+What every reader hands over, and the doubts that any recording is searched for.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from scipy.fft import next_fast_len
+from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
@@ -257,8 +257,9 @@ def deconvolved(
 
     Notes
     -----
-    Division of spectra, regularised outside the band in which the excitation has energy [2]_,
-    [3]_: there the response goes to nothing instead of to amplified noise. The filter has no phase.
+    Division of spectra, regularised outside the band in which the excitation has energy [2]_, see
+    `regularised_quotient`: there the response goes to nothing instead of to amplified noise. The
+    filter has no phase.
 
     References
     ----------
@@ -266,7 +267,6 @@ def deconvolved(
            swept-sine technique", 108th AES Convention, preprint 5093 (2000).
     .. [2] S. Mueller and P. Massarani, "Transfer-function measurement with sweeps", J. Audio
            Eng. Soc. 49, 443-471 (2001).
-    .. [3] pyfar, `pyfar.dsp.RegularizedSpectrumInversion`.
     """
     rate_hz = recording.sampling_rate_hz
     if abs(excitation.sampling_rate_hz / rate_hz - 1.0) > 1e-6:
@@ -281,7 +281,9 @@ def deconvolved(
     refuse_useless(excitation, excitation_path)
     n_kept = _kept(recording.pressure, excitation.pressure, rate_hz, path)
     low_hz, high_hz = band_of(excitation.pressure, rate_hz)
-    response = _divided(recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz))
+    response = regularised_quotient(
+        recording.pressure, excitation.pressure, rate_hz, (low_hz, high_hz)
+    )
     n_lead = round(_LEAD_S * rate_hz)
     lead = response[len(response) - n_lead :]
     fade = np.sin(0.5 * np.pi * (np.arange(n_lead) + 0.5) / n_lead) ** 2
@@ -348,18 +350,61 @@ def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
     return float(edges_hz[low]), float(edges_hz[high + 1])
 
 
-def _divided(
+def regularised_quotient(
     recorded: FloatArray, played: FloatArray, rate_hz: float, band_hz: tuple[float, float]
 ) -> FloatArray:
-    """Return the quotient of the spectra over time, long enough that nothing wraps onto it."""
-    import pyfar
+    """Return the quotient of two spectra over time, long enough that nothing wraps onto it.
 
+    ``Y conj(X) / (|X|^2 + beta e^2)`` with the largest ``|X|^2`` as beta; e is 1e-5 within the band
+    and 1 outside it, cross-faded over half an octave [1]_.
+
+    Parameters
+    ----------
+    recorded, played : float array, shapes (n_recorded,) and (n_played,)
+    rate_hz : float
+    band_hz : tuple
+        Lowest and highest frequency at which `played` has energy, Hz.
+
+    Returns
+    -------
+    float array, shape (n,)
+        n >= n_recorded + n_played; what comes before time zero stands at the end.
+
+    References
+    ----------
+    .. [1] S. G. Norcross, M. Bouchard and G. A. Soulodre, "Inverse filtering design using a
+           minimal-phase target function from regularization", 121st AES Convention, paper 6929
+           (2006).
+    """
     n = next_fast_len(len(recorded) + len(played), real=True)
-    signal = pyfar.Signal(np.pad(recorded, (0, n - len(recorded))), rate_hz)
-    source = pyfar.Signal(np.pad(played, (0, n - len(played))), rate_hz)
-    strongest = float(np.max(np.abs(source.freq)) ** 2)
-    inverse = pyfar.dsp.RegularizedSpectrumInversion.from_frequency_range(
-        source, band_hz, regularization_within=_WITHIN, beta=strongest
-    ).invert
-    spectrum = signal.freq[0] * inverse.freq[0]
-    return np.asarray(np.fft.irfft(spectrum, n))
+    played_spectrum = rfft(played, n)
+    power = np.abs(played_spectrum) ** 2
+    regularisation = _regularisation(rfftfreq(n, 1.0 / rate_hz), rate_hz, band_hz)
+    inverse = np.conj(played_spectrum) / (power + power.max() * regularisation**2)
+    return np.asarray(irfft(rfft(recorded, n) * inverse, n), dtype=np.float64)
+
+
+def _regularisation(
+    frequency_hz: FloatArray, rate_hz: float, band_hz: tuple[float, float]
+) -> FloatArray:
+    """Return the regularisation of each line: next to none within the band, one outside it.
+
+    Both are cross-faded as the square of a cosine over half an octave outside the band. Above a
+    band that ends at half the sampling rate there is nothing to fade.
+    """
+    low, high = band_hz
+    inside = np.ones(len(frequency_hz))
+    start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (low / np.sqrt(2.0), low))
+    inside[:start] = 0.0
+    inside[start:end] = _rise(end - start)
+    if high < 0.5 * rate_hz:
+        top_hz = min(high * np.sqrt(2.0), 0.5 * rate_hz)
+        start, end = (int(np.argmin(np.abs(frequency_hz - f))) for f in (high, top_hz))
+        inside[start:end] *= _rise(end - start)[::-1]
+        inside[end:] = 0.0
+    return np.asarray(_WITHIN * inside + (1.0 - inside))
+
+
+def _rise(n: int) -> FloatArray:
+    """Return n steps from 0 to 1, neither end among them, as the square of a sine."""
+    return np.asarray(np.sin(0.5 * np.pi * np.arange(1, n + 1) / (n + 1)) ** 2)

@@ -1,0 +1,345 @@
+"""SOFA files (AES69) with impulse responses.
+
+Variables of HDF5 files, such as SOFA files and MATLAB files of version 7.3 are.
+
+References
+----------
+.. [1] Unidata, "NetCDF-4 file format", in The NetCDF User's Guide: how dimensions lie in HDF5.
+
+Arrays of real numbers in MATLAB files of version 7.3, which are HDF5 files.
+"""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.io.responses.sweeps import Recording, pick
+from roomfit.measurement import ResponseSpec
+from roomfit.typing import FloatArray
+
+_LARGEST_BYTES = 1 << 31
+# What h5py raises on files that are not what they claim to be.
+_UNREADABLE = (
+    *(OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError),
+    *(MemoryError, OverflowError, UnicodeError, NotImplementedError),
+)
+# netCDF keeps a dimension that has no values of its own as a variable with this remark
+_ONLY_A_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
+_BESIDE_A_DIMENSION = "_nc4_non_coord_"
+
+Attributes = Mapping[str, str | float]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hdf5Variable:
+    """One member of the root of an HDF5 file.
+
+    Attributes
+    ----------
+    values : float array or None
+        In the file's order of axes; None for whatever holds no real numbers.
+    axes : tuple of str
+        Names of the netCDF dimensions; empty ones up to three axes, or where the file names none.
+    attributes : mapping
+        Texts and single numbers.
+    """
+
+    values: FloatArray | None
+    axes: tuple[str, ...]
+    attributes: Attributes
+
+
+def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
+    """Return the variables in the root of an HDF5 file by name, and the file's own attributes.
+
+    Left out are links to elsewhere, and dimensions of netCDF without values. Everything comes back
+    as plain arrays and texts: nothing refers to the file any more.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no HDF5 file, or are damaged, or hold more than 2 GiB of numbers; says where.
+    """
+    import h5py
+
+    variables: dict[str, Hdf5Variable] = {}
+    place = "the file"
+    try:
+        with h5py.File(io.BytesIO(content), "r") as file:
+            attributes = _attributes(file)
+            n_bytes = 0
+            for name in file:
+                place = repr(name)
+                # a link to another file would read what this file does not hold
+                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
+                    continue
+                member = file[name]
+                own = _attributes(member)
+                if not isinstance(member, h5py.Dataset):
+                    variables[name] = Hdf5Variable(None, (), own)
+                    continue
+                if str(own.get("NAME", "")).startswith(_ONLY_A_DIMENSION):
+                    continue
+                n_bytes += 8 * (member.size or 0)
+                if n_bytes > _LARGEST_BYTES:
+                    raise ValueError(f"more than {_LARGEST_BYTES >> 30} GiB of numbers")
+                name = name.removeprefix(_BESIDE_A_DIMENSION)
+                variables[name] = Hdf5Variable(_real_numbers(member), _axes(member), own)
+    except _UNREADABLE as error:
+        told = f"{place}: {type(error).__name__}: {error}"
+        raise ValueError(" ".join(told.split())) from error
+    return variables, attributes
+
+
+def _real_numbers(dataset: Any) -> FloatArray | None:
+    """Return the values of a dataset as float64, or None where they are no real numbers."""
+    if dataset.shape is None or dataset.dtype.kind not in "iuf":
+        return None
+    if dataset.external or dataset.is_virtual:
+        raise ValueError("its numbers lie in other files")
+    values: FloatArray = np.asarray(dataset[()], dtype=np.float64)
+    return values
+
+
+def _axes(dataset: Any) -> tuple[str, ...]:
+    """Return the names of the dimensions of four or more axes, which netCDF attaches as scales.
+
+    Up to three axes have one order only, and the library may count scales for ever in a damaged
+    file: it is not asked in vain.
+    """
+    if dataset.ndim < 4:
+        return tuple("" for _ in range(dataset.ndim))
+    names = (str(axis[0].name or "") if len(axis) else "" for axis in dataset.dims)
+    return tuple(name.rpartition("/")[2] for name in names)
+
+
+def _attributes(member: Any) -> dict[str, str | float]:
+    """Return texts and single numbers; lists of references and the like are passed over."""
+    import h5py
+
+    found: dict[str, str | float] = {}
+    for name in member.attrs:
+        kind = member.attrs.get_id(name).dtype
+        if kind.kind not in "Siuf" and h5py.check_string_dtype(kind) is None:
+            continue
+        value = np.asarray(member.attrs[name]).reshape(-1)
+        if value.size != 1 or isinstance(value[0], h5py.Empty):
+            continue
+        (single,) = value.tolist()
+        if isinstance(single, bytes):
+            single = single.decode("utf-8", errors="replace")
+        if isinstance(single, str | int | float):
+            found[name] = single.rstrip("\0") if isinstance(single, str) else float(single)
+    return found
+
+
+_SIGNATURE = b"\x89HDF\r\n\x1a\n"
+_HEADER_BYTES = 512
+_NUMERIC = (
+    "double",
+    "single",
+    "logical",
+    *(f"{u}int{n}" for u in ("", "u") for n in (8, 16, 32, 64)),
+)
+_KINDS = {"char": "text", "cell": "a cell array", "struct": "a structure"}
+
+
+def is_mat73(content: bytes) -> bool:
+    """Tell whether the bytes begin as MATLAB files of version 7.3, or other HDF5 files, do."""
+    starts = (content[: len(_SIGNATURE)], content[_HEADER_BYTES:][: len(_SIGNATURE)])
+    return content[:19] == b"MATLAB 7.3 MAT-file" or _SIGNATURE in starts
+
+
+def mat73_arrays(content: bytes) -> dict[str, FloatArray | str]:
+    """Return every variable of the file by name.
+
+    Parameters
+    ----------
+    content : bytes
+        The whole file.
+
+    Returns
+    -------
+    dict
+        Float64 arrays of the shape they have in MATLAB, which lies in the file with its axes
+        reversed; what it is instead for text, structures, cells, sparse and complex arrays.
+
+    Raises
+    ------
+    ValueError
+        The bytes are no such file, or are damaged; says where.
+    """
+    variables, _ = read_hdf5_variables(content)
+    # MATLAB keeps there what cells and objects refer to
+    own = {name: v for name, v in variables.items() if name not in ("#refs#", "#subsystem#")}
+    return {name: _array(name, variable) for name, variable in own.items()}
+
+
+def _array(name: str, variable: Hdf5Variable) -> FloatArray | str:
+    """Return the values as they were in MATLAB, or what is there instead."""
+    attributes, values = variable.attributes, variable.values
+    if "MATLAB_sparse" in attributes:
+        return "a sparse array"
+    kind = str(attributes.get("MATLAB_class", ""))
+    if kind not in _NUMERIC:
+        return _KINDS.get(kind, f"of class {kind!r}" if kind else "not written by MATLAB")
+    if attributes.get("MATLAB_empty", 0.0):
+        return np.zeros((0, 0))
+    if values is None:
+        return "complex numbers"
+    if values.ndim < 2:
+        raise ValueError(f"{name!r} has {values.ndim} axes, and an array of MATLAB two or more")
+    return values.T
+
+
+# Measurement, receiver, sample or frequency, emitter: the order of axes of AES69, from which the
+# convention MultiSpeakerBRIR deviates.
+_AXES = "MRNE"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Sofa:
+    """A SOFA file, whatever its convention.
+
+    Attributes
+    ----------
+    data_type : str
+        FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say.
+    variables : mapping
+        By the names that AES69 gives them, such as "Data.IR".
+    """
+
+    data_type: str
+    variables: Mapping[str, Hdf5Variable]
+
+
+def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return one measurement at one receiver of a SOFA file.
+
+    Parameters
+    ----------
+    spec : ResponseSpec
+        Chooses measurement and receiver.
+    content : bytes
+        The whole file.
+
+    Raises
+    ------
+    InputError
+        The file is no SOFA file or holds no impulse responses, several emitters at once, or no
+        such measurement or receiver.
+    """
+    where = str(spec.path)
+    sofa = read_sofa_variables(content, where)
+    responses = sofa_data(sofa, "Data.IR", where)
+    rates_hz = sofa_values(sofa, "Data.SamplingRate")
+    if responses is None or rates_hz is None:
+        raise InputError(
+            "the SOFA file holds no impulse responses",
+            where=where,
+            found=f"data type {sofa.data_type!r}",
+            needed="data type FIR with a sampling rate",
+        )
+    measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement", where)
+    receiver = pick("receiver", spec.receiver_index, responses.shape[1], "receiver_index", where)
+    rate_hz = float(rates_hz.reshape(-1)[min(measurement, rates_hz.size - 1)])
+    delay_samples = _delay_samples(sofa, measurement, receiver)
+    pressure = responses[measurement, receiver].copy()
+    return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
+
+
+def read_sofa_variables(content: bytes, where: str) -> Sofa:
+    """Return what a SOFA file holds.
+
+    Raises
+    ------
+    InputError
+        This is no SOFA file, or a damaged one.
+    """
+    needed = "a SOFA file (AES69, which is netCDF-4)"
+    try:
+        variables, attributes = read_hdf5_variables(content)
+    except ValueError as error:
+        old = content[:3] == b"CDF"
+        raise InputError(
+            "this is not a SOFA file that can be read",
+            where=where,
+            found="a file of netCDF-3" if old else str(error),
+            needed=needed,
+            hint="nccopy -k nc4 old.sofa new.sofa" if old else "copy the file anew",
+        ) from error
+    if "SOFAConventions" not in attributes and attributes.get("Conventions") != "SOFA":
+        raise InputError(
+            "this is not a SOFA file that can be read",
+            where=where,
+            found="an HDF5 file without the attribute SOFAConventions",
+            needed=needed,
+        )
+    for name, variable in variables.items():
+        # netCDF allows packed numbers; AES69 knows none
+        if {"scale_factor", "add_offset"} & set(variable.attributes):
+            raise InputError(
+                "a variable of the SOFA file holds packed numbers",
+                where=f"{where}, {name}",
+                found="an attribute scale_factor or add_offset",
+                needed="plain numbers, as AES69 has it",
+            )
+    return Sofa(str(attributes.get("DataType", "unknown")), variables)
+
+
+def sofa_values(sofa: Sofa, name: str) -> FloatArray | None:
+    """Return the numbers of a variable in the file's order, or None where there are none."""
+    variable = sofa.variables.get(name)
+    if variable is None or variable.values is None or variable.values.size == 0:
+        return None
+    return variable.values
+
+
+def sofa_data(sofa: Sofa, name: str, where: str) -> FloatArray | None:
+    """Return data as (n_measurements, n_receivers, n), or None where there are no such.
+
+    Raises
+    ------
+    InputError
+        Several emitters at once.
+    """
+    values = sofa_values(sofa, name)
+    if values is None or values.ndim not in (3, 4):
+        return None
+    axes = sofa.variables[name].axes
+    if sorted(axes) == sorted(_AXES):
+        values = values.transpose([axes.index(axis) for axis in _AXES])
+    if values.ndim == 4:
+        if values.shape[3] != 1:
+            raise InputError(
+                "the SOFA file holds several emitters at once",
+                where=where,
+                found=f"{values.shape[3]} emitters",
+                needed="one emitter a file",
+            )
+        values = values[:, :, :, 0]
+    return values
+
+
+def _delay_samples(sofa: Sofa, measurement: int, receiver: int) -> float:
+    """Return how many samples the file says its responses are to be delayed.
+
+    One for all measurements, or one for each: (I or M, R) and for FIR-E an axis of emitters.
+    """
+    delays = sofa_values(sofa, "Data.Delay")
+    if delays is None:
+        return 0.0
+    delays = np.atleast_2d(delays)
+    row, column = min(measurement, delays.shape[0] - 1), min(receiver, delays.shape[1] - 1)
+    return float(delays[row, column].reshape(-1)[0])

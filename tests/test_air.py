@@ -1,0 +1,93 @@
+"""The air: its formulas against published tables, another program and a law of scaling."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from roomfit.air import Air, attenuation_per_m, cramer_speed_m_s, iso9613_attenuation_db_per_m
+from roomfit.bands import bands_between
+from roomfit.errors import InputError
+
+REFERENCE_PA = 101_325.0
+OCTAVES_HZ = 1000.0 * 10.0 ** (0.3 * np.arange(-4, 4))  # exact, 63 Hz to 8 kHz
+
+
+@pytest.mark.parametrize(
+    ("temperature_c", "humidity_percent", "published_db_per_km"),
+    [
+        (10.0, 70.0, [0.1, 0.4, 1.0, 1.9, 3.7, 9.7, 32.8, 117.0]),
+        (20.0, 70.0, [0.1, 0.3, 1.1, 2.8, 5.0, 9.0, 22.9, 76.6]),
+        (30.0, 70.0, [0.1, 0.3, 1.0, 3.1, 7.4, 12.7, 23.1, 59.3]),
+        (15.0, 20.0, [0.3, 0.6, 1.2, 2.7, 8.2, 28.2, 88.8, 202.0]),
+        (15.0, 50.0, [0.1, 0.5, 1.2, 2.2, 4.2, 10.8, 36.2, 129.0]),
+        (15.0, 80.0, [0.1, 0.3, 1.1, 2.4, 4.1, 8.3, 23.7, 82.8]),
+    ],
+)
+def test_attenuation_is_that_of_the_published_table(
+    temperature_c, humidity_percent, published_db_per_km
+):
+    """ISO 9613-2:1996, table 2, which was computed by ISO 9613-1; half its last digit,
+    and 0.01 since one of its values (4.15) was rounded down.
+    """
+    found = 1000.0 * iso9613_attenuation_db_per_m(
+        OCTAVES_HZ, temperature_c, humidity_percent, REFERENCE_PA
+    )
+    published = np.array(published_db_per_km)
+    np.testing.assert_allclose(found[published < 100], published[published < 100], atol=0.06)
+    np.testing.assert_allclose(found[published > 100], published[published > 100], atol=0.51)
+
+
+@pytest.mark.parametrize("ratio", [0.5, 0.84, 1.18])
+def test_attenuation_scales_with_pressure_as_collisions_do(ratio):
+    """With as many molecules of water per molecule of air, alpha / p depends on f / p only.
+
+    So many are there when relative humidity goes with the pressure: the pressure of saturation
+    depends on temperature alone.
+    """
+    f = np.geomspace(50.0, 10_000.0, 40)
+    at_reference = iso9613_attenuation_db_per_m(f, 17.0, 40.0, REFERENCE_PA)
+    scaled = iso9613_attenuation_db_per_m(ratio * f, 17.0, ratio * 40.0, ratio * REFERENCE_PA)
+    np.testing.assert_allclose(scaled, ratio * at_reference, rtol=1e-12)
+
+
+@pytest.mark.parametrize("temperature_c", [-20.0, 3.5, 20.0, 50.0])
+@pytest.mark.parametrize("humidity_percent", [0.0, 12.0, 50.0, 100.0])
+def test_attenuation_is_that_of_pyfar_at_the_reference_pressure(temperature_c, humidity_percent):
+    """The same equations, so equal to rounding.
+
+    Not at other pressures: pyfar 0.8.1 multiplies the molar concentration of water by the pressure
+    where (B.1) divides by it.
+    """
+    constants = pytest.importorskip("pyfar").constants
+    f = np.geomspace(50.0, 10_000.0, 40)
+    theirs, _, _ = constants.air_attenuation(temperature_c, f, humidity_percent / 100.0)
+    ours = iso9613_attenuation_db_per_m(f, temperature_c, humidity_percent, REFERENCE_PA)
+    np.testing.assert_allclose(ours, np.asarray(theirs).reshape(-1), rtol=1e-12)
+
+
+@pytest.mark.parametrize("temperature_c", [0.0, 11.0, 20.0, 30.0])
+@pytest.mark.parametrize("humidity", [0.0, 0.5, 1.0])
+@pytest.mark.parametrize("pressure_pa", [75e3, 101_325.0, 102e3])
+def test_speed_is_that_of_pyfar(temperature_c, humidity, pressure_pa):
+    constants = pytest.importorskip("pyfar").constants
+    theirs = constants.speed_of_sound_cramer(
+        temperature_c, humidity, atmospheric_pressure=pressure_pa
+    )
+    ours = cramer_speed_m_s(temperature_c, humidity, pressure_pa)
+    assert ours == pytest.approx(float(theirs), rel=1e-12)
+
+
+@pytest.mark.parametrize("state", [(-0.1, 0.5, 1e5), (20.0, 1.01, 1e5), (20.0, 0.5, 103e3)])
+def test_cramers_formula_refuses_air_that_it_was_not_fitted_to(state):
+    with pytest.raises(InputError, match="outside the range of Cramer's formula"):
+        cramer_speed_m_s(*state)
+    with pytest.raises(InputError, match="outside the range of Cramer's formula"):
+        cramer_speed_m_s(np.nan, *state[1:])
+
+
+def test_bands_below_50_hz_have_the_attenuation_at_50_hz():
+    """Two of them at once, too."""
+    low = attenuation_per_m(Air(), bands_between("third-octave", 31.5, 100))
+    assert low[0] == low[1] > 0.0
+    assert np.all(np.diff(low[1:]) >= 0.0)
