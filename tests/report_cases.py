@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import re
 import shutil
 import subprocess
@@ -167,9 +166,10 @@ def read_page(text: str) -> Reader:
     return reader
 
 
-def page_data(page: Reader) -> dict:
-    """Return what the page's script draws."""
-    return json.loads(page.raw["script"][0])
+def drawing(text: str, name: str) -> str:
+    """Return the SVG element of that name."""
+    (found,) = re.findall(rf'<svg role="img" aria-labelledby="{name}-title".*?</svg>', text, re.S)
+    return found
 
 
 def look_at(file: Path, folder: Path) -> tuple[Path, str, list[str]]:

@@ -50,7 +50,7 @@ def test_a_campaign_by_samples_says_how_they_came_about(told):
         draws = answer.samples[0][:, answer.materials.index(name)]
         assert np.mean(draws <= material["upper95"][0]) == pytest.approx(0.975, abs=0.01)
     assert (folder / "corner_500_hz.png").exists()
-    assert "plot-corner" in (folder / "report.html").read_text()
+    assert 'aria-labelledby="corner-title"' in (folder / "report.html").read_text()
 
 
 @pytest.mark.slow

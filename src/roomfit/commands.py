@@ -1,4 +1,4 @@
-"""A prediction from files to files.
+"""A design from files to files.
 
 Use case: examine a room, or a campaign's room and positions, before anything is computed.
 
@@ -6,7 +6,7 @@ Use case: see the main job at work on a room whose truth is known.
 
 Absorption of a result, written for another program.
 
-A design from files to files.
+A prediction from files to files.
 
 True beside found absorption, and what a trivial guess would have reached.
 """
@@ -251,8 +251,7 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.prediction.output import predicted_decay_figure
-    from roomfit.report.figures import png
+    from roomfit.report.figures import png, predicted_decay_figure
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)

@@ -25,7 +25,7 @@ from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.experiment_design.choose import Design, mean_widths, widest
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.report.html.figures import outline_m
+from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.typing import FloatArray
 

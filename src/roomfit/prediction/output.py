@@ -1,7 +1,5 @@
 """predicted.json and predicted.csv, format_version 1.
 
-A prediction in pictures: decay curves with the band that the absorption leaves open.
-
 A prediction in words and tables, for a terminal.
 """
 
@@ -15,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
-from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.text import findings_text
 from roomfit.signals.iso3382 import ValueName
 
@@ -123,56 +119,22 @@ def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
     }
 
 
-def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
-    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
-    n = len(predicted.bands)
-    columns = min(n, 3)
-    rows = -(-n // columns)
-    figure = new_figure(3.4 * columns, 2.4 * rows + 0.6)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    decay, t20 = pair.decay, pair.parameters["T20_s"]
-    shown_s = 1e-3
-    for j, axes in enumerate(panels.ravel()):
-        if j >= n:
-            axes.set_visible(False)
-            continue
-        axes.fill_between(
-            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
-            lw=0.0, label="95 % of the absorptions that are possible",
-        )  # fmt: skip
-        axes.plot(
-            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
-        )
-        if decay.measured_db is not None:
-            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
-        shown_s = max(shown_s, float(decay.time_s[decay.predicted_db[j] > -45.0].max(initial=0.0)))
-        label = f"{predicted.bands.centres_hz[j]:g} Hz"
-        if np.isfinite(t20.predicted[j]):
-            label += f": T20 {t20.predicted[j]:.2f} s"
-        axes.set_title(label, fontsize=9)
-        axes.grid(alpha=0.25)
-    panels[0, 0].set_ylim(-45.0, 2.0)
-    panels[0, 0].set_xlim(0.0, shown_s)
-    figure.supxlabel("time after emission (s)")
-    figure.supylabel("energy decay curve (dB)")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    title = f"{pair.source} to {pair.receiver}"
-    if predicted.changes:
-        title += " with " + "; ".join(predicted.changes)
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False, title=title)
-    return figure
-
-
 _SHOWN: tuple[tuple[ValueName, str, str], ...] = (
     ("T20_s", "T20 s", "{:.2f}"),
     ("T30_s", "T30 s", "{:.2f}"),
     ("EDT_s", "EDT s", "{:.2f}"),
+    ("C50_dB", "C50 dB", "{:.1f}"),
     ("C80_dB", "C80 dB", "{:.1f}"),
     ("D50_percent", "D50 %", "{:.0f}"),
     ("TS_ms", "TS ms", "{:.0f}"),
     ("G_dB", "G dB", "{:.1f}"),
 )
 _PAIRS_SHOWN = 12
+# Of every pair one decay time and one measure of early against late: the first that is known.
+_OF_A_PAIR: tuple[tuple[ValueName, ...], ...] = (
+    ("T20_s", "T30_s", "EDT_s"),
+    ("C80_dB", "C50_dB", "D50_percent", "TS_ms", "G_dB"),
+)
 
 
 def predict_text(predicted: Predicted) -> str:
@@ -191,6 +153,8 @@ def mean_table(predicted: Predicted) -> str:
         _head(predicted),
     ]
     for name, label, form in _SHOWN:
+        if name not in predicted.mean:
+            continue
         value = predicted.mean[name]
         lines.append(_line(label, value, form))
         if np.isfinite(value.measured).any():
@@ -199,11 +163,14 @@ def mean_table(predicted: Predicted) -> str:
 
 
 def pairs_text(predicted: Predicted) -> str:
-    """Return T20 and C80 of every pair, of the first dozen where there are many."""
+    """Return T20 and C80, or what is nearest to them, of every pair, a dozen at most."""
     lines = ["By pair", _head(predicted)]
     for pair in predicted.pairs[:_PAIRS_SHOWN]:
         lines.append(f"{pair.source} to {pair.receiver}{_use(pair)}")
-        for name, label, form in (_SHOWN[0], _SHOWN[3]):
+        chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
+        for name, label, form in _SHOWN:
+            if name not in chosen:
+                continue
             value = pair.parameters[name]
             lines.append(_line(label, value, form))
             if np.isfinite(value.measured).any():

@@ -1,32 +1,35 @@
-"""How sure an answer is, in pictures: what is identifiable, profiles, and a posterior's corner.
+"""Every figure of an answer or a prediction, drawn once: as a PNG file, or as SVG in the report.
 
 The pictures of an answer as files in its folder.
 
-An answer in pictures: absorption with intervals, and decay curves.
-
 Boxes that a certified search leaves over, in two dimensions.
-
-Figures without a window or a hidden state, and colours that everybody can tell apart.
 
 Which profiles and which band's samples are worth a picture.
 """
 
 from __future__ import annotations
 
+import html
 import io
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
+import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import PatchCollection
+from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
-from roomfit.results import Answer, ComparedPair
+from roomfit.prediction.prediction import Predicted, PredictedPair
+from roomfit.report.html.parts import decay_time_key, number, parameter, shortened
+from roomfit.results import Answer, ComparedPair, Decay
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 
@@ -58,9 +61,9 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
         write_bytes_atomically(folder / "profiles.png", png(bent))
     if corner is not None:
         write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
-    heard = [(number, p) for number, p in enumerate(answer.pairs, start=1) if p.decay]
-    for number, pair in heard[:MOST_DECAY_PICTURES]:
-        name = f"decay_{number:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
+    heard = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
+    for i, pair in heard[:MOST_DECAY_PICTURES]:
+        name = f"decay_{i:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
         write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
         if progress is not None:
             progress(number / len(answer.pairs))
@@ -69,166 +72,6 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
 def _in_file_name(name: str) -> str:
     """Return a name without what a path gives a meaning to."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
-
-
-# M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
-OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
-
-
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure whose labels never overlap."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
-    FigureCanvasAgg(figure)
-    return figure
-
-
-def png(figure: Figure, dpi: int = 130) -> bytes:
-    """Return a figure as the bytes of a PNG file."""
-    stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi)
-    return stream.getvalue()
-
-
-def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
-    """Give an axis octaves of equal width, labelled with the bands' nominal centres."""
-    axes.set_xscale("log", base=2)
-    axes.set_xticks(list(centres_hz))
-    axes.xaxis.set_minor_locator(NullLocator())
-    axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: _hertz(f)))
-
-
-def _hertz(frequency: float) -> str:
-    return f"{frequency / 1000:g}k" if frequency >= 1000 else f"{frequency:g}"
-
-
-def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None) -> Figure:
-    """Return absorption over frequency, one panel a material.
-
-    Filled points are identifiable, hollow ones are not; bars are 95 % intervals.
-
-    Parameters
-    ----------
-    answer : Answer
-    true_absorption : float array, shape (n_materials, n_bands), optional
-        Drawn as crosses where the truth is known.
-    """
-    n = len(answer.materials)
-    columns = min(n, 3)
-    rows = -(-n // columns)
-    figure = new_figure(3.4 * columns, 2.6 * rows + 0.5)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    centres = answer.bands.centres_hz
-    for i, axes in enumerate(panels.ravel()):
-        if i >= n:
-            axes.set_visible(False)
-            continue
-        value, sure = answer.absorption[i], answer.identifiable[i]
-        bars = np.array([value - answer.lower95[i], answer.upper95[i] - value])
-        axes.errorbar(
-            centres, value, yerr=np.maximum(bars, 0.0), fmt="none", ecolor=OKABE_ITO[0], capsize=2.5
-        )
-        axes.plot(centres[sure], value[sure], "o", color=OKABE_ITO[0], label="identified")
-        axes.plot(
-            centres[~sure], value[~sure], "o", color=OKABE_ITO[0], mfc="white",
-            label="not identifiable",
-        )  # fmt: skip
-        if true_absorption is not None:
-            axes.plot(
-                centres, true_absorption[i], "x", color=OKABE_ITO[1], ms=7, mew=2, label="true"
-            )
-        frequency_axis(axes, centres)
-        axes.set_ylim(-0.02, 1.02)
-        axes.set_title(f"{answer.materials[i]}, {answer.areas_m2[i]:.1f} m²", fontsize=10)
-        axes.grid(alpha=0.25)
-    figure.supxlabel("octave band centre (Hz)" if answer.bands.kind == "octave" else "band (Hz)")
-    figure.supylabel("absorption coefficient")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=3, frameon=False)
-    return figure
-
-
-def decay_figure(answer: Answer, pair: ComparedPair) -> Figure:
-    """Return measured and predicted energy decay curves of one pair, one panel a band."""
-    n = len(answer.bands)
-    columns = min(n, 3)
-    rows = -(-n // columns)
-    figure = new_figure(3.4 * columns, 2.4 * rows + 0.5)
-    panels = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
-    decay = pair.decay
-    if decay is None:
-        raise ValueError("room parameters without a response have no decay curve")
-    shown_s = 0.0
-    for j, axes in enumerate(panels.ravel()):
-        if j >= n:
-            axes.set_visible(False)
-            continue
-        axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.6, label="measured")
-        axes.plot(
-            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, ls="--",
-            label="predicted",
-        )  # fmt: skip
-        known = np.isfinite(decay.measured_db[j]) & (decay.measured_db[j] > -45.0)
-        shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
-        t20 = pair.parameters["T20_s"]
-        label = f"{answer.bands.centres_hz[j]:g} Hz"
-        if np.isfinite(t20.measured[j]) and np.isfinite(t20.predicted[j]):
-            label += f": T20 {t20.measured[j]:.2f} s, predicted {t20.predicted[j]:.2f} s"
-        axes.set_title(label, fontsize=9)
-        axes.grid(alpha=0.25)
-    panels[0, 0].set_ylim(-45.0, 2.0)
-    panels[0, 0].set_xlim(0.0, max(shown_s, 1e-3))
-    figure.supxlabel("time after emission (s)")
-    figure.supylabel("energy decay curve (dB)")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    title = f"{pair.source} to {pair.receiver}"
-    title += "" if pair.use == "fit" else ", not fitted"
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False, title=title)
-    return figure
-
-
-def boxes_figure(
-    covers: Mapping[str, FloatArray],
-    names: tuple[str, ...],
-    truth: FloatArray,
-    grids: tuple[FloatArray, FloatArray, FloatArray],
-    levels: Sequence[float],
-) -> Figure:
-    """Return one panel with the covers on top of each other, the widest first.
-
-    Parameters
-    ----------
-    covers : mapping of label to float array, shape (n_boxes, 2, 2)
-        Lower and upper absorption of each box. Every point whose error is below what the label
-        says lies in one of them.
-    names : tuple of two str
-    truth : float array, shape (2,)
-    grids : three float arrays, shape (n, n)
-        Both absorptions and the error over a grid, for its contours.
-    levels : sequence of float
-        Rising: the errors that bound the covers, the smallest cover's first.
-    """
-    figure = new_figure(5.2, 5.0)
-    axes = figure.subplots()
-    for (label, boxes), colour in zip(covers.items(), (4, 0, 1), strict=False):
-        patches = [Rectangle((b[0, 0], b[0, 1]), *(b[1] - b[0])) for b in boxes]
-        axes.add_collection(
-            PatchCollection(patches, facecolor=OKABE_ITO[colour], edgecolor="white", linewidth=0.4)
-        )
-        noun = "box" if len(boxes) == 1 else "boxes"
-        axes.plot([], [], "s", color=OKABE_ITO[colour], label=f"{label}: {len(boxes)} {noun}")
-    axes.contour(*grids, levels=list(levels), colors="black", linewidths=1.0)
-    axes.plot([], [], "-", color="black", lw=1.0, label="where the error has just these values")
-    axes.plot(*truth, "+", color="black", ms=12, mew=1.5, label="truth")
-    widest = next(iter(covers.values()))
-    low, high = widest[:, 0].min(axis=0), widest[:, 1].max(axis=0)
-    margin = 0.08 * float((high - low).max())
-    axes.set_xlim(low[0] - margin, high[0] + margin)
-    axes.set_ylim(low[1] - margin, high[1] + margin)
-    axes.set_xlabel(f"absorption of {names[0]}")
-    axes.set_ylabel(f"absorption of {names[1]}")
-    axes.set_title("What is left after the proof", fontsize=10)
-    figure.legend(loc="outside lower center", frameon=False, fontsize=9)
-    return figure
 
 
 MOST_PROFILES = 12
@@ -276,8 +119,227 @@ def most_tied_band(samples: Sequence[FloatArray | None]) -> int | None:
     return None if best is None else best[1]
 
 
-_MOST_MATERIALS = 6
-_MOST_DRAWS = 800
+# M. Okabe, K. Ito, "Color Universal Design" (2008), without the yellow that vanishes on white
+OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
+
+_WIDTH_IN = 10.2
+_MANY_PANELS = 12
+"""More than so many panels are drawn smaller, four in a row."""
+_LOWEST_DB = -45.0
+# Curves of many pairs in one figure: about ten characters a point keep them below a megabyte.
+_POINTS_IN_ALL, _FEWEST_POINTS, _MOST_POINTS = 60_000, 16, 120
+_MOST_MATERIALS, _MOST_DRAWS, _DRAWS_IN_ALL = 6, 800, 6000
+
+
+# ---------------------------------------------------------------- what all figures share
+
+
+def new_figure(width_in: float, height_in: float) -> Figure:
+    """Return an empty figure whose labels never overlap."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def png(figure: Figure, dpi: int = 130) -> bytes:
+    """Return a figure as the bytes of a PNG file."""
+    stream = io.BytesIO()
+    figure.savefig(stream, format="png", dpi=dpi)
+    return stream.getvalue()
+
+
+def svg(figure: Figure, name: str, title: str) -> str:
+    """Return a figure as an SVG element to stand in an HTML page beside others.
+
+    Equal figures give equal text. Words stay words, so that they can be searched and read aloud;
+    the reader's sans-serif type takes the place of the one that was measured. Every id and style
+    begins with `name`, so that figures of different names do not take each other's. What an
+    artist's gid names as ``class:x`` is a group of the class ``x``.
+
+    Parameters
+    ----------
+    figure : Figure
+    name : str
+        A letter, then letters, digits or hyphens; once on a page.
+    title : str
+        What the figure shows, for those who do not see it.
+    """
+    stream = io.StringIO()
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+        figure.savefig(stream, format="svg", metadata={"Date": None})
+    # the declaration, the document type and the licence of the metadata have no place in a page
+    text = stream.getvalue()
+    body = text[text.index(">", text.index("<svg ")) + 1 : text.rindex("</svg>")]
+    body = re.sub(r"<metadata>.*?</metadata>|<!--.*?-->", "", body, flags=re.DOTALL)
+    # matplotlib's rule for all elements would hold for the whole page
+    body = re.sub(r"<defs>\s*<style[^>]*>.*?</style>\s*</defs>", "", body, flags=re.DOTALL)
+    styles: dict[str, str] = {}
+    body = re.sub(r"<[^>]+>", lambda tag: _short_tag(tag.group(), name, styles), body)
+    body = re.sub(r">\s+<", "><", body.strip())
+    rules = "".join(f".{rule}{{{style}}}" for style, rule in styles.items())
+    width, height = figure.get_size_inches() * 72.0
+    return (
+        f'<svg role="img" aria-labelledby="{name}-title" viewBox="0 0 {width:g} {height:g}" '
+        f'width="{width / 0.75:.0f}" height="{height / 0.75:.0f}" '
+        f'style="stroke-linejoin:round;stroke-linecap:butt">'
+        f'<title id="{name}-title">{html.escape(title)}</title>'
+        f"<style>{rules}</style>{body}</svg>"
+    )
+
+
+def _short_tag(tag: str, name: str, styles: dict[str, str]) -> str:
+    """Return a tag with its names made unique, its style as a class, and its numbers short."""
+    if tag.startswith("<g "):
+        tag = re.sub(r'<g id="class:([\w-]+)"', r'<g class="\1"', tag)
+        tag = re.sub(r' id="[^"]*"', "", tag)
+    tag = re.sub(r' id="', f' id="{name}-', tag)
+    tag = re.sub(r' (?:xlink:)?href="#', f' href="#{name}-', tag)
+    tag = tag.replace("url(#", f"url(#{name}-")
+
+    def ruled(found: re.Match[str]) -> str:
+        style = re.sub(r"(font:[^;]*?[\d.]+px)[^;]*", r"\1 sans-serif", html.unescape(found[1]))
+        style = re.sub(r"font-family:[^;]*", "font-family:sans-serif", style)
+        style = re.sub(r"\s*([:;])\s*", r"\1", style.strip())
+        return f' class="{styles.setdefault(style, f"{name}-s{len(styles)}")}"'
+
+    def shorter(found: re.Match[str]) -> str:
+        numbers = re.sub(r"-?\d+\.\d{3,}", lambda n: f"{float(n[0]):.2f}", found[2])
+        numbers = re.sub(r"\s*([A-Za-z(),])\s*", r"\1", " ".join(numbers.split()))
+        return f' {found[1]}="{numbers}"'
+
+    tag = re.sub(r' style="([^"]*)"', ruled, tag)
+    return re.sub(r' (d|x|y|width|height|transform)="([^"]*)"', shorter, tag)
+
+
+def literal(name: str, longest: int = 34) -> str:
+    """Return a name, cut where it is long, as matplotlib shows it letter by letter.
+
+    A dollar sign begins no formula, and an underscore in front hides no entry of a legend.
+    """
+    shown = shortened(" ".join(name.split()), longest).replace("$", r"\$")
+    return f"\N{ZERO WIDTH SPACE}{shown}" if shown.startswith("_") else shown
+
+
+def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
+    """Give an axis octaves of equal width, labelled with the bands' nominal centres.
+
+    Of more than ten bands every second octave is named.
+    """
+    named = centres_hz
+    if len(centres_hz) > 10:
+        named = centres_hz[np.abs(np.log2(centres_hz / 500.0) / 2.0 % 1.0 - 0.5) > 0.475]
+    axes.set_xscale("log", base=2)
+    axes.set_xticks(list(named))
+    axes.xaxis.set_minor_locator(NullLocator())
+    axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: short_hertz(f)))
+    axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
+
+
+def short_hertz(frequency: float) -> str:
+    """Return a frequency as an axis in Hz names it: 500, 2k."""
+    return f"{frequency / 1000:g}k" if frequency >= 1000 else f"{frequency:g}"
+
+
+def _panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
+    """Return a figure with n panels in rows that share their scales, and the panels."""
+    columns = min(n, 3) if n <= _MANY_PANELS else 4
+    rows = -(-n // columns)
+    width_in = _WIDTH_IN / max(columns, 3) * columns
+    # a single panel must leave room for the legend above it
+    figure = new_figure(max(width_in, 4.6), height_in * (3 / max(columns, 3)) * rows + 0.6)
+    grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
+    panels = list(grid.ravel())
+    for unused in panels[n:]:
+        unused.set_visible(False)
+    # the last panel of a column, not only of the figure, has the scale below it
+    for i in range(max(n - columns, 0), n):
+        panels[i].tick_params(labelbottom=True)
+    for axes in panels[:n]:
+        axes.grid(alpha=0.25)
+    return figure, panels[:n]
+
+
+def _legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> None:
+    handles, labels = axes.get_legend_handles_labels()
+    once = dict(zip(labels, handles, strict=True))
+    figure.legend(
+        once.values(), once, loc="outside upper center", ncols=columns, frameon=False, fontsize=9,
+        title=title or None,
+    )  # fmt: skip
+
+
+# ---------------------------------------------------------------- absorption
+
+
+def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None) -> Figure:
+    """Return absorption over frequency, one panel a material, the last for the mean by area.
+
+    Filled points are identifiable, hollow ones are not, diamonds were given; bars are 95 %
+    intervals.
+
+    Parameters
+    ----------
+    answer : Answer
+    true_absorption : float array, shape (n_materials, n_bands), optional
+        Drawn as crosses where the truth is known.
+    """
+    n = len(answer.materials)
+    figure, panels = _panels(n + 1, 2.45)
+    centres = answer.bands.centres_hz
+    given = answer.lower95 == answer.upper95
+    kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
+        ("identifiable", answer.identifiable & ~given, {"marker": "o", "color": OKABE_ITO[0]}),
+        (
+            "not identifiable",
+            ~answer.identifiable & ~given,
+            {"marker": "o", "color": OKABE_ITO[0], "mfc": "white"},
+        ),
+        ("given", given, {"marker": "D", "ms": 5, "color": "black"}),
+    )
+    for i, axes in enumerate(panels[:n]):
+        value, low, high = answer.absorption[i], answer.lower95[i], answer.upper95[i]
+        _intervals(axes, centres, value, low, high, OKABE_ITO[0])
+        for label, chosen, look in kinds:
+            # an entry of the legend wherever any panel has such points
+            if chosen.any():
+                at = chosen[i]
+                axes.plot(centres[at], value[at], ls="none", label=label, **look)
+        if true_absorption is not None:
+            axes.plot(
+                centres, true_absorption[i], "x", color=OKABE_ITO[1], ms=7, mew=2, label="true"
+            )
+        found = int(answer.identifiable[i].sum())
+        longest, bands = (20, " bands") if n < _MANY_PANELS else (16, "")
+        axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left")
+        axes.set_title(
+            f"{number(float(answer.areas_m2[i]), 1)} m², {found} of {len(centres)}{bands}",
+            fontsize=8, loc="right", color="0.3",
+        )  # fmt: skip
+    mean, low, high = answer.mean_absorption
+    _intervals(panels[n], centres, mean, low, high, "black")
+    panels[n].plot(centres, mean, "s", color="black", ms=5)
+    panels[n].set_title("mean of the room, by area", fontsize=10, loc="left")
+    frequency_axis(panels[0], centres)
+    panels[0].set_ylim(-0.03, 1.03)
+    figure.supxlabel(f"{answer.bands.kind} band centre (Hz)", fontsize=10)
+    figure.supylabel("absorption coefficient", fontsize=10)
+    _legend(figure, panels[0], 4)
+    return figure
+
+
+def _intervals(
+    axes: Axes,
+    centres_hz: FloatArray,
+    value: FloatArray,
+    lower: FloatArray,
+    upper: FloatArray,
+    colour: str,
+) -> None:
+    bars = np.maximum(np.array([value - lower, upper - value]), 0.0)
+    axes.errorbar(centres_hz, value, yerr=bars, fmt="none", ecolor=colour, capsize=2.5, lw=1.2)
+
+
+# ---------------------------------------------------------------- how sure
 
 
 def identifiability_figure(answer: Answer) -> Figure:
@@ -287,24 +349,36 @@ def identifiability_figure(answer: Answer) -> Figure:
     """
     width = answer.upper95 - answer.lower95
     n, m = width.shape
-    figure = new_figure(1.8 + max(0.62 * m, 3.2), 1.4 + 0.36 * n)
+    figure = new_figure(min(3.4 + 0.62 * m, _WIDTH_IN), 1.4 + 0.36 * n)
     axes = figure.subplots()
-    image = axes.imshow(width, cmap="Blues_r", vmin=0.0, vmax=1.0, aspect="auto")
-    for i in range(n):
-        for j in range(m):
-            given = width[i, j] == 0.0
-            mark = "G" if given else "\N{CHECK MARK}" if answer.identifiable[i, j] else ""
-            ink = "white" if width[i, j] < 0.45 else "black"
-            number = "" if given else f"{width[i, j]:.2f}".lstrip("0")
-            axes.text(j, i, f"{mark} {number}".strip(), ha="center", va="center", color=ink, size=8)
-    axes.set_xticks(range(m), [f"{f:g}" for f in answer.bands.centres_hz])
-    if m > 10:
+    # steps that can be told apart and no picture of pixels: SVG stays lines and words
+    steps = np.linspace(0.0, 1.0, 11)
+    blues = ListedColormap(mpl.colormaps["Blues_r"](np.linspace(0.0, 1.0, 10)))
+    norm = BoundaryNorm(steps, 10)
+    image = axes.pcolormesh(
+        np.ma.masked_invalid(width), cmap=blues, norm=norm, edgecolors="white", lw=1.0
+    )
+    beside = " " if m <= _MANY_PANELS else "\n"
+    for i, j in np.ndindex(n, m):
+        given = width[i, j] == 0.0
+        mark = "G" if given else "\N{CHECK MARK}" if answer.identifiable[i, j] else ""
+        known = np.isfinite(width[i, j])
+        text = "" if given or not known else f"{width[i, j]:.2f}".removeprefix("0")
+        ink = "white" if known and width[i, j] < 0.45 else "black"
+        axes.text(
+            j + 0.5, i + 0.5, f"{mark}{beside}{text}".strip(), ha="center", va="center", color=ink,
+            size=8 if m <= _MANY_PANELS else 6.5, linespacing=1.0,
+        )  # fmt: skip
+    axes.invert_yaxis()
+    axes.set_xticks(np.arange(m) + 0.5, [short_hertz(f) for f in answer.bands.centres_hz])
+    if m > 16:
         axes.tick_params(axis="x", rotation=60)
-    axes.set_yticks(range(n), answer.materials)
-    axes.set_xlabel("band centre (Hz)")
-    axes.set_title("\N{CHECK MARK} identifiable   G given", fontsize=9, loc="left")
-    bar = figure.colorbar(image, ax=axes)
-    bar.set_label("width of the 95 % interval")
+    axes.set_yticks(np.arange(n) + 0.5, [literal(name, 24) for name in answer.materials])
+    axes.tick_params(length=0)
+    axes.set_xlabel(f"{answer.bands.kind} band centre (Hz)")
+    axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left")
+    bar = figure.colorbar(image, ax=axes, ticks=steps[::2])
+    bar.set_label("width of the\n95 % interval" if n < 4 else "width of the 95 % interval")
     return figure
 
 
@@ -318,7 +392,7 @@ def profiles_figure(answer: Answer) -> Figure | None:
         return None
     columns = min(len(shown), 3)
     rows = -(-len(shown) // columns)
-    figure = new_figure(3.0 * columns, 2.1 * rows + 0.6)
+    figure = new_figure(max(3.4 * columns, 4.6), 2.1 * rows + 0.6)
     panels = figure.subplots(rows, columns, squeeze=False, sharey=True)
     for axes, (band, line) in zip(panels.ravel(), shown, strict=False):
         a, low, high = (
@@ -334,14 +408,13 @@ def profiles_figure(answer: Answer) -> Figure | None:
         axes.axvline(a, color=OKABE_ITO[1], lw=1.0, label="answer")
         axes.set_ylim(0.0, 5.0)
         centre = answer.bands.centres_hz[band]
-        axes.set_title(f"{answer.materials[line.entry]}, {centre:g} Hz", fontsize=9)
+        axes.set_title(f"{literal(answer.materials[line.entry], 24)}, {centre:g} Hz", fontsize=9)
         axes.grid(alpha=0.25)
     for axes in panels.ravel()[len(shown) :]:
         axes.set_visible(False)
-    figure.supxlabel("absorption coefficient")
-    figure.supylabel("rise of the cost, all else fitted again")
-    handles, labels = panels[0, 0].get_legend_handles_labels()
-    figure.legend(handles, labels, loc="outside upper center", ncols=4, frameon=False, fontsize=9)
+    figure.supxlabel("absorption coefficient", fontsize=10)
+    figure.supylabel("rise of the cost, all else fitted again", fontsize=10)
+    _legend(figure, panels[0, 0], 4)
     return figure
 
 
@@ -358,9 +431,10 @@ def corner_figure(answer: Answer) -> tuple[float, Figure] | None:
     assert draws is not None  # noqa: S101 - the band was chosen among the sampled ones
     free = np.flatnonzero(np.ptp(draws, axis=0) > 0.0)[:_MOST_MATERIALS]
     n = free.size
-    figure = new_figure(1.7 * n + 0.6, 1.6 * n + 0.6)
+    figure = new_figure(1.6 * n + 0.6, 1.5 * n + 0.6)
     panels = figure.subplots(n, n, squeeze=False, sharex="col")
-    step = max(len(draws) // _MOST_DRAWS, 1)
+    clouds = max(n * (n - 1) // 2, 1)
+    step = -(-len(draws) // min(_MOST_DRAWS, _DRAWS_IN_ALL // clouds))
     for row in range(n):
         for column in range(n):
             axes = panels[row, column]
@@ -369,19 +443,174 @@ def corner_figure(answer: Answer) -> tuple[float, Figure] | None:
                 continue
             x = draws[:, free[column]]
             if row == column:
-                axes.hist(x, bins=30, color=OKABE_ITO[4])
+                axes.hist(x, bins=30, color=OKABE_ITO[4], histtype="stepfilled")
                 axes.axvline(answer.absorption[free[row], band], color=OKABE_ITO[1], lw=1.2)
                 axes.set_yticks([])
             else:
                 y = draws[:, free[row]]
-                axes.plot(x[::step], y[::step], ".", ms=1.5, color=OKABE_ITO[0], alpha=0.5)
+                axes.plot(x[::step], y[::step], ".", ms=2.0, color=OKABE_ITO[0], alpha=0.5)
             if column == 0 and row > 0:
-                axes.set_ylabel(answer.materials[free[row]], fontsize=8)
+                axes.set_ylabel(literal(answer.materials[free[row]], 18), fontsize=8)
             elif column > 0:
                 axes.set_yticklabels([])
             if row == n - 1:
-                axes.set_xlabel(answer.materials[free[column]], fontsize=8)
+                axes.set_xlabel(literal(answer.materials[free[column]], 18), fontsize=8)
             axes.tick_params(labelsize=7)
     centre = float(answer.bands.centres_hz[band])
     figure.suptitle(f"Samples of the absorption coefficients at {centre:g} Hz", fontsize=10)
     return centre, figure
+
+
+# ---------------------------------------------------------------- decay curves
+
+
+def decay_figure(answer: Answer, *pairs: ComparedPair) -> Figure:
+    """Return measured and predicted energy decay curves, one panel a band.
+
+    Parameters
+    ----------
+    answer : Answer
+    pairs : ComparedPair
+        With decay curves. Of several, the curves and words of the i-th are in the SVG groups
+        ``curve-i``, and a page shows one of them at a time; curves have fewer points then.
+
+    Raises
+    ------
+    ValueError
+        A pair has no curves.
+    """
+    decays = [pair.decay for pair in pairs if pair.decay is not None]
+    if len(decays) < len(pairs):
+        raise ValueError("room parameters without a response have no decay curve")
+    figure, panels = _panels(len(answer.bands), 2.3)
+    share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
+    n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None
+    shown_s = 1e-3
+    for j, axes in enumerate(panels):
+        axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left")
+        for i, (pair, decay) in enumerate(zip(pairs, decays, strict=True)):
+            group = f"class:curve-{i}" if len(pairs) > 1 else None
+            _decay_curves(axes, decay, j, n_points, group)
+            axes.text(
+                1.0, 1.03, decay_times(pair, j), transform=axes.transAxes, ha="right", va="bottom",
+                fontsize=8, color="0.2", gid=group,
+            ).set_in_layout(False)  # fmt: skip
+            known = np.isfinite(decay.measured_db[j]) & (decay.measured_db[j] > _LOWEST_DB)
+            shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
+    panels[0].set_ylim(_LOWEST_DB, 2.0)
+    panels[0].set_xlim(0.0, shown_s)
+    figure.supxlabel("time after emission (s)", fontsize=10)
+    figure.supylabel("energy decay curve (dB)", fontsize=10)
+    title = ""
+    if len(pairs) == 1:
+        title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"
+        title += "" if pairs[0].use == "fit" else ", not fitted"
+    _legend(figure, panels[0], 2, title)
+    return figure
+
+
+def _decay_curves(
+    axes: Axes, decay: Decay, band: int, n_points: int | None, group: str | None
+) -> None:
+    looks: tuple[tuple[str, FloatArray, dict[str, Any]], ...] = (
+        ("measured", decay.measured_db[band], {"color": "black", "lw": 1.6}),
+        ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
+    )
+    for label, level_db, look in looks:
+        seen = np.where(level_db > _LOWEST_DB - 15.0, level_db, np.nan)
+        known = np.flatnonzero(np.isfinite(seen))
+        kept = known
+        if n_points is not None and known.size > n_points:
+            kept = known[np.linspace(0, known.size - 1, n_points).round().astype(int)]
+        axes.plot(decay.time_s[kept], seen[kept], label=label, gid=group, **look)
+
+
+def decay_times(pair: ComparedPair, band: int) -> str:
+    """Return the decay time that is known best, measured and predicted; "" where none is."""
+    key = decay_time_key(pair.parameters)
+    if key is None:
+        return ""
+    t = pair.parameters[key]
+    if not np.isfinite(t.measured[band]) or not np.isfinite(t.predicted[band]):
+        return ""
+    measured, predicted = number(t.measured[band], 2), number(t.predicted[band], 2)
+    return f"{parameter(key).symbol} {measured} → {predicted} s"
+
+
+def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
+    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
+    figure, panels = _panels(len(predicted.bands), 2.3)
+    decay = pair.decay
+    times = {str(name): value for name, value in pair.parameters.items()}
+    key = decay_time_key(times)
+    shown_s = 1e-3
+    for j, axes in enumerate(panels):
+        axes.fill_between(
+            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
+            lw=0.0, label="95 % of the absorptions that are possible",
+        )  # fmt: skip
+        axes.plot(
+            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
+        )
+        if decay.measured_db is not None:
+            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
+        known = decay.predicted_db[j] > _LOWEST_DB
+        shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
+        label = f"{predicted.bands.centres_hz[j]:g} Hz"
+        if key is not None and np.isfinite(times[key].predicted[j]):
+            label += f": {parameter(key).symbol} {times[key].predicted[j]:.2f} s"
+        axes.set_title(label, fontsize=9)
+    panels[0].set_ylim(_LOWEST_DB, 2.0)
+    panels[0].set_xlim(0.0, shown_s)
+    figure.supxlabel("time after emission (s)", fontsize=10)
+    figure.supylabel("energy decay curve (dB)", fontsize=10)
+    title = f"{literal(pair.source)} to {literal(pair.receiver)}"
+    if predicted.changes:
+        title += " with " + literal("; ".join(predicted.changes), 80)
+    _legend(figure, panels[0], 3, title)
+    return figure
+
+
+def boxes_figure(
+    covers: Mapping[str, FloatArray],
+    names: tuple[str, ...],
+    truth: FloatArray,
+    grids: tuple[FloatArray, FloatArray, FloatArray],
+    levels: Sequence[float],
+) -> Figure:
+    """Return one panel with the covers on top of each other, the widest first.
+
+    Parameters
+    ----------
+    covers : mapping of label to float array, shape (n_boxes, 2, 2)
+        Lower and upper absorption of each box. Every point whose error is below what the label
+        says lies in one of them.
+    names : tuple of two str
+    truth : float array, shape (2,)
+    grids : three float arrays, shape (n, n)
+        Both absorptions and the error over a grid, for its contours.
+    levels : sequence of float
+        Rising: the errors that bound the covers, the smallest cover's first.
+    """
+    figure = new_figure(5.2, 5.0)
+    axes = figure.subplots()
+    for (label, boxes), colour in zip(covers.items(), (4, 0, 1), strict=False):
+        patches = [Rectangle((b[0, 0], b[0, 1]), *(b[1] - b[0])) for b in boxes]
+        axes.add_collection(
+            PatchCollection(patches, facecolor=OKABE_ITO[colour], edgecolor="white", linewidth=0.4)
+        )
+        noun = "box" if len(boxes) == 1 else "boxes"
+        axes.plot([], [], "s", color=OKABE_ITO[colour], label=f"{label}: {len(boxes)} {noun}")
+    axes.contour(*grids, levels=list(levels), colors="black", linewidths=1.0)
+    axes.plot([], [], "-", color="black", lw=1.0, label="where the error has just these values")
+    axes.plot(*truth, "+", color="black", ms=12, mew=1.5, label="truth")
+    widest = next(iter(covers.values()))
+    low, high = widest[:, 0].min(axis=0), widest[:, 1].max(axis=0)
+    margin = 0.08 * float((high - low).max())
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_xlabel(f"absorption of {names[0]}")
+    axes.set_ylabel(f"absorption of {names[1]}")
+    axes.set_title("What is left after the proof", fontsize=10)
+    figure.legend(loc="outside lower center", frameon=False, fontsize=9)
+    return figure

@@ -14,13 +14,15 @@ import numpy as np
 
 from roomfit.findings import Code, Finding
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
+from roomfit.report.html.parts import PARAMETERS, decay_time_key, parameter
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
 
-_SHOWN = ("T20_s", "EDT_s", "C80_dB")
+# Of a recording all parameters are known, and these tell the rest; a table of room parameters
+# holds what somebody chose to measure, and all of it is shown.
+_OF_RECORDINGS = ("T20_s", "EDT_s", "C80_dB")
 _BELOW_BAND = " " * 11
-_RELATIVE = ("T20_s", "T30_s", "EDT_s", "TS_ms")
 
 
 def answer_text(answer: Answer) -> str:
@@ -144,46 +146,63 @@ def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
 def pairs_table(answer: Answer) -> str:
     """Return mean absolute errors of predicted parameters beside the null model's.
 
+    Of pairs with a recording T20, EDT and C80; of tables of room parameters all that they hold.
     The null model is the mean of the same parameter over the other fitted measurements.
     """
-    if not answer.pairs:
-        return ""
-    lines = [
-        "Predicted against measured: mean T20 (measured > predicted), then mean absolute errors "
-        "(model | mean of the others)"
-    ]
-    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
-    lines.append(f"{'Hz':<16}  {head}")
+    rows: list[tuple[str, list[str]]] = []
+    times: list[str] = []
     for use in ("fit", "validate"):
         pairs = [p for p in answer.pairs if p.use == use]
-        if not pairs:
-            continue
-        lines.append(_decay_line(pairs, use))
-        for name in _SHOWN:
-            compared = [p.parameters[name] for p in pairs]
-            ours = _mean_error(
-                name, [c.predicted for c in compared], [c.measured for c in compared]
-            )
-            null = _mean_error(name, [c.null for c in compared], [c.measured for c in compared])
-            unit = "%" if name in _RELATIVE else name.split("_")[1]
-            cells = [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
-            label = f"{name.split('_')[0]} {unit} {_said(use)}"
-            lines.append(f"{label:<16}  " + "  ".join(cells))
-    return "\n".join(lines)
+        time = decay_time_key(key for p in pairs for key in p.parameters)
+        if time is not None:
+            rows.append((f"{parameter(time).symbol} s {_said(use)}", _decay_cells(pairs, time)))
+            times.append(parameter(time).symbol)
+        rows += [_error_row(pairs, name, use) for name in _shown(pairs)]
+    if not rows:
+        return ""
+    means = f"mean {' or '.join(dict.fromkeys(times))} (measured > predicted), then " * bool(times)
+    width = max(16, *(len(label) for label, _ in rows))
+    head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
+    return "\n".join(
+        [
+            f"Predicted against measured: {means}mean absolute errors (model | mean of the others)",
+            f"{'Hz':<{width}}  {head}",
+            *(f"{label:<{width}}  " + "  ".join(cells) for label, cells in rows),
+        ]
+    )
 
 
-def _decay_line(pairs: list[ComparedPair], use: str) -> str:
-    """Return the mean T20 in seconds, measured > predicted, over pairs that have both."""
-    measured = np.array([p.parameters["T20_s"].measured for p in pairs])
-    predicted = np.array([p.parameters["T20_s"].predicted for p in pairs])
+def _shown(pairs: list[ComparedPair]) -> list[str]:
+    """Return the parameters to show, in the order of `PARAMETERS`."""
+    return [
+        name
+        for name in PARAMETERS
+        if any(name in p.parameters and (name in _OF_RECORDINGS or p.decay is None) for p in pairs)
+    ]
+
+
+def _error_row(pairs: list[ComparedPair], name: str, use: str) -> tuple[str, list[str]]:
+    """Return the label and the cells of the errors of a parameter, of pairs that have it."""
+    compared = [p.parameters[name] for p in pairs if name in p.parameters]
+    measured = [c.measured for c in compared]
+    ours = _mean_error(name, [c.predicted for c in compared], measured)
+    null = _mean_error(name, [c.null for c in compared], measured)
+    label = f"{parameter(name).symbol} {parameter(name).error_unit} {_said(use)}"
+    return label, [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
+
+
+def _decay_cells(pairs: list[ComparedPair], name: str) -> list[str]:
+    """Return the mean decay time, measured > predicted in s, over pairs that have both."""
+    compared = [p.parameters[name] for p in pairs if name in p.parameters]
+    measured = np.array([c.measured for c in compared])
+    predicted = np.array([c.predicted for c in compared])
     both = np.isfinite(measured) & np.isfinite(predicted)
     counts = np.maximum(both.sum(axis=0), 1)
     means = [np.where(both, t, 0.0).sum(axis=0) / counts for t in (measured, predicted)]
-    cells = [
+    return [
         f"{m:5.2f} > {p:5.2f}" if known else f"{'-':>5} > {'-':>5}"
         for m, p, known in zip(*means, both.any(axis=0), strict=True)
     ]
-    return f"{'T20 s ' + _said(use):<16}  " + "  ".join(cells)
 
 
 def _said(use: str) -> str:
@@ -222,9 +241,9 @@ def _pair_cell(ours: float, null: float) -> str:
 
 
 def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
-    """Mean absolute error over pairs, in percent for times; NaN where nothing can be compared."""
+    """Mean absolute error over pairs, in `error_unit`; NaN where nothing can be compared."""
     errors = np.abs(np.array(guesses) - np.array(measured))
-    if name in _RELATIVE:
+    if parameter(name).error_unit == "%":
         errors = 100.0 * errors / np.array(measured)
     known = np.isfinite(errors)
     counts = known.sum(axis=0)

@@ -1,12 +1,10 @@
-"""The answer in a few sentences, and the findings with the most serious first.
+"""The report: a whole answer as one HTML file that needs nothing beside it.
 
-The report: a whole answer as one HTML file that needs nothing beside it.
+The answer in a few sentences, and the findings with the most serious first.
 """
 
 from __future__ import annotations
 
-import base64
-import gzip
 from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
@@ -14,30 +12,20 @@ from typing import Any
 
 import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
+from markupsafe import Markup
+from matplotlib.figure import Figure
 
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.report.html.figures import (
-    absorption_plot,
-    corner_plot,
-    decay_plot,
-    identifiability_plot,
-    material_table,
-    position_table,
-    profile_plot,
-    room_plan,
-    room_plot,
+from roomfit.report.figures import (
+    absorption_figure,
+    corner_figure,
+    decay_figure,
+    identifiability_figure,
+    profiles_figure,
+    svg,
 )
-from roomfit.report.html.parts import (
-    area,
-    band_ranges,
-    count,
-    hertz,
-    listing,
-    number,
-    page_json,
-    parameter,
-)
+from roomfit.report.html.parts import area, band_ranges, count, hertz, listing, number, parameter
 from roomfit.report.html.tables import (
     absorption_tables,
     area_tables,
@@ -47,13 +35,19 @@ from roomfit.report.html.tables import (
     fit_tables,
     given,
     known_mean,
+    material_table,
+    mean_abs_jnd,
     overview_table,
     pair_sections,
+    pair_title,
+    parameter_keys,
+    position_table,
     prior_tables,
     share_tables,
     source_tables,
 )
-from roomfit.results import Answer
+from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
+from roomfit.results import Answer, ComparedPair
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
 from roomfit.uncertainty.gaussian import LARGEST_PHI
@@ -181,9 +175,8 @@ def _how_well_it_predicts(answer: Answer) -> str:
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)
     told = []
-    for key in _TOLD:
-        if not any(key in pair.parameters for pair in pairs):
-            continue
+    known = parameter_keys(pairs)
+    for key in [key for key in _TOLD if key in known] or known:
         errors = errors_of(pairs, key)
         model, null = known_mean(errors.model), known_mean(errors.null)
         if not np.isfinite(model):
@@ -211,6 +204,14 @@ def _how_many_findings(answer: Answer) -> str:
     return f"Read first: {listing(told)} below." if told else ""
 
 
+@dataclass(frozen=True, slots=True)
+class Drawing:
+    """A figure on the page: its SVG element and the words below it."""
+
+    svg: Markup
+    caption: str
+
+
 def report_html(
     answer: Answer,
     scene: Scene,
@@ -219,13 +220,13 @@ def report_html(
     campaign: str | None = None,
     inputs_sha256: Mapping[str, str] | None = None,
 ) -> str:
-    """Return the report of an identification as the text of one HTML file, 2 to 5 MB.
+    """Return the report of an identification as the text of one HTML file.
 
     It holds, in this order: the answer in words, findings, the room, absorption with its
     intervals, absorption areas, predictions beside measurements and beside the null model, and
-    where everything comes from. The file asks nothing of any network: the script that draws
-    (plotly.js) is inside, and the page's own content security policy forbids requests. Tables,
-    findings and the plan can be read without a script. Equal arguments give equal text.
+    where everything comes from. The file executes nothing and requests nothing: figures are SVG
+    within it, and the page's own content security policy forbids scripts and requests. Equal
+    arguments give equal text.
 
     Parameters
     ----------
@@ -243,22 +244,16 @@ def report_html(
     str
         Write it as UTF-8.
     """
-    drawn = decay_plot(answer)
-    decay, curves = drawn if drawn else (None, [])
-    room, absorption = room_plot(scene), absorption_plot(answer)
-    sure, bent, corner = identifiability_plot(answer), profile_plot(answer), corner_plot(answer)
-    drawn_here = (room, absorption, sure, bent, corner, decay)
-    plots = [plot for plot in drawn_here if plot is not None]
+    choices = tuple(pair for pair in answer.pairs if has_curves(pair))
     text: str = _template().render(
         title=title,
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
-        room=room,
-        plan=room_plan(scene),
+        room=_room(scene),
         materials=material_table(scene.room),
         positions=position_table(scene),
-        absorption=absorption,
-        certainty=[plot for plot in (sure, bent, corner) if plot is not None],
+        absorption=_absorption(answer),
+        certainty=_certainty(answer),
         prior_tables=prior_tables(answer),
         reasons=answer.reasons,
         absorption_tables=absorption_tables(answer),
@@ -267,23 +262,121 @@ def report_html(
         told=told_in_words(answer),
         error_tables=error_tables(answer),
         overview=overview_table(answer),
-        decay=decay,
-        curves=curves,
-        without_curve=len(answer.pairs) - len(curves),
+        decay=_decays(answer, choices) if choices else None,
+        curves=tuple(pair_title(pair) for pair in choices),
+        chosen=_worst(choices),
+        without_curve=len(answer.pairs) - len(choices),
         pairs=pair_sections(answer),
         provenance=_provenance(answer, scene, campaign),
         inputs=tuple((inputs_sha256 or {}).items()),
-        page_data=page_json(_page_data(plots, curves)),
-        plotly_js=_packed_plotly_js(),
     )
     return text
 
 
-def _page_data(plots: list[Any], curves: list[dict[str, Any]]) -> dict[str, Any]:
-    return {
-        "plots": [{"name": p.name, "height": p.height_px, "alt": p.alt, **p.figure} for p in plots],
-        "curves": curves,
-    }
+def has_curves(pair: ComparedPair) -> bool:
+    """Return whether there are decay curves to draw: values alone have none."""
+    decay = pair.decay
+    if decay is None or not decay.time_s.size:
+        return False
+    return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
+
+
+def _drawing(figure: Figure, name: str, title: str, caption: str) -> Drawing:
+    # the element is made here and its words are escaped where they become SVG
+    return Drawing(Markup(svg(figure, name, title)), caption)
+
+
+def _room(scene: Scene) -> Drawing:
+    caption = (
+        "Above: the room without the walls towards the viewer, colours as in the table of "
+        "materials; dotted lines lead down to the floor. Below: plan and two side views, all "
+        "to one scale."
+    )
+    _, n_seen = drawn_faces(scene.room)
+    if n_seen > MOST_FACES:
+        caption += f" Of {n_seen} faces in view only the largest {MOST_FACES} are drawn."
+    title = (
+        f"The room with {count(len(scene.room.materials), 'material')}, "
+        f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
+        "in space, in plan and from two sides; the tables below hold the numbers."
+    )
+    return _drawing(room_figure(scene), "room", title, caption)
+
+
+def _absorption(answer: Answer) -> Drawing:
+    return _drawing(
+        absorption_figure(answer),
+        "absorption",
+        f"Absorption coefficient over frequency with 95 % intervals, "
+        f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
+        "holds every number.",
+        "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
+        "identifiable, the number may come from what was assumed beforehand. Diamonds: given. "
+        "Above each panel the area of the material, and in how many bands it is identifiable.",
+    )
+
+
+def _certainty(answer: Answer) -> tuple[Drawing, ...]:
+    drawings = [
+        _drawing(
+            identifiability_figure(answer),
+            "identifiable",
+            "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
+            "number.",
+            "Width of the 95 % interval of every coefficient, dark where it is narrow. A tick "
+            "marks what is identifiable, G what was given.",
+        )
+    ]
+    bent, corner = profiles_figure(answer), corner_figure(answer)
+    if bent is not None:
+        drawings.append(
+            _drawing(
+                bent,
+                "profiles",
+                "Profiles of the likelihood of single coefficients; their ends are in the table.",
+                "How the cost rises when one coefficient is moved and all else is fitted again, "
+                "misfit taken out. The 95 % interval ends where the curve meets the dotted line "
+                "at 1.92; bands beside are taken for another standard deviation where absorption "
+                "changes fast.",
+            )
+        )
+    if corner is not None:
+        centre = hertz(corner[0])
+        drawings.append(
+            _drawing(
+                corner[1],
+                "corner",
+                f"Samples of the absorption coefficients at {centre}, each material against each "
+                "other.",
+                f"Samples of the posterior at {centre}, the band whose materials hang together "
+                "most: each point is one set of absorption coefficients that explains the data. "
+                "Narrow clouds along a slope: only a sum is known.",
+            )
+        )
+    return tuple(drawings)
+
+
+def _decays(answer: Answer, pairs: tuple[ComparedPair, ...]) -> Drawing:
+    caption = (
+        "Energy left in the room relative to the whole, after each time; above each panel the "
+        "decay time, measured → predicted."
+    )
+    if len(pairs) > 1:
+        caption += " Shown first: the pair whose parameters are furthest off."
+    return _drawing(
+        decay_figure(answer, *pairs),
+        "decay",
+        f"Measured and predicted energy decay curves of {count(len(pairs), 'pair')}, one panel a "
+        "band; the tables below hold the parameters derived from them.",
+        caption,
+    )
+
+
+def _worst(pairs: tuple[ComparedPair, ...]) -> int:
+    """Return the position of the pair whose parameters are furthest off; 0 where none is known."""
+    if not pairs:
+        return 0
+    return int(np.argmax(np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)))
 
 
 def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tuple[str, str], ...]:
@@ -317,11 +410,3 @@ def _template() -> Any:
         lstrip_blocks=True,
     )
     return environment.get_template("report.html.j2")
-
-
-def _packed_plotly_js() -> str:
-    """Return plotly.js, compressed to 2 of its 5 MB, in base64; a browser unpacks it."""
-    from plotly.offline import get_plotlyjs
-
-    packed = gzip.compress(get_plotlyjs().encode("utf-8"), mtime=0)
-    return base64.b64encode(packed).decode("ascii")

@@ -6,6 +6,8 @@ How far predictions are off on average, beside a guess that knows no room model.
 
 Predicted parameters beside measured ones, in just noticeable differences, pair by pair.
 
+The room in tables: what its materials cover, and where sources and receivers stand.
+
 How sources were found to radiate, in tables.
 """
 
@@ -34,9 +36,11 @@ from roomfit.report.html.parts import (
     hertz,
     number,
     parameter,
+    shortened,
 )
+from roomfit.report.room_figure import material_colour
 from roomfit.results import Answer, Compared, ComparedPair, Use, certificate_distance
-from roomfit.scene import Scene
+from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.gaussian import LARGEST_PHI
@@ -496,6 +500,50 @@ def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
     if round(model, decimals) > round(null, decimals):
         return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "worse")
     return Cell(text, (f"others {number(null, decimals)}",))
+
+
+_SURFACES_SHOWN = 6
+
+
+def material_table(room: Room) -> Table:
+    """Return colour, area, share and surfaces of each material: the legend of the picture."""
+    areas = material_areas_m2(room)
+    whole = float(areas.sum())
+    rows = [
+        Row(
+            name,
+            (
+                Cell(area(float(areas[i]))),
+                Cell(f"{number(100.0 * areas[i] / whole, 1) if whole > 0.0 else DASH} %"),
+                Cell(_surfaces(room, i), style="words"),
+            ),
+            colour=material_colour(i),
+        )
+        for i, name in enumerate(room.materials)
+    ]
+    total = Row("all", (Cell(area(whole)), Cell("100 %"), Cell("")), style="total")
+    return Table("Materials", "material", ("area in m²", "share", "surfaces"), (*rows, total))
+
+
+def _surfaces(room: Room, material: int) -> str:
+    names = [room.mesh.surfaces[k].name for k in np.flatnonzero(room.surface_material == material)]
+    shown = ", ".join(shortened(name) for name in names[:_SURFACES_SHOWN])
+    more = len(names) - _SURFACES_SHOWN
+    return f"{shown} and {more} more" if more > 0 else shown
+
+
+def position_table(scene: Scene) -> Table:
+    """Return where sources and receivers stand, in metres."""
+    points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
+    return Table(
+        "Positions in metres",
+        "name",
+        ("", "x", "y", "z"),
+        tuple(
+            Row(p.name, (Cell(kind, style="words"), *(Cell(number(v, 2)) for v in p.position_m)))
+            for kind, p in points
+        ),
+    )
 
 
 def source_tables(answer: Answer) -> tuple[Table, ...]:

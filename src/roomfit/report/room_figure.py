@@ -1,0 +1,307 @@
+"""The room as one figure: in space, in plan and from two sides; and the edges that an eye sees."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, Literal
+
+import numpy as np
+from matplotlib.artist import Artist
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_hex, to_rgb
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Patch
+from matplotlib.ticker import MaxNLocator
+
+from roomfit.geometry.mesh import area_vectors_m2, corners_m
+from roomfit.report.figures import OKABE_ITO, literal
+from roomfit.scene import Room, Scene, triangle_material
+from roomfit.typing import FloatArray, IntArray
+
+_SAME_PLANE = 0.9995
+"""Cosine between normals above which two faces look flat together, 1.8 degrees."""
+
+# P. Tol, "Colour schemes", SRON/EPS/TN/09-002 (2021), "muted", then Okabe and Ito (2008): told
+# apart with every kind of colour vision; from the 17th material on they begin anew
+COLOURS = (
+    *("#88CCEE", "#CC6677", "#DDCC77", "#117733", "#332288", "#AA4499", "#44AA99", "#999933"),
+    *("#882255", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666", "#BBBBBB"),
+)
+MOST_FACES = 2500
+"""Of more faces that are seen, the largest are drawn: a hundred bytes each in the report."""
+
+_SOURCE, _RECEIVER = OKABE_ITO[1], "#222222"
+_SOURCE_NAME = "#8A3C00"
+_WIDTH_IN, _GAP_IN = 10.2, 0.75
+_SPACE_IN = (6.9, 4.4)
+_MOST_EDGES = 1500
+_MOST_NAMES, _MOST_STEMS, _MOST_IN_LEGEND = 24, 16, 18
+_LETTER_PT, _NAME_PT = 5.0, 8.0
+# From where the room is looked at: from the south-south-west, 30 degrees above the floor.
+_AZIMUTH, _ELEVATION = np.radians(-118.0), np.radians(30.0)
+_AXES = ("x (m)", "y (m)", "z (m)")
+_Offset = tuple[float, float, Literal["left", "right", "center"]]
+
+
+def material_colour(index: int) -> str:
+    """Return the colour of a material."""
+    return COLOURS[index % len(COLOURS)]
+
+
+def room_figure(scene: Scene) -> Figure:
+    """Return the room seen from above one corner, its plan and two side views, to scale.
+
+    In space the walls towards the viewer are left out, so that one looks into the room; the
+    colours are those of `material_colour`.
+    """
+    edges = outline_m(scene.room, _MOST_EDGES)
+    vertices = scene.room.mesh.vertices_m
+    low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-6)
+    views = ((0, 1, "plan"), (0, 2, "side (x, z)"), (1, 2, "side (y, z)"))
+    across = float(sum(size[i] for i, _, _ in views))
+    tallest = float(max(size[1], size[2]))
+    scale = min((_WIDTH_IN - 3.0 * _GAP_IN) / across, 3.4 / tallest)
+    below_in = tallest * scale + 0.95
+    flat = (vertices @ _projection().T)[:, :2]
+    extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
+    space_scale = min(_SPACE_IN[0] / extent[0], _SPACE_IN[1] / extent[1])
+    entries = min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
+    above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
+    height_in = above_in + below_in
+    figure = Figure(figsize=(_WIDTH_IN, height_in))
+    FigureCanvasAgg(figure)
+
+    def panel(left_in: float, bottom_in: float, width_in: float, tall_in: float) -> Axes:
+        inches = (left_in, bottom_in, width_in, tall_in)
+        whole = (_WIDTH_IN, height_in, _WIDTH_IN, height_in)
+        left, bottom, width, tall = (float(a / b) for a, b in zip(inches, whole, strict=True))
+        return figure.add_axes((left, bottom, width, tall))
+
+    width, tall = extent * space_scale
+    middle = below_in + 0.5 * (above_in - tall)
+    space = panel(0.1 + 0.5 * (_SPACE_IN[0] - width), middle, width, tall)
+    _draw_space(space, scene, edges, space_scale)
+    _draw_legend(figure, scene)
+    left_in = _GAP_IN - 0.15
+    for right, up, title in views:
+        axes = panel(left_in, 0.6, size[right] * scale, size[up] * scale)
+        _draw_view(axes, scene, edges, right, up, scale)
+        axes.set_title(title, fontsize=9, loc="left")
+        axes.set_xlim(low[right], low[right] + size[right])
+        axes.set_ylim(low[up], low[up] + size[up])
+        left_in += size[right] * scale + _GAP_IN
+    return figure
+
+
+def drawn_faces(room: Room) -> tuple[IntArray, int]:
+    """Return the triangles that are drawn in space, farthest first, and how many are seen.
+
+    Seen are those whose side in the air is turned to the viewer, and both sides of sheets.
+    """
+    towards = _projection()[2]
+    away = area_vectors_m2(room.mesh) @ towards
+    sheet = np.array([s.double_sided for s in room.mesh.surfaces])[room.mesh.triangle_surface]
+    seen = np.flatnonzero((away < 0.0) | (sheet & (away != 0.0)))
+    largest = seen[np.argsort(-np.abs(away[seen]), kind="stable")[:MOST_FACES]]
+    depth = corners_m(room.mesh)[largest].mean(axis=1) @ towards
+    return largest[np.argsort(depth, kind="stable")], len(seen)
+
+
+def _projection() -> FloatArray:
+    """Return the axes of the picture in the room: to the right, up, and towards the viewer."""
+    towards = np.array(
+        [
+            np.cos(_AZIMUTH) * np.cos(_ELEVATION),
+            np.sin(_AZIMUTH) * np.cos(_ELEVATION),
+            np.sin(_ELEVATION),
+        ]
+    )
+    right = np.cross([0.0, 0.0, 1.0], towards)
+    right /= np.linalg.norm(right)
+    return np.array([right, np.cross(towards, right), towards])
+
+
+def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> None:
+    room, onto = scene.room, _projection()[:2]
+    faces, _ = drawn_faces(room)
+    owner = triangle_material(room)
+    colours = [_pale(material_colour(int(i))) for i in owner[faces]]
+    # edges of the same colour close the gaps between neighbours
+    axes.add_collection(
+        PolyCollection(
+            list(corners_m(room.mesh)[faces] @ onto.T),
+            facecolors=colours, edgecolors=colours, linewidths=0.5, closed=True, clip_on=False,
+        )
+    )  # fmt: skip
+    thin = 0.9 if len(edges) <= 300 else 0.4
+    axes.add_collection(
+        LineCollection(list(edges @ onto.T), colors="#444444", linewidths=thin, clip_on=False)
+    )
+    if len(scene.sources) + len(scene.receivers) <= _MOST_STEMS:
+        floor = float(room.mesh.vertices_m[:, 2].min())
+        for p in (*scene.sources, *scene.receivers):
+            foot = np.array([*p.position_m[:2], floor])
+            axes.plot(*(np.array([p.position_m, foot]) @ onto.T).T, ":", color="#222222", lw=0.8)
+    _draw_points(axes, scene, onto, scale)
+    flat = room.mesh.vertices_m @ onto.T
+    axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
+    axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
+    axes.set_axis_off()
+
+
+def _pale(colour: str) -> str:
+    """Return a colour mixed with white, so that words and points can be read on it."""
+    red, green, blue = (0.6 * part + 0.4 for part in to_rgb(colour))
+    return to_hex((red, green, blue))
+
+
+def _draw_view(
+    axes: Axes, scene: Scene, edges: FloatArray, right: int, up: int, scale: float
+) -> None:
+    room_m = scene.room.mesh.vertices_m
+    onto = np.eye(3)[[right, up]]
+    flat = np.round(edges @ onto.T, 4)
+    # edges above each other are one line, and those along the view are none
+    lines = {tuple(sorted((tuple(a), tuple(b)))) for a, b in flat.tolist() if a != b}
+    axes.add_collection(
+        LineCollection(sorted(lines), colors="#444444", linewidths=0.9, clip_on=False)
+    )
+    reach = room_m[:, right]
+    _draw_points(axes, scene, onto, scale, np.array([reach.min(), reach.max()]))
+    axes.set_xlabel(_AXES[right], fontsize=9)
+    axes.set_ylabel(_AXES[up], fontsize=9)
+    axes.tick_params(labelsize=8)
+    axes.xaxis.set_major_locator(MaxNLocator(6, steps=[1, 2, 5, 10]))
+    axes.yaxis.set_major_locator(MaxNLocator(5, steps=[1, 2, 5, 10]))
+    for side in ("top", "right"):
+        axes.spines[side].set_visible(False)
+
+
+def _draw_points(
+    axes: Axes, scene: Scene, onto: FloatArray, scale: float, ends_m: FloatArray | None = None
+) -> None:
+    """Draw sources and receivers; their names where no other name or mark stands.
+
+    Between `ends_m`, where given: beyond them are the numbers of an axis.
+    """
+    marks = (
+        (scene.receivers, "o", _RECEIVER, _RECEIVER, 5.0),
+        (scene.sources, "D", _SOURCE, _SOURCE_NAME, 6.5),
+    )
+    names, at = [], []
+    for points, marker, colour, ink, size in marks:
+        flat = np.array([p.position_m for p in points]).reshape(-1, 3) @ onto.T
+        axes.plot(
+            *flat.T, marker, color=colour, ms=size, mec="white", mew=0.8, clip_on=False, zorder=4
+        )
+        names += [(literal(p.name, 16), ink) for p in points]
+        at += list(flat)
+    if len(names) > _MOST_NAMES:
+        return
+    at_pt = np.array(at).reshape(-1, 2) * scale * 72.0
+    lengths = [len(name) for name, _ in names]
+    beside = _name_offsets_pt(lengths, at_pt, None if ends_m is None else ends_m * scale * 72.0)
+    for (name, ink), point, offset in zip(names, at, beside, strict=True):
+        if offset is None:
+            continue
+        x, y, align = offset
+        axes.annotate(
+            name, point, xytext=(x, y), textcoords="offset points", ha=align, va="center",
+            fontsize=_NAME_PT, color=ink, zorder=5, annotation_clip=False,
+            bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.6},
+        )  # fmt: skip
+
+
+def _name_offsets_pt(
+    lengths: Sequence[int], at_pt: FloatArray, ends_pt: FloatArray | None
+) -> list[_Offset | None]:
+    """Put each name beside its mark, at the first of four positions that nothing else takes.
+
+    None where all four are taken: the table of positions has the name.
+    """
+    taken = [(x - 4.0, y - 4.0, x + 4.0, y + 4.0) for x, y in at_pt]
+    out: list[_Offset | None] = []
+    for n, (x, y) in zip(lengths, at_pt, strict=True):
+        long = _LETTER_PT * n
+        choices: tuple[tuple[float, float, Literal["left", "right", "center"], float], ...] = (
+            (6.0, 0.0, "left", 6.0),
+            (-6.0, 0.0, "right", -6.0 - long),
+            (0.0, 9.0, "center", -0.5 * long),
+            (0.0, -9.0, "center", -0.5 * long),
+        )
+        boxes = [
+            (x + left, y + dy - 5.0, x + left + long, y + dy + 5.0) for _, dy, _, left in choices
+        ]
+        free = [
+            i
+            for i, b in enumerate(boxes)
+            if not any(_overlap(b, t) for t in taken)
+            and (ends_pt is None or (ends_pt[0] <= b[0] and b[2] <= ends_pt[1] + _LETTER_PT))
+        ]
+        taken += [boxes[i] for i in free[:1]]
+        out.append(choices[free[0]][:3] if free else None)
+    return out
+
+
+def _overlap(a: tuple[float, ...], b: tuple[float, ...]) -> bool:
+    return a[0] < b[2] and b[0] < a[2] and a[1] < b[3] and b[1] < a[3]
+
+
+def _draw_legend(figure: Figure, scene: Scene) -> None:
+    """Name the marks and the colours, those of many materials in the table only."""
+    common: dict[str, Any] = {"ls": "none", "mec": "white", "mew": 0.8}
+    handles: list[Artist] = [
+        Line2D([], [], marker="D", color=_SOURCE, ms=7, label="source", **common),
+        Line2D([], [], marker="o", color=_RECEIVER, ms=6, label="receiver", **common),
+    ]
+    names = scene.room.materials[:_MOST_IN_LEGEND]
+    handles += [
+        Patch(facecolor=_pale(material_colour(i)), edgecolor="#777777", label=literal(name, 28))
+        for i, name in enumerate(names)
+    ]
+    if len(names) < len(scene.room.materials):
+        handles.append(Patch(facecolor="none", label="others: in the table"))
+    figure.legend(
+        handles=handles, loc="upper left", bbox_to_anchor=(0.7, 0.99), frameon=False, fontsize=9
+    )
+
+
+def outline_m(room: Room, at_most: int) -> FloatArray:
+    """Return the visible edges, shape (n_edges, 2 ends, 3), in metres.
+
+    An edge is left out where two triangles of one material lie in one plane. Of more than
+    `at_most`, the longest are kept that are no shorter than a twentieth of the room's diagonal:
+    the walls of a hall without the legs of its chairs.
+    """
+    corners = room.mesh.triangles.astype(np.int64)
+    ends = np.sort(np.stack([corners, np.roll(corners, -1, axis=1)], axis=2).reshape(-1, 2), axis=1)
+    triangle = np.repeat(np.arange(len(corners)), 3)
+    lines, owner = np.unique(ends, axis=0, return_inverse=True)
+    owner = owner.reshape(-1)
+    order = np.argsort(owner, kind="stable")
+    starts = np.searchsorted(owner[order], np.arange(len(lines)))
+    several = np.bincount(owner, minlength=len(lines)) == 2
+    first = triangle[order[starts]]
+    second = triangle[order[np.minimum(starts + 1, len(order) - 1)]]
+    flat = several & _alike(room, first, second)
+    edges = room.mesh.vertices_m[lines[~flat]]
+    if len(edges) <= at_most:
+        return np.asarray(edges)
+    lengths = np.linalg.norm(edges[:, 0] - edges[:, 1], axis=1)
+    longest = np.argsort(-lengths, kind="stable")[:at_most]
+    diagonal = np.linalg.norm(np.ptp(room.mesh.vertices_m, axis=0))
+    return np.asarray(edges[longest[lengths[longest] >= diagonal / 20.0]])
+
+
+def _alike(
+    room: Room, first: IntArray, second: IntArray
+) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
+    normals = area_vectors_m2(room.mesh)
+    lengths = np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals / np.where(lengths > 0.0, lengths, 1.0)
+    material = triangle_material(room)
+    cosine = np.einsum("ij,ij->i", normals[first], normals[second])
+    return np.asarray((np.abs(cosine) > _SAME_PLANE) & (material[first] == material[second]))

@@ -1,0 +1,177 @@
+"""Whatever room parameters a table holds, text, pictures and report show those and no others."""
+
+from __future__ import annotations
+
+import csv
+from dataclasses import replace
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from report_cases import answer_of, read_page, scene_of
+from roomfit.prediction.output import predict_text
+from roomfit.prediction.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
+from roomfit.report.figures import decay_figure, predicted_decay_figure
+from roomfit.report.html import report_html, summary_sentences
+from roomfit.report.html.tables import error_tables, overview_table, pair_sections
+from roomfit.report.text import answer_text, pairs_table
+from roomfit.results import Compared
+from small_campaign import run_command, write_campaign
+
+# How each is written, and which stands for the decay time: the first of these that is there.
+SYMBOLS = {
+    "T20_s": "T20", "T30_s": "T30", "EDT_s": "EDT", "C50_dB": "C50", "C80_dB": "C80",
+    "D50_percent": "D50", "TS_ms": "TS", "G_dB": "G",
+}  # fmt: skip
+TIMES = ("T20_s", "T30_s", "EDT_s")
+SUBSETS = [s for n in range(1, 9) for s in combinations(SYMBOLS, n)]
+SCENE = scene_of()
+ONE_BAND = answer_of(SCENE, low=1000, high=1000, kept=(1,))
+
+
+def with_parameters(names, *, curves=False):
+    """Return an answer in one band, a pair fitted and one not, that holds these parameters."""
+
+    def changed(pair):
+        whole = dict(pair.parameters)
+        whole["G_dB"] = Compared(*np.array([[12.0], [12.5], [11.0], [0.5]]))
+        kept = {name: whole[name] for name in SYMBOLS if name in names}
+        return replace(pair, parameters=kept, decay=pair.decay if curves else None)
+
+    return replace(ONE_BAND, pairs=tuple(map(changed, ONE_BAND.pairs)))
+
+
+def time_of(names):
+    return next((name for name in TIMES if name in names), None)
+
+
+def test_there_are_255_subsets_of_eight_parameters():
+    assert len(set(SUBSETS)) == 2**8 - 1
+
+
+def test_the_console_shows_the_parameters_of_a_table_and_no_others():
+    for names in SUBSETS:
+        lines = pairs_table(with_parameters(names)).splitlines()
+        for use in ("fitted", "not fitted"):
+            rows = [x for x in lines[2:] if ("not fitted" in x) == (use == "not fitted")]
+            errors = [row.split()[0] for row in rows if "|" in row]
+            assert errors == [SYMBOLS[n] for n in SYMBOLS if n in names], names
+            means = [row.split()[0] for row in rows if ">" in row]
+            time = time_of(names)
+            assert means == ([] if time is None else [SYMBOLS[time]]), names
+        assert ("measured > predicted" in lines[0]) == (time_of(names) is not None)
+        assert len({len(line) for line in lines[1:]}) == 1, "columns do not line up"
+
+
+def test_of_recordings_the_console_shows_three_parameters():
+    lines = pairs_table(with_parameters(SYMBOLS, curves=True)).splitlines()
+    assert [line.split()[0] for line in lines[2:]] == ["T20", "T20", "EDT", "C80"] * 2
+
+
+def test_errors_on_the_console_are_those_of_the_pair():
+    answer = with_parameters(("T30_s", "D50_percent"))
+    rows = pairs_table(answer).splitlines()[2:]
+    told = {row.split("fitted")[0].strip(): row for row in rows if "not" not in row}
+    for label, name, percent in (("T30 %", "T30_s", True), ("D50 points", "D50_percent", False)):
+        c = answer.pairs[0].parameters[name]
+        scale = c.measured / 100.0 if percent else 1.0
+        expected = [abs(v - c.measured) / scale for v in (c.predicted, c.null)]
+        cells = told[label].split("fitted")[1].split("|")
+        np.testing.assert_allclose([float(x) for x in cells], np.ravel(expected), atol=0.0501)
+
+
+def test_decay_pictures_name_the_decay_time_that_is_known():
+    for names in SUBSETS:
+        answer = with_parameters(names, curves=True)
+        pair = answer.pairs[0]
+        (axes,) = decay_figure(answer, pair).axes
+        assert axes.get_title(loc="left") == "1000 Hz"
+        (told,) = [t.get_text() for t in axes.texts]
+        time = time_of(names)
+        if time is None:
+            assert told == ""
+        else:
+            measured, predicted = (
+                getattr(pair.parameters[time], k)[0] for k in ("measured", "predicted")
+            )
+            assert told == f"{SYMBOLS[time]} {measured:.2f} → {predicted:.2f} s"
+
+
+def test_the_tables_of_the_report_show_the_parameters_and_no_others():
+    for names in SUBSETS:
+        answer = with_parameters(names)
+        expected = [SYMBOLS[n] for n in SYMBOLS if n in names]
+        for section in pair_sections(answer):
+            assert [row.head for row in section.tables[0].rows] == expected
+        overview = overview_table(answer)
+        assert overview is not None
+        assert list(overview.columns) == expected
+        for table in error_tables(answer):
+            assert [row.head for row in table.rows] == expected
+        told = next(s for s in summary_sentences(answer) if s.startswith("Mean error"))
+        assert any(SYMBOLS[n] in told for n in names), told
+
+
+@pytest.mark.parametrize("name", SYMBOLS)
+def test_a_whole_page_and_the_whole_text_of_one_parameter_alone(name):
+    for curves in (False, True):
+        answer = with_parameters((name,), curves=curves)
+        page = read_page(report_html(answer, SCENE, title=name))
+        pairs = [rows for caption, rows in page.tables.items() if caption.startswith("S1 to R1")]
+        assert [head for rows in pairs for head in rows if head != "parameter"] == [SYMBOLS[name]]
+        assert "Findings" not in answer_text(answer)
+
+
+def predicted_with(names):
+    one = np.array([1.0])
+    value = PredictedValue(one, one - 0.1, one + 0.1, one, one, one, one, one)
+    time_s = np.linspace(0.0, 1.0, 30)
+    level = -50.0 * time_s[None]
+    decay = PredictedDecay(time_s, level, level - 1.0, level + 1.0, None)
+    table = {name: value for name in SYMBOLS if name in names}
+    pair = PredictedPair("S1", "R1", "fit", table, decay)
+    answer = ONE_BAND
+    return Predicted(
+        answer.bands, answer.materials, answer.absorption, answer.lower95, answer.upper95,
+        (), (pair,), table, (), 8, 1, 0.1,
+    )  # fmt: skip
+
+
+def test_predictions_show_the_parameters_that_are_there():
+    for names in SUBSETS:
+        predicted = predicted_with(names)
+        means, pairs = predict_text(predicted).split("\n\n")
+        shown = [line.split()[0] for line in means.splitlines()[2:] if "measured" not in line]
+        assert sorted(shown) == sorted(SYMBOLS[n] for n in names)
+        of_pair = [x.split()[0] for x in pairs.splitlines()[3:] if "measured" not in x]
+        time = time_of(names)
+        assert (time is None) or of_pair[0] == SYMBOLS[time]
+        assert set(of_pair) <= {SYMBOLS[n] for n in names}
+        assert of_pair
+        title = predicted_decay_figure(predicted, predicted.pairs[0]).axes[0].get_title()
+        assert title == "1000 Hz" + (f": {SYMBOLS[time]} 1.00 s" if time else "")
+
+
+def test_identify_ends_well_with_a_table_that_holds_t30_alone(tmp_path, monkeypatch, capsys):
+    """The times are Eyring's of an absorption of 0.25: V = 30 m3, S = 59 m2."""
+    both = [f'[[measurements]]\nsource = "LS1"\nreceiver = "{r}"\nfile = "LS1_{r}.wav"\n'
+            for r in ("MP1", "MP2")]  # fmt: skip
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        (both[0], '[[measurements]]\nparameters = "t30.csv"\n'), (both[1], ""),
+    )  # fmt: skip
+    with (campaign.parent / "t30.csv").open("w", newline="") as stream:
+        rows = csv.writer(stream)
+        rows.writerow(["source", "receiver", "parameter", 500, 1000])
+        rows.writerows([["LS1", "MP1", "T30", 0.28, 0.28], ["LS1", "MP2", "T30", 0.29, 0.28]])
+    out = tmp_path / "out"
+    assert run_command(monkeypatch, "identify", campaign, "--out", out) == 0
+    shown = capsys.readouterr()
+    assert shown.err == ""
+    lines = shown.out.splitlines()
+    assert any(x.startswith("T30 s fitted") and "0.2" in x for x in lines)
+    assert any(x.startswith("T30 % fitted") and "|" in x for x in lines)
+    assert not any(x.startswith(("T20", "EDT", "C80")) for x in lines)
+    page = read_page((out / "report.html").read_text(encoding="utf-8"))
+    assert list(page.tables["LS1 to MP1: predicted minus measured in JND"])[1:] == ["T30"]
