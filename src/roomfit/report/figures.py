@@ -66,7 +66,7 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
         name = f"decay_{i:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
         write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
         if progress is not None:
-            progress(number / len(answer.pairs))
+            progress(i / len(answer.pairs))
 
 
 def _in_file_name(name: str) -> str:
