@@ -19,7 +19,7 @@ from roomfit.bands import bands_between
 from roomfit.impedance.data import Observed
 from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
 from roomfit.synthetic.boxes import (
-    BoxTruth,
+    SyntheticBox,
     add_noise,
     demo_plan,
     pressure_response,
@@ -90,7 +90,7 @@ class Case:
 def _responses(names: tuple[str, ...], b: tuple[float, ...] | None) -> Mapping[str, FloatArray]:
     """Return the pressures in the box at some receivers, noise at -60 dB."""
     bands, air = bands_between("octave", 250, 4000), Air()
-    truth = BoxTruth(
+    truth = SyntheticBox(
         _SIZE_M,
         bands.centres_hz,
         np.array([[_ABSORPTION[owner]] * len(bands) for owner in _OWNERS]),
@@ -216,8 +216,8 @@ def _parameters_and_responses(folder: Path, run: RunCommand) -> None:
 
 
 def _directivity(folder: Path, run: RunCommand) -> None:
-    told = 'directivity = "fit"'
-    campaign = _write_box(folder, files=tuple(_PLACES_M), source=told, b=_B)
+    reported = 'directivity = "fit"'
+    campaign = _write_box(folder, files=tuple(_PLACES_M), source=reported, b=_B)
     _identify(run, campaign, folder)
 
 
@@ -229,7 +229,9 @@ def _scattering(folder: Path, run: RunCommand) -> None:
         receivers_m={name: plan.receivers_m[name] for name in ("MP1", "MP2")},
     )
     rng, walls = np.random.default_rng(5), np.full(6, 0.15)
-    box = write_scattering_box(kept, walls, folder, rng, told='"fit"', n_rays=10_000)
+    box = write_scattering_box(
+        kept, walls, folder, rng, specified_scattering='"fit"', n_rays=10_000
+    )
     _set_bands(box.campaign, 1000, 1000)
     _identify(run, box.campaign, folder)
 

@@ -111,8 +111,8 @@ def random_case(seed: int, n_materials: int | None = None, n_pairs: int | None =
     snr_db = float(rng.choice([20.0, 40.0]))
     move_m, speed = (0.01, 0.003 * rng.choice([-1.0, 1.0])) if rng.random() < 0.5 else (0.0, 0.0)
     room = room_from_mesh(shoebox_mesh(lengths), dict(zip(SURFACES, names, strict=True)), lengths)
-    told = places + rng.normal(size=places.shape) * move_m
-    points = [Point(f"P{i}", p) for i, p in enumerate(told)]
+    specified = places + rng.normal(size=places.shape) * move_m
+    points = [Point(f"P{i}", p) for i, p in enumerate(specified)]
     air = Air(speed_of_sound_m_s=SPEED_M_S * (1.0 + speed), attenuation="none")
     scene = Scene(room, tuple(points[:2]), tuple(points[2:]), pairs, air)
     coloured = len(pairs) >= 4 and rng.random() < 1.0 / 3.0

@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.synthetic.boxes import WALLS, BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import WALLS, SyntheticBox, add_noise, pressure_response
 
 RATE_HZ = 16_000
 LATE_SAMPLES = 40
@@ -55,7 +55,7 @@ def write_other_box(
     delay_s: float = 0.0,
     top_hz: float = 4000.0,
     strength: float = 0.0,
-    told: str = "omni",
+    specified: str = "omni",
 ) -> OtherBox:
     """Simulate a random box from a seed and write it as a campaign into an existing folder.
 
@@ -65,7 +65,7 @@ def write_other_box(
     ----------
     strength : float
         Length of b of every source, each with an aim of its own; the other program's cardioids.
-    told : str
+    specified : str
         What the campaign says of the directivity: "omni" or "fit".
     """
     import soundfile
@@ -95,7 +95,7 @@ def write_other_box(
         soundfile.write(folder / f"{s}_{r}.wav", noisy, RATE_HZ, subtype="FLOAT")
     materials = tuple(f"material_{wall}" for wall in WALLS)
     campaign = folder / "campaign.toml"
-    text = _campaign_text(lengths, materials, at, pairs, position_error_m, top_hz, told)
+    text = _campaign_text(lengths, materials, at, pairs, position_error_m, top_hz, specified)
     campaign.write_text(text)
     return OtherBox(campaign, lengths, materials, absorption, true, c, delays, b)
 
@@ -199,7 +199,7 @@ def _delayed(
     octaves = bands_between("octave", 125, 8000)
     air = attenuation_per_m(Air(), octaves)
     sides = (float(lengths[0]), float(lengths[1]), float(lengths[2]))
-    truth = BoxTruth(sides, octaves.centres_hz, absorption, air, c, tuple(delays_s.tolist()))
+    truth = SyntheticBox(sides, octaves.centres_hz, absorption, air, c, tuple(delays_s.tolist()))
     flat = np.zeros(len(octaves))
     return [
         pressure_response(truth, places[s], places[r], DURATION_S, float(RATE_HZ), flat)

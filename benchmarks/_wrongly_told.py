@@ -32,25 +32,25 @@ class Fault:
     position_error_m: float = 0.01
     scattering: float = 0.0
     patch: tuple[float, float, float] | None = None  # width, height, absorption
-    told: Callable[[str, BoxPlan], str] = lambda text, _: text
+    misspecify: Callable[[str, BoxPlan], str] = lambda text, _: text
     joined: tuple[str, str] | None = None  # the second is told to be of the first's material
 
 
-def _temperature(told_c: float, sd_c: float | None) -> Callable[[str, BoxPlan], str]:
+def _temperature(specified_c: float, sd_c: float | None) -> Callable[[str, BoxPlan], str]:
     spread = "" if sd_c is None else f"\ntemperature_sd_c = {sd_c}"
 
-    def told(text: str, _: BoxPlan) -> str:
-        return text.replace("temperature_c = 20.0", f"temperature_c = {told_c}{spread}")
+    def misspecify(text: str, _: BoxPlan) -> str:
+        return text.replace("temperature_c = 20.0", f"temperature_c = {specified_c}{spread}")
 
-    return told
+    return misspecify
 
 
 def _longer(by_m: float) -> Callable[[str, BoxPlan], str]:
-    def told(text: str, plan: BoxPlan) -> str:
+    def misspecify(text: str, plan: BoxPlan) -> str:
         x, y, z = plan.lengths_m
         return text.replace(f"shoebox = {[x, y, z]}", f"shoebox = {[x + by_m, y, z]}")
 
-    return told
+    return misspecify
 
 
 def _same_material(text: str, _: BoxPlan) -> str:
@@ -65,27 +65,27 @@ def _surely_placed(text: str, _: BoxPlan) -> str:
 
 FAULTS = (
     Fault("nothing"),
-    Fault("places 3 cm, told 1", 0.03, told=_surely_placed),
-    Fault("places 10 cm, told 1", 0.10, told=_surely_placed),
-    Fault("2 K, told exact", told=_temperature(TRUE_C - 2.0, 0.0)),
-    Fault("2 K, told 1 K", told=_temperature(TRUE_C - 2.0, 1.0)),
-    Fault("two walls as one", told=_same_material, joined=("south", "north")),
+    Fault("places 3 cm, told 1", 0.03, misspecify=_surely_placed),
+    Fault("places 10 cm, told 1", 0.10, misspecify=_surely_placed),
+    Fault("2 K, told exact", misspecify=_temperature(TRUE_C - 2.0, 0.0)),
+    Fault("2 K, told 1 K", misspecify=_temperature(TRUE_C - 2.0, 1.0)),
+    Fault("two walls as one", misspecify=_same_material, joined=("south", "north")),
     Fault("curtain forgotten", patch=(2.0, 2.0, 0.7)),
     Fault("door open, 2 m2", patch=(1.0, 2.0, 1.0)),
     Fault("scatters .3, told 0", scattering=0.3),
-    Fault("a wall 5 cm off", told=_longer(0.05)),
+    Fault("a wall 5 cm off", misspecify=_longer(0.05)),
 )
 
 
 @dataclass(frozen=True)
-class Told:
+class Misspecified:
     """One campaign, and what is true of the materials that it names."""
 
     campaign: Path
     absorption: dict[str, np.ndarray]  # of each told material, (8,)
 
 
-def write_wrongly_told(fault: Fault, seed: int, folder: Path) -> Told:
+def write_misspecified(fault: Fault, seed: int, folder: Path) -> Misspecified:
     """Simulate the room of a seed with a fault and write what is told of it.
 
     The room, the places and the materials of a seed are the same for any fault. Where a wall is
@@ -101,8 +101,8 @@ def write_wrongly_told(fault: Fault, seed: int, folder: Path) -> Told:
         box = write_measured_box(
             plan, folder, rng, position_error_m=fault.position_error_m, patch=patch
         )
-    box.campaign.write_text(fault.told(box.campaign.read_text(), plan))
-    return Told(box.campaign, _means(fault, plan, box, patch))
+    box.campaign.write_text(fault.misspecify(box.campaign.read_text(), plan))
+    return Misspecified(box.campaign, _means(fault, plan, box, patch))
 
 
 def _patch(plan: BoxPlan, width_m: float, height_m: float, absorption: float) -> Patch:
@@ -130,8 +130,8 @@ def _means(
     return truth
 
 
-def truth_of(told: Told, answer: Answer) -> np.ndarray:
+def true_absorption_of(misspecified: Misspecified, answer: Answer) -> np.ndarray:
     """Return the truth in the answer's materials and octaves, (n_materials, n_bands)."""
     octaves = 62.5 * 2.0 ** np.arange(OCTAVES)
     columns = [int(np.argmin(np.abs(np.log(octaves / f)))) for f in answer.bands.centres_hz]
-    return np.array([told.absorption[name][columns] for name in answer.materials])
+    return np.array([misspecified.absorption[name][columns] for name in answer.materials])

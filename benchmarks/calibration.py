@@ -21,8 +21,13 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import write_other_box
-from roomfit.coverage.report import calibration_table, verdict
-from roomfit.coverage.statistics import Calibration, calibration_rows, grouped_share, scaled_errors
+from roomfit.coverage.report import coverage_table, verdict
+from roomfit.coverage.statistics import (
+    CoverageSample,
+    coverage_rows,
+    grouped_proportion,
+    scaled_errors,
+)
 from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
@@ -62,7 +67,7 @@ def polyhedron(seed: int) -> Room:
     return Room(answer, made.absorption[np.ix_(rows, columns)])
 
 
-def pooled(rooms: list[Room]) -> Calibration:
+def pooled(rooms: list[Room]) -> CoverageSample:
     """Return all rooms in one record; materials that a room does not have are not counted."""
     n_bands = len(rooms[0].answer.bands)
 
@@ -73,7 +78,7 @@ def pooled(rooms: list[Room]) -> Calibration:
         return out
 
     fitted = [np.array([m != "prior" for m in r.answer.models]) for r in rooms]
-    return Calibration(
+    return CoverageSample(
         tuple(f"material {i + 1}" for i in range(MOST_MATERIALS)),
         rooms[0].answer.bands,
         stacked([r.true for r in rooms]),
@@ -84,27 +89,27 @@ def pooled(rooms: list[Room]) -> Calibration:
         stacked([np.tile(f, (len(r.true), 1)) for f, r in zip(fitted, rooms, strict=True)]),
         np.full((MOST_MATERIALS, n_bands), DEFAULT_MEAN),
         np.array([r.answer.mean_absorption[0] for r in rooms]),
-        np.array([r.answer.phi for r in rooms]),
+        np.array([r.answer.chi2_reduced for r in rooms]),
     )
 
 
 def show(rooms: list[Room]) -> None:
     """Print the pooled table, and intervals told apart."""
     found = pooled(rooms)
-    rows = calibration_rows(found)
+    rows = coverage_rows(found)
     print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
-    print(calibration_table(rows))
+    print(coverage_table(rows))
     print(verdict(rows[-1]))
     _show_parts(found, rooms)
 
 
-def _show_parts(found: Calibration, rooms: list[Room]) -> None:
+def _show_parts(found: CoverageSample, rooms: list[Room]) -> None:
     """Print how far off values are in units of their intervals, for parts of them."""
-    kinds = np.full(found.told.shape, "none", dtype="U9")
+    kinds = np.full(found.has_interval.shape, "none", dtype="U9")
     for i, room in enumerate(rooms):
         for j, own in enumerate(room.answer.interval_kinds):
             kinds[i, : len(own), j] = own
-    phi, bands = found.phi[:, None, :], np.array(found.bands.centres_hz)
+    phi, bands = found.chi2_reduced[:, None, :], np.array(found.bands.centres_hz)
     parts = {kind: kinds == kind for kind in ("gaussian", "profile", "sampled", "none")}
     parts |= {
         "phi below 1": np.broadcast_to(phi < 1.0, kinds.shape),
@@ -117,14 +122,14 @@ def _show_parts(found: Calibration, rooms: list[Room]) -> None:
     parts |= {f"{f:g} Hz": np.broadcast_to(bands == f, kinds.shape) for f in bands}
     print(f"{'':16}values   hold  spread of errors  median width  median |error|")
     for name, part in parts.items():
-        told = found.told & part
-        if not told.any():
+        counted = found.has_interval & part
+        if not counted.any():
             continue
         held = (found.lower95 <= found.true) & (found.true <= found.upper95)
-        share = grouped_share(held, told)
-        z = scaled_errors(replace(found, told=told))
-        width = np.median((found.upper95 - found.lower95)[told])
-        error = np.median(np.abs(found.absorption - found.true)[told])
+        share = grouped_proportion(held, counted)
+        z = scaled_errors(replace(found, has_interval=counted))
+        width = np.median((found.upper95 - found.lower95)[counted])
+        error = np.median(np.abs(found.absorption - found.true)[counted])
         spread = float(np.sqrt(np.mean(z**2)))
         print(
             f"{name:16}{share.of:6} {100 * share.value:5.1f} %  {spread:12.2f}  {width:15.3f}"
@@ -156,7 +161,7 @@ def main() -> None:
             f"{make.__name__} {seed}: |error| {np.median(np.abs(a.absorption - room.true)):.4f}, "
             f"{held.mean():.2f} hold, {a.identifiable.mean():.2f} identifiable, "
             f"{np.count_nonzero(a.identifiable & ~held)} wrong, phi",
-            *(f"{p:.1f}" for p in a.phi),
+            *(f"{p:.1f}" for p in a.chi2_reduced),
             *codes,
             flush=True,
         )

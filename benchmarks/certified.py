@@ -16,7 +16,7 @@ import numpy as np
 from roomfit.certified.certificate import certify
 from roomfit.certified.question import Misfit
 from roomfit.certified.search import SearchSettings, first_guess, search, tools_for
-from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import (
     DIVISIONS,
     N_RAYS,
@@ -50,7 +50,7 @@ def problem_of(
     edges = ill_defined_edges_s(0)
     if window_ms == 5:
         edges = paper_edges_s(arrivals_ms(own, case)[1])
-    truth = np.array(division.truth)
+    truth = np.array(division.true_absorption)
     measured = window_energies(division_rows(other, case, edges, division), truth)
     return squares_problem(division_rows(own, case, edges, division), measured)
 
@@ -62,11 +62,11 @@ def row(
     precision = None
     if misfit != "squares":
         precision = np.full(problem.measured.size, 0.5 / _SPREAD**2)
-    question = squares_question(problem, misfit, precision=precision)
-    guess = first_guess(question, tools_for(question)).value
+    global_problem = squares_global_problem(problem, misfit, precision=precision)
+    guess = first_guess(global_problem, tools_for(global_problem)).value
     delta = 1e-8 if share is None else share * guess
     begun = time.process_time()
-    found = certify(question, SearchSettings(delta, width=0.05, max_seconds=seconds))
+    found = certify(global_problem, SearchSettings(delta, width=0.05, max_seconds=seconds))
     spent = time.process_time() - begun
     single = sum(c.unique for c in found.clusters)
     gap = found.value - found.lower_bound
@@ -91,7 +91,7 @@ def main() -> None:
     other = trace_paper_room(paper_scene(), N_RAYS, "sobol", 1)
     rng = np.random.default_rng(1)
     warm = problem_of(own, own, DIVISIONS[2], 5)
-    certify(squares_question(warm), SearchSettings(1e-8))
+    certify(squares_global_problem(warm), SearchSettings(1e-8))
     print("| problem | boxes | s | status | clusters (single) | lowest | gap | descents |")
     print("|---|---|---|---|---|---|---|---|")
     for window_ms, numbers in ((5, (2, 3, 4, 5, 6, 7)), (50, (2, 3, 4, 5))):
@@ -104,11 +104,11 @@ def main() -> None:
         for n in (2, 3, 4):
             problem = problem_of(own, own, DIVISIONS[n], 5)
             loud = problem.measured * rng.gamma(_SPREAD**-2, _SPREAD**2, problem.measured.size)
-            heard = _heard(replace(problem, measured=loud))
-            row(f"{n} materials, 5 ms, noise, {short}", heard, misfit, 0.01, arguments.seconds)
+            observed = _observed(replace(problem, measured=loud))
+            row(f"{n} materials, 5 ms, noise, {short}", observed, misfit, 0.01, arguments.seconds)
 
 
-def _heard(problem: SquaresProblem) -> SquaresProblem:
+def _observed(problem: SquaresProblem) -> SquaresProblem:
     """Return the problem without windows that no path reaches, which have no logarithm."""
     rows = problem.rows
     kept = np.flatnonzero(np.diff(rows.offsets) > 0)
@@ -123,18 +123,18 @@ def picture(own: Paths, file: Path) -> None:
     from roomfit.report.figures import boxes_figure, png
 
     problem = problem_of(own, own, DIVISIONS[2], 50, case=0)
-    question = squares_question(problem)
+    global_problem = squares_global_problem(problem)
     covers, deltas = {}, (30.0, 10.0, 3.0)
     for delta in deltas:
-        found = search(question, SearchSettings(delta, width=0.01))
+        found = search(global_problem, SearchSettings(delta, width=0.01))
         covers[f"error up to {delta:g}"] = 1.0 - np.exp(found.boxes)[:, ::-1]
     first = next(iter(covers.values()))
     low, high = first[:, 0].min(axis=0) - 0.05, first[:, 1].max(axis=0) + 0.05
     x, y = np.meshgrid(*np.clip(np.linspace(low, high, 81), 0.0, 1.0).T)
     errors = [error(problem, np.array(at)) for at in zip(x.ravel(), y.ravel(), strict=True)]
     grids = (x, y, np.reshape(errors, x.shape))
-    truth = np.array(DIVISIONS[2].truth)
-    figure = boxes_figure(covers, question.coordinates, truth, grids, sorted(deltas))
+    truth = np.array(DIVISIONS[2].true_absorption)
+    figure = boxes_figure(covers, global_problem.coordinates, truth, grids, sorted(deltas))
     file.write_bytes(png(figure))
 
 

@@ -24,7 +24,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.experiment_design.candidates import compatible_places
+from roomfit.experiment_design.candidates import compatible_positions
 from roomfit.experiment_design.choose import CRITERIA, Design, Rules, mean_widths, random_design
 from roomfit.experiment_design.design import design
 from roomfit.experiment_design.output import design_gain, design_map
@@ -55,7 +55,7 @@ def some_random(found: Design, n: int, rng: np.random.Generator) -> list[tuple[i
     receivers = np.array([r.position_m for r in found.scene.receivers])[found.scene.pairs[:, 1]]
     rules = Rules(
         found.scene.pairs[:, 0],
-        compatible_places(receivers, found.receiver_distance_m),
+        compatible_positions(receivers, found.receiver_distance_m),
         np.ones(len(receivers), dtype=bool),
     )
     return [random_design(rules, len(found.chosen), rng) for _ in range(n)]
@@ -71,7 +71,7 @@ def measured(
     """Return mean width, mean and median error, coverage, phi and seconds of one campaign."""
     scene = found.scene
     ends = [(scene.sources[s], scene.receivers[r]) for s, r in scene.pairs[list(pairs)]]
-    truth = np.tile(np.array(DIVISIONS[7].truth)[:, None], (1, N_OCTAVES))
+    truth = np.tile(np.array(DIVISIONS[7].true_absorption)[:, None], (1, N_OCTAVES))
     plan = PolyhedronPlan(
         paper_cells(),
         truth,
@@ -96,7 +96,7 @@ def measured(
     held = (answer.lower95 <= true) & (true <= answer.upper95)
     return (
         float(width.mean()), float(error.mean()), float(np.median(error)), float(held.mean()),
-        float(answer.phi.mean()), answer.seconds,
+        float(answer.chi2_reduced.mean()), answer.seconds,
     )  # fmt: skip
 
 
@@ -123,18 +123,18 @@ def main() -> None:
     parser.add_argument("--loudspeaker-db", type=float, default=3.0)
     parser.add_argument("--promise", action="store_true")
     parser.add_argument("--pictures", type=Path)
-    told = parser.parse_args()
-    if told.pictures is not None:
-        told.pictures.mkdir(parents=True, exist_ok=True)
+    arguments = parser.parse_args()
+    if arguments.pictures is not None:
+        arguments.pictures.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory() as folder:
         campaign = empty_campaign(Path(folder))
         designs = {}
-        for criterion in told.criteria:
+        for criterion in arguments.criteria:
             used = time.process_time()
             found = design(
                 campaign,
-                candidates=told.candidates,
-                choose_n=told.choose,
+                candidates=arguments.candidates,
+                choose_n=arguments.choose,
                 criterion=criterion,
             )
             designs[criterion] = found
@@ -145,26 +145,26 @@ def main() -> None:
                 f"{time.process_time() - used:.0f} s",
                 flush=True,
             )
-        if told.pictures is not None:
+        if arguments.pictures is not None:
             first = next(iter(designs.values()))
-            (told.pictures / "design_map.png").write_bytes(png(design_map(first)))
-            (told.pictures / "design_gain.png").write_bytes(png(design_gain(first)))
-        if told.promise:
+            (arguments.pictures / "design_map.png").write_bytes(png(design_map(first)))
+            (arguments.pictures / "design_gain.png").write_bytes(png(design_gain(first)))
+        if arguments.promise:
             return
         print("measured")
-        uneven = (told.position_error, told.loudspeaker_db)
+        uneven = (arguments.position_error, arguments.loudspeaker_db)
         best = {
             name: show(name, [
                 measured(d, tuple(d.chosen.tolist()), seed, *uneven)
-                for seed in range(told.noises)
+                for seed in range(arguments.noises)
             ])
             for name, d in designs.items()
         }  # fmt: skip
         first = next(iter(designs.values()))
-        drawn = some_random(first, told.random, np.random.default_rng(5))
+        drawn = some_random(first, arguments.random, np.random.default_rng(5))
         rows = [
             show(f"random {i + 1}", [
-                measured(first, pairs, seed, *uneven) for seed in range(told.noises)
+                measured(first, pairs, seed, *uneven) for seed in range(arguments.noises)
             ])
             for i, pairs in enumerate(drawn)
         ]  # fmt: skip

@@ -17,7 +17,7 @@ import numpy as np
 from _impedance_rooms import random_case
 from roomfit.air import Air
 from roomfit.impedance.data import Observed, complex_frequency_hz
-from roomfit.impedance.fit import distance, distinct, looked_around, refined, relaxed
+from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish
 from roomfit.impedance.identify import identify_impedance, wave_problem
 from roomfit.impedance.laws import (
     absorption_normal,
@@ -94,7 +94,7 @@ def fit(
     )  # fmt: skip
 
 
-def told(values: FloatArray, digits: int = 4) -> str:
+def formatted(values: FloatArray, digits: int = 4) -> str:
     return " / ".join(f"{v:.{digits}f}" for v in np.atleast_1d(values))
 
 
@@ -104,8 +104,8 @@ def errors(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) ->
     z = impedance_of_r0(true)
     off = np.median(np.abs(impedance_of_r0(r0) / z - 1.0)[:, f >= 200.0], axis=1)
     return (
-        f"dR0 {told(rms_by_material(r0 - true, f))}, absorption {told(absorbed)}, "
-        f"Z {told(100 * off, 1)} %, {answer.verdict.word}, {answer.seconds:.0f} s"
+        f"dR0 {formatted(rms_by_material(r0 - true, f))}, absorption {formatted(absorbed)}, "
+        f"Z {formatted(100 * off, 1)} %, {answer.verdict.word}, {answer.seconds:.0f} s"
     )
 
 
@@ -119,7 +119,7 @@ def a1() -> None:
             own = (low <= F_HZ) & (high > F_HZ)
             square = np.sum(np.abs(p - FIELD)[:, own] ** 2) / np.sum(np.abs(FIELD[:, own]) ** 2)
             rms.append(100 * np.sqrt(square))
-        print("A1", "spherical" if spherical else "plane", told(np.array(rms), 2), "%")
+        print("A1", "spherical" if spherical else "plane", formatted(np.array(rms), 2), "%")
 
 
 def a2() -> None:
@@ -164,8 +164,8 @@ def a3(seeds: int = 10) -> None:
             rows.append([rms_by_material(r0 - TRUE, F_HZ), absorbed, low])
         worst = np.max(rows, axis=0)
         print(
-            f"A3 {snr_db:g} dB, worst of {seeds} seeds: dR0 {told(worst[0])}, absorption "
-            f"{told(worst[1])}, below 200 Hz {told(worst[2], 3)}",
+            f"A3 {snr_db:g} dB, worst of {seeds} seeds: dR0 {formatted(worst[0])}, absorption "
+            f"{formatted(worst[1])}, below 200 Hz {formatted(worst[2], 3)}",
             flush=True,
         )
 
@@ -189,10 +189,10 @@ def a5() -> None:
     observed = noisy(F_HZ, TAU_S, FIELD, 40.0, rng)
     problem = wave_problem(scene, observed, None, Nuisances())
     began = time.perf_counter()
-    starts = looked_around(problem, 20, np.random.default_rng(8))
+    starts = multistart(problem, 20, np.random.default_rng(8))
     each = (time.perf_counter() - began) / len(starts)
     # starts that meet at first sight go on alike
-    ends = {id(s): refined(problem, s.x).r0 for s in distinct(starts, 1e-3)}
+    ends = {id(s): polish(problem, s.x).r0 for s in distinct(starts, 1e-3)}
     by_id = {id(s): s for s in starts}
     best = ends[id(starts[0])]
     same = 0
@@ -240,7 +240,7 @@ def a8(seeds: int = 40) -> None:
         if seed % 10 == 9:
             mean = np.mean(shares, axis=0)
             each = "; ".join(
-                f"{n} {told(100 * row, 0)}" for n, row in zip(NAMES, mean, strict=True)
+                f"{n} {formatted(100 * row, 0)}" for n, row in zip(NAMES, mean, strict=True)
             )
             print(f"A8 {seed + 1} seeds: {100 * mean.mean():.1f} % within; {each}", flush=True)
 
@@ -288,7 +288,7 @@ def other_rooms(seeds: int = 40) -> None:
         print(
             f"rooms {seed}: {sides} m, {', '.join(case.kinds)}; {len(case.scene.pairs)} pairs, "
             f"{case.snr_db:g} dB, {1000 * case.move_m:g} mm"
-            f"{', coloured' * case.coloured}: dR0 {told(off, 3)}, "
+            f"{', coloured' * case.coloured}: dR0 {formatted(off, 3)}, "
             f"{100 * within:.0f} % within, model error {answer.model_error:.3f}, "
             f"{answer.verdict.word} {answer.verdict.cause}, {answer.seconds:.0f} s",
             flush=True,
@@ -386,7 +386,7 @@ def the_papers_way(seeds: int = 15) -> None:
     began = time.perf_counter()
     x = wave_problem(box_scene(), observed, None, EXACT, spherical=False, model_error=0.0)
     x = replace(x, model=model)
-    start, _, n_evaluations = relaxed(x, start_of(x))
+    start, _, n_evaluations = continuation(x, start_of(x))
     off = np.abs(r0_matrix(x, layout_of(x), start) - true).max()
     print(f"paper, least squares over R0: off by {off:.1e}, {n_evaluations} evaluations, "
           f"{time.perf_counter() - began:.2f} s")  # fmt: skip

@@ -33,11 +33,11 @@ def left_over(campaign_file: Path, r0: float) -> float:
     """
     campaign = read_campaign(campaign_file)
     room, _ = read_room(campaign.room)
-    told = campaign_pressures(campaign, room)
-    problem = wave_problem(told.scene, told.observed, None, told.nuisances)
-    walls = np.full((len(room.materials), len(told.observed.frequency_hz)), r0, dtype=complex)
+    measured = campaign_pressures(campaign, room)
+    problem = wave_problem(measured.scene, measured.observed, None, measured.nuisances)
+    walls = np.full((len(room.materials), len(measured.observed.frequency_hz)), r0, dtype=complex)
     p = predicted_pressure(problem.model, walls, at_rest(problem.model), spherical=False)
-    d = told.observed.pressure
+    d = measured.observed.pressure
     own = np.ones((len(d), 1), dtype=complex)
     for _ in range(_ALTERNATIONS):
         gain = source_spectra(problem, own * p)

@@ -31,7 +31,7 @@ import numpy as np
 from scipy.io import loadmat
 
 from roomfit.inversion.identify import identify
-from roomfit.inversion.measurements import gather
+from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import read_campaign
 from roomfit.io.rooms import read_room
 from roomfit.report.text import absorption_table, directivity_text, separable_text
@@ -179,7 +179,7 @@ def show(title: str, answers: list[Answer], *, whole: bool = True) -> None:
     print(f"\n{title}\n{'=' * len(title)}")
     if whole:
         print(f"models {', '.join(first.models)}; {first.seconds:.0f} s")
-        print("phi    " + " ".join(f"{p:.1f}" for p in first.phi), "\n")
+        print("phi    " + " ".join(f"{p:.1f}" for p in first.chi2_reduced), "\n")
         print(absorption_table(first), "\n")
         print(separable_text(first), "\n")
         for finding in first.findings:
@@ -197,8 +197,8 @@ def dechorate(data: Path, ending: str) -> None:
 def dechorate_aimed(data: Path, ending: str) -> None:
     """Three microphones fitted, three predicted, with an assumed aim of the loudspeaker."""
     text = dechorate_campaign(data / "dechorate", ("M4", "M5", "M6")) + ending
-    told = "[sources.S1]\ndirectivity = {aim = [-0.4, -1.0, -0.1], b = 0.5}\n"
-    text = text.replace("[sources.S1]\n", told)
+    specified = "[sources.S1]\ndirectivity = {aim = [-0.4, -1.0, -0.1], b = 0.5}\n"
+    text = text.replace("[sources.S1]\n", specified)
     show("dEchorate, loudspeaker aimed at M1 to M3, M4 to M6 predicted", [answer_to(text)])
 
 
@@ -219,9 +219,12 @@ def dechorate_one_out(data: Path, ending: str) -> None:
 
 def delft(data: Path, ending: str) -> None:
     """Four loudspeakers fitted, the last predicted; corners told at the wall, and of the file."""
-    for told, shift in (("x + 0.45 m, y + 0.5 m", DELFT_SHIFT_M), ("as in the files", (0, 0, 0))):
+    for specified, shift in (
+        ("x + 0.45 m, y + 0.5 m", DELFT_SHIFT_M),
+        ("as in the files", (0, 0, 0)),
+    ):
         text = delft_campaign(data / "tudelft_inhouse", 7, shift) + ending
-        show(f"TU Delft, loudspeaker 7 predicted; positions {told}", [answer_to(text)])
+        show(f"TU Delft, loudspeaker 7 predicted; positions {specified}", [answer_to(text)])
 
 
 def delft_fitted(data: Path, ending: str) -> None:
@@ -242,7 +245,7 @@ def delft_null(data: Path, ending: str) -> None:
         path = Path(folder) / "campaign.toml"
         path.write_text(delft_campaign(data / "tudelft_inhouse", 7, DELFT_SHIFT_M) + ending)
         campaign = read_campaign(path)
-        responses = gather(campaign, read_room(campaign.room)[0]).responses
+        responses = collect_measurements(campaign, read_room(campaign.room)[0]).responses
     of = {
         n: np.array([m.parameters.of("T20_s") for m in responses if m.file.source == f"L{n}"])
         for n in DELFT_LOUDSPEAKERS

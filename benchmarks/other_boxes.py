@@ -152,35 +152,35 @@ def main() -> None:
     parser.add_argument("--third-octaves", action="store_true")
     parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
     parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
-    told = parser.parse_args()
-    more = 'positions = "fixed"\n' if told.unfitted else ""
-    more += "wall_delays = false\n" if told.no_delays else ""
-    more += 'model = "energy"\n' if told.energy else ""
-    if told.smoothness is not None:
-        more += f"smoothness_per_octave = {told.smoothness}\n"
+    arguments = parser.parse_args()
+    more = 'positions = "fixed"\n' if arguments.unfitted else ""
+    more += "wall_delays = false\n" if arguments.no_delays else ""
+    more += 'model = "energy"\n' if arguments.energy else ""
+    if arguments.smoothness is not None:
+        more += f"smoothness_per_octave = {arguments.smoothness}\n"
     done, sampled = [], []
-    for seed in told.seeds:
+    for seed in arguments.seeds:
         with tempfile.TemporaryDirectory() as folder:
             box = write_other_box(
                 seed,
                 Path(folder),
-                n_pairs=told.pairs,
-                position_error_m=told.position_error,
-                c_error=told.c_error,
-                delay_s=1e-3 * told.delay_ms,
-                top_hz=told.top_hz,
-                strength=told.strength,
-                told=told.directivity,
+                n_pairs=arguments.pairs,
+                position_error_m=arguments.position_error,
+                c_error=arguments.c_error,
+                delay_s=1e-3 * arguments.delay_ms,
+                top_hz=arguments.top_hz,
+                strength=arguments.strength,
+                specified=arguments.directivity,
             )
-            done.append(outcome(box, told.third_octaves, more))
-            if told.posterior:
+            done.append(outcome(box, arguments.third_octaves, more))
+            if arguments.posterior:
                 sampled.append(outcome(box, False, 'method = "posterior"\n'))
         answer = done[-1].answer
-        phi = " ".join(f"{p:.2f}" for p in answer.phi)
+        phi = " ".join(f"{p:.2f}" for p in answer.chi2_reduced)
         print(f"seed {seed}: {done[-1].seconds:.1f} s, phi {phi}", end="  ")
         codes = {f.code for f in answer.findings if f.severity != "info"} - QUIET
         print(" ".join(answer.models), *sorted(codes))
-        if told.delay_ms and answer.geometry is not None:
+        if arguments.delay_ms and answer.geometry is not None:
             _show_delays(done[-1])
         if sampled:
             _show_samples(sampled[-1])

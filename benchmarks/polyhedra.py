@@ -46,7 +46,7 @@ class Outcome:
         return np.asarray(np.abs(self.answer.absorption - self.true))
 
     @property
-    def held(self) -> np.ndarray:
+    def covered(self) -> np.ndarray:
         """Whether the interval holds the truth, shape (n_materials, n_bands)."""
         return (self.answer.lower95 <= self.true) & (self.true <= self.answer.upper95)
 
@@ -71,7 +71,7 @@ def show(title: str, done: list[Outcome]) -> None:
         np.concatenate([x.ravel() for x in column])
         for column in (
             [o.error for o in done],
-            [o.held for o in done],
+            [o.covered for o in done],
             [o.answer.identifiable for o in done],
             [o.answer.upper95 - o.answer.lower95 for o in done],
             [o.null_error for o in done],
@@ -91,10 +91,10 @@ def show(title: str, done: list[Outcome]) -> None:
 
 def show_one(shape: str, seed: int, o: Outcome) -> None:
     """Print one room's line."""
-    phi = " ".join(f"{x:.2f}" for x in o.answer.phi)
+    phi = " ".join(f"{x:.2f}" for x in o.answer.chi2_reduced)
     print(
         f"{shape} {seed}: median {np.median(o.error):.4f}  90 % {np.quantile(o.error, 0.9):.4f}"
-        f"  hold {o.held.mean():.2f}  {o.answer.seconds:.1f} s  phi {phi} ",
+        f"  hold {o.covered.mean():.2f}  {o.answer.seconds:.1f} s  phi {phi} ",
         *dict.fromkeys(o.answer.models),
         *dict.fromkeys(f.code for f in o.answer.findings),
         flush=True,
@@ -110,23 +110,23 @@ def main() -> None:
     parser.add_argument("--plane-error", type=float, default=0.0)
     parser.add_argument("--loudspeaker-db", type=float, default=3.0)
     parser.add_argument("--no-energy", action="store_true", help="leave out energies alone")
-    told = parser.parse_args()
-    for shape in told.rooms:
+    arguments = parser.parse_args()
+    for shape in arguments.rooms:
         done: dict[str, list[Outcome]] = {"partly coherent": [], "energy only": []}
-        for seed in told.seeds:
+        for seed in arguments.seeds:
             with tempfile.TemporaryDirectory() as folder:
                 measured = write_measured_polyhedron(
                     polyhedron_plan(shape, np.random.default_rng([seed, 7])),
                     Path(folder),
                     np.random.default_rng([seed, 8]),
-                    position_error_m=told.position_error,
-                    plane_error_m=told.plane_error,
-                    loudspeaker_db=told.loudspeaker_db,
+                    position_error_m=arguments.position_error,
+                    plane_error_m=arguments.plane_error,
+                    loudspeaker_db=arguments.loudspeaker_db,
                 )
                 campaign = read_campaign(measured.campaign)
                 done["partly coherent"].append(outcome(measured, campaign))
                 show_one(shape, seed, done["partly coherent"][-1])
-                if not told.no_energy:
+                if not arguments.no_energy:
                     energies = replace(campaign, model="energy")
                     done["energy only"].append(outcome(measured, energies))
         for title, outcomes in done.items():

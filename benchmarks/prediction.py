@@ -24,7 +24,7 @@ from roomfit.io.results import read_result, write_result
 from roomfit.prediction.predict import predict_campaign
 from roomfit.prediction.prediction import PredictedPair
 from roomfit.signals.iso3382 import ValueName
-from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 LENGTHS_M = (3.9, 3.1, 2.5)
@@ -61,7 +61,7 @@ def write_campaign(folder: Path, seed: int) -> Path:
     places = places[np.linalg.norm(places - SOURCE_M, axis=1) > 1.0]
     bands, air = bands_between("octave", 250, 2000), Air()
     owners = ("walls", "walls", "walls", "walls", "carpet", "tiles")
-    truth = BoxTruth(
+    truth = SyntheticBox(
         LENGTHS_M,
         bands.centres_hz,
         np.array([[ABSORPTION[n]] * len(bands) for n in owners]),
@@ -83,7 +83,7 @@ def write_campaign(folder: Path, seed: int) -> Path:
     return path
 
 
-def told(title: str, pairs: list[PredictedPair]) -> str:
+def formatted(title: str, pairs: list[PredictedPair]) -> str:
     """Return by band how many intervals hold, and the mean and the spread of the misses."""
     lines = [title, "parameter     held       mean of (measured - predicted) / sd, its spread"]
     held = []
@@ -120,9 +120,11 @@ def main() -> None:
         )
         known = predict_campaign(campaign, true)
     sys.stdout.write(
-        told("fitted absorption, pairs kept apart", [p for p in fitted.pairs if p.use != "fit"])
+        formatted(
+            "fitted absorption, pairs kept apart", [p for p in fitted.pairs if p.use != "fit"]
+        )
         + "\n\n"
-        + told("true absorption, all pairs", list(known.pairs))
+        + formatted("true absorption, all pairs", list(known.pairs))
         + "\n"
     )
 

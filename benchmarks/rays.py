@@ -60,8 +60,8 @@ def cost(scene: Scene, estimator: Estimator, s: float, settings: TraceSettings) 
     for pair in range(len(scene.pairs)):
         rows = energy_rows(paths, pair, edges, c)
         energy = weigh(rows, absorption, np.zeros(1), derivative=False).energy[0]
-        sd, heard = monte_carlo_sd(rows, absorption, np.zeros(1))[0], energy > 0.0
-        squares.append((sd[heard] / energy[heard]) ** 2)
+        sd, observed = monte_carlo_sd(rows, absorption, np.zeros(1))[0], energy > 0.0
+        squares.append((sd[observed] / energy[observed]) ** 2)
     return Cost(float(np.mean(np.concatenate(squares))), seconds, int((paths.batch >= 0).sum()))
 
 

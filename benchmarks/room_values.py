@@ -35,7 +35,7 @@ from roomfit.io.measurements import measure
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import (
-    MaterialKnowledge,
+    MaterialPrior,
     Scattering,
     logit_prior,
     prior_logits,
@@ -52,7 +52,7 @@ from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import band_combinations
 from roomfit.uncertainty.gaussian import BandAnswer
-from roomfit.uncertainty.posterior import draw_along_data
+from roomfit.uncertainty.posterior import rto_draws
 
 BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000
@@ -68,7 +68,7 @@ class Case:
     scene: Scene
     values: tuple[MeasuredValues, ...]
     scattering: np.ndarray
-    knowledge: tuple[MaterialKnowledge, ...]
+    priors: tuple[MaterialPrior, ...]
     duration_s: float
     judged: slice
     image_order: int = 2
@@ -87,13 +87,13 @@ def seminar_room(folder: Path) -> Case:
     pairs = np.array([(0, i) for i in range(5)])
     scene = Scene(room, (source,), receivers, pairs, Air(19.5, 41.7))
     values, _ = read_parameters(folder / "measured_LS1_per_pair_octave.csv")
-    knowledge = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
+    priors = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
     return Case(
         "BRAS CR2, 500 to 4000 Hz",
         scene,
         values,
         np.full(len(room.materials), 0.1),
-        knowledge,
+        priors,
         1.6,
         slice(2, 6),
     )
@@ -114,13 +114,13 @@ def studio(folder: Path, *, closed: bool = False) -> Case:
     pairs = np.array([(s, r) for s in (0, 1) for r in (0, 1, 2)])
     scene = Scene(room, sources, receivers, pairs, Air(20.0, 50.0, 100.0))
     scattering = np.array([np.mean(stated(folder, m)[1]) for m in room.materials])
-    knowledge = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
+    priors = tuple(unknown_material(m, len(BANDS)) for m in room.materials)
     return Case(
         "PTB studio, 250 to 4000 Hz",
         scene,
         studio_values(folder),
         scattering,
-        knowledge,
+        priors,
         1.25,
         slice(1, 6),
         image_order=0,
@@ -149,8 +149,8 @@ def studio_values(folder: Path) -> tuple[MeasuredValues, ...]:
     lines = [",".join(["source", "receiver", "parameter", *bands])]
     for (position, name), of_band in cells.items():
         for i, label in enumerate((name, f"{name}_sd")):
-            told = [of_band[b][i] if b in of_band else "" for b in bands]
-            lines.append(",".join([position[:2], position[2:], label, *told]))
+            texts = [of_band[b][i] if b in of_band else "" for b in bands]
+            lines.append(",".join([position[:2], position[2:], label, *texts]))
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "measured.csv"
         path.write_text("\n".join(lines) + "\n")
@@ -159,14 +159,14 @@ def studio_values(folder: Path) -> tuple[MeasuredValues, ...]:
 
 def with_stated_priors(case: Case, folder: Path, logit_sd: float) -> Case:
     """Return the studio with what the participants knew of its materials as priors."""
-    knowledge = []
-    for k in case.knowledge:
+    priors = []
+    for k in case.priors:
         absorption = np.clip(stated(folder, k.name)[0], 0.01, 0.99)
         mean, _ = logit_prior(absorption, np.ones(len(BANDS)))
-        knowledge.append(
+        priors.append(
             replace(k, prior_logit_mean=mean, prior_logit_sd=np.full(len(BANDS), logit_sd))
         )
-    return replace(case, knowledge=tuple(knowledge))
+    return replace(case, priors=tuple(priors))
 
 
 def traced(case: Case) -> BinnedPaths:
@@ -197,7 +197,7 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
     problems = value_problems(
         case.scene,
         BANDS,
-        case.knowledge,
+        case.priors,
         values,
         binned,
         start(case),
@@ -210,7 +210,7 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
 def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
-    return fit_bands(problems, case.knowledge, areas, "auto", 1, None)
+    return fit_bands(problems, case.priors, areas, "auto", 1, None)
 
 
 def absorption_of(answers: tuple[BandAnswer, ...]) -> np.ndarray:
@@ -267,9 +267,9 @@ def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
     sure = np.array([a.identifiable for a in answers])
     print(
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
-        + " ".join(f"{a.phi:.2f}" for a in answers)
+        + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
-    found = band_combinations(absorption, covariance, prior_logits(case.knowledge), areas, 1)
+    found = band_combinations(absorption, covariance, prior_logits(case.priors), areas, 1)
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)
@@ -301,10 +301,10 @@ def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandAn
         path.write_text(bras_campaign(folder.resolve()))
         measured, _ = measure(read_campaign(path), case.scene)
     begin = start(case)
-    energies = tuple(band_problems(case.scene, BANDS, case.knowledge, measured, binned, begin))
+    energies = tuple(band_problems(case.scene, BANDS, case.priors, measured, binned, begin))
     shared = [None if p is None else p.parameters for p in energies]
     values = value_problems(
-        case.scene, BANDS, case.knowledge, case.values, binned, begin, parameters=shared
+        case.scene, BANDS, case.priors, case.values, binned, begin, parameters=shared
     )
     joint = tuple(
         JointProblem((e, v)) if e is not None and v is not None else v
@@ -356,11 +356,11 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
     at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
     rng = np.random.default_rng(1)
     covariances = np.stack([a.logit_covariance for a in answers])
-    prior_mean, prior_sd = prior_logits(case.knowledge)
+    prior_mean, prior_sd = prior_logits(case.priors)
     fits = absorption_of(answers)
     draws = np.stack(
         [
-            draw_along_data(fits[:, b], covariances[b], prior_mean[:, b], prior_sd[:, b], 100, rng)
+            rto_draws(fits[:, b], covariances[b], prior_mean[:, b], prior_sd[:, b], 100, rng)
             for b in range(len(BANDS))
         ],
         axis=2,

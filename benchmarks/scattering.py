@@ -44,11 +44,11 @@ class Outcome:
         return min(GRID, key=lambda g: abs(np.log(max(s, 1e-3) / g)))
 
 
-def outcome(box: MeasuredBox, told: str, model: str) -> Outcome:
+def outcome(box: MeasuredBox, specified: str, model: str) -> Outcome:
     """Identify a campaign with what is told of scattering, and set the truth beside it."""
     text = box.campaign.read_text()
     file = box.campaign.with_name("told.toml")
-    file.write_text(text.replace("scattering = 0.0", f"scattering = {told}"))
+    file.write_text(text.replace("scattering = 0.0", f"scattering = {specified}"))
     answer = identify(replace(read_campaign(file), model=model))
     rows = np.array([box.materials.index(name) for name in answer.materials])
     bands = np.searchsorted(box.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
@@ -64,7 +64,7 @@ def line(name: str, done: list[Outcome]) -> str:
     )
     error, held = np.abs(value - true), (low <= true) & (true <= high)
     wrong = int(np.sum(sure & ~held))
-    phi = np.median([o.answer.phi for o in done])
+    phi = np.median([o.answer.chi2_reduced for o in done])
     null = np.stack(
         [o.answer.areas_m2 @ o.answer.absorption / o.answer.areas_m2.sum() for o in done]
     )
@@ -95,8 +95,8 @@ def main() -> None:
         with tempfile.TemporaryDirectory() as folder:
             walls = np.full(6, asked.scattering)
             box = write_scattering_box(random_plan(rng), walls, Path(folder), rng)
-            for name, told in cases:
-                done = outcome(box, told, asked.model)
+            for name, specified in cases:
+                done = outcome(box, specified, asked.model)
                 pooled.setdefault(name, []).append(done)
                 print(
                     line(f"{seed} {name}", [done]), *dict.fromkeys(done.answer.models), flush=True

@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from _wrongly_told import FAULTS, Fault, truth_of, write_wrongly_told
+from _wrongly_told import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import read_campaign
@@ -47,9 +47,9 @@ class Outcome:
 def outcome(fault: Fault, seed: int) -> Outcome:
     """Simulate, describe wrongly, and identify."""
     with tempfile.TemporaryDirectory() as folder:
-        told = write_wrongly_told(fault, seed, Path(folder))
-        answer = identify(read_campaign(told.campaign))
-    return Outcome(answer, truth_of(told, answer))
+        misspecified = write_misspecified(fault, seed, Path(folder))
+        answer = identify(read_campaign(misspecified.campaign))
+    return Outcome(answer, true_absorption_of(misspecified, answer))
 
 
 def line(name: str, done: list[Outcome]) -> str:
@@ -69,8 +69,8 @@ def line(name: str, done: list[Outcome]) -> str:
     miss = np.maximum(low - true, true - high)
     wrong = surely & ~held
     far = wrong & (miss > 0.5 * (high - low))
-    told = Counter(code for o in done for code in o.codes)
-    codes = " ".join(f"{code}:{n}" for code, n in sorted(told.items()))
+    counts = Counter(code for o in done for code in o.codes)
+    codes = " ".join(f"{code}:{n}" for code, n in sorted(counts.items()))
     return (
         f"{name:<24} {np.median(error):6.3f} {np.quantile(error, 0.9):6.3f} {held.mean():6.2f}"
         f" {np.median(high - low):6.3f} {surely.mean():6.2f} {wrong.sum():6d} {far.sum():5d}"

@@ -103,13 +103,13 @@ def core(found: list[Module]) -> list[Module]:
     """Return the modules that `roomfit.identify` cannot do without: what it imports, and so on."""
     names = frozenset(m.name for m in found)
     by_name = {m.name: m for m in found}
-    waiting, seen = [FRONT], {FRONT}
+    waiting, observed = [FRONT], {FRONT}
     while waiting:
         for name in imported(by_name[waiting.pop()], names) - {""}:
-            if name not in seen and name in by_name:
-                seen.add(name)
+            if name not in observed and name in by_name:
+                observed.add(name)
                 waiting.append(name)
-    return [m for m in found if m.name in seen]
+    return [m for m in found if m.name in observed]
 
 
 def functions(found: list[Module]) -> list[tuple[Module, ast.FunctionDef]]:

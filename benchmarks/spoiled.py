@@ -43,11 +43,11 @@ def spoil(kind: str, box: OtherBox, seed: int) -> None:
         pressure, _ = soundfile.read(box.campaign.parent / "LS2_MP2.wav")
     elif kind == "place":
         text = box.campaign.read_text()
-        told = re.search(r"\[receivers\.MP2\]\nposition = \[([^,]*),", text)
-        assert told is not None
-        x = float(told[1])
+        position = re.search(r"\[receivers\.MP2\]\nposition = \[([^,]*),", text)
+        assert position is not None
+        x = float(position[1])
         moved = x + 1.0 if x + 1.5 < box.lengths_m[0] else x - 1.0
-        box.campaign.write_text(text[: told.start(1)] + f"{moved}" + text[told.end(1) :])
+        box.campaign.write_text(text[: position.start(1)] + f"{moved}" + text[position.end(1) :])
     soundfile.write(target, pressure.astype(np.float32), rate_hz, subtype="FLOAT")
 
 
@@ -56,10 +56,10 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seeds", type=int, nargs="+", default=[2, 7])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
-    told = parser.parse_args()
+    arguments = parser.parse_args()
     print("seed kind      |error| median  90 %   hold  identifiable, wrong  findings")
-    for seed in told.seeds:
-        for kind in told.kinds:
+    for seed in arguments.seeds:
+        for kind in arguments.kinds:
             with tempfile.TemporaryDirectory() as folder:
                 box = write_other_box(seed, Path(folder))
                 spoil(kind, box, seed)

@@ -6,9 +6,9 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.certified.question import Misfit, Question
+from roomfit.certified.question import GlobalProblem, Misfit
 from roomfit.response.energy import EnergyRows
-from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import SquaresProblem, squares_problem
 from roomfit.typing import FloatArray
 
@@ -78,7 +78,7 @@ def misfit_by_hand(
 
 def random_case(
     seed: int, kind: Misfit, n_materials: int, window_s: float = 0.01, noise: float = 0.2
-) -> tuple[SquaresProblem, Question]:
+) -> tuple[SquaresProblem, GlobalProblem]:
     """Return a random room with noisy data, alphas up to 0.9995, and the question of its misfit."""
     rng = np.random.default_rng(seed)
     rows = box_room(rng, n_materials, window_s)
@@ -89,24 +89,26 @@ def random_case(
     measured = energy * rng.gamma(1.0 / noise**2, noise**2, energy.size)
     problem = SquaresProblem(rows, measured)
     precision = np.where(measured > 0.0, rng.uniform(0.5, 2.0, energy.size), 1.0)
-    question = squares_question(problem, kind, precision=precision, upper=0.9995)
-    return problem, question
+    global_problem = squares_global_problem(problem, kind, precision=precision, upper=0.9995)
+    return problem, global_problem
 
 
-def reaching_black(question: Question) -> Question:
+def reaching_black(global_problem: GlobalProblem) -> GlobalProblem:
     """Return the same question over absorptions up to 1."""
-    return replace(question, least=np.full(len(question.coordinates), -np.inf))
+    return replace(global_problem, least=np.full(len(global_problem.coordinates), -np.inf))
 
 
-def misfit_of(problem: SquaresProblem, question: Question, absorption: FloatArray) -> FloatArray:
+def misfit_of(
+    problem: SquaresProblem, global_problem: GlobalProblem, absorption: FloatArray
+) -> FloatArray:
     """Return the misfit of many points (n_points, n), by hand."""
     parts = np.array_split(absorption, max(len(absorption) // 2000, 1))
     return np.concatenate(
         [
             misfit_by_hand(
-                question.misfit,
+                global_problem.misfit,
                 problem.measured,
-                question.precision,
+                global_problem.precision,
                 energies_by_hand(problem.rows, part),
             )
             for part in parts

@@ -12,7 +12,13 @@ from roomfit.bands import Bands
 from roomfit.geometry.mesh import shoebox_mesh
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.coherent import CoherentProblem, coherent_problem
-from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.energy import (
+    EnergyProblem,
+    Observation,
+    fine_edges_s,
+    in_air,
+    squared_image_rows,
+)
 from roomfit.objective.parameters import Block, Geometry, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band
@@ -20,7 +26,7 @@ from roomfit.scene import Point, Room, Scene
 from roomfit.signals.filters import (
     FilterBank,
     energy_share,
-    smearing_kernel,
+    spreading_kernel,
     statistical_bandwidth_hz,
 )
 from roomfit.tracing.image_sources import trace_images
@@ -75,19 +81,19 @@ def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyPro
     """Return the energies of both observations, one gain for both."""
     bank = FilterBank(bands)
     bandwidth = float(statistical_bandwidth_hz(bank)[0])
-    kernel = smearing_kernel(bank)
+    kernel = spreading_kernel(bank)
     centres = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])
     observations = []
     for pair in range(2):
         edges = window_edges_s(0.006, END_S - 0.004, bandwidth, periods=0.75)
         fine = fine_edges_s(edges, bandwidth)
-        shares, fine_shares = (
+        shares, fine_spreading = (
             csr_array(energy_share(kernel, 0, centres, e).T) for e in (edges, fine)
         )
         n = edges.size - 1
         observations.append(
             Observation(
-                *(pair, edges, np.ones(n), np.zeros(n), shares, fine, fine_shares),
+                *(pair, edges, np.ones(n), np.zeros(n), shares, fine, fine_spreading),
                 *(csr_array(shares.shape), 0.0, 0),
             )
         )
@@ -102,7 +108,7 @@ def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyPro
     )
     problem = EnergyProblem(
         *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows),
-        *(tuple(lone_rows(r) for r in binned.rows), tuple(observations)),
+        *(tuple(squared_image_rows(r) for r in binned.rows), tuple(observations)),
         *(Parameters((absorption, gain)), 0.0, 0.0),
     )
     return in_air(problem)
@@ -110,10 +116,10 @@ def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyPro
 
 def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
     """Return the problem with other measured energies, observations end to end."""
-    seen = []
+    observed = []
     first = 0
     for o in problem.energies.observations:
         n = o.energy.size
-        seen.append(replace(o, energy=data[first : first + n]))
+        observed.append(replace(o, energy=data[first : first + n]))
         first += n
-    return replace(problem, energies=replace(problem.energies, observations=tuple(seen)))
+    return replace(problem, energies=replace(problem.energies, observations=tuple(observed)))

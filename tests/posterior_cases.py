@@ -45,12 +45,12 @@ class Posynomial:
 
     weight: FloatArray
     hits: FloatArray
-    seen: FloatArray
+    observed: FloatArray
     shape: float
     parameters: Parameters
 
     def measured(self) -> FloatArray:
-        return self.seen
+        return self.observed
 
     def predict(self, vector: FloatArray) -> Prediction:
         values, slopes = physical_values(self.parameters, vector)
@@ -67,14 +67,14 @@ class Posynomial:
     def variance(self, vector: FloatArray) -> FloatArray:
         return np.asarray(self.predict(vector).expected ** 2 / self.shape)
 
-    def counted_as_one(self) -> FloatArray:
-        return np.ones(self.seen.size)
+    def correlation_length(self) -> FloatArray:
+        return np.ones(self.observed.size)
 
-    def are_energies(self) -> BoolArray:
-        return np.ones(self.seen.size, dtype=np.bool_)
+    def is_gamma(self) -> BoolArray:
+        return np.ones(self.observed.size, dtype=np.bool_)
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        return gamma_log_likelihood(self.seen, expected, variance)
+        return gamma_log_likelihood(self.observed, expected, variance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,27 +82,29 @@ class Linear:
     """Gaussian data that are linear in all free numbers, the last of them a geometry's."""
 
     matrix: FloatArray
-    seen: FloatArray
+    observed: FloatArray
     sd: float
     parameters: Parameters
 
     def measured(self) -> FloatArray:
-        return self.seen
+        return self.observed
 
     def predict(self, vector: FloatArray) -> Prediction:
         return Prediction(self.matrix @ vector, self.matrix @ vector, self.matrix)
 
     def variance(self, _vector: FloatArray) -> FloatArray:
-        return np.full(self.seen.size, self.sd**2)
+        return np.full(self.observed.size, self.sd**2)
 
-    def counted_as_one(self) -> FloatArray:
-        return np.ones(self.seen.size)
+    def correlation_length(self) -> FloatArray:
+        return np.ones(self.observed.size)
 
-    def are_energies(self) -> BoolArray:
-        return np.zeros(self.seen.size, dtype=np.bool_)
+    def is_gamma(self) -> BoolArray:
+        return np.zeros(self.observed.size, dtype=np.bool_)
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        return np.asarray(-0.5 * (self.seen - expected) ** 2 / variance - 0.5 * np.log(variance))
+        return np.asarray(
+            -0.5 * (self.observed - expected) ** 2 / variance - 0.5 * np.log(variance)
+        )
 
 
 def linear_case(seed: int, n: int = 3, n_geometry: int = 4, n_data: int = 30) -> Linear:
@@ -118,8 +120,8 @@ def linear_case(seed: int, n: int = 3, n_geometry: int = 4, n_data: int = 30) ->
             )
         )
     matrix = rng.standard_normal((n_data, n + n_geometry))
-    seen = matrix @ rng.standard_normal(n + n_geometry) + 0.5 * rng.standard_normal(n_data)
-    return Linear(matrix, seen, 0.5, Parameters(tuple(blocks)))
+    observed = matrix @ rng.standard_normal(n + n_geometry) + 0.5 * rng.standard_normal(n_data)
+    return Linear(matrix, observed, 0.5, Parameters(tuple(blocks)))
 
 
 def decay_case(
@@ -133,8 +135,8 @@ def decay_case(
     blocks = (absorption_block(n), gain_block()) if gain else (absorption_block(n),)
     expected = (weight * np.exp(hits @ np.log1p(-np.asarray(truth)))).sum(axis=1)
     shape = 8.0
-    seen = expected * rng.gamma(shape, 1.0 / shape, n_windows)
-    return Posynomial(weight, hits, seen, shape, Parameters(blocks))
+    observed = expected * rng.gamma(shape, 1.0 / shape, n_windows)
+    return Posynomial(weight, hits, observed, shape, Parameters(blocks))
 
 
 def exchangeable_case() -> Posynomial:
@@ -142,7 +144,7 @@ def exchangeable_case() -> Posynomial:
     hits = np.array([[[1.0, 1.0], [1.0, 1.0]], [[3.0, 0.0], [0.0, 3.0]], [[2.0, 1.0], [1.0, 2.0]]])
     hits = np.repeat(hits, 4, axis=0)
     left = np.log1p(-np.array([0.1, 0.6]))
-    seen = np.exp(hits @ left).sum(axis=1)
+    observed = np.exp(hits @ left).sum(axis=1)
     return Posynomial(
-        np.ones(hits.shape[:2]), hits, seen, 60.0, Parameters((absorption_block(2, 0.3),))
+        np.ones(hits.shape[:2]), hits, observed, 60.0, Parameters((absorption_block(2, 0.3),))
     )

@@ -59,7 +59,7 @@ def answer_of(scene, *, kind="octave", low=125, high=4000, kept=(), findings=())
         upper95=upper,
         identifiable=upper - lower <= 0.2,
         mean_absorption=np.array([mean, 0.9 * mean, 1.1 * mean]),
-        phi=np.linspace(0.8, 2.6, m),
+        chi2_reduced=np.linspace(0.8, 2.6, m),
         cost=12.5,
         evaluations=120,
         converged=np.arange(m) % 2 == 0,

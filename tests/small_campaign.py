@@ -11,7 +11,7 @@ import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 
 RATE_HZ = 8000
 LENGTHS_M = (3.9, 3.1, 2.5)
@@ -70,7 +70,7 @@ def small_responses() -> dict[str, np.ndarray]:
     air = Air()
     owners = ("walls", "walls", "walls", "walls", "carpet", "tiles")
     absorption = np.array([[ABSORPTION[name]] * len(bands) for name in owners])
-    truth = BoxTruth(
+    truth = SyntheticBox(
         LENGTHS_M,
         bands.centres_hz,
         absorption,

@@ -51,11 +51,11 @@ def their_images(room: Any, scene: Scene) -> tuple[FloatArray, FloatArray]:
     """Return distance and energy left of every image that its receiver sees, nearest first."""
     room.image_source_model()
     source = room.sources[0]
-    seen = np.asarray(room.visibility[0][0]).astype(bool)
+    observed = np.asarray(room.visibility[0][0]).astype(bool)
     receiver = scene.receivers[0].position_m
-    distance = np.linalg.norm(source.images[:, seen].T - receiver, axis=1)
+    distance = np.linalg.norm(source.images[:, observed].T - receiver, axis=1)
     order = np.argsort(distance)
-    return distance[order], np.asarray(source.damping[0, seen] ** 2)[order]
+    return distance[order], np.asarray(source.damping[0, observed] ** 2)[order]
 
 
 def test_the_box_has_their_images() -> None:

@@ -110,9 +110,9 @@ def test_the_mean_reverberation_time_of_the_acoustic_laboratory(real_data):
 
     Told as approximate; the six scatter by 9 % at 125 Hz and 3 to 6 % above.
     """
-    told = np.array([0.29, 0.42, 0.56, 0.58, 0.55, 0.55])
+    reported = np.array([0.29, 0.42, 0.56, 0.58, 0.55, 0.55])
     values = [analysed(dechorate(real_data, m)[0]).of("T20_s") for m in range(1, 7)]
-    np.testing.assert_allclose(np.mean(values, axis=0), told, rtol=0.06)
+    np.testing.assert_allclose(np.mean(values, axis=0), reported, rtol=0.06)
 
 
 def test_arrivals_in_the_carpeted_laboratory_share_one_latency(real_data):

@@ -106,11 +106,15 @@ def test_a_hot_walk_goes_up_and_down_and_a_cold_one_only_down() -> None:
 
 def test_progress_rises_to_one() -> None:
     """One step for each temperature and one for the simplex."""
-    seen: list[float] = []
+    observed: list[float] = []
     anneal(
-        rastrigin, 1, np.random.default_rng(0), AnnealingSettings(levels=4), progress=seen.append
+        rastrigin,
+        1,
+        np.random.default_rng(0),
+        AnnealingSettings(levels=4),
+        progress=observed.append,
     )
-    assert seen == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
+    assert observed == pytest.approx([0.2, 0.4, 0.6, 0.8, 1.0])
 
 
 def test_settings_out_of_range_are_refused() -> None:

@@ -138,8 +138,8 @@ def test_a_fault_in_the_campaign_is_told_in_one_message(refusal, tmp_path, old, 
     ids=["leak", "zero-area", "wrong-unit", "unknown-unit", "no-unit", "no-faces", "no-room"],
 )
 def test_a_fault_in_the_room_file_is_told_with_its_place(refusal, tmp_path, content, unit, words):
-    told = 'file = "room.obj"' + (f'\nunit = "{unit}"' if unit else "")
-    campaign = write_campaign(tmp_path / "campaign", (SHOEBOX, told), (MATERIALS, ""))
+    specified = 'file = "room.obj"' + (f'\nunit = "{unit}"' if unit else "")
+    campaign = write_campaign(tmp_path / "campaign", (SHOEBOX, specified), (MATERIALS, ""))
     (tmp_path / "campaign" / "room.obj").write_text(content)
     message = refusal(campaign)
     assert all(word in message for word in words), message

@@ -45,7 +45,13 @@ REACH_M = {"paper": 60.0, "slanted": 34.0, "L": 38.0}
 def tree(room: Room, source: FloatArray, receivers: FloatArray, reach_m: float) -> list[ImageSet]:
     """Return the images of all orders within a distance."""
     return polyhedron_images(
-        room, source, receivers, ALL_ORDERS, reach_m, with_reflections=True, with_unfolding=True
+        room,
+        source,
+        receivers,
+        ALL_ORDERS,
+        reach_m,
+        with_reflections=True,
+        with_image_transforms=True,
     )
 
 
@@ -64,7 +70,7 @@ def test_a_box_has_the_images_of_the_lattice_to_the_last_one() -> None:
     lattice = shoebox_images(
         *(box_room(), source, receiver, ALL_ORDERS, 40.0),
         with_reflections=True,
-        with_unfolding=True,
+        with_image_transforms=True,
     )
     found = tree(box_room(lattice=False), source, receiver[None], 40.0)[0]
     assert len(lattice.length_m) == 3347
@@ -72,9 +78,11 @@ def test_a_box_has_the_images_of_the_lattice_to_the_last_one() -> None:
     places, expected = (s.arrival * s.length_m[:, None] for s in (found, lattice))
     order, theirs = (np.lexsort(np.round(p, 7).T) for p in (places, expected))
     np.testing.assert_allclose(places[order], expected[theirs], atol=10 * ATOL_M)
-    assert found.unfolding is not None
-    assert lattice.unfolding is not None
-    np.testing.assert_allclose(found.unfolding[order], lattice.unfolding[theirs], atol=1e-13)
+    assert found.image_transform is not None
+    assert lattice.image_transform is not None
+    np.testing.assert_allclose(
+        found.image_transform[order], lattice.image_transform[theirs], atol=1e-13
+    )
     np.testing.assert_allclose(found.departure[order], lattice.departure[theirs], atol=1e-12)
 
 
@@ -139,10 +147,10 @@ def their_images(
     theirs.add_source(source)
     theirs.add_microphone(receiver)
     theirs.image_source_model()
-    seen = np.asarray(theirs.visibility[0][0]).astype(bool)
-    distance = np.linalg.norm(theirs.sources[0].images[:, seen].T - receiver, axis=1)
+    observed = np.asarray(theirs.visibility[0][0]).astype(bool)
+    distance = np.linalg.norm(theirs.sources[0].images[:, observed].T - receiver, axis=1)
     near = np.argsort(distance)
-    return distance[near], np.asarray(theirs.sources[0].damping[0, seen] ** 2)[near]
+    return distance[near], np.asarray(theirs.sources[0].damping[0, observed] ** 2)[near]
 
 
 @pytest.mark.parametrize("name", ["box", *CELLS])
@@ -158,13 +166,13 @@ def test_moved_points_have_the_paths_that_the_unfolding_foretells(name: str) -> 
     ds, dr = np.array([0.002, -0.003, 0.001]), np.array([-0.0015, 0.002, 0.0025])
     still = uniform_scattering(room.materials, 0.0)
     before, after = (
-        trace_images(scene_of(room, [s], [r]), ALL_ORDERS, 0.09, still, with_unfolding=True)
+        trace_images(scene_of(room, [s], [r]), ALL_ORDERS, 0.09, still, with_image_transforms=True)
         for s, r in ((source, receiver), (source + ds, receiver + dr))
     )
-    assert before.unfolding is not None
+    assert before.image_transform is not None
     images = tree_or_lattice(room, source, receiver, 0.09 * SPEED_M_S)
-    seen = -images.length_m[:, None] * images.arrival
-    foretold = np.linalg.norm(seen + before.unfolding @ ds - dr, axis=1)
+    observed = -images.length_m[:, None] * images.arrival
+    foretold = np.linalg.norm(observed + before.image_transform @ ds - dr, axis=1)
     near = foretold < 0.09 * SPEED_M_S - 0.1
     gap = np.abs(after.length_m[None, :] - foretold[near, None]).min(axis=1)
     assert near.sum() > 100
@@ -197,7 +205,9 @@ def test_departure_and_arrival_are_the_first_derivatives_of_the_length(name: str
             slope = []
             for k, length in enumerate(images.length_m):
                 lengths = [
-                    s.length_m[np.argmin(np.linalg.norm(_seen(s) - _seen(images)[k], axis=1))]
+                    s.length_m[
+                        np.argmin(np.linalg.norm(_observed(s) - _observed(images)[k], axis=1))
+                    ]
                     for s in (ahead, behind)
                 ]
                 slope.append((lengths[0] - lengths[1]) / 2e-6)
@@ -205,7 +215,7 @@ def test_departure_and_arrival_are_the_first_derivatives_of_the_length(name: str
             np.testing.assert_allclose(slope, expected, atol=1e-7)
 
 
-def _seen(images: ImageSet) -> FloatArray:
+def _observed(images: ImageSet) -> FloatArray:
     return np.asarray(-images.length_m[:, None] * images.arrival)
 
 
@@ -214,7 +224,9 @@ def tree_or_lattice(
 ) -> ImageSet:
     """Return the images in the way that suits the room."""
     if room.shoebox_m is not None:
-        return shoebox_images(room, source, receiver, ALL_ORDERS, reach_m, with_unfolding=True)
+        return shoebox_images(
+            room, source, receiver, ALL_ORDERS, reach_m, with_image_transforms=True
+        )
     return tree(room, source, receiver[None], reach_m)[0]
 
 
@@ -224,12 +236,12 @@ def test_an_unfolding_turns_arrival_into_departure_and_mirrors_once_a_hit() -> N
         room_of(CELLS["slanted"]),
         *(np.array(SOURCES["slanted"]), np.array(RECEIVERS["slanted"]), 25.0),
     )[0]
-    assert found.unfolding is not None
-    eye = np.einsum("pij,pkj->pik", found.unfolding, found.unfolding)
+    assert found.image_transform is not None
+    eye = np.einsum("pij,pkj->pik", found.image_transform, found.image_transform)
     np.testing.assert_allclose(eye, np.broadcast_to(np.eye(3), eye.shape), atol=1e-13)
     parity = np.where(found.hits.sum(axis=1) % 2 == 0, 1.0, -1.0)
-    np.testing.assert_allclose(np.linalg.det(found.unfolding), parity, atol=1e-13)
-    back = np.einsum("pij,pi->pj", found.unfolding, found.arrival)
+    np.testing.assert_allclose(np.linalg.det(found.image_transform), parity, atol=1e-13)
+    back = np.einsum("pij,pi->pj", found.image_transform, found.arrival)
     np.testing.assert_allclose(back, found.departure, atol=1e-13)
 
 
@@ -238,16 +250,16 @@ def test_chosen_and_joined_paths_keep_reflections_and_unfolding() -> None:
     room = l_shaped_room()
     scene = scene_of(room, [[1.0, 1.0, 1.2]], [[1.3, 4.1, 0.9]])
     still = uniform_scattering(room.materials, 0.0)
-    rich = trace_images(scene, 3, 0.1, still, with_reflections=True, with_unfolding=True)
+    rich = trace_images(scene, 3, 0.1, still, with_reflections=True, with_image_transforms=True)
     poor = trace_images(scene, 2, 0.1, still)
-    assert poor.unfolding is None
+    assert poor.image_transform is None
     both = concatenate([poor, rich, poor])
     assert both.reflections is not None
-    assert both.unfolding is not None
+    assert both.image_transform is not None
     counts = np.diff(both.reflections.offsets)
     assert not counts[: len(poor)].any()
-    assert not both.unfolding[: len(poor)].any()
-    assert not both.unfolding[-len(poor) :].any()
+    assert not both.image_transform[: len(poor)].any()
+    assert not both.image_transform[-len(poor) :].any()
     own = np.arange(len(both))[len(poor) : len(poor) + len(rich)][::-3]
     kept = select(both, own)
     assert_rows(kept, rich, own - len(poor))
@@ -258,14 +270,14 @@ def assert_rows(kept: Paths, whole: Paths, index: IntArray) -> None:
     """Compare reflections and unfolding of chosen paths with their rows, one by one."""
     assert kept.reflections is not None
     assert whole.reflections is not None
-    assert kept.unfolding is not None
-    assert whole.unfolding is not None
+    assert kept.image_transform is not None
+    assert whole.image_transform is not None
     for i, k in enumerate(index):
         a = slice(*kept.reflections.offsets[i : i + 2])
         b = slice(*whole.reflections.offsets[k : k + 2])
         np.testing.assert_array_equal(kept.reflections.material[a], whole.reflections.material[b])
         np.testing.assert_array_equal(kept.reflections.cosine[a], whole.reflections.cosine[b])
-        np.testing.assert_array_equal(kept.unfolding[i], whole.unfolding[k])
+        np.testing.assert_array_equal(kept.image_transform[i], whole.image_transform[k])
 
 
 @pytest.mark.parametrize("name", CELLS)

@@ -63,18 +63,18 @@ values = st.recursive(
 )
 
 
-def told_apart(value: object) -> str:
+def specified_apart(value: object) -> str:
     """Another road to equality of kind and value: Python's own text of it."""
     if isinstance(value, dict):
-        return f"{{{sorted((k, told_apart(v)) for k, v in value.items())}}}"
+        return f"{{{sorted((k, specified_apart(v)) for k, v in value.items())}}}"
     if isinstance(value, list):
-        return f"[{[told_apart(v) for v in value]}]"
+        return f"[{[specified_apart(v) for v in value]}]"
     return f"{type(value).__name__} {value!r}"
 
 
 @given(values, values)
 def test_digests_are_equal_for_equal_values_and_for_no_others(one, other):
-    assert (digest(one) == digest(other)) == (told_apart(one) == told_apart(other))
+    assert (digest(one) == digest(other)) == (specified_apart(one) == specified_apart(other))
 
 
 def test_a_digest_tells_shape_and_type_of_an_array_apart():

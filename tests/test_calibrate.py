@@ -20,15 +20,15 @@ from roomfit.cli.commands import app
 from roomfit.coverage.calibrate import (
     Found,
     Replicate,
-    calibrate,
+    estimate_coverage,
     read_replicate,
     replicate_path,
     write_replicate,
 )
 from roomfit.coverage.report import (
-    calibrate_to_folder,
-    calibration_json,
-    calibration_text,
+    coverage_json,
+    coverage_text,
+    estimate_coverage_to_folder,
     result_text,
 )
 from roomfit.coverage.simulate import (
@@ -36,26 +36,26 @@ from roomfit.coverage.simulate import (
     CONVEX,
     TRACED,
     Sound,
-    made_rate_hz,
-    made_sound,
-    made_table,
     recorded,
-    road_of,
+    synthesis_of,
+    synthetic_rate_hz,
+    synthetic_sound,
+    synthetic_table,
     traced_pressures,
 )
 from roomfit.coverage.statistics import (
-    Calibration,
-    calibration_rows,
+    CoverageSample,
     coverage_at,
-    grouped_share,
+    coverage_rows,
+    grouped_proportion,
     scaled_errors,
 )
 from roomfit.coverage.truth import (
-    CalibrationPlan,
-    CalibrationSettings,
+    CoveragePlan,
+    CoverageSettings,
     TabulatedPair,
-    calibration_plan,
-    draw_truth,
+    coverage_plan,
+    draw_synthetic_room,
 )
 from roomfit.errors import InputError
 from roomfit.findings import Code
@@ -121,9 +121,9 @@ def campaign_file(folder: Path, text: str = CAMPAIGN) -> Path:
     return file
 
 
-def planned(folder: Path, text: str = CAMPAIGN) -> CalibrationPlan:
+def planned(folder: Path, text: str = CAMPAIGN) -> CoveragePlan:
     campaign = read_campaign(campaign_file(folder, text))
-    return calibration_plan(campaign, CalibrationSettings(snr_db=50.0))
+    return coverage_plan(campaign, CoverageSettings(snr_db=50.0))
 
 
 def logit(a):
@@ -136,7 +136,7 @@ def logit(a):
 def test_draws_have_the_spread_that_the_campaign_states(tmp_path):
     """400 draws: a mean is off by 4 standard errors once in 16,000, for 10 numbers each."""
     plan, rng = planned(tmp_path), np.random.default_rng(5)
-    truths = [draw_truth(plan, rng) for _ in range(400)]
+    truths = [draw_synthetic_room(plan, rng) for _ in range(400)]
     names = list(plan.room.materials)
     a = np.array([t.absorption for t in truths])
     ceiling = logit(a[:, names.index("ceiling"), 1])
@@ -159,7 +159,7 @@ def test_what_is_known_tied_or_bounded_stays_so(tmp_path):
     plan, rng = planned(tmp_path), np.random.default_rng(6)
     names = list(plan.room.materials)
     for _ in range(20):
-        truth = draw_truth(plan, rng)
+        truth = draw_synthetic_room(plan, rng)
         a = dict(zip(names, truth.absorption, strict=True))
         np.testing.assert_array_equal(a["floor"], 0.3)
         np.testing.assert_array_equal(a["north"], a["south"])
@@ -196,10 +196,10 @@ def test_draws_about_an_answer_have_its_covariance(tmp_path):
     }
     file = tmp_path / "result.json"
     file.write_text(json.dumps(content))
-    settings = CalibrationSettings(snr_db=50.0, result=file)
-    plan = calibration_plan(plan.campaign, settings)
+    settings = CoverageSettings(snr_db=50.0, result=file)
+    plan = coverage_plan(plan.campaign, settings)
     rng = np.random.default_rng(7)
-    drawn = logit(np.array([draw_truth(plan, rng).absorption for _ in range(400)]))
+    drawn = logit(np.array([draw_synthetic_room(plan, rng).absorption for _ in range(400)]))
     found = np.cov(drawn[:, i, 1], drawn[:, j, 1])
     np.testing.assert_allclose(found, [[0.09, 0.05], [0.05, 0.16]], rtol=0.3)
     np.testing.assert_allclose(drawn[:, i].mean(axis=0), logit(0.3), atol=4 * 0.3 / np.sqrt(400))
@@ -212,7 +212,7 @@ def test_an_answer_of_other_bands_is_refused(tmp_path):
     head = "material,band_hz,absorption,lower95,upper95,identifiable"
     file.write_text("\n".join((head, *rows)) + "\n")
     with pytest.raises(InputError, match="other materials or bands"):
-        calibration_plan(plan.campaign, CalibrationSettings(snr_db=50.0, result=file))
+        coverage_plan(plan.campaign, CoverageSettings(snr_db=50.0, result=file))
 
 
 def test_noise_and_length_are_those_of_the_measured_files(tmp_path):
@@ -224,7 +224,7 @@ def test_noise_and_length_are_those_of_the_measured_files(tmp_path):
         for name, pressure in small_responses().items():
             noisy = add_noise(pressure, level_db, np.random.default_rng(13))
             write_wav(folder / f"LS1_{name}.wav", noisy)
-        plans.append(calibration_plan(read_campaign(file), CalibrationSettings()))
+        plans.append(coverage_plan(read_campaign(file), CoverageSettings()))
     quiet, loud = plans
     assert quiet.length_s == pytest.approx(0.5)
     assert quiet.snr_db.shape == (2, len(quiet.grid))
@@ -235,16 +235,16 @@ def test_noise_and_length_are_those_of_the_measured_files(tmp_path):
 def test_a_changed_recording_makes_another_calibration(tmp_path):
     file = write_campaign(tmp_path)
     campaign = read_campaign(file)
-    before = calibration_plan(campaign, CalibrationSettings())
-    assert calibration_plan(campaign, CalibrationSettings(replicates=9)).digest == before.digest
-    assert calibration_plan(campaign, CalibrationSettings(seed=2)).digest != before.digest
+    before = coverage_plan(campaign, CoverageSettings())
+    assert coverage_plan(campaign, CoverageSettings(replicates=9)).digest == before.digest
+    assert coverage_plan(campaign, CoverageSettings(seed=2)).digest != before.digest
     write_wav(tmp_path / "LS1_MP1.wav", 1.5 * small_responses()["MP1"])
-    assert calibration_plan(campaign, CalibrationSettings()).digest != before.digest
+    assert coverage_plan(campaign, CoverageSettings()).digest != before.digest
     # where nothing is read of it, it does not count
-    stated = CalibrationSettings(snr_db=50.0)
-    told = calibration_plan(campaign, stated).digest
+    stated = CoverageSettings(snr_db=50.0)
+    reported = coverage_plan(campaign, stated).digest
     (tmp_path / "LS1_MP1.wav").unlink()
-    assert calibration_plan(campaign, stated).digest == told
+    assert coverage_plan(campaign, stated).digest == reported
 
 
 # How it sounds.
@@ -257,14 +257,14 @@ def test_three_roads_to_the_sound_of_a_box_agree(tmp_path):
     some per cent of the peak at most.
     """
     plan = planned(tmp_path)
-    truth = draw_truth(plan, np.random.default_rng(8))
+    truth = draw_synthetic_room(plan, np.random.default_rng(8))
     pairs = (("LS1", "MP1"), ("LS1", "MP2"))
-    assert road_of(plan, truth) == BOX
+    assert synthesis_of(plan, truth) == BOX
     rng = np.random.default_rng(1)
-    box = made_sound(replace(plan, length_s=0.06), truth, pairs, 16_000.0, rng)
+    box = synthetic_sound(replace(plan, length_s=0.06), truth, pairs, 16_000.0, rng)
     unboxed = replace(plan, length_s=0.06, room=replace(plan.room, shoebox_m=None))
-    assert road_of(unboxed, truth) == CONVEX
-    convex = made_sound(unboxed, truth, pairs, 16_000.0, rng)
+    assert synthesis_of(unboxed, truth) == CONVEX
+    convex = synthetic_sound(unboxed, truth, pairs, 16_000.0, rng)
     traced = traced_pressures(plan, truth, pairs, 0.06, 16_000.0, rng)
     for pair in pairs:
         expected = box.pressure[pair]
@@ -292,10 +292,10 @@ def test_a_convex_room_becomes_one_cell_and_others_none(tmp_path):
 def test_walls_that_scatter_and_odd_rooms_take_other_roads(tmp_path):
     text = CAMPAIGN.replace("scattering = 0.0", "scattering = 0.2")
     plan = planned(tmp_path, text)
-    truth = draw_truth(plan, np.random.default_rng(9))
-    assert road_of(plan, truth) == "images and scattered noise of a box"
+    truth = draw_synthetic_room(plan, np.random.default_rng(9))
+    assert synthesis_of(plan, truth) == "images and scattered noise of a box"
     unboxed = replace(plan, room=replace(plan.room, shoebox_m=None))
-    assert road_of(unboxed, truth) == TRACED
+    assert synthesis_of(unboxed, truth) == TRACED
 
 
 def test_a_recording_is_late_and_its_noise_lies_where_it_was_asked():
@@ -318,9 +318,9 @@ def test_a_recording_is_late_and_its_noise_lies_where_it_was_asked():
     for share, low, high in zip(
         octave_shares(grid.centres_hz, frequencies), grid.lower_hz, grid.upper_hz, strict=True
     ):
-        heard = np.fft.irfft(np.fft.rfft(clean) * share, clean.size) ** 2
+        observed = np.fft.irfft(np.fft.rfft(clean) * share, clean.size) ** 2
         size = round(max(0.01, 4.0 / (high - low)) * rate)
-        loudest = max(heard[i : i + size].mean() for i in range(0, heard.size - size, size))
+        loudest = max(observed[i : i + size].mean() for i in range(0, observed.size - size, size))
         noise = np.abs(np.fft.rfft(noisy - clean)) ** 2 / clean.size**2
         inside = (frequencies >= low) & (frequencies < high)
         level = 2.0 * noise[inside].sum()
@@ -339,10 +339,10 @@ def test_shares_of_third_octaves_add_to_one():
 def test_a_made_table_tells_what_the_sound_is(tmp_path):
     """Direct sound and an exponential tail of noise: G by hand, EDT the tail's; read back."""
     plan, rng = planned(tmp_path), np.random.default_rng(11)
-    truth = draw_truth(plan, rng)
+    truth = draw_synthetic_room(plan, rng)
     step = truth.receivers[0].position_m - truth.sources[0].position_m
     distance = float(np.linalg.norm(step))
-    rate, t60 = made_rate_hz(plan.campaign.bands), 0.5
+    rate, t60 = synthetic_rate_hz(plan.campaign.bands), 0.5
     first = distance / truth.speed_of_sound_m_s * rate
     n = np.arange(round(1.2 * rate))
     tail = np.where(n > first, 10.0 ** (-3.0 * (n - first) / rate / t60), 0.0)
@@ -350,7 +350,7 @@ def test_a_made_table_tells_what_the_sound_is(tmp_path):
     spread = np.full(2, np.nan)
     pair = TabulatedPair("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
     plan = replace(plan, tabulated=(pair,))
-    text = made_table(plan, truth, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
+    text = synthetic_table(plan, truth, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
     file = tmp_path / "table.csv"
     file.write_text(text)
     (values,), _ = read_parameters(file)
@@ -368,7 +368,7 @@ def test_a_made_table_tells_what_the_sound_is(tmp_path):
 def test_independent_values_have_the_exact_binomial_interval(n, k):
     k = min(k, n)
     hit = (np.arange(n) < k)[:, None]
-    share = grouped_share(hit, np.ones_like(hit))
+    share = grouped_proportion(hit, np.ones_like(hit))
     exact = binomtest(k, n).proportion_ci(0.95, method="exact")
     # the variance of a sample is n / (n - 1) of what the design effect compares with
     assert share.low <= exact.low + 1e-9
@@ -379,24 +379,24 @@ def test_independent_values_have_the_exact_binomial_interval(n, k):
 
 def test_values_that_repeat_one_another_count_once():
     hit = np.arange(30) % 10 < 7
-    once = grouped_share(hit[:, None], np.ones((30, 1), bool))
-    often = grouped_share(np.tile(hit[:, None], (1, 50)), np.ones((30, 50), bool))
+    once = grouped_proportion(hit[:, None], np.ones((30, 1), bool))
+    often = grouped_proportion(np.tile(hit[:, None], (1, 50)), np.ones((30, 50), bool))
     assert often.count == 50 * once.count
     assert often.low == pytest.approx(once.low, abs=0.01)
     assert often.high == pytest.approx(once.high, abs=0.01)
 
 
-def made(rng: np.random.Generator, stretch: float, n: int = 400) -> Calibration:
+def made(rng: np.random.Generator, stretch: float, n: int = 400) -> CoverageSample:
     """Return answers whose logit errors are Gaussian, intervals `stretch` times too wide."""
     bands, sd = bands_between("octave", 500, 1000), 0.4
     true = rng.normal(-1.0, 1.0, (n, 3, 2))
     found = true + sd * rng.standard_normal(true.shape)
     low, high = (found + s * 1.959964 * stretch * sd for s in (-1.0, 1.0))
     a, x, lo, hi = (1.0 / (1.0 + np.exp(-z)) for z in (true, found, low, high))
-    told = np.ones(true.shape, dtype=bool)
-    told[:, 2] = False
-    return Calibration(
-        ("a", "b", "held"), bands, a, x, lo, hi, hi - lo < 0.2, told,
+    has_interval = np.ones(true.shape, dtype=bool)
+    has_interval[:, 2] = False
+    return CoverageSample(
+        ("a", "b", "held"), bands, a, x, lo, hi, hi - lo < 0.2, has_interval,
         np.full((3, 2), 0.27), np.full((n, 2), 0.3), np.ones((n, 2)),
     )  # fmt: skip
 
@@ -405,7 +405,7 @@ def made(rng: np.random.Generator, stretch: float, n: int = 400) -> Calibration:
 def test_coverage_is_that_of_the_gaussian_it_was_made_with(stretch, expected):
     """1600 values: 4 standard errors are 2.2 % at 95 % and 4.7 % at 67 %."""
     found = made(np.random.default_rng(21), stretch)
-    together = calibration_rows(found)[-1]
+    together = coverage_rows(found)[-1]
     assert together.holds.of == 1600
     error = 4.0 * np.sqrt(expected * (1.0 - expected) / 1600)
     assert abs(together.holds.value - expected) < error
@@ -424,26 +424,26 @@ def test_coverage_is_that_of_the_gaussian_it_was_made_with(stretch, expected):
 
 def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     file = campaign_file(tmp_path)
-    asked = CalibrationSettings(replicates=2, snr_db=50.0)
+    asked = CoverageSettings(replicates=2, snr_db=50.0)
     campaign = read_campaign(file)
-    part = calibrate(campaign, tmp_path / "a", replace(asked, first=1))
-    assert (part.done, part.asked) == (1, 2)
+    part = estimate_coverage(campaign, tmp_path / "a", replace(asked, first=1))
+    assert (part.done, part.requested) == (1, 2)
     assert not replicate_path(tmp_path / "a", 0).exists()
     second = replicate_path(tmp_path / "a", 1)
     content, written = second.read_bytes(), second.stat().st_mtime_ns
-    result = calibrate_to_folder(file, tmp_path / "a", asked)
-    assert (result.done, result.roads) == (2, {BOX: 2})
+    result = estimate_coverage_to_folder(file, tmp_path / "a", asked)
+    assert (result.done, result.syntheses) == (2, {BOX: 2})
     assert second.stat().st_mtime_ns == written
     assert {p.name for p in (tmp_path / "a").iterdir()} == {
         *("replicates", "calibration.csv", "calibration.json", "calibration.png")
     }
-    told = json.loads((tmp_path / "a" / "calibration.json").read_text())
-    assert told == json.loads(json.dumps(calibration_json(result)))
+    reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
+    assert reported == json.loads(json.dumps(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
-    assert told["all"]["hold"]["of"] == 12
+    assert reported["all"]["hold"]["of"] == 12
     assert "2 of 2 replicates" in result_text(result)
     # the same seed anywhere else; only the seconds may differ
-    calibrate(campaign, tmp_path / "b", replace(asked, first=1))
+    estimate_coverage(campaign, tmp_path / "b", replace(asked, first=1))
     again = json.loads(replicate_path(tmp_path / "b", 1).read_text())
     first = json.loads(content)
     assert {k: v for k, v in again.items() if k != "seconds"} == {
@@ -452,7 +452,7 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     # another campaign must not be mixed in
     campaign_file(tmp_path, CAMPAIGN.replace("4.6, 3.7", "4.7, 3.7"))
     with pytest.raises(InputError, match="belongs to another calibration"):
-        calibrate(read_campaign(file), tmp_path / "a", asked)
+        estimate_coverage(read_campaign(file), tmp_path / "a", asked)
 
 
 @pytest.mark.slow
@@ -468,22 +468,22 @@ def test_tables_alone_are_calibrated_too(tmp_path):
     # walls hard enough to ring beyond the made files would leave no decay times
     text = text.replace("[materials.south]", "[materials.south]\nbounds = [0.2, 0.6]")
     campaign = read_campaign(campaign_file(tmp_path, text))
-    result = calibrate(campaign, tmp_path / "out", CalibrationSettings(replicates=2))
-    assert (result.done, result.refused, result.roads) == (2, (), {BOX: 2})
-    together = calibration_rows(result.found)[-1]
+    result = estimate_coverage(campaign, tmp_path / "out", CoverageSettings(replicates=2))
+    assert (result.done, result.refused, result.syntheses) == (2, (), {BOX: 2})
+    together = coverage_rows(result.found)[-1]
     assert together.holds.of == 6
     # three numbers from four: no 95 % interval of six is off but by chance, three less than once
     assert together.holds.count >= 4
 
 
 def test_refused_replicates_are_counted_and_told_without_their_folder():
-    rows = calibration_rows(made(np.random.default_rng(1), 1.0, n=3))
+    rows = coverage_rows(made(np.random.default_rng(1), 1.0, n=3))
     why = "the decay is cut short\n  where   /gone/0001.wav\n  found   12 dB\n  needed  15 dB"
     for refused, said in (
         ((why,), "1 replicate was refused; the first: the decay is cut short (12 dB)"),
         (("no sound", why), "2 replicates were refused; the first: no sound"),
     ):
-        text = calibration_text(rows, 5, 5, {BOX: 5}, {}, refused)
+        text = coverage_text(rows, 5, 5, {BOX: 5}, {}, refused)
         assert text.splitlines()[-1] == said
 
 
@@ -535,7 +535,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
     (tmp_path / "out").write_text("mine")
     campaign = read_campaign(campaign_file(tmp_path))
     with pytest.raises(InputError, match="is a file"):
-        calibrate(campaign, tmp_path / "out", CalibrationSettings(snr_db=50.0))
+        estimate_coverage(campaign, tmp_path / "out", CoverageSettings(snr_db=50.0))
     assert (tmp_path / "out").read_text() == "mine"
 
 
@@ -558,9 +558,9 @@ def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypa
     assert first.exit_code == 0, first.exception
     assert f"1 of 1 replicates; made by {CONVEX} (1)" in first.output
     written = replicate_path(out, 0).stat().st_mtime_ns
-    told = json.loads((out / "calibration.json").read_text())
-    assert told["made_by"] == {CONVEX: 1}
-    assert told["all"]["hold"]["of"] == len(slanted_cells().materials)
+    reported = json.loads((out / "calibration.json").read_text())
+    assert reported["made_by"] == {CONVEX: 1}
+    assert reported["all"]["hold"]["of"] == len(slanted_cells().materials)
     again = CliRunner().invoke(app, asked)
     assert again.output == first.output
     assert replicate_path(out, 0).stat().st_mtime_ns == written

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.materials.catalogue import catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 
@@ -44,7 +44,7 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
     assert campaign.measurements[0].level == "per-source"
     assert campaign.measurements[0].response.path == tmp_path / "a.wav"
     assert campaign.receivers[0].position_sd_m == 0.01
-    (carpet,) = material_knowledge(campaign, ("carpet",))
+    (carpet,) = material_priors(campaign, ("carpet",))
     assert sampling_scattering(carpet) == pytest.approx(0.2)
     assert carpet.known is None
 
@@ -101,17 +101,17 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
 def test_what_is_told_of_a_material_is_checked(tmp_path, line, words):
     text = GOOD.replace("scattering = 0.2", line)
     with pytest.raises(InputError, match=words):
-        material_knowledge(campaign_from(tmp_path, text), ("carpet", "other"))
+        material_priors(campaign_from(tmp_path, text), ("carpet", "other"))
 
 
 def test_a_material_that_the_room_does_not_have_is_refused_with_the_nearest(tmp_path):
     with pytest.raises(InputError, match=r"does not have(?s:.*)did you mean 'carpets'"):
-        material_knowledge(campaign_from(tmp_path, GOOD), ("carpets", "brick"))
+        material_priors(campaign_from(tmp_path, GOOD), ("carpets", "brick"))
 
 
 def test_a_prior_of_absorption_becomes_one_of_its_logit(tmp_path):
     text = GOOD.replace("scattering = 0.2", "prior = {mean = 0.5, sd = 0.05}")
-    (carpet,) = material_knowledge(campaign_from(tmp_path, text), ("carpet",))
+    (carpet,) = material_priors(campaign_from(tmp_path, text), ("carpet",))
     np.testing.assert_allclose(carpet.prior_logit_mean, 0.0, atol=1e-12)
     # the slope of the logit at one half is 4
     np.testing.assert_allclose(carpet.prior_logit_sd, 0.2)
@@ -124,7 +124,7 @@ def test_bounds_without_a_prior_keep_the_broad_one_where_it_fits_between_them(
     tmp_path, bounds, alpha
 ):
     text = GOOD.replace("scattering = 0.2", f"bounds = {bounds}")
-    (carpet,) = material_knowledge(campaign_from(tmp_path, text), ("carpet",))
+    (carpet,) = material_priors(campaign_from(tmp_path, text), ("carpet",))
     share = 1.0 / (1.0 + np.exp(-carpet.prior_logit_mean))
     np.testing.assert_allclose(carpet.lower + (carpet.upper - carpet.lower) * share, alpha)
 
@@ -164,7 +164,7 @@ def test_a_damaged_campaign_is_read_or_refused_in_our_words(
     path.write_text(GOOD[:position] + patch + GOOD[position + length :])
     try:
         campaign = read_campaign(path)
-        material_knowledge(campaign, ("carpet",))
+        material_priors(campaign, ("carpet",))
     except RoomfitError:
         pass
 
@@ -172,7 +172,7 @@ def test_a_damaged_campaign_is_read_or_refused_in_our_words(
 def test_a_prior_may_be_named_after_a_catalogue_entry(tmp_path):
     name = catalogue().names[0]
     campaign = campaign_from(tmp_path, GOOD.replace("scattering = 0.2", f'prior = "{name}"'))
-    (carpet,) = material_knowledge(campaign, ("carpet",))
+    (carpet,) = material_priors(campaign, ("carpet",))
     mean, sd = catalogue_prior(name, campaign.bands)
     logit, logit_sd = logit_prior(mean, sd)
     np.testing.assert_allclose(carpet.prior_logit_mean, logit)
@@ -182,6 +182,6 @@ def test_a_prior_may_be_named_after_a_catalogue_entry(tmp_path):
 def test_ties_and_delays_reach_the_knowledge_of_a_material(tmp_path):
     lines = 'same_absorption_as = "plaster"\ndelay_sd_ms = 0.3'
     campaign = campaign_from(tmp_path, GOOD.replace("scattering = 0.2", lines))
-    carpet, _ = material_knowledge(campaign, ("carpet", "plaster"))
+    carpet, _ = material_priors(campaign, ("carpet", "plaster"))
     assert carpet.tied_to == "plaster"
     assert carpet.wall_delay_sd_s == pytest.approx(3e-4)

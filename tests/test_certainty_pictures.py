@@ -42,8 +42,8 @@ def test_the_matrix_shows_widths_and_marks_what_is_identifiable(answer):
     width = answer.upper95 - answer.lower95
     np.testing.assert_array_equal(np.ravel(axes.collections[0].get_array()), width.ravel())
     texts = [t.get_text() for t in axes.texts]
-    told = [float(t.split()[-1]) for t in texts]
-    np.testing.assert_allclose(told, width.ravel(), atol=0.00501)
+    reported = [float(t.split()[-1]) for t in texts]
+    np.testing.assert_allclose(reported, width.ravel(), atol=0.00501)
     ticks = ["\N{CHECK MARK}" in t for t in texts]
     np.testing.assert_array_equal(np.reshape(ticks, width.shape), answer.identifiable)
 

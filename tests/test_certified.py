@@ -15,10 +15,10 @@ from roomfit.certified import search as boxes_module
 from roomfit.certified.bounds import planes_over, powers
 from roomfit.certified.certificate import certify, touching
 from roomfit.certified.convex import is_convex, least_over, priors_over
-from roomfit.certified.question import Misfit, Question
-from roomfit.certified.search import Lowest, Searched, SearchSettings, examine, search, tools_for
+from roomfit.certified.question import GlobalProblem, Misfit
+from roomfit.certified.search import Incumbent, Searched, SearchSettings, examine, search, tools_for
 from roomfit.errors import InputError
-from roomfit.suh2001.repeat import squares_question
+from roomfit.suh2001.repeat import squares_global_problem
 from roomfit.suh2001.room import (
     DIVISIONS,
     SquaresProblem,
@@ -40,28 +40,32 @@ KINDS: tuple[Misfit, ...] = ("squares", "logarithms", "gamma")
 
 
 def points_near_the_lowest(
-    problem: SquaresProblem, question: Question, found: Searched, rng: np.random.Generator, n: int
+    problem: SquaresProblem,
+    global_problem: GlobalProblem,
+    found: Searched,
+    rng: np.random.Generator,
+    n: int,
 ) -> tuple[FloatArray, FloatArray]:
     """Return points in alpha and their misfits: all over the domain, and a walk of small misfits.
 
     The walkers start from the lowest point, and go wherever the misfit stays within delta of it.
     """
-    dim = len(question.coordinates)
+    dim = len(global_problem.coordinates)
     lowest = 1.0 - np.exp(found.minimiser)
     limit = found.value + found.delta
     walkers = np.tile(lowest, (n // 10, 1))
-    seen = [rng.random((n // 10, dim)) * 0.9995]
+    observed = [rng.random((n // 10, dim)) * 0.9995]
     step = 0.1 * np.ones((n // 10, 1))
     for _ in range(9):
         moved = walkers + step * rng.standard_normal((n // 10, dim)) * rng.random((n // 10, 1))
         # mirrored back into the domain
         moved = np.clip(np.abs(moved), 0.0, 0.9995)
-        inside = misfit_of(problem, question, moved) <= limit
+        inside = misfit_of(problem, global_problem, moved) <= limit
         walkers = np.where(inside[:, None], moved, walkers)
         step = np.where(inside[:, None], 1.5 * step, 0.4 * step)
-        seen.append(moved)
-    points = np.concatenate(seen)
-    return points, misfit_of(problem, question, points)
+        observed.append(moved)
+    points = np.concatenate(observed)
+    return points, misfit_of(problem, global_problem, points)
 
 
 def outside(found: Searched, points: FloatArray) -> FloatArray:
@@ -82,14 +86,14 @@ def broken_promises(seeds: range, kind: Misfit, n_points: int) -> tuple[int, int
     """Search random rooms; count points below the threshold, and those that prove it wrong."""
     low, wrong = 0, 0
     for seed in seeds:
-        problem, question = random_case(seed, kind, 2 + seed % 3)
+        problem, global_problem = random_case(seed, kind, 2 + seed % 3)
         if seed % 2:
-            question = reaching_black(question)
-        first = search(question, SearchSettings(1e-6, max_boxes=2))
+            global_problem = reaching_black(global_problem)
+        first = search(global_problem, SearchSettings(1e-6, max_boxes=2))
         delta = 0.2 * first.value + 1e-6
-        found = search(question, SearchSettings(delta, width=0.05, max_boxes=500))
+        found = search(global_problem, SearchSettings(delta, width=0.05, max_boxes=500))
         rng = np.random.default_rng(1000 + seed)
-        points, values = points_near_the_lowest(problem, question, found, rng, n_points)
+        points, values = points_near_the_lowest(problem, global_problem, found, rng, n_points)
         below = values <= found.value + delta
         low += int(below.sum())
         wrong += int(np.count_nonzero(outside(found, points[below])))
@@ -107,12 +111,12 @@ def test_no_point_below_the_threshold_lies_outside_the_cover(kind: Misfit) -> No
 
 
 def random_boxes(
-    question: Question, rng: np.random.Generator, n: int
+    global_problem: GlobalProblem, rng: np.random.Generator, n: int
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return boxes of every size in g, with 200 points of each: corners, faces and inside."""
     out = []
     for _ in range(n):
-        dim = len(question.coordinates)
+        dim = len(global_problem.coordinates)
         centre = np.log(rng.uniform(1e-3, 1.0, dim))
         half = rng.uniform(0.0, 1.0, dim) * 10.0 ** rng.uniform(-4.0, 0.3)
         box = np.stack((centre - half, np.minimum(centre + half, 0.0)))
@@ -121,9 +125,11 @@ def random_boxes(
     return out
 
 
-def bound_over(question: Question, box: FloatArray, planes: Any, threshold: float) -> float:
+def bound_over(
+    global_problem: GlobalProblem, box: FloatArray, planes: Any, threshold: float
+) -> float:
     """Return the convex lower bound over one box, which no point below a threshold goes under."""
-    tools = tools_for(question)
+    tools = tools_for(global_problem)
     corners, apart, own, centre, half = planes(
         *(tools.kind, tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
         *(threshold, tools.values),
@@ -139,15 +145,15 @@ def bounds_broken(planes: Any, kind: Misfit, n_materials: int) -> tuple[int, flo
     """Count the points whose misfit lies below the bound of their box; and how tight bounds are."""
     broken, tight = 0, []
     for seed in range(6):
-        problem, question = random_case(seed, kind, n_materials)
+        problem, global_problem = random_case(seed, kind, n_materials)
         if seed % 2:
             # more energy than any absorption leaves: the upper planes decide
             factor = 1.8 if kind == "squares" else 100.0
             problem = replace(problem, measured=factor * problem.measured)
-            question = replace(question, measured=problem.measured)
-        for box, points in random_boxes(question, np.random.default_rng(seed), 30):
-            values = misfit_of(problem, question, 1.0 - np.exp(points))
-            bound = bound_over(question, box, planes, 1.001 * values.min() + 1e-12)
+            global_problem = replace(global_problem, measured=problem.measured)
+        for box, points in random_boxes(global_problem, np.random.default_rng(seed), 30):
+            values = misfit_of(problem, global_problem, 1.0 - np.exp(points))
+            bound = bound_over(global_problem, box, planes, 1.001 * values.min() + 1e-12)
             # misfits by hand are rounded: energies by 1e-13 of themselves
             slack = 1e-9 * (values + 1e-9)
             broken += int(np.count_nonzero(values + slack < bound))
@@ -194,11 +200,11 @@ def test_half_a_remainder_is_caught_by_points_outside_the_cover(
 def test_log_energies_lie_between_the_planes(n_materials: int) -> None:
     """Point by point and window by window, with vertices and, above eight, with moments."""
     rng = np.random.default_rng(n_materials)
-    problem, question = random_case(3, "squares", min(n_materials, 4))
+    problem, global_problem = random_case(3, "squares", min(n_materials, 4))
     if n_materials > 4:
         hits = rng.poisson(0.7, (len(problem.rows), n_materials))
-        question = replace(
-            question,
+        global_problem = replace(
+            global_problem,
             coordinates=tuple(f"m{i}" for i in range(n_materials)),
             is_absorption=np.ones(n_materials, dtype=bool),
             exponents=hits,
@@ -206,18 +212,18 @@ def test_log_energies_lie_between_the_planes(n_materials: int) -> None:
             most=np.zeros(n_materials),
             prior=np.zeros((n_materials, 4)),
         )
-    tools = tools_for(question)
+    tools = tools_for(global_problem)
     checked = 0
-    for box, points in random_boxes(question, rng, 60):
+    for box, points in random_boxes(global_problem, rng, 60):
         corners, _, planes, centre, _ = planes_over(
             *(tools.kind, tools.data, box[0], box[1], tools.most, tools.nodes, tools.rounding),
             *(np.inf, tools.values),
         )
         assert np.isfinite(corners)
         level, slope, remainder, _, _, planar = planes
-        each = question.weight * np.exp(points @ question.exponents.T.astype(float))
+        each = global_problem.weight * np.exp(points @ global_problem.exponents.T.astype(float))
         for i in np.flatnonzero(planar):
-            energy = each[:, question.offsets[i] : question.offsets[i + 1]].sum(axis=1)
+            energy = each[:, global_problem.offsets[i] : global_problem.offsets[i + 1]].sum(axis=1)
             off = np.log(energy) - level[i] - (points - centre) @ slope[i]
             # numpy's own sums, exponentials and logarithms: 1e-12 of numbers below 100
             assert np.all(off >= -1e-10)
@@ -231,10 +237,10 @@ def test_where_a_box_is_called_convex_chords_lie_above(kind: Misfit) -> None:
     """Midpoints of random chords; and a good part of the small boxes near the lowest is convex."""
     convex = 0
     for seed in range(6):
-        problem, question = random_case(seed, kind, 3)
-        tools = tools_for(question)
+        problem, global_problem = random_case(seed, kind, 3)
+        tools = tools_for(global_problem)
         rng = np.random.default_rng(seed)
-        place = search(question, SearchSettings(1e-6, max_boxes=2)).minimiser
+        place = search(global_problem, SearchSettings(1e-6, max_boxes=2)).minimiser
         for _ in range(30):
             half = rng.uniform(0.2, 1.0, 3) * 10.0 ** rng.uniform(-3.0, 0.0)
             box = np.stack((place - half, place + half))
@@ -243,7 +249,7 @@ def test_where_a_box_is_called_convex_chords_lie_above(kind: Misfit) -> None:
             convex += 1
             ends = box[0] + rng.random((2, 200, 3)) * (box[1] - box[0])
             one, two, middle = (
-                misfit_of(problem, question, 1.0 - np.exp(g))
+                misfit_of(problem, global_problem, 1.0 - np.exp(g))
                 for g in (ends[0], ends[1], 0.5 * (ends[0] + ends[1]))
             )
             assert np.all(middle <= 0.5 * (one + two) * (1.0 + 1e-9) + 1e-12)
@@ -253,15 +259,17 @@ def test_where_a_box_is_called_convex_chords_lie_above(kind: Misfit) -> None:
 def test_no_other_method_goes_below_the_lower_bound() -> None:
     """Least squares from random starts and Nelder-Mead, six random rooms, alphas up to 1."""
     for seed in range(6):
-        problem, question = random_case(seed, "squares", 3)
-        question = replace(question, precision=np.ones(question.measured.size))
+        problem, global_problem = random_case(seed, "squares", 3)
+        global_problem = replace(global_problem, precision=np.ones(global_problem.measured.size))
         settings = SearchSettings(1e-3 * problem.measured @ problem.measured, width=0.2)
-        found = certify(reaching_black(question), settings)
+        found = certify(reaching_black(global_problem), settings)
         assert found.status == "certified"
         rng = np.random.default_rng(seed)
         fit = fit_least_squares(partial(residuals, problem), rng.random((8, 3)))
         simplex = minimize(
-            lambda x, p=problem, q=question: float(misfit_of(p, q, np.clip(x, 0, 1)[None])[0]),
+            lambda x, p=problem, q=global_problem: float(
+                misfit_of(p, q, np.clip(x, 0, 1)[None])[0]
+            ),
             rng.random(3),
             method="Nelder-Mead",
         )
@@ -272,21 +280,21 @@ def test_no_other_method_goes_below_the_lower_bound() -> None:
 
 def test_a_search_that_is_stopped_says_so_and_its_bound_still_holds() -> None:
     """After five boxes of many; the cover and the bound are proven all the same."""
-    problem, question = random_case(4, "gamma", 4)
-    stopped = search(question, SearchSettings(0.1, max_boxes=5))
-    found = certify(question, SearchSettings(0.1, max_boxes=5))
+    problem, global_problem = random_case(4, "gamma", 4)
+    stopped = search(global_problem, SearchSettings(0.1, max_boxes=5))
+    found = certify(global_problem, SearchSettings(0.1, max_boxes=5))
     assert stopped.n_open > 0
     assert found.status == "stopped"
     assert f"{found.n_open} boxes are open" in found.sentence
     points = np.random.default_rng(1).random((5000, 4)) * 0.9995
-    values = misfit_of(problem, question, points)
+    values = misfit_of(problem, global_problem, points)
     assert np.all(values >= stopped.lower_bound)
     assert not outside(stopped, points[values <= stopped.value + 0.1]).any()
 
 
 def test_an_interrupt_loses_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
     """Ctrl-C in the middle: what is left covers the same points."""
-    problem, question = random_case(5, "squares", 3)
+    problem, global_problem = random_case(5, "squares", 3)
     calls = 0
 
     def interrupted(*arguments: Any) -> Any:
@@ -297,10 +305,10 @@ def test_an_interrupt_loses_no_box(monkeypatch: pytest.MonkeyPatch) -> None:
         return examine(*arguments)
 
     monkeypatch.setattr("roomfit.certified.search.examine", interrupted)
-    found = search(question, SearchSettings(1e-3))
+    found = search(global_problem, SearchSettings(1e-3))
     assert found.n_open > 0
     points = np.random.default_rng(2).random((20_000, 3)) * 0.9995
-    values = misfit_of(problem, question, points)
+    values = misfit_of(problem, global_problem, points)
     assert not outside(found, points[values <= found.value + 1e-3]).any()
     assert np.all(values >= found.lower_bound)
 
@@ -342,12 +350,12 @@ def paths() -> Paths:
 def test_case_1_with_its_walls_apart_has_exactly_two_minimisers(paths: Paths) -> None:
     """With mirror-symmetric rays: the truth, and south and north exchanged; each proven alone."""
     problem = walls_apart_problem(paths, mirrored=True)
-    found = certify(squares_question(problem.squares), SearchSettings(1e-8))
+    found = certify(squares_global_problem(problem.squares), SearchSettings(1e-8))
     assert found.status == "certified"
     assert len(found.clusters) == 2
     assert all(c.unique for c in found.clusters)
-    mirrored = problem.truth[[0, 1, 2, 4, 3]]
-    for expected in (problem.truth, mirrored):
+    mirrored = problem.true_absorption[[0, 1, 2, 4, 3]]
+    for expected in (problem.true_absorption, mirrored):
         off = min(np.abs(c.minimiser - expected).max() for c in found.clusters)
         assert off < 1e-6
 
@@ -360,7 +368,7 @@ def test_answers_far_apart_are_two_clusters(paths: Paths) -> None:
         division_rows(p, 1, ill_defined_edges_s(0), DIVISIONS[4]) for p in (paths, other)
     )
     problem = squares_problem(own_rows, window_energies(other_rows, truth))
-    found = certify(squares_question(problem), SearchSettings(1e-6, width=0.05))
+    found = certify(squares_global_problem(problem), SearchSettings(1e-6, width=0.05))
     assert found.status == "certified"
     assert len(found.clusters) == 2
     far, near = sorted(found.clusters, key=lambda c: -abs(c.minimiser[0] - truth[0]))
@@ -379,26 +387,26 @@ def test_answers_far_apart_are_two_clusters(paths: Paths) -> None:
 def test_seven_materials_of_the_paper_room_are_certified(paths: Paths) -> None:
     """One cluster, which holds the truth and is proven to hold one minimiser."""
     problem = paper_problem("seven_materials", paths)
-    found = certify(squares_question(problem.squares), SearchSettings(1e-8))
+    found = certify(squares_global_problem(problem.squares), SearchSettings(1e-8))
     assert found.status == "certified"
     (only,) = found.clusters
     assert only.unique
-    assert np.all((only.lower <= problem.truth) & (problem.truth <= only.upper))
+    assert np.all((only.lower <= problem.true_absorption) & (problem.true_absorption <= only.upper))
     assert found.boxes < 2000
 
 
 def test_what_cannot_be_certified_is_refused() -> None:
     """Nothing unknown, a dark window under logarithms, and settings out of range."""
-    problem, question = random_case(1, "gamma", 2)
+    problem, global_problem = random_case(1, "gamma", 2)
     with pytest.raises(InputError, match="no logarithm"):
-        replace(question, measured=0.0 * question.measured)
+        replace(global_problem, measured=0.0 * global_problem.measured)
     with pytest.raises(InputError, match="nothing to certify"):
-        replace(question, coordinates=())
+        replace(global_problem, coordinates=())
     with pytest.raises(InputError, match="largest absorption"):
-        squares_question(problem, upper=0.0)
+        squares_global_problem(problem, upper=0.0)
     with pytest.raises(InputError, match="delta must be above zero"):
         SearchSettings(0.0)
-    lowest = Lowest(1.0, np.zeros(2))
+    lowest = Incumbent(1.0, np.zeros(2))
     lowest.offer(2.0, np.ones(2))
     assert lowest.value == 1.0
     assert powers(np.array([-np.inf]), 2).tolist() == [[1.0, 0.0, 0.0]]

@@ -21,7 +21,7 @@ from roomfit.certified.certificate import (
     tracing_delta,
 )
 from roomfit.certified.convex import total_misfit
-from roomfit.certified.question import energy_question, free_vector
+from roomfit.certified.question import energy_global_problem, free_vector
 from roomfit.certified.search import tools_for
 from roomfit.findings import Code
 from roomfit.inversion import bands as fitting
@@ -74,9 +74,9 @@ def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Answer, li
     """Its rows merged and smeared, against residuals and priors by the fit's own prediction."""
     (problem,) = certified[1]
     fit = fit_band(problem, gauss_newton, gauss_newton)
-    question = energy_question(problem, fit.vector)
-    tools = tools_for(question)
-    spread = problem.variance(fit.vector) * problem.counted_as_one()
+    global_problem = energy_global_problem(problem, fit.vector)
+    tools = tools_for(global_problem)
+    spread = problem.variance(fit.vector) * problem.correlation_length()
     rng = np.random.default_rng(3)
     for _ in range(20):
         vector = fit.vector + rng.normal(0.0, 0.7, fit.vector.size)
@@ -97,7 +97,7 @@ def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Answer, list[A
     """Louder rays have louder noise; image sources alone have none, and the least delta is left."""
     (problem,) = certified[1]
     fit = fit_band(problem, gauss_newton, gauss_newton)
-    precision = 0.5 / (problem.variance(fit.vector) * problem.counted_as_one())
+    precision = 0.5 / (problem.variance(fit.vector) * problem.correlation_length())
     louder = tuple(
         replace(rows, weight_per_m2=np.where(rows.batch >= 0, 30.0, 1.0) * rows.weight_per_m2)
         for rows in problem.rows
@@ -177,7 +177,7 @@ def test_what_is_too_large_or_no_energy_is_refused(
         certified_fit(object())  # type: ignore[arg-type]
     with pytest.raises(roomfit.InputError, match="stand in the rows"):
         fit = fit_band(problem, gauss_newton, gauss_newton)
-        energy_question(replace(problem, attenuation_per_m=0.01), fit.vector)
+        energy_global_problem(replace(problem, attenuation_per_m=0.01), fit.vector)
     assert isinstance(problem, EnergyProblem)
 
 
@@ -195,7 +195,7 @@ def test_open_searches_and_several_answers_are_findings(
     stopped = replace(clean, status="stopped", lower_bound=clean.value - 1.0)
     assert [f.code for f in certificate_findings(bands, [stopped])] == [Code.NOT_CERTIFIED]
     two = replace(proof, clusters=(cluster, cluster))
-    told = certificate_text(replace(certified[0], certificates=(two,)))
-    assert proof.sentence in told
-    assert told.count("gain of LS1") == 2
+    reported = certificate_text(replace(certified[0], certificates=(two,)))
+    assert proof.sentence in reported
+    assert reported.count("gain of LS1") == 2
     assert [f.code for f in certificate_findings(bands, [two])] == [Code.MULTIPLE_MINIMA_CERTIFIED]

@@ -73,9 +73,9 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     with (out / "absorption.csv").open() as stream:
         rows = list(csv.DictReader(stream))
     for row in rows:
-        told = result["materials"][row["material"]]
+        reported = result["materials"][row["material"]]
         band = result["bands_hz"].index(float(row["band_hz"]))
-        assert float(row["absorption"]) == pytest.approx(told["absorption"][band], abs=5e-6)
+        assert float(row["absorption"]) == pytest.approx(reported["absorption"][band], abs=5e-6)
     table = next(line for line in shown.out.splitlines() if line.startswith("carpet"))
     assert f"{result['materials']['carpet']['absorption'][0]:.2f}"[1:] in table
 
@@ -96,11 +96,11 @@ def test_check_tells_a_room_in_numbers_and_its_faults_in_words(tmp_path, monkeyp
     room = tmp_path / "room.obj"
     room.write_text(box_obj())
     assert run_command(monkeypatch, "check", room, "--unit", "m") == 0
-    told = capsys.readouterr().out
+    reported = capsys.readouterr().out
     # 3.9 * 3.1 * 2.5 and 2 (3.9 * 3.1 + (3.9 + 3.1) 2.5)
-    assert "30.22 m3" in told
-    assert "59.18 m2" in told
-    assert "The room can be traced" in told
+    assert "30.22 m3" in reported
+    assert "59.18 m2" in reported
+    assert "The room can be traced" in reported
 
     room.write_text(box_obj(without="ceiling"))
     assert run_command(monkeypatch, "check", room, "--unit", "m") == 2
@@ -117,9 +117,9 @@ def test_check_of_a_campaign_names_every_wrong_position_at_once(tmp_path, monkey
         ("position = [2.9, 2.2, 1.3]", "position = [2.9, 22.0, 1.3]"),
     )
     assert run_command(monkeypatch, "check", bad) == 2
-    told = capsys.readouterr().out
-    assert "source 'LS1' stands in a wall" in told
-    assert "receiver 'MP1' stands outside the room" in told
+    reported = capsys.readouterr().out
+    assert "source 'LS1' stands in a wall" in reported
+    assert "receiver 'MP1' stands outside the room" in reported
 
 
 def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monkeypatch, capsys):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_problem, with_data
-from roomfit.inversion.sequential import without_band
+from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import widened_by_neighbours
 from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import (
@@ -20,7 +20,7 @@ from roomfit.objective.parameters import (
     start_vector,
     whole_covariance,
 )
-from roomfit.objective.problem import Prediction, SoftenedProblem
+from roomfit.objective.problem import InflatedVariance, Prediction
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import BandAnswer
@@ -53,10 +53,10 @@ class Linear:
     def variance(self, vector: FloatArray) -> FloatArray:
         return np.ones(self.data.size) + 0.0 * vector[0]
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         return np.ones(self.data.size)
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         return np.zeros(self.data.size, dtype=np.bool_)
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
@@ -100,8 +100,8 @@ def test_what_is_carried_from_band_to_band_is_the_joint_answer(seed: int) -> Non
     """Two linear bands one after the other, against one system with all unknowns."""
     bands = _bands(seed)
     first = score_band(_carried(bands, None, 0), np.zeros(5))
-    told = marginal(first, N_OWN, np.eye(N_SHARED))
-    joint = JointPrior(GEOMETRY, told.mean, told.information)
+    reported = marginal(first, N_OWN, np.eye(N_SHARED))
+    joint = JointPrior(GEOMETRY, reported.mean, reported.information)
     second = score_band(_carried(bands, joint, 1), np.zeros(5))
     mean, covariance = _joint_answer(bands)
     own = slice(2 * N_OWN, None)
@@ -120,7 +120,7 @@ def test_a_bands_own_say_is_taken_out_before_it_is_fitted_again() -> None:
     second = score_band(_carried(bands, joint, 1), np.zeros(5))
     final = marginal(second, N_OWN, after_first.information)
     again = score_band(
-        _carried(bands, without_band(final, after_first, np.eye(N_SHARED)), 0), np.zeros(5)
+        _carried(bands, cavity_prior(final, after_first, np.eye(N_SHARED)), 0), np.zeros(5)
     )
     _, covariance = _joint_answer(bands)
     whole = np.linalg.inv(again.information)
@@ -162,7 +162,7 @@ def test_softened_data_have_larger_variances_and_nothing_else() -> None:
     """Factor by factor."""
     problem = small_problem()
     factor = np.linspace(1.0, 3.0, problem.measured().size)
-    soft = SoftenedProblem(problem, factor)
+    soft = InflatedVariance(problem, factor)
     vector = start_vector(problem.parameters)
     np.testing.assert_allclose(soft.variance(vector), factor * problem.variance(vector))
     np.testing.assert_array_equal(soft.predict(vector).expected, problem.predict(vector).expected)

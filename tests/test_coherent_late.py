@@ -24,7 +24,7 @@ from roomfit.objective.parameters import start_vector
 from roomfit.objective.windows import in_windows, window_edges_s
 from roomfit.response.binned import bin_paths, in_band
 from roomfit.response.energy import weigh
-from roomfit.signals.filters import FilterBank, share_matrix, smearing_kernel
+from roomfit.signals.filters import FilterBank, spreading_kernel, spreading_matrix
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 
@@ -40,8 +40,8 @@ def whole() -> CoherentProblem:
 @pytest.fixture(scope="module")
 def cut(whole: CoherentProblem) -> CoherentProblem:
     """Return the same with pressures only in windows that end by CUT_S."""
-    seen = tuple(first_windows(o, CUT_S) for o in whole.energies.observations)
-    return replace(whole, early=seen)
+    observed = tuple(first_windows(o, CUT_S) for o in whole.energies.observations)
+    return replace(whole, early=observed)
 
 
 def _late(problem: CoherentProblem) -> np.ndarray:
@@ -51,13 +51,13 @@ def _late(problem: CoherentProblem) -> np.ndarray:
 
 def test_first_windows_end_by_the_time_asked_for(whole: CoherentProblem) -> None:
     """All that end by then, with their pieces, and one at least."""
-    seen = whole.energies.observations[0]
-    early = first_windows(seen, CUT_S)
-    assert early.edges_s[-1] <= CUT_S < seen.edges_s[early.edges_s.size]
+    observed = whole.energies.observations[0]
+    early = first_windows(observed, CUT_S)
+    assert early.edges_s[-1] <= CUT_S < observed.edges_s[early.edges_s.size]
     assert early.fine_edges_s[-1] == early.edges_s[-1]
-    assert early.fine_shares.shape[0] == early.fine_edges_s.size - 1
-    assert first_windows(seen, -1.0).energy.size == 1
-    assert first_windows(seen, END_S).energy.size == seen.energy.size
+    assert early.fine_spreading.shape[0] == early.fine_edges_s.size - 1
+    assert first_windows(observed, -1.0).energy.size == 1
+    assert first_windows(observed, END_S).energy.size == observed.energy.size
 
 
 def test_early_windows_do_not_see_where_pressures_end(
@@ -104,12 +104,12 @@ def test_bins_that_grow_late_hold_the_same_rows_and_expect_the_same_energies() -
     assert len(grown.rows[0]) == len(fine.rows[0])
     edges = window_edges_s(0.01, 0.85, 2800.0)
     a, still = np.full((3, 1), 0.2), np.zeros(1)
-    kernel = smearing_kernel(FilterBank(bands))
+    kernel = spreading_kernel(FilterBank(bands))
     found = []
     for binned in (fine, grown):
         middles = 0.5 * (binned.edges_s[1:] + binned.edges_s[:-1])
         energy = weigh(binned.rows[0], a, still, derivative=False).energy[0]
-        found.append(share_matrix(kernel, 0, middles, edges) @ energy)
+        found.append(spreading_matrix(kernel, 0, middles, edges) @ energy)
     # a bin is a fortieth of a window at most: an edge moves less than half of that, 1.25 % of what
     # stands there, and the Poisson noise of some hundred rays a bin is no more
     np.testing.assert_allclose(found[1], found[0], rtol=0.02)

@@ -43,7 +43,7 @@ def test_two_paths_interfere_as_their_autocorrelation_says() -> None:
     grid = band_grid(BANK, 0.0, 0.1)
     found = coherent_response(paths, a, times(), grid, (np.array([-0.02, 0.09]),))
     e = paths.weight * paths.coherence * np.array([0.8, 0.6**2])
-    lengths = np.linalg.norm(paths.away_m, axis=1)
+    lengths = np.linalg.norm(paths.image_to_receiver_m, axis=1)
     lag = float(np.diff(lengths / SPEED + np.array([1e-4, -4e-4]))[0])
     f = np.linspace(200.0, 1100.0, 100_001)
     squared = frequency_response(BANK, f)[0] ** 2
@@ -61,7 +61,9 @@ def test_a_windows_energy_is_the_integral_of_the_squared_pressure() -> None:
     f = np.linspace(0.0, 1100.0, 4001)
     shape = frequency_response(BANK, f)[0] / np.sqrt(2.0 * energy_bandwidth_hz(BANK)[0])
     t = np.linspace(edges[0], edges[-1], 2001)
-    arrival = np.linalg.norm(paths.away_m, axis=1) / SPEED + 1e-4 + np.array([1e-4, -4e-4])
+    arrival = (
+        np.linalg.norm(paths.image_to_receiver_m, axis=1) / SPEED + 1e-4 + np.array([1e-4, -4e-4])
+    )
     root = np.sqrt(paths.weight * paths.coherence * np.array([0.8, 0.36]))
     phase = 2.0 * np.pi * (t[:, None, None] - arrival[:, None]) * f
     y = 2.0 * np.trapezoid(shape * np.cos(phase), f, axis=2) @ root

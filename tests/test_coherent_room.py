@@ -9,10 +9,10 @@ import pytest
 
 from roomfit.findings import Code
 from roomfit.inversion.coherent import CoherentFit, fit_coherent
-from roomfit.inversion.geometry_checks import delay_findings, place_findings
+from roomfit.inversion.geometry_checks import delay_findings, position_consistency_findings
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.measurements import measure
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
@@ -49,7 +49,7 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
     measured, _ = measure(campaign, scene)
     paths = trace_images(scene, 1000, END_S, uniform_scattering(room.materials, 0.0))
     return fit_coherent(
-        *(scene, campaign.bands, material_knowledge(campaign, room.materials), measured),
+        *(scene, campaign.bands, material_priors(campaign, room.materials), measured),
         *(paths, bin_paths(scene, campaign.bands, paths, END_S), np.full(2, 0.2)),
         options=CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
     )
@@ -81,7 +81,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     assert geometry is not None
     # two bands to 0.12 s, and a loudspeaker whose phase the model does not have
     assert geometry.speed_of_sound_m_s == pytest.approx(343.99, rel=2e-3)
-    assert np.all(geometry.sd <= geometry.told_sd * (1.0 + 1e-9))
+    assert np.all(geometry.sd <= geometry.prior_sd * (1.0 + 1e-9))
 
 
 def test_a_file_of_another_pair_is_found_and_weighs_less(
@@ -97,9 +97,9 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
         fit = fitted(campaign)
     finally:
         (campaign.parent / names[1]).write_bytes(right)
-    told = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
-    assert len(told) == 1
-    assert names[1] in told[0]
+    reported = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
+    assert len(reported) == 1
+    assert names[1] in reported[0]
     found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
     assert np.median(np.abs(found - true)) < 0.05
 
@@ -114,9 +114,9 @@ def test_places_that_are_held_and_wrong_are_found(box: tuple[Path, np.ndarray]) 
 
 def test_few_units_of_likelihood_do_not_speak_for_many_unknowns() -> None:
     """Thirty unknowns that explain nothing gain fifteen units, give or take four."""
-    assert place_findings(15.0 + 4 * 4.0, 30, 100) == ()
-    assert place_findings(60.0, 30, 100)[0].code == Code.POSITION_INCONSISTENT
+    assert position_consistency_findings(15.0 + 4 * 4.0, 30, 100) == ()
+    assert position_consistency_findings(60.0, 30, 100)[0].code == Code.POSITION_INCONSISTENT
     # of a thousand windows these are next to nothing
-    assert place_findings(60.0, 30, 1000) == ()
+    assert position_consistency_findings(60.0, 30, 1000) == ()
     assert delay_findings(3.0 + 4 * 1.7) == ()
     assert delay_findings(20.0)[0].code == Code.REFLECTION_DELAY_DETECTED

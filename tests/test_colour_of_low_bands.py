@@ -9,13 +9,13 @@ import soundfile
 
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
-from roomfit.inversion.equalise import without_loudspeakers
+from roomfit.inversion.equalise import equalise_sources
 from roomfit.io.campaign import read_campaign
 from roomfit.io.measurements import measure
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Scene
-from roomfit.synthetic.boxes import BoxTruth, campaign_text, demo_plan, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, campaign_text, demo_plan, pressure_response
 from roomfit.tracing.image_sources import trace_images
 from roomfit.typing import FloatArray
 
@@ -29,7 +29,7 @@ RECEIVERS = ("MP1", "MP2", "MP3", "MP4")
 def response(receiver: str, level_db: FloatArray) -> FloatArray:
     """Return the pressure of the demo's box from its first source."""
     plan, air = demo_plan(), Air()
-    truth = BoxTruth(
+    truth = SyntheticBox(
         *(plan.lengths_m, BANDS.centres_hz, plan.absorption[:, : len(BANDS)]),
         *(attenuation_per_m(air, BANDS), speed_of_sound_m_s(air)),
     )
@@ -62,7 +62,7 @@ def evened_tilts(folder: Path, **options: float) -> FloatArray:
     paths = trace_images(scene, 1000, IMAGES_S, uniform_scattering(room.materials, 0.0))
     rows = [plan.materials.index(m) for m in room.materials]
     absorption = plan.absorption[rows, 1 : 1 + len(campaign.bands)]
-    even = without_loudspeakers(scene, campaign.bands, measured, paths, absorption, **options)
+    even = equalise_sources(scene, campaign.bands, measured, paths, absorption, **options)
     return np.array([tilt_db(m.response.pressure) for m in even])
 
 
@@ -76,6 +76,6 @@ def test_known_walls_tell_the_colour_below_the_schroeder_frequency_too(tmp_path:
     coloured = np.array([tilt_db(response(r, LEVEL_DB)) for r in RECEIVERS]) - even
     assert coloured.mean() > 4.0
     guessed = evened_tilts(tmp_path) - even
-    known = evened_tilts(tmp_path, modal=0.0) - even
+    known = evened_tilts(tmp_path, schroeder_factor=0.0) - even
     assert guessed.mean() > 2.0
     assert abs(known.mean()) < 1.0

@@ -14,7 +14,7 @@ from roomfit.uncertainty.combinations import (
     find_combinations,
     inseparable_findings,
 )
-from roomfit.uncertainty.posterior import band_draws, draw_along_data
+from roomfit.uncertainty.posterior import band_draws, rto_draws
 
 
 def logit(a):
@@ -24,7 +24,7 @@ def logit(a):
 PRIOR_MEAN, PRIOR_SD = logit(0.15), 1.5
 
 
-def seen_by_a_decay(rng, n: int, noise: float):
+def observed_by_a_decay(rng, n: int, noise: float):
     """Return exposures, truth, answer and covariance of a room whose decay alone was measured.
 
     The decay's rate is the sum of -log(1 - a) over the walls by exposure, seen with a relative
@@ -37,10 +37,10 @@ def seen_by_a_decay(rng, n: int, noise: float):
     def log_rate(free):
         return np.log(exposure @ np.logaddexp(0.0, free))
 
-    seen = log_rate(logit(truth)) + noise * rng.standard_normal()
+    observed = log_rate(logit(truth)) + noise * rng.standard_normal()
 
     def squares(free):
-        return np.append((free - PRIOR_MEAN) / PRIOR_SD, (log_rate(free) - seen) / noise)
+        return np.append((free - PRIOR_MEAN) / PRIOR_SD, (log_rate(free) - observed) / noise)
 
     fit = least_squares(squares, np.full(n, PRIOR_MEAN))
     answer = 1.0 / (1.0 + np.exp(-fit.x))
@@ -132,21 +132,21 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
     for noise in (0.03, 0.1):
         held = []
         for _ in range(120):
-            areas, truth, answer, covariance = seen_by_a_decay(rng, 5, noise)
+            areas, truth, answer, covariance = observed_by_a_decay(rng, 5, noise)
             prior = np.full(5, PRIOR_MEAN), np.full(5, PRIOR_SD)
-            mean = draw_along_data(answer, covariance, *prior, 512, rng) @ areas
+            mean = rto_draws(answer, covariance, *prior, 512, rng) @ areas
             low, high = np.quantile(mean, (0.025, 0.975))
             held.append(low <= areas @ truth <= high)
         assert abs(np.mean(held) - 0.95) < 0.02 + 4.0 * np.sqrt(0.95 * 0.05 / 120), noise
 
 
-def seen_apart(rng, truth, noise: float):
+def observed_apart(rng, truth, noise: float):
     """Return answer and covariance of walls each seen with an error of its own, under the prior."""
-    seen = -np.log(1.0 - truth) + noise * rng.standard_normal(truth.size)
+    observed = -np.log(1.0 - truth) + noise * rng.standard_normal(truth.size)
 
     def squares(free):
-        told = (np.logaddexp(0.0, free) - seen) / noise
-        return np.concatenate(((free - PRIOR_MEAN) / PRIOR_SD, told))
+        reported = (np.logaddexp(0.0, free) - observed) / noise
+        return np.concatenate(((free - PRIOR_MEAN) / PRIOR_SD, reported))
 
     fit = least_squares(squares, np.full(truth.size, PRIOR_MEAN))
     return 1.0 / (1.0 + np.exp(-fit.x)), np.linalg.inv(fit.jac.T @ fit.jac)
@@ -163,10 +163,10 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
     held = {"as told": 0, "assumed": 0}
     for _ in range(80):
         truth = np.append(rng.uniform(0.01, 0.04, 4), rng.uniform(0.1, 0.6, 2))
-        answer, covariance = seen_apart(rng, truth, 0.02)
+        answer, covariance = observed_apart(rng, truth, 0.02)
         prior = np.full(6, PRIOR_MEAN), np.full(6, PRIOR_SD)
         drawn = {
-            "as told": draw_along_data(answer, covariance, *prior, 256, rng),
+            "as told": rto_draws(answer, covariance, *prior, 256, rng),
             "assumed": band_draws(answer, covariance, *prior, 256, rng),
         }
         for name, draws in drawn.items():
@@ -179,7 +179,7 @@ def test_a_prior_that_somebody_told_is_taken_at_its_word():
     """The same draws with and without the doubt, where the prior is not the one for any wall."""
     a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
     prior = np.array([-2.0, -1.0]), np.array([1.0, 0.5])
-    plain = draw_along_data(a, covariance, *prior, 64, np.random.default_rng(4))
+    plain = rto_draws(a, covariance, *prior, 64, np.random.default_rng(4))
     drawn = band_draws(a, covariance, *prior, 64, np.random.default_rng(4))
     np.testing.assert_array_equal(drawn, plain)
 
@@ -204,10 +204,10 @@ def test_a_room_whose_mean_alone_is_known_is_told_so():
     slope = areas * a / (areas @ -np.log(1.0 - a))
     covariance = np.linalg.inv(np.outer(slope, slope) / 0.01**2 + np.eye(5) / PRIOR_SD**2)
     found = band_combinations(a[:, None], covariance[None], prior, areas, 1)
-    told = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
+    reported = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
 
-    assert [f.code for f in told] == [Code.MATERIALS_NOT_SEPARABLE]
-    assert "1000 Hz" in told[0].sentence
+    assert [f.code for f in reported] == [Code.MATERIALS_NOT_SEPARABLE]
+    assert "1000 Hz" in reported[0].sentence
     assert not inseparable_findings(names, np.array([1000.0]), np.ones((5, 1), dtype=bool), found)
 
 

@@ -8,7 +8,7 @@ import pytest
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, filter_pressure
-from roomfit.signals.loudspeaker import Colour, power_gain, source_colour, without_colour
+from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
 from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import ImpulseResponse
 
@@ -72,18 +72,20 @@ def test_noise_before_the_sound_stands_for_that_of_a_cut_file():
     assert np.all(np.abs(10.0 * np.log10(found.floor[4:] / noise[4:])) < 3.3)
 
 
-def coloured(response: ImpulseResponse, colour: Colour) -> ImpulseResponse:
+def coloured(response: ImpulseResponse, colour: SourceMagnitude) -> ImpulseResponse:
     """Return what a loudspeaker of a colour would play: the inverse of taking it out."""
-    return without_colour(response, Colour(colour.frequencies_hz, -colour.level_db))
+    return equalise(response, SourceMagnitude(colour.frequencies_hz, -colour.level_db))
 
 
-COLOUR = Colour(62.5 * 2.0 ** np.arange(0, 7), np.array([-3.0, 4.0, -1.0, 2.0, -4.0, 3.0, -1.0]))
+COLOUR = SourceMagnitude(
+    62.5 * 2.0 ** np.arange(0, 7), np.array([-3.0, 4.0, -1.0, 2.0, -4.0, 3.0, -1.0])
+)
 
 
 def test_taking_colour_out_undoes_it():
     """A click coloured and uncoloured is the click again, to 1e-4 of its height."""
     click = ImpulseResponse(np.eye(1, 8000, 2000)[0], RATE_HZ, 0.1)
-    back = without_colour(coloured(click, COLOUR), COLOUR)
+    back = equalise(coloured(click, COLOUR), COLOUR)
     np.testing.assert_allclose(back.pressure, click.pressure, atol=1e-4)
     assert back.time_zero_s == click.time_zero_s
 
@@ -99,7 +101,7 @@ def test_power_is_multiplied_by_the_gain_told():
     """A tone's power after taking colour out, against the gain at its frequency."""
     t = np.arange(16_000) / RATE_HZ
     tone = ImpulseResponse(np.sin(2 * np.pi * 700.0 * t) * np.hanning(t.size), RATE_HZ)
-    ratio = np.sum(without_colour(tone, COLOUR).pressure ** 2) / np.sum(tone.pressure**2)
+    ratio = np.sum(equalise(tone, COLOUR).pressure ** 2) / np.sum(tone.pressure**2)
     assert ratio == pytest.approx(power_gain(COLOUR, np.array([700.0]))[0], rel=1e-2)
 
 
@@ -115,8 +117,8 @@ def test_colour_is_heard_beside_what_the_room_does():
         p = np.zeros(4000)
         p[320:] = rng.standard_normal(3680) * np.exp(-np.arange(3680) / 800.0)
         rooms.append(ImpulseResponse(p, RATE_HZ))
-    heard = [coloured(r, COLOUR) for r in rooms]
-    found = source_colour(heard, rooms, [0.2] * 8, 62.5, 0.0)
+    observed = [coloured(r, COLOUR) for r in rooms]
+    found = source_magnitude(observed, rooms, [0.2] * 8, 62.5, 0.0)
     f = 62.5 * 2.0 ** np.arange(2, 6)
     want = -10.0 * np.log10(power_gain(COLOUR, f))
     got = -10.0 * np.log10(power_gain(found, f))
@@ -126,10 +128,10 @@ def test_colour_is_heard_beside_what_the_room_does():
 def test_chance_is_not_taken_for_colour():
     """Rooms of which the model knows nothing but the mean: what differs by chance is left alone."""
     rng = np.random.default_rng(6)
-    heard, expected = (
+    observed, expected = (
         [ImpulseResponse(rng.standard_normal(1600), RATE_HZ) for _ in range(4)] for _ in range(2)
     )
-    found = source_colour(heard, expected, [0.1] * 4, 62.5, 0.0)
+    found = source_magnitude(observed, expected, [0.1] * 4, 62.5, 0.0)
     assert np.max(np.abs(found.level_db)) < 1.0
 
 
@@ -137,10 +139,10 @@ def test_two_responses_tell_no_colour():
     """With fewer than three nothing can be said of chance, and nothing is done."""
     rng = np.random.default_rng(7)
     two = [ImpulseResponse(rng.standard_normal(1600), RATE_HZ) for _ in range(2)]
-    assert not np.any(source_colour(two, two[::-1], [0.1] * 2, 62.5, 0.0).level_db)
+    assert not np.any(source_magnitude(two, two[::-1], [0.1] * 2, 62.5, 0.0).level_db)
 
 
 def test_different_rates_are_refused():
     a, b = (ImpulseResponse(np.ones(100), rate) for rate in (8000.0, 16_000.0))
     with pytest.raises(InputError, match="sampling rate"):
-        source_colour([a], [b], [0.1], 62.5, 0.0)
+        source_magnitude([a], [b], [0.1], 62.5, 0.0)

@@ -16,12 +16,12 @@ import roomfit
 from roomfit.errors import InputError
 from roomfit.experiment_design.candidates import (
     Region,
-    compatible_places,
+    compatible_positions,
     even_part,
-    grid_places,
+    grid_positions,
     least_source_distance_m,
     region_of,
-    spread_places,
+    spread_positions,
 )
 from roomfit.experiment_design.choose import Rules, allowed, choose, random_design, score
 from roomfit.experiment_design.information import (
@@ -121,10 +121,10 @@ def test_geometry_of_one_pair_is_integrated_out_as_in_one_large_fit(seed):
             np.linalg.inv(information + 1e-6 * np.eye(first)), covariance[own, own], rtol=1e-6
         )
     # nine pairs more like this one tell nine times as much of what all share, and no less of places
-    told = sum(about_geometry(information, first) for information in found)
-    more = by_all_pairs(told, shared, 9) - told
+    summed = sum(about_geometry(information, first) for information in found)
+    more = by_all_pairs(summed, shared, 9) - summed
     assert np.all(more[~shared] == 0.0) and np.all(more[:, ~shared] == 0.0)
-    alone = np.linalg.inv(np.linalg.inv(told + np.diag(~shared * 1.0))[np.ix_(shared, shared)])
+    alone = np.linalg.inv(np.linalg.inv(summed + np.diag(~shared * 1.0))[np.ix_(shared, shared)])
     np.testing.assert_allclose(more[np.ix_(shared, shared)], 9.0 * alone, rtol=1e-6)
     # what a band tells of the geometry is no more than with its absorptions known
     gap = found[0][first:, first:] - about_geometry(found[0], first)
@@ -172,7 +172,7 @@ def test_a_pair_that_is_held_already_moves_the_choice():
     rules = free_rules([0, 1, 2])
     assert choose(known, found, rules, 1, "mean", rng=fresh())[0] in (0, 1)
     rules = replace(rules, candidate=np.array([False, True, True]))
-    assert choose(known, found, rules, 1, "mean", held=(0,), rng=fresh()) == (2,)
+    assert choose(known, found, rules, 1, "mean", fixed=(0,), rng=fresh()) == (2,)
 
 
 def test_rules_are_obeyed_by_the_choice_and_by_chance():
@@ -180,7 +180,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
     gain = rng.integers(0, 4, 30)
     at = rng.uniform(0.0, 6.0, (30, 3))
     known, found = unknowns(rng), pairs(rng, gain.tolist())
-    rules = Rules(gain, compatible_places(at, 1.5), np.arange(30) >= 2, most_sources=2)
+    rules = Rules(gain, compatible_positions(at, 1.5), np.arange(30) >= 2, most_sources=2)
     held = (0, 1)
     designs = [
         choose(known, found, rules, 4, c, held, rng=fresh())
@@ -218,7 +218,7 @@ def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_no
 def test_places_are_in_the_room_and_clear_of_its_walls():
     """In the gabled room of the paper, by its planes, which the search does not use."""
     room = paper_scene().room
-    places = spread_places(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+    places = spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
     x, y, z = places.T
     assert places.shape == (100, 3)
     assert x.min() >= 1.0 and x.max() <= 14.64 and y.min() >= 1.0 and y.max() <= 9.70
@@ -227,21 +227,21 @@ def test_places_are_in_the_room_and_clear_of_its_walls():
     # evenly spread: no eighth of the plan is empty, and both halves of the height are used
     assert np.histogram2d(x, y, [np.linspace(1, 14.64, 5), np.linspace(1, 9.7, 3)])[0].min() >= 4
     np.testing.assert_array_equal(
-        places, spread_places(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+        places, spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
     )
 
 
 def test_a_grid_is_centred_and_evenly_spaced():
     room, _ = roomfit.read_room(roomfit.RoomSpec(shoebox=(6.0, 5.0, 3.0)))
     region = Region(np.array([0.0, 0.0, 1.5]), np.array([6.0, 5.0, 1.5]), 1.0)
-    places = grid_places(room, region, 1.0)
+    places = grid_positions(room, region, 1.0)
     assert len(places) == 5 * 4
     np.testing.assert_allclose(np.unique(places[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
     np.testing.assert_allclose(np.unique(places[:, 1]), [1.0, 2.0, 3.0, 4.0])
     with pytest.raises(InputError, match="too little space"):
-        grid_places(room, replace(region, wall_distance_m=2.0), 1.0)
+        grid_positions(room, replace(region, wall_distance_m=2.0), 1.0)
     with pytest.raises(InputError, match="too little space"):
-        spread_places(room, replace(region, wall_distance_m=2.0), 1, 1)
+        spread_positions(room, replace(region, wall_distance_m=2.0), 1, 1)
 
 
 def test_the_least_distance_from_a_source_is_that_of_the_standard():
@@ -288,7 +288,7 @@ def small(tmp_path_factory):
 def test_a_design_keeps_its_rules_in_a_room(small):
     _, campaign, found = small
     scene = found.scene
-    assert found.n_held == 2 and len(found.chosen) == 3 and np.all(found.chosen >= 2)
+    assert found.n_fixed == 2 and len(found.chosen) == 3 and np.all(found.chosen >= 2)
     held = [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs[:2]]
     assert held == [("LS1", "MP1"), ("LS1", "MP2")]
     ends = [
@@ -321,7 +321,7 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     )
     campaign = roomfit.read_campaign(path, to_fit=False)
     found = roomfit.design(campaign, choose_n=2, most_sources=1, criterion="mean", n_random=3)
-    assert found.n_held == 0 and not found.after_fit
+    assert found.n_fixed == 0 and not found.after_fit
     assert [f.code for f in found.findings if f.code == Code.FEW_CANDIDATES]
     assert np.unique(found.scene.pairs[found.chosen, 0]).size == 1
     names = {r.name for r in found.scene.receivers}
@@ -341,16 +341,18 @@ def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch,
     out = tmp_path / "out"
     arguments = ("design", path, "--out", out, "--candidates", 12, "--choose", 3)
     assert run_command(monkeypatch, *arguments) == 0
-    told = json.loads((out / "design.json").read_text())
-    assert told["format"] == "roomfit-design" and told["format_version"] == 1
-    assert told["bands_hz"] == [500.0, 1000.0]
-    assert len(told["chosen"]) == 3 and told["before"]["measured_pairs"] == 2
-    for step, one in enumerate(told["chosen"], start=1):
+    reported = json.loads((out / "design.json").read_text())
+    assert reported["format"] == "roomfit-design" and reported["format_version"] == 1
+    assert reported["bands_hz"] == [500.0, 1000.0]
+    assert len(reported["chosen"]) == 3 and reported["before"]["measured_pairs"] == 2
+    for step, one in enumerate(reported["chosen"], start=1):
         for i, name in enumerate(("walls", "carpet", "tiles")):
             np.testing.assert_allclose(one["width95"][name], found.widths[step, i], rtol=1e-9)
     rows = list(csv.DictReader((out / "design.csv").open()))
-    assert [r["receiver"] for r in rows] == [c["receiver"] for c in told["chosen"]]
-    assert float(rows[0]["source_x_m"]) == pytest.approx(told["chosen"][0]["source_m"][0], abs=1e-3)
+    assert [r["receiver"] for r in rows] == [c["receiver"] for c in reported["chosen"]]
+    assert float(rows[0]["source_x_m"]) == pytest.approx(
+        reported["chosen"][0]["source_m"][0], abs=1e-3
+    )
     for picture in ("design_map.png", "design_gain.png"):
         assert (out / picture).read_bytes().startswith(b"\x89PNG")
     printed = capsys.readouterr().out
@@ -392,16 +394,16 @@ def test_after_a_fit_the_next_measurement_shrinks_the_widest_interval(
     out = tmp_path / "out"
     arguments = ("design", path, "--result", result, "--candidates", 8)
     assert run_command(monkeypatch, *arguments, "--out", out) == 0
-    told = json.loads((out / "design.json").read_text())
-    assert len(told["chosen"]) == 1 and told["before"]["after_fit"] is True
+    reported = json.loads((out / "design.json").read_text())
+    assert len(reported["chosen"]) == 1 and reported["before"]["after_fit"] is True
     content = json.loads(result.read_text())["materials"]["carpet"]
-    before, after = told["widest"]["width95"]
-    assert told["widest"]["material"] == "carpet"
+    before, after = reported["widest"]["width95"]
+    assert reported["widest"]["material"] == "carpet"
     # the fit's own interval, by 1.96 of its rounding
     assert before == pytest.approx(content["upper95"][0] - content["lower95"][0], rel=1e-4)
     assert after < before
     assert "after a finished fit" in capsys.readouterr().out
-    ends = (told["chosen"][0]["source"], told["chosen"][0]["receiver"])
+    ends = (reported["chosen"][0]["source"], reported["chosen"][0]["receiver"])
     assert ends not in {("LS1", "MP1"), ("LS1", "MP2")}
     campaign = roomfit.read_campaign(path, to_fit=False)
     # a fit that missed its data makes the next measurement tell less
@@ -428,10 +430,10 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     )
     text = path.read_text()
     start, end = text.index("[materials.walls]"), text.index("[sources.LS1]")
-    told = tmp_path / "told.toml"
-    told.write_text(text[:start] + priors + text[end:] + design)
+    campaign_file = tmp_path / "told.toml"
+    campaign_file.write_text(text[:start] + priors + text[end:] + design)
     found = roomfit.design(
-        roomfit.read_campaign(told, to_fit=False), candidates=2, choose_n=1, n_random=0
+        roomfit.read_campaign(campaign_file, to_fit=False), candidates=2, choose_n=1, n_random=0
     )
     promised, reported = found.widths[0].mean(), (answer.upper95 - answer.lower95).mean()
     assert 0.67 < promised / reported < 1.5

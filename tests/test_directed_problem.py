@@ -8,7 +8,12 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_paths, small_problem
-from roomfit.inversion.directivity import Told, moved_start, others_say, told_by
+from roomfit.inversion.directivity import (
+    BandInformation,
+    band_information,
+    cavity_priors,
+    moved_start,
+)
 from roomfit.objective.coherent import CoherentProblem, with_coherence
 from roomfit.objective.directivity import (
     DirectedProblem,
@@ -99,8 +104,8 @@ def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
     """
     case, b = directed_case(coherent=coherent), B
     scene, paths = small_paths()
-    told = with_directivity(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
-    whole = small_problem(paths=told)
+    weighted = with_directivity(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    whole = small_problem(paths=weighted)
     plain: EnergyProblem | CoherentProblem = whole.energies
     if coherent:
         plain = with_coherence(whole, 0.09 * whole_covariance(small_geometry()))
@@ -134,10 +139,10 @@ def test_the_block_has_a_unit_normal_prior() -> None:
     np.testing.assert_array_equal(block.prior_sd, 1.0)
 
 
-def linear_told(rng: np.random.Generator, n: int, rank: int) -> Told:
+def linear_specified(rng: np.random.Generator, n: int, rank: int) -> BandInformation:
     """Return what a linear band with unit noise says of n unknowns, in so many directions."""
     matrix = rng.standard_normal((rank, n))
-    return Told(matrix.T @ matrix, matrix.T @ rng.standard_normal(rank))
+    return BandInformation(matrix.T @ matrix, matrix.T @ rng.standard_normal(rank))
 
 
 @pytest.mark.parametrize("seed", range(3))
@@ -148,20 +153,25 @@ def test_what_other_bands_say_is_the_posterior_without_the_own_data(seed: int) -
     """
     rng = np.random.default_rng(seed)
     octaves, n = np.array([0.0, 1.0, 2.0, 3.5]), 3
-    told = [linear_told(rng, n, 5), linear_told(rng, n, 2), None, linear_told(rng, n, 1)]
-    said = others_say(told, octaves, 0.8, n)
+    information = [
+        linear_specified(rng, n, 5),
+        linear_specified(rng, n, 2),
+        None,
+        linear_specified(rng, n, 1),
+    ]
+    said = cavity_priors(information, octaves, 0.8, n)
     prior = np.kron(0.8 ** np.abs(octaves[:, None] - octaves), np.eye(n))
     for band, (mean, covariance) in enumerate(said):
         m, c = np.zeros(len(prior)), prior
-        for other, one in enumerate(told):
+        for other, one in enumerate(information):
             if other == band or one is None:
                 continue
             pick = np.eye(len(prior))[n * other : n * (other + 1)]
             value, vectors = np.linalg.eigh(one.information)
-            seen = value > 1e-9
-            rows = np.sqrt(value[seen])[:, None] * vectors.T[seen] @ pick
-            data = (vectors.T[seen] @ one.weighed) / np.sqrt(value[seen])
-            gain = c @ rows.T @ np.linalg.inv(rows @ c @ rows.T + np.eye(int(seen.sum())))
+            observed = value > 1e-9
+            rows = np.sqrt(value[observed])[:, None] * vectors.T[observed] @ pick
+            data = (vectors.T[observed] @ one.weighed) / np.sqrt(value[observed])
+            gain = c @ rows.T @ np.linalg.inv(rows @ c @ rows.T + np.eye(int(observed.sum())))
             m, c = m + gain @ (data - rows @ m), c - gain @ rows @ c
         own = slice(n * band, n * (band + 1))
         np.testing.assert_allclose(mean, m[own], atol=1e-9)
@@ -170,7 +180,7 @@ def test_what_other_bands_say_is_the_posterior_without_the_own_data(seed: int) -
 
 def test_bands_without_data_say_nothing() -> None:
     """The prior comes back."""
-    for mean, covariance in others_say([None, None], np.array([0.0, 1.0]), 0.8, 3):
+    for mean, covariance in cavity_priors([None, None], np.array([0.0, 1.0]), 0.8, 3):
         np.testing.assert_allclose(mean, 0.0, atol=1e-12)
         np.testing.assert_allclose(covariance, np.eye(3), atol=1e-12)
 
@@ -186,14 +196,14 @@ def test_a_band_says_what_is_left_when_its_other_unknowns_are_free() -> None:
     fit = BandFit(
         *(vector, 0.0, 0.5, information, nothing, nothing + 1.0, data, 0.0, 1, True),
     )
-    told = told_by(fit, 2)
+    alone = band_information(fit, 2)
     free = matrix[:, :2]
     left = matrix[:, 2:] - free @ np.linalg.lstsq(free, matrix[:, 2:], rcond=None)[0]
-    np.testing.assert_allclose(told.information, left.T @ left, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(told.weighed, left.T @ data, atol=1e-9)
-    poor = told_by(replace(fit, phi=4.0), 2)
-    np.testing.assert_allclose(poor.information, told.information / 4.0)
-    np.testing.assert_allclose(poor.weighed, told.weighed / 4.0)
+    np.testing.assert_allclose(alone.information, left.T @ left, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(alone.weighed, left.T @ data, atol=1e-9)
+    poor = band_information(replace(fit, chi2_reduced=4.0), 2)
+    np.testing.assert_allclose(poor.information, alone.information / 4.0)
+    np.testing.assert_allclose(poor.weighed, alone.weighed / 4.0)
 
 
 def test_a_start_keeps_its_b_under_another_prior() -> None:

@@ -99,8 +99,8 @@ def test_the_slope_of_window_energies_by_b_is_that_of_finite_differences(paths):
     at = np.array([0.4, -0.3, 0.1])
 
     def energy(b: FloatArray) -> FloatArray:
-        told = with_directivity(paths, [None, FirstOrder(b)], [0, 1], 0)
-        return weigh(energy_rows(told, 1, edges, SPEED_M_S), absorption, air).energy
+        reported = with_directivity(paths, [None, FirstOrder(b)], [0, 1], 0)
+        return weigh(energy_rows(reported, 1, edges, SPEED_M_S), absorption, air).energy
 
     slope = directivity_derivative(rows, paths, FirstOrder(at), absorption, air)
     for k in range(3):

@@ -24,21 +24,21 @@ from roomfit.findings import Code, Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import CoherentFit, fit_coherent
 from roomfit.inversion.directivity import (
-    DirectivityDoubt,
+    DirectivityScore,
     EnergyTask,
     FoundDirectivities,
     band_directivities,
-    campaign_directing,
+    campaign_directivity_parameters,
     directed_energies,
-    doubting,
     energy_problems,
     omnidirectional,
+    score_sources,
     source_findings,
 )
 from roomfit.inversion.identify import identify
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.measurements import measure
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
@@ -51,7 +51,7 @@ from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import FirstOrderBands
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.synthetic.boxes import (
-    BoxTruth,
+    SyntheticBox,
     add_noise,
     box_departures,
     box_images,
@@ -74,13 +74,13 @@ PLACES_M = {
 }
 
 
-def box_truth() -> BoxTruth:
+def box_truth() -> SyntheticBox:
     """Return the small campaign's room."""
     bands = bands_between("octave", 250, 4000)
     owners = ("walls", "walls", "walls", "walls", "carpet", "tiles")
     absorption = np.array([[ABSORPTION[name]] * len(bands) for name in owners])
     air = Air()
-    return BoxTruth(
+    return SyntheticBox(
         *(LENGTHS_M, bands.centres_hz, absorption, attenuation_per_m(air, bands)),
         speed_of_sound_m_s(air),
     )
@@ -101,9 +101,9 @@ def responses(*, directional: bool) -> dict[str, np.ndarray]:
     }
 
 
-def campaign(folder: Path, told: str, *, directional: bool, more: str = "") -> Path:
+def campaign(folder: Path, specified: str, *, directional: bool, more: str = "") -> Path:
     """Write a campaign of the four pairs whose source has a told directivity."""
-    text = SMALL[: SMALL.index("[receivers.MP1]")] + f"position_sd = 0.002\n{told}\n"
+    text = SMALL[: SMALL.index("[receivers.MP1]")] + f"position_sd = 0.002\n{specified}\n"
     for name, at in PLACES_M.items():
         text += f"[receivers.{name}]\nposition = {list(at)}\nposition_sd = 0.002\n"
         text += f'[[measurements]]\nsource = "LS1"\nreceiver = "{name}"\nfile = "{name}.wav"\n'
@@ -126,15 +126,15 @@ class Case:
         """What its energies are made from."""
         asked, scene = self.asked, self.scene
         return EnergyTask(
-            *(scene, asked.bands, material_knowledge(asked, scene.room.materials)),
+            *(scene, asked.bands, material_priors(asked, scene.room.materials)),
             *(measure(asked, scene)[0], self.paths),
             *(bin_paths(scene, asked.bands, self.paths, END_S), np.full(len(asked.bands), 0.2)),
         )
 
 
-def case_of(folder: Path, told: str, *, directional: bool) -> Case:
+def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
     """Return the campaign of four pairs whose source has a told directivity."""
-    asked = read_campaign(campaign(folder, told, directional=directional))
+    asked = read_campaign(campaign(folder, specified, directional=directional))
     room, _ = read_room(asked.room)
     pairs = np.array([[0, r] for r in range(4)])
     scene = Scene(room, asked.sources, asked.receivers, pairs, asked.air)
@@ -144,31 +144,39 @@ def case_of(folder: Path, told: str, *, directional: bool) -> Case:
 
 def coherent_answer(case: Case) -> tuple[CoherentFit, tuple[FoundDirectivities, ...]]:
     """Return what pressures and energies say of it."""
-    task, directing = case.task, campaign_directing(case.asked, case.scene)
+    task, directivity_parameters = (
+        case.task,
+        campaign_directivity_parameters(case.asked, case.scene),
+    )
     fit = fit_coherent(
-        *(task.scene, task.bands, task.knowledge, task.measured, task.paths, task.binned),
+        *(task.scene, task.bands, task.priors, task.measured, task.paths, task.binned),
         task.start,
         options=CoherentOptions(end_s=END_S, late_end_s=END_S),
-        directing=directing,
-        suspects=omnidirectional(case.asked, case.scene) if directing is None else None,
+        directivity_parameters=directivity_parameters,
+        tested_sources=omnidirectional(case.asked, case.scene)
+        if directivity_parameters is None
+        else None,
     )
-    return fit, band_directivities(directing, fit.directed, fit.answers)
+    return fit, band_directivities(directivity_parameters, fit.directed, fit.answers)
 
 
 def energy_answer(
     case: Case,
 ) -> tuple[tuple[BandAnswer, ...], tuple[FoundDirectivities, ...], tuple[Finding, ...]]:
     """Return what energies alone say of it."""
-    task, directing = case.task, campaign_directing(case.asked, case.scene)
-    suspects = omnidirectional(case.asked, case.scene)
-    hows = directed_energies(task, directing)
-    doubts: dict[int, DirectivityDoubt] = {}
-    answers = fit_bands(
-        *(energy_problems(task, hows), task.knowledge, material_areas_m2(task.scene.room)),
-        *("auto", 1, None),
-        watch=None if suspects is None else doubting(task, suspects, doubts),
+    task, directivity_parameters = (
+        case.task,
+        campaign_directivity_parameters(case.asked, case.scene),
     )
-    found = band_directivities(directing, hows, answers)
+    suspects = omnidirectional(case.asked, case.scene)
+    directivities = directed_energies(task, directivity_parameters)
+    doubts: dict[int, DirectivityScore] = {}
+    answers = fit_bands(
+        *(energy_problems(task, directivities), task.priors, material_areas_m2(task.scene.room)),
+        *("auto", 1, None),
+        watch=None if suspects is None else score_sources(task, suspects, doubts),
+    )
+    found = band_directivities(directivity_parameters, directivities, answers)
     return answers, found, source_findings(suspects, doubts)
 
 
@@ -262,9 +270,9 @@ def test_energies_alone_find_and_doubt_sources_as_well(tmp_path: Path) -> None:
 @pytest.mark.slow
 def test_what_is_told_of_a_source_narrows_what_is_found(tmp_path: Path) -> None:
     """With b_sd = 0.2 about nearly the truth, energies know it better than from nothing."""
-    told = "directivity = {aim = [1, 0.5, 0], b = 0.5, b_sd = 0.2}"
+    specified = "directivity = {aim = [1, 0.5, 0], b = 0.5, b_sd = 0.2}"
     _, wide, _ = energy_answer(case_of(tmp_path, 'directivity = "fit"', directional=True))
-    _, narrow, _ = energy_answer(case_of(tmp_path, told, directional=True))
+    _, narrow, _ = energy_answer(case_of(tmp_path, specified, directional=True))
     assert near(narrow, B)
     for less, more in zip(narrow, wide, strict=True):
         assert (less.sd < more.sd).all()
@@ -273,33 +281,33 @@ def test_what_is_told_of_a_source_narrows_what_is_found(tmp_path: Path) -> None:
 
 def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
     """The paper's searches, tables of values to be fitted along, and an aim without length."""
-    told = 'directivity = "fit"'
+    specified = 'directivity = "fit"'
     for more, words in (
         ('method = "simplex"\n', "least squares only"),
         ('[[measurements]]\nparameters = "t.csv"\n', "impulse responses only"),
     ):
-        path = campaign(tmp_path, told, directional=False, more=more)
-        case = case_of(tmp_path, told, directional=False)
-        path = campaign(tmp_path, told, directional=False, more=more)
+        path = campaign(tmp_path, specified, directional=False, more=more)
+        case = case_of(tmp_path, specified, directional=False)
+        path = campaign(tmp_path, specified, directional=False, more=more)
         with pytest.raises(InputError, match=words):
-            campaign_directing(read_campaign(path), case.scene)
+            campaign_directivity_parameters(read_campaign(path), case.scene)
     nowhere = "directivity = {aim = [0, 0, 0], b = 0.5, b_sd = 0.1}"
     case = case_of(tmp_path, 'directivity = "omni"', directional=False)
     path = campaign(tmp_path, nowhere, directional=False)
     with pytest.raises(InputError, match="aims nowhere"):
-        campaign_directing(read_campaign(path), case.scene)
+        campaign_directivity_parameters(read_campaign(path), case.scene)
 
 
 def test_a_known_source_is_not_fitted(tmp_path: Path) -> None:
     """Neither an omnidirectional one nor one that is told exactly; only the first is suspected."""
     case = case_of(tmp_path, "", directional=False)
-    assert campaign_directing(case.asked, case.scene) is None
+    assert campaign_directivity_parameters(case.asked, case.scene) is None
     suspects = omnidirectional(case.asked, case.scene)
     assert suspects is not None
     assert suspects.sources == ("LS1",)
     exact = "directivity = {aim = [1, 0.5, 0], b = 0.5}"
     case = case_of(tmp_path, exact, directional=False)
-    assert campaign_directing(case.asked, case.scene) is None
+    assert campaign_directivity_parameters(case.asked, case.scene) is None
     assert omnidirectional(case.asked, case.scene) is None
 
 
@@ -315,8 +323,8 @@ def test_the_result_tells_b_and_predicts_with_it(tmp_path: Path) -> None:
     asked.write_text(_kept_apart(asked.read_text()).replace(*ends))
     answer = identify_to_folder(asked, tmp_path / "out")
     content = json.loads((tmp_path / "out" / "result.json").read_text())
-    told = content["directivity"]["LS1"]
-    b, sd = np.array(told["b"]), np.array(told["sd"])
+    reported = content["directivity"]["LS1"]
+    b, sd = np.array(reported["b"]), np.array(reported["sd"])
     assert b.shape == sd.shape == (1, 3)
     np.testing.assert_allclose(b, answer.directivities[0].b)
     assert np.all(np.abs(b[0] - B) <= 3.0 * sd[0])
@@ -349,8 +357,8 @@ def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Pa
     """The told mean where there is one; omnidirectional, with a finding, where there is none."""
     bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((1, 2), 0.5)
     alone = AbsorptionPosterior(("walls",), bands, half, half, half, np.zeros((2, 1, 1)))
-    told = "directivity = {aim = [0, 0, 2], b = 0.5, b_sd = 0.1}"
-    asked = read_campaign(campaign(tmp_path, told, directional=False))
+    specified = "directivity = {aim = [0, 0, 2], b = 0.5, b_sd = 0.1}"
+    asked = read_campaign(campaign(tmp_path, specified, directional=False))
     directed, doubts = directed_as_found(asked, bands, alone)
     predicted = directed.directivities["LS1"]
     assert isinstance(predicted, FirstOrderBands)

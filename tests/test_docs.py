@@ -23,12 +23,12 @@ from roomfit.geometry.build import TOO_WARPED_FROM_M
 from roomfit.geometry.check import LEAK_LIMIT
 from roomfit.inversion.trace_plan import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
 from roomfit.io import campaign as schema
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
-from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = ROOT / "docs"
@@ -124,7 +124,7 @@ def test_a_campaign_on_a_page_is_a_good_one(path, number, tmp_path):
     file = tmp_path / "campaign.toml"
     file.write_text(code_blocks(path, "toml")[number], encoding="utf-8")
     campaign = roomfit.read_campaign(file)
-    known = material_knowledge(campaign, tuple(campaign.room.materials.values()))
+    known = material_priors(campaign, tuple(campaign.room.materials.values()))
     assert len(known) == len(campaign.room.materials)
 
 
@@ -191,11 +191,11 @@ def test_files_and_tests_that_a_page_names_are_there():
 
 
 def test_every_command_and_option_is_told():
-    told = "".join(path.read_text(encoding="utf-8") for path in PAGES)
+    reported = "".join(path.read_text(encoding="utf-8") for path in PAGES)
     for name, command in typer.main.get_command(app).commands.items():
-        assert f"roomfit {name}" in told
+        assert f"roomfit {name}" in reported
         for option in (o for p in command.params for o in p.opts if o.startswith("--")):
-            assert option in told, f"roomfit {name} {option}"
+            assert option in reported, f"roomfit {name} {option}"
 
 
 # What the pages say is what the code does.
@@ -214,11 +214,11 @@ def test_every_key_of_a_campaign_is_told_with_its_default(table):
         assert re.search(rf"\b{key}\b", text), key
         default = field.default
         if isinstance(default, int | float | str):
-            told = default if isinstance(default, str) else f"{default:g}"
-            told = str(default).lower() if isinstance(default, bool) else told
+            reported = default if isinstance(default, str) else f"{default:g}"
+            reported = str(default).lower() if isinstance(default, bool) else reported
             # the second cell holds the default where there is a column for it
             cells = [row[1] for row in rows if f"`{key}`" in row[0]]
-            assert any(re.search(rf"(?<![\w.]){told}\b", cell) for cell in cells), key
+            assert any(re.search(rf"(?<![\w.]){reported}\b", cell) for cell in cells), key
 
 
 GOOD = """
@@ -240,20 +240,21 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
     middle = np.log(DEFAULT_MEAN / (1.0 - DEFAULT_MEAN))
     reach = 1.96 * DEFAULT_LOGIT_SD
     low, high = (1.0 / (1.0 + np.exp(-x)) for x in (middle - reach, middle + reach))
-    told = {
+    reported = {
         "results.md": [
-            f"(φ at most {LARGEST_PHI:g}), the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
+            f"(φ at most {LARGEST_CHI2_REDUCED:g}), "
+            f"the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
         ],
         "findings.md": [
             f"explains the responses best, and {DEFAULT_SCATTERING:g} where there are only room",
             f"More than {100 * LEAK_LIMIT:g} % of hits escape",
-            f"`phi` exceeds {LARGEST_PHI:g}",
-            f"; {100 * UNTOLD_POSITION_SD_M:g} cm a coordinate was assumed",
+            f"`phi` exceeds {LARGEST_CHI2_REDUCED:g}",
+            f"; {100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed",
             f"by more than {1e3 * TOO_WARPED_FROM_M:g} mm",
         ],
         "campaign-file.md": [
             f"({DEFAULT_SCATTERING:g} where there are only room parameters), with a finding",
-            f"Left out: {UNTOLD_POSITION_SD_M:g}",
+            f"Left out: {DEFAULT_POSITION_SD_M:g}",
             f"lies between {low:.2f} and {high:.2f}",
         ],
         "how-it-works.md": [
@@ -263,7 +264,7 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
             f"(mean {DEFAULT_MEAN:g}, standard deviation {DEFAULT_LOGIT_SD:g} in logit)",
         ],
     }
-    for name, sentences in told.items():
+    for name, sentences in reported.items():
         text = " ".join(page(name).split())
         for sentence in sentences:
             assert sentence in text, f"{name} no longer says: {sentence}"

@@ -299,9 +299,9 @@ def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsy
     result, out = write_result(tmp_path), tmp_path / "walls.geo"
     call = ("export", result, "--format", "catt", "--out", out)
     assert run_command(monkeypatch, *call) == 0
-    told = capsys.readouterr().out
-    assert str(out) in told
-    assert "does not determine Wand grün at 250 Hz" in told
+    reported = capsys.readouterr().out
+    assert str(out) in reported
+    assert "does not determine Wand grün at 250 Hz" in reported
     before = out.read_bytes()
     assert run_command(monkeypatch, *call, "--scattering", "0.4") == 2
     assert "exists" in capsys.readouterr().err

@@ -177,8 +177,8 @@ def test_a_code_keeps_its_kind_between_processes_and_in_json():
 
 def test_a_cached_finding_comes_back_with_its_code(tmp_path):
     """A string in its place would void nothing."""
-    told = Finding(Code.RAYS_ESCAPED, "They left.", {"n_escaped": 3}, graded="serious")
-    save_record(tmp_path / "a.npz", told)
+    reported = Finding(Code.RAYS_ESCAPED, "They left.", {"n_escaped": 3}, graded="serious")
+    save_record(tmp_path / "a.npz", reported)
     back = load_record(tmp_path / "a.npz", (Finding, Code))
     assert back.code is Code.RAYS_ESCAPED
     assert (back.sentence, back.severity) == ("They left.", "serious")

@@ -70,9 +70,9 @@ def test_absorption_and_intervals_are_those_of_the_answer(case):
     for i, name in enumerate(answer.materials):
         for j, cell in enumerate(rows[name]):
             lower, upper = (number(t) for t in cell[1].split(DASH))
-            told = [number(cell[0]), lower, upper]
+            reported = [number(cell[0]), lower, upper]
             true = [answer.absorption[i, j], answer.lower95[i, j], answer.upper95[i, j]]
-            np.testing.assert_allclose(told, true, atol=0.00501)
+            np.testing.assert_allclose(reported, true, atol=0.00501)
             sure = bool(answer.identifiable[i, j])
             assert (cell[0][0] == "(", "not identif." in cell) == (not sure, not sure)
     means = [number(cell[0]) for cell in rows["mean of the room"]]
@@ -91,9 +91,9 @@ def test_absorption_areas_add_up_with_the_air(case):
         "total": areas.sum(axis=0) + air,
     }
     for name, values in expected.items():
-        told = [number(cell[0]) for cell in rows[name][1:]]
+        reported = [number(cell[0]) for cell in rows[name][1:]]
         # two decimals below 10 m2, one above
-        np.testing.assert_allclose(told, values, atol=0.0501)
+        np.testing.assert_allclose(reported, values, atol=0.0501)
     assert [number(rows[n][0][0]) for n in answer.materials] == [60.0, 24.0, 24.0]
 
 
@@ -105,9 +105,9 @@ def test_jnd_of_every_pair_and_of_the_null_model_are_recomputed_from_the_values(
             c = pair.parameters[key]
             scale = unit * c.measured if key.endswith("_s") else unit
             cells = rows[key.split("_")[0]]
-            told = [[number(x[0]), number(x[2].removeprefix("others "))] for x in cells]
+            reported = [[number(x[0]), number(x[2].removeprefix("others "))] for x in cells]
             true = np.array([(c.predicted - c.measured) / scale, (c.null - c.measured) / scale]).T
-            np.testing.assert_allclose(told, true, atol=0.0501)
+            np.testing.assert_allclose(reported, true, atol=0.0501)
 
 
 def test_mean_errors_of_model_and_null_model_are_those_over_pairs(case):
@@ -121,9 +121,9 @@ def test_mean_errors_of_model_and_null_model_are_those_over_pairs(case):
             scale = measured / 100.0 if key in ("T20_s", "T30_s", "EDT_s") else 1.0
             for which, at in (("predicted", 0), ("null", 1)):
                 errors = np.abs(np.array([getattr(x, which) for x in c]) - measured) / scale
-                told = [number(x[at].removeprefix("others ")) for x in rows[key.split("_")[0]]]
+                reported = [number(x[at].removeprefix("others ")) for x in rows[key.split("_")[0]]]
                 expected = [*errors.mean(axis=0), errors.mean()]
-                np.testing.assert_allclose(told, expected, atol=0.0501)
+                np.testing.assert_allclose(reported, expected, atol=0.0501)
 
 
 def test_a_model_worse_than_the_null_model_is_marked_as_such(case):
@@ -183,10 +183,10 @@ def test_the_plan_and_the_side_views_show_where_everything_stands(case):
 def test_of_a_box_in_space_the_floor_and_the_two_far_walls_are_drawn(case):
     """The viewer stands at low x and low y, above: ceiling, west and south walls are in front."""
     room = case[1].room
-    faces, n_seen = drawn_faces(room)
+    faces, n_observed = drawn_faces(room)
     names = {room.mesh.surfaces[k].name for k in room.mesh.triangle_surface[faces]}
     assert names == {"floor", "east", "north"}
-    assert n_seen == len(faces) == 6 < MOST_FACES
+    assert n_observed == len(faces) == 6 < MOST_FACES
 
 
 def test_decay_curves_follow_the_answer_where_they_are_shown(case):
@@ -224,8 +224,8 @@ def test_a_choice_shows_the_curves_of_its_pair_and_the_worst_comes_first(case):
 
 def test_findings_come_first_with_the_most_serious_ahead(case):
     _, _, text, page = case
-    told = ["Do not use it.", "Look at it.", "Look at this as well.", "Good to know."]
-    places = [text.index(sentence) for sentence in told]
+    reported = ["Do not use it.", "Look at it.", "Look at this as well.", "Good to know."]
+    places = [text.index(sentence) for sentence in reported]
     assert places == sorted(places)
     assert page.headings[1] == "Findings"
     assert places[-1] < text.index("<h2>The room</h2>")
@@ -346,7 +346,7 @@ def odd_cases():
         kept = {k: v for k, v in pair.parameters.items() if k != "T20_s"}
         return dataclasses.replace(pair, parameters=kept)
 
-    def nothing_known(pair):
+    def all_undetermined(pair):
         empty = np.full(6, np.nan)
         kept = {k: Compared(empty, empty, empty, empty) for k in pair.parameters}
         return dataclasses.replace(pair, parameters=kept, decay=None)
@@ -366,7 +366,8 @@ def odd_cases():
     hole = dataclasses.replace(
         hole,
         absorption=hole.absorption * gap, lower95=hole.lower95 * gap, upper95=hole.upper95 * gap,
-        mean_absorption=hole.mean_absorption * gap, phi=hole.phi * gap, cost=float("nan"),
+        mean_absorption=hole.mean_absorption * gap, chi2_reduced=hole.chi2_reduced * gap,
+        cost=float("nan"),
         identifiable=hole.identifiable & np.isfinite(gap),
     )  # fmt: skip
     held = answer_of(two)
@@ -378,7 +379,7 @@ def odd_cases():
         "one band, one material, one pair": (answer_of(small, low=1000, high=1000), small),
         "no pairs": (answer_of(no_pairs), no_pairs),
         "no T20": (with_pairs(two, without_t20), two),
-        "nothing known of any pair": (with_pairs(two, nothing_known), two),
+        "nothing known of any pair": (with_pairs(two, all_undetermined), two),
         "some values missing": (with_pairs(two, some_missing), two),
         "a band not determined": (hole, two),
         "everything given": (held, two),
@@ -447,13 +448,13 @@ def test_a_name_is_drawn_letter_by_letter(name):
 
 @given(st.floats(), st.integers(0, 4), st.booleans())
 def test_a_number_is_told_to_its_last_digit_or_as_a_dash(value, decimals, signed):
-    told = wording.number(value, decimals, signed=signed)
+    reported = wording.number(value, decimals, signed=signed)
     if not np.isfinite(value):
-        assert told == DASH
+        assert reported == DASH
         return
     # half a unit of the last digit, and the rounding of the value itself
-    assert abs(number(told) - value) <= 0.5 * 10.0**-decimals + 1e-15 * abs(value)
-    assert (told[0] == "\N{MINUS SIGN}") == (number(told) < 0.0)
+    assert abs(number(reported) - value) <= 0.5 * 10.0**-decimals + 1e-15 * abs(value)
+    assert (reported[0] == "\N{MINUS SIGN}") == (number(reported) < 0.0)
 
 
 def test_the_outline_of_a_box_is_its_twelve_edges():

@@ -19,7 +19,7 @@ from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.results import absorption_csv, result_content
 from roomfit.results import Answer
-from roomfit.synthetic.boxes import BoxTruth, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from small_campaign import (
     ABSORPTION,
     RATE_HZ,
@@ -121,12 +121,12 @@ def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
     """
     change = ('file = "LS1', 'level = "absolute"\nfile = "LS1')
     campaign = read_campaign(write_campaign(tmp_path, change))
-    told = identify(campaign)
-    np.testing.assert_allclose(told.mean_absorption[0], plain.mean_absorption[0], atol=0.06)
-    assert np.all(told.phi < 2.0)
+    reported = identify(campaign)
+    np.testing.assert_allclose(reported.mean_absorption[0], plain.mean_absorption[0], atol=0.06)
+    assert np.all(reported.chi2_reduced < 2.0)
     for name, pressure in small_responses().items():
         write_wav(tmp_path / f"LS1_{name}.wav", 0.5 * pressure)
-    assert np.all(identify(campaign).mean_absorption[0] > told.mean_absorption[0] + 0.05)
+    assert np.all(identify(campaign).mean_absorption[0] > reported.mean_absorption[0] + 0.05)
 
 
 def test_latency_is_subtracted_exactly(tmp_path, plain):
@@ -175,10 +175,10 @@ def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
     def doubt(_):
         return (Finding(code, "It is.", {}),)
 
-    told = (CARPET, f"{CARPET}\nabsorption = 0.4")
-    sure = answer_to(tmp_path / "sure", told)
+    specified = (CARPET, f"{CARPET}\nabsorption = 0.4")
+    sure = answer_to(tmp_path / "sure", specified)
     monkeypatch.setattr("roomfit.inversion.identify.description_findings", doubt)
-    unsure = answer_to(tmp_path / "unsure", told)
+    unsure = answer_to(tmp_path / "unsure", specified)
     held = np.array(unsure.materials) == "carpet"
     assert sure.identifiable[~held].any()
     assert not unsure.identifiable[~held].any()
@@ -251,7 +251,7 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
         ):
             assert 0.0 <= lower <= value <= upper <= 1.0
         assert len(material["absorption"]) == len(material["identifiable"]) == 2
-        assert all(isinstance(told, bool) for told in material["identifiable"])
+        assert all(isinstance(reported, bool) for reported in material["identifiable"])
     # 3.9 * 3.1 of carpet
     assert result["materials"]["carpet"]["area_m2"] == pytest.approx(12.09)
     for combination in result["combinations"]:
@@ -357,7 +357,7 @@ def test_a_hall_is_read_although_silence_comes_before_its_first_reflection(tmp_p
     the file holds no noise, windows of the gap hold no energy at all.
     """
     bands, air = bands_between("octave", 250, 2000), Air()
-    truth = BoxTruth(
+    truth = SyntheticBox(
         (40.0, 25.0, 15.0),
         bands.centres_hz,
         np.full((6, len(bands)), 0.4),
@@ -382,12 +382,12 @@ def test_a_hall_is_read_although_silence_comes_before_its_first_reflection(tmp_p
 
 def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_rays, monkeypatch):
     """The noise of the rays and the air move the answer as a whole: intervals only widen."""
-    told = ("[identify]", '[identify]\nmodel = "energy"')
-    allowing = answer_to(tmp_path / "allowing", told)
+    reported = ("[identify]", '[identify]\nmodel = "energy"')
+    allowing = answer_to(tmp_path / "allowing", reported)
     monkeypatch.setattr(
-        "roomfit.inversion.solve.allowing_for_shared_errors", lambda _task: lambda _n, _p, fit: fit
+        "roomfit.inversion.solve.shared_error_covariance", lambda _task: lambda _n, _p, fit: fit
     )
-    sure = answer_to(tmp_path / "sure", told)
+    sure = answer_to(tmp_path / "sure", reported)
     np.testing.assert_array_equal(allowing.absorption, sure.absorption)
     more, less = allowing.upper95 - allowing.lower95, sure.upper95 - sure.lower95
     assert np.all(more >= less - 1e-9)
@@ -396,12 +396,12 @@ def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_
 
 def test_smoothness_over_bands_keeps_what_is_held_and_tied(tmp_path, few_rays):
     """Absorption held at 0 and 1 stays; tied materials stay equal; nothing is lost on the way."""
-    told = [
+    reported = [
         ("[identify]", "[identify]\nsmoothness_per_octave = 0.5"),
         (CARPET, f"{CARPET}\nabsorption = [0.0, 1.0]"),
         ("[materials.tiles]", '[materials.tiles]\nsame_absorption_as = "walls"'),
     ]
-    answer = answer_to(tmp_path, *told)
+    answer = answer_to(tmp_path, *reported)
     row = {name: i for i, name in enumerate(answer.materials)}
     np.testing.assert_array_equal(answer.absorption[row["carpet"]], [0.0, 1.0])
     for array in (answer.absorption, answer.lower95, answer.upper95):

@@ -75,8 +75,8 @@ def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_te
         f'[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "{wav}"\n'
     )
     assert run_command(monkeypatch, "identify", path, "--out", tmp_path / "out") == 0
-    told = capsys.readouterr().out
-    assert "What the data tell" in told
+    reported = capsys.readouterr().out
+    assert "What the data tell" in reported
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert len(result["materials"]) == 5
     sure = [m["identifiable"] for m in result["materials"].values()]

@@ -300,14 +300,14 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_tells_them(tm
     direct_s = np.linalg.norm(model.whole.vector_m[model.whole.pair_first[4]]) / 343.0
     clean[4][: round(24_000 * (direct_s + 0.0015))] *= 0.05
     late = [np.concatenate([np.zeros((1200, 264)[n % 2]), p]) for n, p in enumerate(clean)]
-    told = pressures_of(tmp_path, clean, "")
-    assert told.nuisances.gain == "spectrum" and told.nuisances.delay_sd_s == 0.0
+    reported = pressures_of(tmp_path, clean, "")
+    assert reported.nuisances.gain == "spectrum" and reported.nuisances.delay_sd_s == 0.0
 
     by_latency = pressures_of(tmp_path, [late[0]], "latency_s = 0.05\n").observed.pressure
-    np.testing.assert_allclose(by_latency[0], told.observed.pressure[0], rtol=1e-9)
+    np.testing.assert_allclose(by_latency[0], reported.observed.pressure[0], rtol=1e-9)
 
     unknown = pressures_of(tmp_path, late, 'time_zero = "unknown"\n')
-    turned = unknown.observed.pressure / told.observed.pressure
+    turned = unknown.observed.pressure / reported.observed.pressure
     # one clock a source, off by 0.15 ms at most; 3 % is what the cut before the direct sound moves
     for one, other in ((0, 2), (0, 4), (1, 3)):
         np.testing.assert_allclose(turned[one], turned[other], atol=0.05)

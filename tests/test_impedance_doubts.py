@@ -11,14 +11,14 @@ from images_reference import l_shaped_room
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.data import Observed, level_at, model_error
-from roomfit.impedance.fit import refined
+from roomfit.impedance.fit import polish
 from roomfit.impedance.identify import identify_impedance, wave_problem
 from roomfit.impedance.laws import absorption_normal
 from roomfit.impedance.problem import (
     Whitened,
-    evident_model_error,
-    honest_covariance,
     layout_of,
+    marginal_likelihood_error,
+    robust_covariance,
     start_of,
 )
 from roomfit.impedance.result import estimated_noise, material_answer
@@ -69,9 +69,9 @@ def test_the_error_of_the_model_is_found_from_what_a_linear_fit_leaves(factor):
     normal = jacobian.T @ jacobian
     left = rows - jacobian @ np.linalg.solve(normal, jacobian.T @ rows)
     linear = Whitened(left, jacobian, normal)
-    assert evident_model_error(problem, linear) == pytest.approx(factor, rel=0.15)
+    assert marginal_likelihood_error(problem, linear) == pytest.approx(factor, rel=0.15)
     # what was fitted is as far off as its covariance says: 72 numbers, 240 squares of normal ones
-    covariance = honest_covariance(problem, linear, factor, float(jacobian.shape[1]))
+    covariance = robust_covariance(problem, linear, factor, float(jacobian.shape[1]))
     off = np.linalg.solve(normal, jacobian.T @ rows)
     squares = np.mean(off**2 / np.diag(covariance))
     assert 0.7 < squares < 1.35
@@ -86,8 +86,8 @@ def test_where_noise_hides_the_error_of_the_model_half_of_the_allowance_is_belie
     jacobian = rng.normal(size=(len(rows), 5))
     linear = Whitened(rows, jacobian, jacobian.T @ jacobian)
     # a grid of 10 % steps
-    assert evident_model_error(problem, linear) == pytest.approx(0.08, rel=0.15)
-    assert evident_model_error(replace(problem, model_error=0.0), linear) == 0.0
+    assert marginal_likelihood_error(problem, linear) == pytest.approx(0.08, rel=0.15)
+    assert marginal_likelihood_error(replace(problem, model_error=0.0), linear) == 0.0
 
 
 def test_noise_that_nobody_told_is_found_as_a_function_of_frequency():
@@ -98,7 +98,7 @@ def test_noise_that_nobody_told_is_found_as_a_function_of_frequency():
     data = p + truth * normal_numbers(rng, p.shape)
     data[2, 15] += 0.1 * np.abs(p).max()
     problem = wave_problem(scene, Observed(F_HZ, TAU_S, data), None, EXACT, model_error=0.002)
-    fit = refined(problem, start_with(problem, r0))
+    fit = polish(problem, start_with(problem, r0))
     found = estimated_noise(fit)
     assert found.shape == p.shape and np.ptp(found, axis=0).max() == 0.0
     # medians of 24 numbers and more: 20 % of spread each, some of it averaged out
@@ -166,10 +166,10 @@ def test_the_interval_of_absorption_holds_it_even_where_a_wall_is_nearly_matched
     """20,000 true walls about what was found: 95 % lie within, by a spread of 0.2 %."""
     rng = np.random.default_rng(9)
     spread = 0.05**2 * np.array([[[1.0, 0.3], [0.3, 0.7]]])
-    told = material_answer("wall", "spline", np.array([size + 0.0j]), spread)
+    reported = material_answer("wall", "spline", np.array([size + 0.0j]), spread)
     off = rng.multivariate_normal([0.0, 0.0], spread[0], size=20_000)
     true = absorption_normal(size + off[:, 0] + 1j * off[:, 1])
-    low, high = told.absorption_normal_lower95[0], told.absorption_normal_upper95[0]
+    low, high = reported.absorption_normal_lower95[0], reported.absorption_normal_upper95[0]
     # squares are skewed near a matched wall
     assert 0.93 <= np.mean((low <= true) & (true <= high)) <= 0.985
 
@@ -187,9 +187,9 @@ def coloured_data(rng):
 def test_spectra_of_sources_that_are_taken_for_flat_are_the_cause_that_is_named():
     rng = np.random.default_rng(6)
     scene, data, _ = coloured_data(rng)
-    told = Nuisances(0.0, 0.0, "pair")
+    nuisances = Nuisances(0.0, 0.0, "pair")
     answer = identify_impedance(
-        scene, data, None, told, rng=rng, n_random_starts=0, model_error=0.02
+        scene, data, None, nuisances, rng=rng, n_random_starts=0, model_error=0.02
     )
     assert answer.verdict.word == "does not fit"
     assert answer.verdict.cause.startswith("sources whose spectra")

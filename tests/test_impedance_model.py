@@ -188,8 +188,8 @@ def test_derivatives_are_those_of_central_differences(kind):
         law_curve("miki", at, 343.0),
     )
     gain = "spectrum" if kind == "spectrum" else "pair"
-    told = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
-    problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, told)
+    nuisances = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
+    problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, nuisances)
     layout = layout_of(problem)
     x = start_of(problem) + 0.3 * rng.normal(size=layout.size) * (np.arange(layout.size) > 5)
     correction = 1e-3 * p

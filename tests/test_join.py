@@ -310,12 +310,12 @@ def test_a_leak_is_told() -> None:
 
 def test_progress_rises_from_0_to_1() -> None:
     """Through images and rays alike."""
-    seen: list[float] = []
+    observed: list[float] = []
     scene = scene_of(box_room(), *PLACES)
     still = uniform_scattering(BOX_MATERIALS, 0.0)
-    trace(scene, settings(2000, 2), still, seen.append)
-    assert seen == sorted(seen)
-    assert 0.0 <= seen[0] < seen[-1] == 1.0
+    trace(scene, settings(2000, 2), still, observed.append)
+    assert observed == sorted(observed)
+    assert 0.0 <= observed[0] < observed[-1] == 1.0
 
 
 def _of_order(paths: Paths, order: int) -> Paths:

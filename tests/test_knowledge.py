@@ -7,7 +7,7 @@ import pytest
 
 from roomfit.errors import InputError
 from roomfit.materials.priors import (
-    MaterialKnowledge,
+    MaterialPrior,
     logit_prior,
     prior_logits,
     sampling_scattering,
@@ -29,29 +29,29 @@ def test_an_unknown_material_has_the_broad_prior_and_nothing_else():
 
 
 def test_the_trace_samples_with_the_mean_scattering_of_the_bands():
-    told = MaterialKnowledge("wall", MEAN, SD, scattering=np.array([0.1, 0.2, 0.6]))
-    assert sampling_scattering(told) == pytest.approx(0.3)
+    specified = MaterialPrior("wall", MEAN, SD, scattering=np.array([0.1, 0.2, 0.6]))
+    assert sampling_scattering(specified) == pytest.approx(0.3)
 
 
 @pytest.mark.parametrize("s", [0.05, 0.1, 0.2, 0.7])
 def test_the_same_scattering_in_all_bands_is_traced_to_the_last_bit(s):
     # the mean of six times 0.1 is less than 0.1, and paths would be weighed anew for nothing
-    six = MaterialKnowledge("wall", np.zeros(6), np.ones(6), scattering=np.full(6, s))
+    six = MaterialPrior("wall", np.zeros(6), np.ones(6), scattering=np.full(6, s))
     assert np.mean(np.full(6, s)) != s
     assert sampling_scattering(six) == s
 
 
 def test_arrays_are_copies_that_cannot_be_changed():
     scattering = np.array([0.1, 0.2, 0.3])
-    told = MaterialKnowledge("wall", MEAN, SD, scattering=scattering)
+    specified = MaterialPrior("wall", MEAN, SD, scattering=scattering)
     scattering[0] = 0.9
-    assert told.scattering[0] == pytest.approx(0.1)
+    assert specified.scattering[0] == pytest.approx(0.1)
     with pytest.raises(ValueError, match="read-only"):
-        told.scattering[0] = 0.5
+        specified.scattering[0] = 0.5
 
 
 @pytest.mark.parametrize(
-    ("told", "words"),
+    ("specified", "words"),
     [
         ({"scattering": np.array([0.1, 0.2])}, "materials.wall.scattering has the wrong shape"),
         ({"scattering": np.array([0.1, 0.2, 1.2])}, "materials.wall.scattering is out of range"),
@@ -64,9 +64,9 @@ def test_arrays_are_copies_that_cannot_be_changed():
         ({"wall_delay_sd_s": float("nan")}, "delay out of range"),
     ],
 )
-def test_knowledge_that_cannot_be_is_refused(told, words):
+def test_knowledge_that_cannot_be_is_refused(specified, words):
     with pytest.raises(InputError, match=words):
-        MaterialKnowledge("wall", MEAN, SD, **told)
+        MaterialPrior("wall", MEAN, SD, **specified)
 
 
 def test_the_logit_prior_agrees_with_a_finite_difference():
@@ -81,9 +81,9 @@ def test_the_logit_prior_agrees_with_a_finite_difference():
 
 
 def test_the_priors_of_all_materials_stand_side_by_side_and_a_tied_one_has_its_leaders():
-    floor = MaterialKnowledge("floor", np.array([-1.0, -2.0]), np.array([0.5, 0.6]))
-    wall = MaterialKnowledge("wall", np.zeros(2), np.ones(2), tied_to="floor")
-    door = MaterialKnowledge("door", np.array([0.3, 0.4]), np.array([1.5, 1.6]))
+    floor = MaterialPrior("floor", np.array([-1.0, -2.0]), np.array([0.5, 0.6]))
+    wall = MaterialPrior("wall", np.zeros(2), np.ones(2), tied_to="floor")
+    door = MaterialPrior("door", np.array([0.3, 0.4]), np.array([1.5, 1.6]))
     mean, sd = prior_logits((wall, floor, door))
     assert mean.tolist() == [[-1.0, -2.0], [-1.0, -2.0], [0.3, 0.4]]
     assert sd.tolist() == [[0.5, 0.6], [0.5, 0.6], [1.5, 1.6]]

@@ -72,12 +72,12 @@ def test_of_recordings_the_console_shows_three_parameters():
 def test_errors_on_the_console_are_those_of_the_pair():
     answer = with_parameters(("T30_s", "D50_percent"))
     rows = pairs_table(answer).splitlines()[2:]
-    told = {row.split("fitted")[0].strip(): row for row in rows if "not" not in row}
+    reported = {row.split("fitted")[0].strip(): row for row in rows if "not" not in row}
     for label, name, percent in (("T30 %", "T30_s", True), ("D50 points", "D50_percent", False)):
         c = answer.pairs[0].parameters[name]
         scale = c.measured / 100.0 if percent else 1.0
         expected = [abs(v - c.measured) / scale for v in (c.predicted, c.null)]
-        cells = told[label].split("fitted")[1].split("|")
+        cells = reported[label].split("fitted")[1].split("|")
         np.testing.assert_allclose([float(x) for x in cells], np.ravel(expected), atol=0.0501)
 
 
@@ -87,15 +87,15 @@ def test_decay_pictures_name_the_decay_time_that_is_known():
         pair = answer.pairs[0]
         (axes,) = decay_figure(answer, pair).axes
         assert axes.get_title(loc="left") == "1000 Hz"
-        (told,) = [t.get_text() for t in axes.texts]
+        (reported,) = [t.get_text() for t in axes.texts]
         time = time_of(names)
         if time is None:
-            assert told == ""
+            assert reported == ""
         else:
             measured, predicted = (
                 getattr(pair.parameters[time], k)[0] for k in ("measured", "predicted")
             )
-            assert told == f"{SYMBOLS[time]} {measured:.2f} → {predicted:.2f} s"
+            assert reported == f"{SYMBOLS[time]} {measured:.2f} → {predicted:.2f} s"
 
 
 def test_the_tables_of_the_report_show_the_parameters_and_no_others():
@@ -109,8 +109,8 @@ def test_the_tables_of_the_report_show_the_parameters_and_no_others():
         assert list(overview.columns) == expected
         for table in error_tables(answer):
             assert [row.head for row in table.rows] == expected
-        told = next(s for s in summary_sentences(answer) if s.startswith("Mean error"))
-        assert any(SYMBOLS[n] in told for n in names), told
+        reported = next(s for s in summary_sentences(answer) if s.startswith("Mean error"))
+        assert any(SYMBOLS[n] in reported for n in names), reported
 
 
 @pytest.mark.parametrize("name", SYMBOLS)

@@ -59,7 +59,7 @@ def test_clarity_of_microphones_kept_apart(benchmark: ModuleType, laboratory: An
 
 def test_a_band_that_does_not_fit_tells_no_material(laboratory: Answer) -> None:
     """phi above 2 forbids "identifiable", and an interval beside it would be no news."""
-    poor = laboratory.phi > 2.0
+    poor = laboratory.chi2_reduced > 2.0
     assert not laboratory.identifiable[:, poor].any()
     width = (laboratory.upper95 - laboratory.lower95)[laboratory.identifiable]
     assert (width <= 0.2).all()

@@ -11,7 +11,7 @@ from roomfit.air import Air
 from roomfit.bands import Bands
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.measurements import Gathered
+from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.symmetry import mirror_findings
 from roomfit.materials.priors import unknown_material
 from roomfit.scene import Point, Room, Scene
@@ -25,7 +25,7 @@ KNOWN = tuple(unknown_material(n, 2) for n in NAMES)
 ABSORPTION = np.array([[0.1, 0.1], [0.3, 0.3], [0.6, 0.35]])
 
 
-def gathered(*heights_m: float, sd_m: float = 0.01) -> Gathered:
+def measurements(*heights_m: float, sd_m: float = 0.01) -> Measurements:
     """One source at half height, receivers at the given ones; room parameters only."""
     places = [(1.0 + 0.7 * i, 2.9, z) for i, z in enumerate(heights_m)]
     receivers = tuple(Point(f"R{i}", np.array(p), sd_m) for i, p in enumerate(places))
@@ -37,15 +37,15 @@ def gathered(*heights_m: float, sd_m: float = 0.01) -> Gathered:
         Air(),
     )
     values = tuple(MeasuredValues("S", r.name, BANDS.centres_hz, {}, {}) for r in receivers)
-    return Gathered(scene, (), values, (), ())
+    return Measurements(scene, (), values, (), ())
 
 
-def found(data: Gathered, knowledge=KNOWN):
-    return mirror_findings(data, BANDS, knowledge, ABSORPTION, ABSORPTION - 0.1, ABSORPTION + 0.1)
+def found(data: Measurements, priors=KNOWN):
+    return mirror_findings(data, BANDS, priors, ABSORPTION, ABSORPTION - 0.1, ABSORPTION + 0.1)
 
 
 def test_floor_and_ceiling_can_be_exchanged_where_everything_stands_at_half_height():
-    ambiguous, (finding,) = found(gathered(1.5, 1.51))
+    ambiguous, (finding,) = found(measurements(1.5, 1.51))
     # at 1 kHz both answers lie within the intervals
     assert ambiguous.tolist() == [[False, False], [True, False], [True, False]]
     assert finding.code == Code.MIRROR_AMBIGUITY
@@ -58,15 +58,15 @@ def test_floor_and_ceiling_can_be_exchanged_where_everything_stands_at_half_heig
 
 def test_one_pair_off_the_plane_is_enough():
     for heights in ((1.5, 1.6), (1.2,)):
-        ambiguous, findings = found(gathered(*heights))
+        ambiguous, findings = found(measurements(*heights))
         assert not ambiguous.any()
         assert findings == ()
     # places that are known to 4 cm only may be symmetric after all
-    assert len(found(gathered(1.5, 1.6, sd_m=0.04))[1]) == 1
+    assert len(found(measurements(1.5, 1.6, sd_m=0.04))[1]) == 1
 
 
 def test_what_is_known_of_one_wall_tells_it_from_the_other():
     known = replace(KNOWN[1], known=np.array([0.3, 0.3]))
-    assert found(gathered(1.5), (KNOWN[0], known, KNOWN[2]))[1] == ()
+    assert found(measurements(1.5), (KNOWN[0], known, KNOWN[2]))[1] == ()
     prior = replace(KNOWN[1], prior_logit_sd=np.full(2, 0.2), prior_logit_mean=np.full(2, -0.8))
-    assert found(gathered(1.5), (KNOWN[0], prior, KNOWN[2]))[1] == ()
+    assert found(measurements(1.5), (KNOWN[0], prior, KNOWN[2]))[1] == ()

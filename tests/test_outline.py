@@ -14,7 +14,7 @@ from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.scene import Point, Scene
 from roomfit.signals.response import ImpulseResponse, echo_prominence
-from roomfit.synthetic.boxes import BoxTruth, add_noise, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.synthetic.polyhedra import obj_text
 from simulated_rooms.polyhedral_rooms import l_shaped_cells
 
@@ -23,14 +23,16 @@ RATE_HZ = 16_000.0
 CENTRES_HZ = 125.0 * 2.0 ** np.arange(7)
 
 
-def told_and_heard(seed: int, told_m: tuple[float, float, float], true_m=(6.0, 5.0, 3.0)):
+def specified_and_observed(
+    seed: int, specified_m: tuple[float, float, float], true_m=(6.0, 5.0, 3.0)
+):
     """Return a scene with the told outline and responses of the true one, origin shared."""
     rng = np.random.default_rng(seed)
-    truth = BoxTruth(true_m, CENTRES_HZ, rng.uniform(0.1, 0.5, (6, 7)), np.zeros(7), C)
-    low, high = np.full(3, 0.7), np.minimum(told_m, true_m) - 0.7
+    truth = SyntheticBox(true_m, CENTRES_HZ, rng.uniform(0.1, 0.5, (6, 7)), np.zeros(7), C)
+    low, high = np.full(3, 0.7), np.minimum(specified_m, true_m) - 0.7
     sources = [Point(f"S{i}", rng.uniform(low, high)) for i in range(2)]
     receivers = [Point(f"R{i}", rng.uniform(low, high)) for i in range(5)]
-    room, _ = read_room(RoomSpec(shoebox=told_m))
+    room, _ = read_room(RoomSpec(shoebox=specified_m))
     pairs = [(s, r) for s in range(2) for r in range(5)]
     air = Air(speed_of_sound_m_s=C)
     scene = Scene(room, tuple(sources), tuple(receivers), np.array(pairs), air)
@@ -45,19 +47,19 @@ def told_and_heard(seed: int, told_m: tuple[float, float, float], true_m=(6.0, 5
 @pytest.mark.parametrize("seed", range(1, 9))
 def test_a_room_told_right_raises_no_doubt(seed):
     """No false alarm in eight seeded rooms; there was none in a hundred either."""
-    assert outline_findings(*told_and_heard(seed, (6.0, 5.0, 3.0))) == ()
+    assert outline_findings(*specified_and_observed(seed, (6.0, 5.0, 3.0))) == ()
 
 
 @pytest.mark.parametrize(
-    ("told_m", "surface", "metres"),
+    ("specified_m", "surface", "metres"),
     [
         ((6.5, 5.0, 3.0), "east", -0.5),
         ((6.0, 4.4, 3.0), "north", 0.6),
         ((6.0, 5.0, 3.4), "ceiling", -0.4),
     ],
 )
-def test_a_wall_told_wrong_is_named_with_its_distance(told_m, surface, metres):
-    (finding,) = outline_findings(*told_and_heard(3, told_m))
+def test_a_wall_told_wrong_is_named_with_its_distance(specified_m, surface, metres):
+    (finding,) = outline_findings(*specified_and_observed(3, specified_m))
     assert finding.code == Code.WALL_POSITION_MISMATCH
     assert finding.evidence["surface"] == surface
     assert finding.evidence["metres_outward"] == pytest.approx(metres, abs=0.05)
@@ -65,12 +67,12 @@ def test_a_wall_told_wrong_is_named_with_its_distance(told_m, surface, metres):
 
 
 def test_few_responses_tell_nothing():
-    scene, responses = told_and_heard(3, (6.5, 5.0, 3.0))
+    scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
     assert outline_findings(scene, responses[:2] + responses[5:7]) == ()
 
 
 def test_one_source_alone_tells_nothing():
-    scene, responses = told_and_heard(3, (6.5, 5.0, 3.0))
+    scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
     assert outline_findings(scene, responses[:5]) == ()
 
 

@@ -148,7 +148,7 @@ def test_merging_equal_rows_and_grouping_walls_change_no_energy(paths: dict[str,
     """Seven planes with the absorption of their groups against the groups themselves."""
     rows = energy_rows(paths["paper"], 2, paper_edges_s(22), 341.0)
     for division in (*DIVISIONS.values(), WALLS_APART):
-        truth = np.array(division.truth)
+        truth = np.array(division.true_absorption)
         grouped = grouped_rows(rows, division.materials, np.array(division.group))
         expected = window_energies(rows, truth[list(division.group)])
         np.testing.assert_allclose(window_energies(grouped, truth), expected, rtol=1e-12)
@@ -175,17 +175,17 @@ def test_least_squares_finds_two_to_seven_materials(
 ) -> None:
     """From the uniform start that the decay gives, to 1e-6 where the data are exact."""
     problem = problems[MATERIAL_PROBLEMS[n]]
-    assert problem.truth.size == n
+    assert problem.true_absorption.size == n
     start = np.full((1, n), problem.uniform_start)
     fit = fit_least_squares(partial(residuals, problem.squares), start)
-    np.testing.assert_allclose(fit.x, problem.truth, atol=1e-6)
+    np.testing.assert_allclose(fit.x, problem.true_absorption, atol=1e-6)
 
 
 def test_south_and_north_wall_of_case_1_are_exchangeable(paths: dict[str, Paths]) -> None:
     """Exactly so for mirrored paths, which have the energies of the traced ones; both are found."""
     exact = walls_apart_problem(paths["paper"], mirrored=True).squares
     materials = exact.rows.materials
-    for a in (np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.array(WALLS_APART.truth)):
+    for a in (np.array([0.1, 0.2, 0.3, 0.4, 0.5]), np.array(WALLS_APART.true_absorption)):
         exchanged = a[exchanged_walls(materials)]
         np.testing.assert_allclose(exchanged[[3, 4]], a[[4, 3]])
         np.testing.assert_allclose(
@@ -207,8 +207,8 @@ def test_every_division_covers_the_planes_and_every_truth_its_materials() -> Non
     for division in (*DIVISIONS.values(), WALLS_APART):
         assert len(division.group) == len(PLANES)
         assert set(division.group) == set(range(len(division.materials)))
-        assert len(division.truth) == len(division.materials)
-    assert all(len(s.truth) == len(s.division.materials) for s in SPECIFICATIONS.values())
+        assert len(division.true_absorption) == len(division.materials)
+    assert all(len(s.true_absorption) == len(s.division.materials) for s in SPECIFICATIONS.values())
 
 
 def test_the_corridor_is_seventeen_times_as_long_as_wide() -> None:

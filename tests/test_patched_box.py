@@ -10,8 +10,8 @@ import pytest
 from roomfit.errors import InputError
 from roomfit.synthetic.boxes import (
     WALLS,
-    BoxTruth,
     Patch,
+    SyntheticBox,
     box_lattice,
     patch_hits,
     patched_response,
@@ -23,8 +23,8 @@ SOURCE, RECEIVER = np.array([1.1, 2.7, 1.3]), np.array([4.0, 1.2, 1.9])
 BANDS = 500.0 * 2.0 ** np.arange(2)
 
 
-def truth(absorption: float = 0.2) -> BoxTruth:
-    return BoxTruth(LENGTHS, BANDS, np.full((6, 2), absorption), np.zeros(2), 340.0)
+def truth(absorption: float = 0.2) -> SyntheticBox:
+    return SyntheticBox(LENGTHS, BANDS, np.full((6, 2), absorption), np.zeros(2), 340.0)
 
 
 def whole(wall: str, absorption: float) -> Patch:

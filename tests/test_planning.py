@@ -6,8 +6,8 @@ import numpy as np
 
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
 from roomfit.inversion.trace_plan import N_RAYS, N_RAYS_BESIDE_IMAGES, TracePlan, plan_trace
-from roomfit.materials.priors import MaterialKnowledge
-from roomfit.synthetic.boxes import BoxTruth, box_images
+from roomfit.materials.priors import MaterialPrior
+from roomfit.synthetic.boxes import SyntheticBox, box_images
 from roomfit.tracing.trace import trace
 
 LENGTHS_M = (5.7, 6.5, 2.7)
@@ -18,11 +18,11 @@ ALPHA = np.array([0.1, 0.9, 0.02, 0.02, 0.9, 0.15])
 def plan(scattering: float, longest_s: float) -> TracePlan:
     """Return the plan of a partly coherent fit whose walls all scatter alike."""
     scene = scene_of(box_room(LENGTHS_M), [SOURCE], [RECEIVER])
-    knowledge = tuple(
-        MaterialKnowledge(name, np.zeros(1), np.ones(1), scattering=np.array([scattering]))
+    priors = tuple(
+        MaterialPrior(name, np.zeros(1), np.ones(1), scattering=np.array([scattering]))
         for name in BOX_MATERIALS
     )
-    return plan_trace(scene, knowledge, longest_s, longest_s, 1, coherent=True)
+    return plan_trace(scene, priors, longest_s, longest_s, 1, coherent=True)
 
 
 def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
@@ -36,7 +36,7 @@ def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
     t = paths.length_m / SPEED_M_S
     late = (t > 0.22) & (t < 0.3) & ~paths.hits_diffuse.any(axis=1)
     found = paths.weight_per_m2 * np.prod((1.0 - ALPHA) ** paths.hits_specular, axis=1)
-    truth = BoxTruth(LENGTHS_M, np.ones(1), ALPHA[:, None], np.zeros(1), SPEED_M_S)
+    truth = SyntheticBox(LENGTHS_M, np.ones(1), ALPHA[:, None], np.zeros(1), SPEED_M_S)
     lengths, hits = box_images(truth, np.array(SOURCE), np.array(RECEIVER), 0.3)
     kept = np.prod(((1.0 - ALPHA) * 0.85) ** hits, axis=1) / (4.0 * np.pi * lengths**2)
     expected = kept[lengths > 0.22 * SPEED_M_S].sum()

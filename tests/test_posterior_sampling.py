@@ -57,14 +57,14 @@ def test_arrival_times_are_integrated_out_exactly_where_all_is_linear():
     fit = fitted(problem)
     law = log_posterior(problem, fit)
     assert law.n_kept == 3
-    flat = max(fit.phi, 1.0)
+    flat = max(fit.chi2_reduced, 1.0)
     matrix, kept = problem.matrix, slice(0, 3)
     _, rows = prior_residuals(problem.parameters, fit.vector)
     whole = matrix.T @ matrix / (problem.sd**2 * flat) + rows.T @ rows
     schur = np.linalg.inv(np.linalg.inv(whole)[kept, kept])
     # with the data flattened, the maximum moves
     means = np.concatenate([b.prior_mean for b in problem.parameters.blocks])
-    weighed = matrix.T @ problem.seen / (problem.sd**2 * flat) + rows.T @ rows @ means
+    weighed = matrix.T @ problem.observed / (problem.sd**2 * flat) + rows.T @ rows @ means
     top = np.linalg.solve(whole, weighed)[kept]
     rng = np.random.default_rng(2)
     points = top + rng.standard_normal((6, 3))
@@ -88,13 +88,13 @@ class StraightInExponents(Linear):
 def test_arrival_times_follow_to_the_best_ones_where_data_are_straight_in_the_exponents():
     """The conditional optimum of a linear problem, by its normal equations: however far away."""
     linear = linear_case(7)
-    problem = StraightInExponents(linear.matrix, linear.seen, linear.sd, linear.parameters)
+    problem = StraightInExponents(linear.matrix, linear.observed, linear.sd, linear.parameters)
     fit = fitted(problem)
-    law = log_posterior(problem, replace(fit, phi=1.0))
+    law = log_posterior(problem, replace(fit, chi2_reduced=1.0))
     of_data = problem.matrix[:, 3:] / problem.sd
     for kept in (np.array([-6.0, 1.0, -1.0]), np.array([2.0, -5.0, 0.5])):
         exponent = np.log1p(np.exp(kept))
-        left = (problem.seen - problem.matrix[:, :3] @ exponent) / problem.sd
+        left = (problem.observed - problem.matrix[:, :3] @ exponent) / problem.sd
         best = np.linalg.solve(of_data.T @ of_data + np.eye(4), of_data.T @ left)
         np.testing.assert_allclose(law.ridge(kept), best, atol=1e-4)
 
@@ -120,7 +120,9 @@ def test_a_walk_gains_what_it_says_and_stays_under_its_law():
     """
     problem = linear_case(6, n_geometry=0)
     fit = fitted(problem)
-    near = surrogate(log_posterior(problem, replace(fit, phi=1.0)), replace(fit, phi=1.0))
+    near = surrogate(
+        log_posterior(problem, replace(fit, chi2_reduced=1.0)), replace(fit, chi2_reduced=1.0)
+    )
     near = replace(near, windows=None, data=np.zeros((3, 3)), pull=np.zeros(3))
     rng = np.random.default_rng(1)
     root = np.linalg.cholesky(np.linalg.inv(near.prior))
@@ -187,15 +189,15 @@ def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_told():
     fit = fitted(problem)
     law = log_posterior(problem, fit)
     near, few = surrogate(law, fit), SamplingSettings(most_evaluations=150, inner_steps=(5, 20))
-    told = []
+    reported = []
     one, other = (
-        sample(law, near, np.random.default_rng(7), few, progress=told.append) for _ in range(2)
+        sample(law, near, np.random.default_rng(7), few, progress=reported.append) for _ in range(2)
     )
     np.testing.assert_array_equal(one.draws, other.draws)
     assert not one.converged
     assert one.evaluations <= 150
-    assert told
-    assert all(0.0 <= x <= 1.0 for x in told)
+    assert reported
+    assert all(0.0 <= x <= 1.0 for x in reported)
 
     answer = band_answer(problem.parameters, fit, np.ones(2), "energy")
     kept = sampled(problem.parameters, one, answer, np.ones(2))

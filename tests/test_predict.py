@@ -13,7 +13,7 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.inversion.measurements import duplicate_findings, unmet_findings
+from roomfit.inversion.measurements import duplicate_findings, unreached_findings
 from roomfit.io.campaign import read_campaign
 from roomfit.io.measurements import measure
 from roomfit.io.results import read_result
@@ -70,8 +70,8 @@ def test_draws_have_the_mean_and_covariance_they_were_drawn_from():
     """Of 8000 draws a variance is off by 1.6 % (one sd): 8 % is five of them."""
     covariance = np.array([[[0.09, 0.05], [0.05, 0.04]]])
     a = np.array([[0.2], [0.6]])
-    told = AbsorptionPosterior(("x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
-    draws = logit(draw_absorption(told, 8000, np.random.default_rng(1)))[:, :, 0]
+    posterior = AbsorptionPosterior(("x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
+    draws = logit(draw_absorption(posterior, 8000, np.random.default_rng(1)))[:, :, 0]
     np.testing.assert_allclose(draws.mean(axis=0), logit(a)[:, 0], atol=1e-12)
     np.testing.assert_allclose(np.cov(draws.T), covariance[0], rtol=0.08)
 
@@ -79,8 +79,8 @@ def test_draws_have_the_mean_and_covariance_they_were_drawn_from():
 def test_a_held_material_keeps_its_absorption_and_tied_ones_move_as_one():
     covariance = np.array([[[0.0, 0.0, 0.0], [0.0, 0.09, 0.09], [0.0, 0.09, 0.09]]])
     a = np.array([[0.0], [0.3], [0.3]])
-    told = AbsorptionPosterior(("h", "x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
-    draws = draw_absorption(told, 50, np.random.default_rng(2))
+    posterior = AbsorptionPosterior(("h", "x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
+    draws = draw_absorption(posterior, 50, np.random.default_rng(2))
     assert np.all(draws[:, 0] == 0.0)
     np.testing.assert_allclose(draws[:, 1], draws[:, 2], rtol=1e-9)
     assert draws[:, 1].std() > 0.03
@@ -271,8 +271,8 @@ def test_a_room_of_one_absorption_and_much_scattering_decays_as_eyring_says(camp
     path = campaign.path.with_name("diffuse.toml")
     path.write_text(text)
     a = np.full((3, 2), 0.05)
-    told = AbsorptionPosterior(NAMES, BANDS, a, a, a, np.zeros((2, 3, 3)))
-    found = predict_campaign(read_campaign(path), told, n_draws=2)
+    posterior = AbsorptionPosterior(NAMES, BANDS, a, a, a, np.zeros((2, 3, 3)))
+    found = predict_campaign(read_campaign(path), posterior, n_draws=2)
     room, _ = read_room(campaign.room)
     scene = Scene(room, campaign.sources, campaign.receivers, np.array([[0, 0]]), campaign.air)
     np.testing.assert_allclose(
@@ -306,25 +306,25 @@ def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, cap
     fit, out = tmp_path / "fit", tmp_path / "out"
     assert run_command(monkeypatch, "identify", campaign, "--out", fit) == 0
     result = json.loads((fit / "result.json").read_text())
-    told = read_result(fit / "result.json")
-    np.testing.assert_allclose(result["posterior"]["logit_mean"], logit(told.absorption).T)
+    reported = read_result(fit / "result.json")
+    np.testing.assert_allclose(result["posterior"]["logit_mean"], logit(reported.absorption).T)
     # Gaussian intervals were made of the same variances, symmetric in logit absorption; where two
     # models disagree, variances reach as far as the side that reaches farther
-    sd = np.sqrt(np.diagonal(told.logit_covariance, axis1=1, axis2=2)).T
-    kinds = np.array([result["materials"][name]["interval"] for name in told.materials])
-    inner = (told.lower95 > 0.0) & (told.upper95 < 1.0)
-    middle = logit(told.absorption)
-    reach = np.maximum(logit(told.upper95) - middle, middle - logit(told.lower95))
+    sd = np.sqrt(np.diagonal(reported.logit_covariance, axis1=1, axis2=2)).T
+    kinds = np.array([result["materials"][name]["interval"] for name in reported.materials])
+    inner = (reported.lower95 > 0.0) & (reported.upper95 < 1.0)
+    middle = logit(reported.absorption)
+    reach = np.maximum(logit(reported.upper95) - middle, middle - logit(reported.lower95))
     gaussian = inner & (kinds == "gaussian")
     assert np.count_nonzero(gaussian) >= 2
     np.testing.assert_allclose(reach[gaussian], (1.959964 * sd)[gaussian], rtol=1e-4)
     # what predictions draw from covers every interval, Gaussian or profile: a spread wrong by a
     # quarter, or a centre by as much, would leave less than four fifths of one
-    draws = draw_absorption(told, 4096, np.random.default_rng(1))
+    draws = draw_absorption(reported, 4096, np.random.default_rng(1))
     low, high = np.quantile(draws, (0.025, 0.975), axis=0)
-    shared = np.minimum(high, told.upper95) - np.maximum(low, told.lower95)
+    shared = np.minimum(high, reported.upper95) - np.maximum(low, reported.lower95)
     assert {"gaussian", "profile"} <= set(kinds.flat)
-    assert np.all(shared >= 0.8 * (told.upper95 - told.lower95))
+    assert np.all(shared >= 0.8 * (reported.upper95 - reported.lower95))
     capsys.readouterr()
     arguments = ("predict", campaign, "--absorption", fit / "result.json", "--out", out)
     assert run_command(monkeypatch, *arguments, "--set", "carpet=0.5+-0.1") == 0
@@ -347,9 +347,9 @@ def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, cap
     first = content["pairs"][0]["parameters"][rows[0]["parameter"]]
     assert float(rows[0]["predicted"]) == pytest.approx(first["predicted"][0], abs=1e-4)
     assert len(list(out.glob("predicted_*.png"))) == 2
-    assert told.prior_logit_sd is not None
-    np.testing.assert_allclose(told.prior_logit_sd, 1.5)
-    np.testing.assert_allclose(told.scattering, 0.0)
+    assert reported.prior_logit_sd is not None
+    np.testing.assert_allclose(reported.prior_logit_sd, 1.5)
+    np.testing.assert_allclose(reported.scattering, 0.0)
     # another room, where nothing was measured, with the materials of this one
     other = tmp_path / "other" / "campaign.toml"
     other.parent.mkdir()
@@ -448,9 +448,9 @@ def test_a_material_that_no_path_strikes_is_named(campaign):
     )
     settings = TraceSettings(duration_s=2.0 / 343.0, n_rays=0, image_order=5)
     paths = trace(scene, settings, uniform_scattering(room.materials, 0.0)).paths
-    (finding,) = unmet_findings(paths, room.materials)
+    (finding,) = unreached_findings(paths, room.materials)
     assert finding.evidence["materials"] == ["walls", "tiles"]
-    assert unmet_findings(paths, ("carpet",)) == ()
+    assert unreached_findings(paths, ("carpet",)) == ()
 
 
 def test_a_campaign_that_keeps_everything_for_validation_has_nothing_to_fit(tmp_path):

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from roomfit.synthetic.boxes import BoxTruth, add_noise, box_images, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, add_noise, box_images, pressure_response
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 
 
-def truth(absorption: float) -> BoxTruth:
-    return BoxTruth((5.0, 4.0, 3.0), CENTRES, np.full((6, 5), absorption), np.zeros(5), 343.0)
+def truth(absorption: float) -> SyntheticBox:
+    return SyntheticBox((5.0, 4.0, 3.0), CENTRES, np.full((6, 5), absorption), np.zeros(5), 343.0)
 
 
 def test_images_of_a_box_number_its_volume_into_the_sphere_they_fill():

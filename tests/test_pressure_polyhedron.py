@@ -13,10 +13,10 @@ from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import read_campaign
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
-from roomfit.synthetic.boxes import BoxTruth, box_images, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, box_images, pressure_response
 from roomfit.synthetic.polyhedra import (
     Cells,
-    PolyhedronTruth,
+    SyntheticPolyhedron,
     cell_arrays,
     cell_images,
     cell_volume_m3,
@@ -40,13 +40,15 @@ ROOMS = {"paper": paper_cells(), "slanted": slanted_cells(), "l-shaped": l_shape
 SHAPES: tuple[Shape, ...] = ("paper", "slanted", "l-shaped")
 
 
-def truths() -> tuple[BoxTruth, PolyhedronTruth]:
+def truths() -> tuple[SyntheticBox, SyntheticPolyhedron]:
     """Return one box told in both ways."""
     absorption = np.linspace(0.05, 0.8, 30).reshape(6, 5)
     delays = (0.0, 1e-4, 0.0, 2e-4, 3e-4, 0.0)
     air = np.full(5, 1e-3)
-    box = BoxTruth(LENGTHS, CENTRES, absorption, air, 343.0, delays)
-    return box, PolyhedronTruth(box_room_cells(LENGTHS), CENTRES, absorption, air, 343.0, delays)
+    box = SyntheticBox(LENGTHS, CENTRES, absorption, air, 343.0, delays)
+    return box, SyntheticPolyhedron(
+        box_room_cells(LENGTHS), CENTRES, absorption, air, 343.0, delays
+    )
 
 
 def test_a_box_has_the_images_of_the_formula() -> None:
@@ -155,11 +157,13 @@ def test_the_files_hold_what_was_measured(tmp_path: Path) -> None:
     measured = write_measured_polyhedron(plan, tmp_path, rng, plane_error_m=0.01)
     campaign = read_campaign(measured.campaign)
     assert len(campaign.measurements) == 8
-    told, _ = read_room(RoomSpec(file=tmp_path / "room.obj", unit="m", up="z"))
+    reported, _ = read_room(RoomSpec(file=tmp_path / "room.obj", unit="m", up="z"))
     vertices = np.array(sorted(map(tuple, np.round(plan.cells.vertices_m, 1))))
-    read = np.array(sorted(map(tuple, np.round(told.mesh.vertices_m, 1))))
+    read = np.array(sorted(map(tuple, np.round(reported.mesh.vertices_m, 1))))
     # six planes, 1 cm each: corners move by one to some centimetres, and do move
-    assert not np.allclose(sorted(told.mesh.vertices_m[:, 0]), sorted(plan.cells.vertices_m[:, 0]))
+    assert not np.allclose(
+        sorted(reported.mesh.vertices_m[:, 0]), sorted(plan.cells.vertices_m[:, 0])
+    )
     assert np.abs(vertices - read).max() < 0.2
     for s, source in plan.sources_m.items():
         for r, receiver in plan.receivers_m.items():

@@ -56,7 +56,7 @@ def test_ends_are_where_another_program_finds_a_rise_of_half_chi_square(seed, n)
     rng = np.random.default_rng(seed)
     problem = decay_case(rng, rng.uniform(0.02, 0.7, n))
     fit = fitted(problem)
-    flat = max(fit.phi, 1.0)
+    flat = max(fit.chi2_reduced, 1.0)
     for entry in range(n):
         found = profile(problem, fit, entry)
         assert found.lower < fit.vector[entry] < found.upper
@@ -76,7 +76,7 @@ def test_ends_are_where_another_program_finds_a_rise_of_half_chi_square(seed, n)
 def test_the_profile_of_a_linear_problem_is_the_gaussian(seed):
     problem = linear_case(seed, n_geometry=2)
     fit = fitted(problem)
-    sd = np.sqrt(np.diag(np.linalg.inv(fit.information))[0] * max(fit.phi, 1.0))
+    sd = np.sqrt(np.diag(np.linalg.inv(fit.information))[0] * max(fit.chi2_reduced, 1.0))
     found = profile(problem, fit, 0)
     assert found.gaussian
     np.testing.assert_allclose(found.upper - fit.vector[0], 1.959964 * sd, rtol=1e-6)
@@ -89,8 +89,8 @@ def hard_wall_case(rng: np.random.Generator, a: float) -> Posynomial:
     """One material of little absorption in twenty windows: many hits, much scatter."""
     hits = np.repeat(np.arange(1.0, 11.0), 2)[:, None, None]
     expected = (1.0 - a) ** hits[:, 0, 0]
-    seen = expected * rng.gamma(8.0, 1.0 / 8.0, hits.shape[0])
-    return Posynomial(np.ones((20, 1)), hits, seen, 8.0, Parameters((absorption_block(1),)))
+    observed = expected * rng.gamma(8.0, 1.0 / 8.0, hits.shape[0])
+    return Posynomial(np.ones((20, 1)), hits, observed, 8.0, Parameters((absorption_block(1),)))
 
 
 def test_intervals_of_hard_walls_hold_the_truth_as_often_as_they_say():
@@ -109,7 +109,9 @@ def test_intervals_of_hard_walls_hold_the_truth_as_often_as_they_say():
         problem = hard_wall_case(rng, a)
         fit = fitted(problem)
         found = profile(problem, fit, 0)
-        gauss = absorption_intervals(problem.parameters, fit.vector, fit.information, fit.phi)
+        gauss = absorption_intervals(
+            problem.parameters, fit.vector, fit.information, fit.chi2_reduced
+        )
         ends = 1.0 / (1.0 + np.exp(-np.array([found.lower, found.upper])))
         held.append(ends[0] <= a <= ends[1])
         widths.append((ends[1] - ends[0], gauss.upper95[0] - gauss.lower95[0]))

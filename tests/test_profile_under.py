@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from roomfit.bands import bands_between
 from roomfit.materials.priors import unknown_material
-from roomfit.uncertainty.gaussian import untold_band
+from roomfit.uncertainty.gaussian import prior_only_band
 from roomfit.uncertainty.profile import RISE95, Profile, profile_under
 from roomfit.uncertainty.smoothing import smoothed
 
@@ -77,9 +77,9 @@ def test_a_skew_profile_and_a_gaussian_rise_together_by_1_92() -> None:
 def test_profiles_stay_profiles_under_smoothness() -> None:
     """One band of a hard wall between two others: its profile is kept, and its side."""
     bands = bands_between("octave", 500, 2000)
-    knowledge = (unknown_material("wall", 3),)
+    priors = (unknown_material("wall", 3),)
     area = np.array([10.0])
-    told = [untold_band(knowledge, band, area) for band in range(3)]
+    reported = [prior_only_band(priors, band, area) for band in range(3)]
     free, sd = -3.0, 0.8
     found = skew()
     profile = replace(
@@ -89,8 +89,8 @@ def test_profiles_stay_profiles_under_smoothness() -> None:
     def share(x: float) -> float:
         return float(1.0 / (1.0 + np.exp(-x)))
 
-    told[1] = replace(
-        told[1],
+    reported[1] = replace(
+        reported[1],
         absorption=np.array([share(free)]),
         lower95=np.array([share(profile.lower)]),
         upper95=np.array([share(profile.upper)]),
@@ -99,19 +99,19 @@ def test_profiles_stay_profiles_under_smoothness() -> None:
         kinds=("profile",),
         profiles=(profile,),
         model="coherent",
-        phi=1.0,
+        chi2_reduced=1.0,
     )
-    (_, loose, _) = smoothed(told, knowledge, bands, 1e6, area)
-    np.testing.assert_allclose(loose.lower95, told[1].lower95, rtol=0.02)
-    np.testing.assert_allclose(loose.upper95, told[1].upper95, rtol=0.02)
+    (_, loose, _) = smoothed(reported, priors, bands, 1e6, area)
+    np.testing.assert_allclose(loose.lower95, reported[1].lower95, rtol=0.02)
+    np.testing.assert_allclose(loose.upper95, reported[1].upper95, rtol=0.02)
     # bands that know only the same prior have nothing to add
-    (_, alone, _) = smoothed(told, knowledge, bands, 0.5, area)
+    (_, alone, _) = smoothed(reported, priors, bands, 0.5, area)
     np.testing.assert_allclose(alone.lower95, loose.lower95, rtol=1e-9)
     np.testing.assert_allclose(alone.upper95, loose.upper95, rtol=1e-9)
     for band in (0, 2):
         own = {"logit_mean": np.array([-2.8]), "logit_covariance": np.array([[0.6**2]])}
-        told[band] = replace(told[band], model="coherent", phi=1.0, **own)
-    (_, tight, _) = smoothed(told, knowledge, bands, 0.5, area)
+        reported[band] = replace(reported[band], model="coherent", chi2_reduced=1.0, **own)
+    (_, tight, _) = smoothed(reported, priors, bands, 0.5, area)
     assert loose.kinds == tight.kinds == ("profile",)
     assert tight.lower95[0] > loose.lower95[0]
     # below, the likelihood is flat and a Gaussian's end would lie far beyond where it rises

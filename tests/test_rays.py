@@ -315,14 +315,14 @@ def test_scattering_goes_by_name_and_not_by_place():
 
 def test_progress_rises_to_one_and_an_interrupt_passes_through():
     """Told after every block; what it raises ends the trace."""
-    told: list[float] = []
+    reported: list[float] = []
     scene = scene_of(box_room(), [SOURCE, RECEIVER], [[2.0, 2.0, 1.0]])
     settings = TraceSettings(2.0, n_rays=20_000, image_order=-1)
     still = uniform_scattering(scene.room.materials, 0.0)
-    trace_rays(scene, settings, still, told.append)
-    assert told == sorted(told)
-    assert told[-1] == 1.0
-    assert len(told) > 2
+    trace_rays(scene, settings, still, reported.append)
+    assert reported == sorted(reported)
+    assert reported[-1] == 1.0
+    assert len(reported) > 2
 
     def stop(_: float) -> None:
         raise KeyboardInterrupt

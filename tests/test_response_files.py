@@ -157,13 +157,13 @@ def test_many_equal_peaks_are_clipped_however_short(tmp_path):
     response[80] = 1.0
     at = rng.choice(np.arange(100, 8000), 400, replace=False)
     response[at] = rng.normal(size=400) * np.exp(-at / 1000.0)
-    for name, samples, told in (
+    for name, samples, reported in (
         ("whole.wav", response, []),
         ("cut.wav", np.clip(response, -0.2, 0.2), [Code.RESPONSE_CLIPPED]),
     ):
         soundfile.write(tmp_path / name, samples.astype(np.float32), 16000, subtype="FLOAT")
         _, findings = read_response(ResponseSpec(tmp_path / name))
-        assert codes(findings) == told
+        assert codes(findings) == reported
 
 
 def test_a_constant_offset_is_told_and_subtracted(tmp_path):

@@ -363,15 +363,15 @@ def test_a_clipped_recording_is_told_and_the_crests_of_low_tones_are_not(tmp_pat
     excitation = wav(tmp_path / "sweep.wav", played)
     soft = np.concatenate([played, np.zeros(RATE_HZ)])
     loud = np.clip(1.2 * soft, -0.5, 0.5)
-    told = {}
+    reported = {}
     for name, samples in (("soft", soft), ("loud", loud)):
         take = wav(tmp_path / f"{name}.wav", samples, "PCM_16")
-        told[name] = codes(read_response(ResponseSpec(take, excitation=excitation))[1])
+        reported[name] = codes(read_response(ResponseSpec(take, excitation=excitation))[1])
     words = soundfile.read(tmp_path / "soft.wav", dtype="int16")[0]
     crests = "".join("1" if w == words.max() else "0" for w in words)
     assert "1111" in crests  # the case is there
-    assert Code.RESPONSE_CLIPPED not in told["soft"]
-    assert Code.RESPONSE_CLIPPED in told["loud"]
+    assert Code.RESPONSE_CLIPPED not in reported["soft"]
+    assert Code.RESPONSE_CLIPPED in reported["loud"]
 
 
 def test_recordings_that_cannot_be_deconvolved_are_refused(tmp_path):

@@ -289,7 +289,7 @@ def test_batches_and_images_make_up_the_whole() -> None:
 def test_the_standard_error_is_the_spread_of_repeated_sums() -> None:
     """Of 400 independent sums of 16 batches: mean variance told against the variance seen."""
     rng = np.random.default_rng(10)
-    told, seen = [], []
+    predicted, observed = [], []
     for _ in range(400):
         n = 320
         rows = EnergyRows(
@@ -302,12 +302,12 @@ def test_the_standard_error_is_the_spread_of_repeated_sums() -> None:
             np.repeat(np.arange(16), n // 16).astype(np.int32),
             16,
         )
-        told.append(monte_carlo_sd(rows, np.zeros((1, 1)), np.zeros(1))[0, 0] ** 2)
-        seen.append(weigh(rows, np.zeros((1, 1)), np.zeros(1)).energy[0, 0])
+        predicted.append(monte_carlo_sd(rows, np.zeros((1, 1)), np.zeros(1))[0, 0] ** 2)
+        observed.append(weigh(rows, np.zeros((1, 1)), np.zeros(1)).energy[0, 0])
     # a variance from 400 draws has a relative standard error of sqrt(2 / 399) = 0.07: four of
     # them, false alarms once in 16,000 seeds
-    np.testing.assert_allclose(np.mean(told), np.var(seen, ddof=1), rtol=0.28)
-    np.testing.assert_allclose(np.mean(told), 320.0, rtol=0.1)
+    np.testing.assert_allclose(np.mean(predicted), np.var(observed, ddof=1), rtol=0.28)
+    np.testing.assert_allclose(np.mean(predicted), 320.0, rtol=0.1)
 
 
 def test_one_batch_of_rays_cannot_tell_its_noise() -> None:

@@ -111,9 +111,9 @@ def test_a_plane_written_with_backslashes_reflects_on_its_other_side(tmp_path):
     """Plane 6 of the box lists its corners the other way round, and nothing needs turning."""
     turned = BOX.replace("[ 6 wall \\ 1 4 8 5 \\ plaster ]", "[ 6 wall / 1 4 8 5 / plaster ]")
     _, plain = read_room(RoomSpec(file=written(tmp_path, BOX)))
-    _, told = read_room(RoomSpec(file=written(tmp_path, turned, "turned.geo")))
+    _, reported = read_room(RoomSpec(file=written(tmp_path, turned, "turned.geo")))
     assert plain == ()
-    assert [f.code for f in told] == [Code.FLIPPED_FACES]
+    assert [f.code for f in reported] == [Code.FLIPPED_FACES]
 
 
 def test_expressions_includes_and_mirrors_make_a_hall_of_known_volume(tmp_path):
@@ -420,9 +420,9 @@ def test_what_is_no_face_is_counted_and_hidden_layers_are_told(tmp_path):
     space.add_3dface([(0, 0, 1), (1, 0, 1), (1, 1, 1)], dxfattribs={"layer": "old walls"})
     room, findings = read_room(RoomSpec(file=saved(document, tmp_path)))
     assert volume_m3(room.mesh) == pytest.approx(60, rel=1e-12)
-    told = {f.code: f for f in findings}
-    assert dict(told[Code.ENTITIES_IGNORED].evidence) == {"LINE": 2, "open LWPOLYLINE": 1}
-    assert dict(told[Code.LAYERS_IGNORED].evidence) == {"old walls": 1}
+    reported = {f.code: f for f in findings}
+    assert dict(reported[Code.ENTITIES_IGNORED].evidence) == {"LINE": 2, "open LWPOLYLINE": 1}
+    assert dict(reported[Code.LAYERS_IGNORED].evidence) == {"old walls": 1}
 
 
 @pytest.mark.parametrize(

@@ -27,7 +27,7 @@ from roomfit.objective.room_parameters import (
     value_covariances,
     value_problems,
 )
-from roomfit.objective.windows import band_smearing, before_smearing, smear
+from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
 from roomfit.response.binned import bin_paths
 from roomfit.response.energy import EnergyRows
 from roomfit.scene import Point, Scene
@@ -109,13 +109,15 @@ def test_a_pure_exponential_has_the_textbook_values():
 def test_smearing_and_its_transpose_agree():
     """<S x, y> = <x, S' y>, and nothing is lost of what lies inside."""
     rng = np.random.default_rng(1)
-    smearing = band_smearing(FilterBank(ONE_BAND), 800, 5e-4)
+    spreading = band_spreading(FilterBank(ONE_BAND), 800, 5e-4)
     x, y = rng.random(800), rng.random(800)
-    assert smear(smearing, x) @ y == pytest.approx(x @ before_smearing(smearing, y), rel=1e-12)
+    assert spread_energy(spreading, x) @ y == pytest.approx(
+        x @ before_spreading(spreading, y), rel=1e-12
+    )
     lone = np.zeros(800)
     lone[400] = 1.0
     # 1e-11 of an impulse lies farther than 64 periods away
-    assert smear(smearing, lone).sum() == pytest.approx(1.0, abs=1e-9)
+    assert spread_energy(spreading, lone).sum() == pytest.approx(1.0, abs=1e-9)
 
 
 def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
@@ -138,9 +140,9 @@ def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
     measured = MeasuredValues(
         "S", "R1", bands.centres_hz, {"T20_s": np.array([T]), "T30_s": np.array([T])}, {}
     )
-    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     (problem,) = value_problems(
-        scene, bands, knowledge, [measured], binned, np.full(1, 0.3), model_error_jnd=0.0
+        scene, bands, priors, [measured], binned, np.full(1, 0.3), model_error_jnd=0.0
     )
     assert problem is not None
     bank = FilterBank(bands)
@@ -149,8 +151,8 @@ def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
         problem,
         edges_s=edges,
         rows=(rows,),
-        lone_rows=(none,),
-        smearing=band_smearing(bank, n, 5e-4),
+        squared_image_rows=(none,),
+        spreading=band_spreading(bank, n, 5e-4),
         observations=(replace(problem.observations[0], direct_s=0.0),),
     )
 
@@ -167,7 +169,7 @@ def test_interference_scatters_decay_times_as_the_standard_says(T):
     assert t30 == pytest.approx(0.55, rel=0.06)
     # T20 is read from a part of what T30 is read from
     assert 0.3 < covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) < 0.95
-    assert np.all(problem.counted_as_one() > 1.1)
+    assert np.all(problem.correlation_length() > 1.1)
 
 
 def test_the_scatter_of_values_is_that_of_random_echoes():
@@ -215,11 +217,11 @@ def test_derivatives_by_absorption_are_those_of_finite_differences():
     scene, bands, binned = small_room(np.array([1000.0]))
     truth = np.array([[0.2], [0.3], [0.4]])
     values = predicted_values(scene, bands, binned, truth)
-    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     (problem,) = value_problems(
         scene,
         bands,
-        knowledge,
+        priors,
         measured_from(scene, bands, values, VALUE_NAMES),
         binned,
         np.full(1, 0.25),
@@ -240,15 +242,15 @@ def test_absorption_is_found_again_from_values_alone():
     truth = np.array([[0.15], [0.5], [0.3]])
     names = ("EDT_s", "T20_s", "C80_dB", "D50_percent", "TS_ms", "G_dB")
     values = predicted_values(scene, bands, binned, truth, names)
-    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     measured = measured_from(scene, bands, values, names)
     # a model held for right, so that the prior has no say
     problems = value_problems(
-        scene, bands, knowledge, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
+        scene, bands, priors, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
     )
-    (answer,) = fit_bands(problems, knowledge, np.ones(3), "auto", 1, None)
+    (answer,) = fit_bands(problems, priors, np.ones(3), "auto", 1, None)
 
-    assert answer.phi < 0.1
+    assert answer.chi2_reduced < 0.1
     sd = np.sqrt(np.diag(answer.logit_covariance))
     off = np.log(answer.absorption / (1 - answer.absorption)) - np.log(truth / (1 - truth))[:, 0]
     # without noise in the data only the prior pulls: by less than the stated spread
@@ -264,13 +266,13 @@ def test_values_join_other_data_of_the_same_unknowns():
     scene, bands, binned = small_room(np.array([1000.0]))
     values = predicted_values(scene, bands, binned, np.full((3, 1), 0.3))
     measured = measured_from(scene, bands, values, VALUE_NAMES)
-    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     start = np.full(1, 0.2)
-    (whole,) = value_problems(scene, bands, knowledge, measured, binned, start)
+    (whole,) = value_problems(scene, bands, priors, measured, binned, start)
     assert whole is not None
     shared = [whole.parameters]
     parts = [
-        value_problems(scene, bands, knowledge, half, binned, start, parameters=shared)[0]
+        value_problems(scene, bands, priors, half, binned, start, parameters=shared)[0]
         for half in (measured[:2], measured[2:])
     ]
     joint = JointProblem(tuple(p for p in parts if p is not None))
@@ -379,17 +381,17 @@ def test_values_that_go_badly_together_raise_a_doubt(tmp_path):
 def test_pairs_the_scene_lacks_are_refused():
     """Named, with those that it has."""
     scene, bands, binned = small_room(np.array([1000.0]))
-    knowledge = tuple(unknown_material(m, 1) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     wrong = MeasuredValues("S", "R9", bands.centres_hz, {"T20_s": np.ones(1)}, {})
     with pytest.raises(InputError, match=r"lacks(.|\n)*S to R9"):
-        value_problems(scene, bands, knowledge, [wrong], binned, np.full(1, 0.2))
+        value_problems(scene, bands, priors, [wrong], binned, np.full(1, 0.2))
 
 
 def test_a_band_without_values_has_no_problem():
     """Other centres than those of the table: nothing to fit."""
     scene, bands, binned = small_room(np.array([1000.0, 2000.0]))
-    knowledge = tuple(unknown_material(m, 2) for m in scene.room.materials)
+    priors = tuple(unknown_material(m, 2) for m in scene.room.materials)
     values = MeasuredValues("S", "R1", np.array([2000.0]), {"T20_s": np.array([0.4])}, {})
-    problems = value_problems(scene, bands, knowledge, [values], binned, np.full(2, 0.2))
+    problems = value_problems(scene, bands, priors, [values], binned, np.full(2, 0.2))
     assert problems[0] is None
     assert problems[1] is not None

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from roomfit.synthetic.boxes import (
-    BoxTruth,
+    SyntheticBox,
     _lambert,
     box_images,
     diffuse_echogram,
@@ -23,14 +23,14 @@ DURATION_S = 0.12
 PLACES = np.random.default_rng(8).uniform(0.4, np.array(LENGTHS_M) - 0.4, (24, 3))
 
 
-def truth(alpha: float, attenuation: float = 0.0) -> BoxTruth:
+def truth(alpha: float, attenuation: float = 0.0) -> SyntheticBox:
     """One octave at 1 kHz, every wall alike."""
-    return BoxTruth(
+    return SyntheticBox(
         LENGTHS_M, np.array([1000.0]), np.full((6, 1), alpha), np.array([attenuation]), C
     )
 
 
-def specular_energy(box: BoxTruth, s: float, receiver: FloatArray, edges_s: FloatArray):
+def specular_energy(box: SyntheticBox, s: float, receiver: FloatArray, edges_s: FloatArray):
     """Return the energy of thinned images in windows."""
     lengths, hits = box_images(box, np.array([1.2, 1.5, 1.1]), receiver, DURATION_S)
     kept = (1.0 - box.absorption[:, 0]) * (1.0 - s)

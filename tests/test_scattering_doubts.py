@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 from roomfit.findings import Code
-from roomfit.inversion.measurements import gather
-from roomfit.inversion.scattering import scattering_doubts
+from roomfit.inversion.measurements import collect_measurements
+from roomfit.inversion.scattering import scattering_checks
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.rooms import read_room
 from roomfit.synthetic.boxes import demo_plan, write_scattering_box
 
@@ -37,8 +37,11 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     box = write_scattering_box(plan, walls, tmp_path, rng, n_rays=40_000)
     campaign = read_campaign(box.campaign)
     room, _ = read_room(campaign.room)
-    knowledge, gathered = material_knowledge(campaign, room.materials), gather(campaign, room)
-    settings = plan_trace(gathered.scene, knowledge, 0.6, 0.4, 1, coherent=True).settings
+    priors, measurements = (
+        material_priors(campaign, room.materials),
+        collect_measurements(campaign, room),
+    )
+    settings = plan_trace(measurements.scene, priors, 0.6, 0.4, 1, coherent=True).settings
     start = np.full(len(campaign.bands), 0.2)
-    found = scattering_doubts(gathered, campaign.bands, knowledge, settings, start)
+    found = scattering_checks(measurements, campaign.bands, priors, settings, start)
     assert [f.code for f in found] == codes

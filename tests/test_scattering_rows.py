@@ -10,9 +10,9 @@ from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.response.energy import EnergyRows, energy_rows, grouped_rows, merge_equal_rows, weigh
 from roomfit.response.scattering import (
-    LEAST_SAMPLE_SHARE,
+    LEAST_EFFECTIVE_FRACTION,
+    effective_sample_fraction,
     rows_for_band,
-    sample_share,
     scattering_derivative,
     with_scattering,
 )
@@ -89,14 +89,14 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
 def test_the_sample_share_falls_as_the_wanted_scattering_leaves_the_traced_one(paths):
     """One where nothing changes, below the limit where the trace has to be made again."""
     shares = [
-        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s))).sample_share
+        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s))).effective_sample_fraction
         for s in (0.3, 0.35, 0.5, 0.8)
     ]
     assert shares[0] == 1.0
     assert np.all(np.diff(shares) <= 0.0)
     assert shares[2] < shares[1]
     assert shares[1] > 0.5
-    assert shares[-1] < LEAST_SAMPLE_SHARE
+    assert shares[-1] < LEAST_EFFECTIVE_FRACTION
 
 
 def test_the_sample_share_is_kishs_number_of_weights(paths):
@@ -106,7 +106,7 @@ def test_the_sample_share_is_kishs_number_of_weights(paths):
     before = EnergyRows(*_columns(rows, even))
     ray = np.cumsum(rows.batch >= 0)
     after = EnergyRows(*_columns(rows, even * (ray % 2)))
-    assert sample_share(before, after) == pytest.approx(0.5, abs=0.01)
+    assert effective_sample_fraction(before, after) == pytest.approx(0.5, abs=0.01)
 
 
 def _columns(rows: EnergyRows, weight: FloatArray) -> tuple[object, ...]:

@@ -19,9 +19,9 @@ from roomfit.objective.problem import BandProblem
 from roomfit.signals.filters import FilterBank, frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse
 from roomfit.solvers.least_squares import BandFit, score_band
-from roomfit.synthetic.boxes import BoxTruth, pressure_response
+from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import allowing_for, answer_steps
+from roomfit.uncertainty.gaussian import add_covariance, answer_steps
 
 CENTRE_HZ = 1000.0
 
@@ -30,11 +30,11 @@ def energies() -> EnergyProblem:
     """Return the energies of a small box with the data that its start expects."""
     problem = replace(small_problem(CENTRE_HZ).energies, model_error=0.1)
     expected = problem.predict(start_vector(problem.parameters)).expected
-    seen, first = [], 0
+    observed, first = [], 0
     for o in problem.observations:
-        seen.append(replace(o, energy=expected[first : first + o.energy.size]))
+        observed.append(replace(o, energy=expected[first : first + o.energy.size]))
         first += o.energy.size
-    return replace(problem, observations=tuple(seen))
+    return replace(problem, observations=tuple(observed))
 
 
 def _with_data(problem: EnergyProblem, factor: FloatArray) -> EnergyProblem:
@@ -59,19 +59,19 @@ def test_the_answer_moves_as_foretold_by_an_error_of_all_windows() -> None:
     error = -0.01 * time_s / 0.02
     (foretold,) = answer_steps(plain, fit, (plain.measured() * error)[:, None]).T
     up, down = (_settled(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
-    seen = 0.5 * (up - down)
+    observed = 0.5 * (up - down)
     # weights that follow the answer are neglected: a few percent of the step
-    np.testing.assert_allclose(foretold, seen, rtol=0.1, atol=0.05 * np.abs(seen).max())
+    np.testing.assert_allclose(foretold, observed, rtol=0.1, atol=0.05 * np.abs(observed).max())
 
 
 def test_a_shared_error_adds_its_own_step_to_the_covariance() -> None:
     """And only that, whatever the misfit."""
-    fit = replace(_settled(energies()), phi=1.7)
+    fit = replace(_settled(energies()), chi2_reduced=1.7)
     steps = np.array([[0.3, 0.0], [-0.1, 0.2], [0.0, 0.1], [0.05, 0.0]])
-    wider = allowing_for(fit, steps)
+    wider = add_covariance(fit, steps)
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
     np.testing.assert_allclose(more * 1.7, steps @ steps.T, atol=1e-9)
-    assert allowing_for(fit, np.zeros((4, 1))) is fit
+    assert add_covariance(fit, np.zeros((4, 1))) is fit
 
 
 @pytest.mark.parametrize("kind", ["octave", "third-octave"])
@@ -113,16 +113,16 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
     band, fit = _band(small_problem(CENTRE_HZ))
     octaves = bands_between("octave", 500, 2000)
     walls = np.array([0.2, 0.2, 0.2, 0.2, 0.4, 0.1])
-    truth = BoxTruth(
+    truth = SyntheticBox(
         *((4.0, 3.1, 2.5), octaves.centres_hz, np.tile(walls[:, None], 3), np.zeros(3)), SPEED_M_S
     )
     own = FilterBank(Bands("octave", np.array([CENTRE_HZ])))
     pressures, rate_hz = [], 24_000.0
-    for (_, r), seen in zip(scene.pairs, band.energies.observations, strict=True):
+    for (_, r), observed in zip(scene.pairs, band.energies.observations, strict=True):
         places = scene.sources[0].position_m, scene.receivers[r].position_m
         samples = pressure_response(truth, *places, 0.1, rate_hz, np.zeros(3))
         response = ImpulseResponse(samples, rate_hz)
-        pressures.append(window_energies(own, response, seen.edges_s)[0])
+        pressures.append(window_energies(own, response, observed.edges_s)[0])
     energy = fit.expected
     # the gain at the start; a path's energy at 1 m is 1 / (4 pi), its pressure as well
     whole = 2.0 * 4.0 * np.pi * np.concatenate(pressures)
@@ -133,8 +133,8 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
         slot = (middle >= low) & (middle < high)
         weight = (energy / fit.variance)[slot]
         share = weight @ (whole - energy)[slot] / (weight @ energy[slot])
-        told = lost_coherence(band, fit)[slot]
-        assert np.ptp(told) == 0.0
-        assert abs(told[0] - share) < 0.01
+        reported = lost_coherence(band, fit)[slot]
+        assert np.ptp(reported) == 0.0
+        assert abs(reported[0] - share) < 0.01
     # 24 % of the energy is missing there: it is not nothing that was compared
-    assert told[0] < -0.2
+    assert reported[0] < -0.2

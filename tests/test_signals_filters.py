@@ -18,9 +18,9 @@ from roomfit.signals.filters import (
     filter_pressure,
     frequency_response,
     ringing_s,
-    share_matrix,
-    share_slopes_per_s,
-    smearing_kernel,
+    spreading_kernel,
+    spreading_matrix,
+    spreading_slopes_per_s,
     statistical_bandwidth_hz,
     window_energies,
 )
@@ -109,7 +109,7 @@ def test_sound_at_the_end_of_a_file_does_not_appear_at_its_beginning():
 def test_the_smearing_kernel_is_the_squared_filtered_impulse(kind):
     """The table of the second front end, recomputed by filtering an impulse with the first."""
     b = bank(kind, 125.0, 4000.0)
-    kernel = smearing_kernel(b)
+    kernel = spreading_kernel(b)
     at = 60_000
     filtered = filter_pressure(b, lone_sample(120_001, at))
     edges = (np.array([-at, -2000.0, -50.0, -7.0, 0.0, 3.0, 40.0, 900.0, at]) - 0.5) / RATE_HZ
@@ -126,7 +126,7 @@ def test_the_smearing_kernel_is_the_squared_filtered_impulse(kind):
 def test_all_of_an_impulse_lies_within_the_stated_ringing(kind):
     """Shares add up to one, and all but 1e-10 lies within `ringing_s`."""
     b = bank(kind)
-    kernel = smearing_kernel(b)
+    kernel = spreading_kernel(b)
     for band, span in enumerate(ringing_s(b)):
         share = energy_share(kernel, band, [0.1], [0.1 - span, 0.1 - 0.5 * span, 0.1 + 0.5 * span])
         assert share.sum() == pytest.approx(1.0, abs=1e-9)
@@ -163,7 +163,7 @@ def test_measured_and_predicted_window_energies_agree_on_average():
     measured = np.mean(draws, axis=0)
     standard_error = np.std(draws, axis=0, ddof=1) / np.sqrt(len(draws))
 
-    kernel = smearing_kernel(b)
+    kernel = spreading_kernel(b)
     predicted = np.array(
         [amplitude**2 @ energy_share(kernel, i, delays, edges) for i in range(len(b.bands))]
     )
@@ -177,7 +177,7 @@ def test_measured_and_predicted_window_energies_agree_on_average():
 )
 def test_splitting_a_window_splits_its_energy(edges, delay):
     """Shares of parts add up to the share of the whole."""
-    kernel = smearing_kernel(bank("octave", 500.0, 1000.0))
+    kernel = spreading_kernel(bank("octave", 500.0, 1000.0))
     edges = np.sort(edges)
     assume(np.all(np.diff(edges) > 0.0))
     parts = energy_share(kernel, 0, [delay], edges).sum()
@@ -221,7 +221,7 @@ def test_a_band_above_half_the_sampling_rate_is_refused():
 
 
 def test_edges_that_do_not_rise_are_refused():
-    kernel = smearing_kernel(FilterBank(Bands("octave", np.array([1000.0]))))
+    kernel = spreading_kernel(FilterBank(Bands("octave", np.array([1000.0]))))
     with pytest.raises(InputError, match="rising edges"):
         energy_share(kernel, 0, [0.0], [0.1, 0.1])
 
@@ -229,16 +229,16 @@ def test_edges_that_do_not_rise_are_refused():
 @pytest.mark.parametrize("band", [0, 3, 5])
 def test_shares_of_many_impulses_are_those_of_each(band):
     """The sparse matrix holds `energy_share` to 1e-7, its slopes those of the cumulative share."""
-    kernel = smearing_kernel(FilterBank(bands_between("octave", 125, 4000)))
+    kernel = spreading_kernel(FilterBank(bands_between("octave", 125, 4000)))
     edges = np.sort(np.random.default_rng(band).uniform(0.0, 0.35, 12))
     delays = np.arange(-0.03, 0.4, 1e-4)
     dense = energy_share(kernel, band, delays, edges).T
-    found = share_matrix(kernel, band, delays, edges)
+    found = spreading_matrix(kernel, band, delays, edges)
     np.testing.assert_allclose(found.toarray(), dense, atol=2e-7)
     # half a step of the table to either side: the derivative that the table itself has there
     h = 0.5 / 256 / kernel.centres_hz[band]
     later, earlier = (energy_share(kernel, band, delays + s * h, edges).T for s in (1, -1))
-    slopes = share_slopes_per_s(kernel, band, delays, edges).toarray()
+    slopes = spreading_slopes_per_s(kernel, band, delays, edges).toarray()
     np.testing.assert_allclose(
         slopes, (later - earlier) / (2 * h), atol=0.01 * np.abs(slopes).max()
     )

@@ -87,11 +87,11 @@ def test_noise_holds_no_direct_sound():
         find_onset(noise, "LS1 to MP1")
 
 
-@pytest.mark.parametrize(("apart_m", "told"), [(0.12, 0), (-0.12, 0), (0.13, 1), (-0.13, 1)])
-def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, told):
+@pytest.mark.parametrize(("apart_m", "reported"), [(0.12, 0), (-0.12, 0), (0.13, 1), (-0.13, 1)])
+def test_a_finding_tells_of_more_than_ten_centimetres(apart_m, reported):
     """At 48 kHz three samples add 2.1 cm to the ten."""
     findings = compare_onset(0.01 + apart_m / 340.0, 0.01, 340.0, "LS1 to MP1", RATE_HZ)
-    assert len(findings) == told
+    assert len(findings) == reported
     for finding in findings:
         assert finding.code == Code.TIME_ZERO_MISMATCH
         assert finding.evidence["difference_m"] == pytest.approx(apart_m)
@@ -140,8 +140,8 @@ def recorded(method: str, decay_s: float) -> ImpulseResponse:
         "linear": chirp(t, 20.0, 3.0, 20_000.0, method="linear"),
         "noise": np.random.default_rng(8).standard_normal(n),
     }[method]
-    heard = fftconvolve(excitation, room(0.01, decay_s).pressure)
-    return ImpulseResponse(np.pad(heard, (20_000, 10_000)), RATE_HZ)
+    observed = fftconvolve(excitation, room(0.01, decay_s).pressure)
+    return ImpulseResponse(np.pad(observed, (20_000, 10_000)), RATE_HZ)
 
 
 @pytest.mark.parametrize("decay_s", [0.3, 2.0])

@@ -18,12 +18,12 @@ class Case:
         self.n_bands, self.n = len(bands), n
         roots = rng.normal(size=(self.n_bands, n, n)) + 0.5 * np.eye(n)
         self.data = roots @ np.swapaxes(roots, 1, 2)  # information
-        self.seen = rng.normal(size=(self.n_bands, n))
+        self.observed = rng.normal(size=(self.n_bands, n))
         self.prior_mean = rng.normal(size=(self.n_bands, n))
         self.prior_sd = rng.uniform(0.8, 2.0, (self.n_bands, n))
         alone = [np.diag(sd**-2.0) for sd in self.prior_sd]
         self.covariances = np.linalg.inv(self.data + alone)
-        self.pull = np.einsum("bij,bj->bi", self.data, self.seen)
+        self.pull = np.einsum("bij,bj->bi", self.data, self.observed)
         pulls = self.pull + self.prior_mean / self.prior_sd**2
         self.means = np.einsum("bij,bj->bi", self.covariances, pulls)
 
@@ -113,9 +113,9 @@ def test_intervals_hold_where_walls_walk_as_told():
         z[b + 1] = own * z[b] + np.sqrt(1.0 - own**2) * rng.standard_normal(n_walls)
     truth = -1.7 + spread * z
     noise = rng.uniform(0.3, 6.0, truth.shape)
-    seen = truth + noise * rng.standard_normal(truth.shape)
+    observed = truth + noise * rng.standard_normal(truth.shape)
     variance = 1.0 / (1.0 / noise**2 + 1.0 / spread**2)
-    alone = variance * (seen / noise**2 - 1.7 / spread**2)
+    alone = variance * (observed / noise**2 - 1.7 / spread**2)
     prior = np.full((6, 1), -1.7), np.full((6, 1), spread)
     held = []
     for wall in range(n_walls):

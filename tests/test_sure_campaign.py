@@ -17,19 +17,19 @@ from roomfit.inversion.model_checks import (
     reasons,
     sampling_findings,
 )
-from roomfit.materials.priors import MaterialKnowledge, unknown_material
+from roomfit.materials.priors import MaterialPrior, unknown_material
 from small_campaign import write_campaign
 from test_coherent_fit import _answer
 
 QUICK = ("to_hz = 1000", 'to_hz = 500\nmodel = "energy"\nmethod = "posterior"')
-TOLD = ("[materials.tiles]", "[materials.tiles]\nprior = {mean = [0.5], sd = [0.02]}")
+SPECIFIED = ("[materials.tiles]", "[materials.tiles]\nprior = {mean = [0.5], sd = [0.02]}")
 
 
 @pytest.fixture(scope="module")
-def told(tmp_path_factory):
+def specified(tmp_path_factory):
     """The result of one octave by samples, with a narrow and wrong prior of the ceiling."""
     folder = tmp_path_factory.mktemp("sure")
-    campaign = write_campaign(folder / "c", QUICK, TOLD)
+    campaign = write_campaign(folder / "c", QUICK, SPECIFIED)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
         answer = identify_to_folder(campaign, folder / "out", keep=False)
@@ -37,8 +37,8 @@ def told(tmp_path_factory):
 
 
 @pytest.mark.slow
-def test_a_campaign_by_samples_says_how_they_came_about(told):
-    answer, result, folder = told
+def test_a_campaign_by_samples_says_how_they_came_about(reported):
+    answer, result, folder = reported
     (sampling,) = result["fit"]["sampling"]
     assert sampling["converged"]
     assert sampling["independent"] > 200
@@ -54,9 +54,9 @@ def test_a_campaign_by_samples_says_how_they_came_about(told):
 
 
 @pytest.mark.slow
-def test_a_prior_that_the_data_hardly_change_is_named_and_shown(told):
+def test_a_prior_that_the_data_hardly_change_is_named_and_shown(reported):
     """0.5 +- 0.02 for a ceiling of 0.3: one octave's energies cannot tell."""
-    _, result, _ = told
+    _, result, _ = reported
     (finding,) = [f for f in result["findings"] if f["code"] == "prior-dominated"]
     assert finding["evidence"]["material"] == "tiles"
     prior = result["materials"]["tiles"]["prior"]
@@ -66,9 +66,9 @@ def test_a_prior_that_the_data_hardly_change_is_named_and_shown(told):
 
 
 def test_prior_intervals_follow_bounds_ties_and_what_is_held():
-    bounded = MaterialKnowledge("b", np.zeros(1), np.ones(1), lower=0.2, upper=0.6)
-    held = MaterialKnowledge("h", np.zeros(1), np.ones(1), known=np.array([0.3]))
-    tied = MaterialKnowledge("t", np.zeros(1), np.ones(1), tied_to="b")
+    bounded = MaterialPrior("b", np.zeros(1), np.ones(1), lower=0.2, upper=0.6)
+    held = MaterialPrior("h", np.zeros(1), np.ones(1), known=np.array([0.3]))
+    tied = MaterialPrior("t", np.zeros(1), np.ones(1), tied_to="b")
     found = prior_intervals((bounded, held, tied))[:, :, 0]
     high = 0.2 + 0.4 / (1.0 + np.exp(-1.959964))
     np.testing.assert_allclose(found[:, 0], [0.4, 0.8 - high, high], atol=1e-6)
@@ -80,7 +80,7 @@ def test_only_a_prior_that_was_given_is_called_one():
     """The spread left is 0.1 (from a variance of 0.01) of the broad prior, and all of 0.1."""
     bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
     broad = unknown_material("x", 1)
-    narrow = MaterialKnowledge("y", np.full(1, -0.85), np.full(1, 0.1))
+    narrow = MaterialPrior("y", np.full(1, -0.85), np.full(1, 0.1))
     (finding,) = prior_findings(bands, (broad, narrow), [answer])
     assert finding.evidence["material"] == "y"
     assert finding.evidence["spread_left"] == [1.0]

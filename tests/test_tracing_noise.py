@@ -43,12 +43,12 @@ def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Return the answer by one coarse trace, and the variance that its batches foretell."""
     coarse = energies(N_RAYS, seed)
     halves = np.split(data, 2)
-    seen = zip(coarse.observations, halves, strict=True)
-    problem = replace(coarse, observations=tuple(replace(o, energy=e) for o, e in seen))
+    observed = zip(coarse.observations, halves, strict=True)
+    problem = replace(coarse, observations=tuple(replace(o, energy=e) for o, e in observed))
     fit = score_band(problem, start_vector(problem.parameters))
     wider = with_tracing_noise(problem, problem, (0, 0), fit)
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
-    return fit.vector, np.diag(more) * max(fit.phi, 1.0)
+    return fit.vector, np.diag(more) * max(fit.chi2_reduced, 1.0)
 
 
 def test_batches_foretell_how_far_another_trace_moves_the_answer(data: FloatArray) -> None:
@@ -59,8 +59,8 @@ def test_batches_foretell_how_far_another_trace_moves_the_answer(data: FloatArra
     curvature and the weights that move with the rays, lies within that margin as well.
     """
     answers, foretold = zip(*(fitted(seed, data) for seed in range(N_TRACES)), strict=True)
-    seen = np.std(answers, axis=0, ddof=1)
-    ratio = np.sqrt(np.mean(foretold, axis=0)) / seen
+    observed = np.std(answers, axis=0, ddof=1)
+    ratio = np.sqrt(np.mean(foretold, axis=0)) / observed
     assert np.all((ratio > 1.0 / 1.5) & (ratio < 1.5)), ratio
 
 
@@ -71,8 +71,8 @@ def test_columns_add_up_to_the_variance_of_every_window() -> None:
     gain, alone = 2.0, problem.observations[0].energy.size
     absorption = problem.parameters.blocks[0].start[:, None]
     expected = [
-        gain**2 * tracing_variance(rows, seen, absorption, np.zeros(1))
-        for rows, seen in zip(problem.rows, problem.observations, strict=True)
+        gain**2 * tracing_variance(rows, observed, absorption, np.zeros(1))
+        for rows, observed in zip(problem.rows, problem.observations, strict=True)
     ]
     shared = batch_spread(problem, problem.parameters, vector, (0, 0))
     apart = batch_spread(problem, problem.parameters, vector, (4, 2))

@@ -46,18 +46,20 @@ def floor_and_ceiling():
 def test_floor_and_ceiling_are_told_together_and_their_difference_as_open():
     a, covariance, sd = floor_and_ceiling()
     prior = np.array([np.full((3, 1), -1.7), sd[:, None]])
-    told = determined(NAMES, a[:, None], covariance[None], prior, np.array([20.0, 20.0, 60.0]), 1)
+    reported = determined(
+        NAMES, a[:, None], covariance[None], prior, np.array([20.0, 20.0, 60.0]), 1
+    )
 
-    assert told.sentences == (
+    assert reported.sentences == (
         "floor and ceiling together 0.110 +- 0.005; their difference is not in the data",
     )
-    (difference,) = told.combinations[0][1].differences
+    (difference,) = reported.combinations[0][1].differences
     assert difference.weights.tolist() == [-1.0, 1.0, 0.0]
     assert difference.value == pytest.approx(0.02)
     assert not difference.determined
     # a sum of 0.22 leaves room for a difference of 0.2 either way
     assert difference.upper95 - difference.lower95 > 0.2
-    assert told.combinations[0][0].differences == ()
+    assert reported.combinations[0][0].differences == ()
 
 
 @settings(max_examples=60, deadline=None)
@@ -117,8 +119,8 @@ def test_held_and_tied_materials_open_nothing_by_themselves():
 
 def test_where_all_is_known_nothing_is_said():
     a, prior = np.full((3, 1), 0.3), np.array([np.zeros((3, 1)), np.ones((3, 1))])
-    told = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
-    assert told.sentences == ("",)
+    reported = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
+    assert reported.sentences == ("",)
 
 
 def test_shares_agree_with_the_tangent_where_errors_are_small():
@@ -165,12 +167,12 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
     assert [(c.text, c.small) for c in table.rows[0].cells] == [("30", (f"20{DASH}40",))] * 2
     content = result_content(answer, ())
     assert content["materials"]["floor"]["share_upper95"] == [0.4, 0.4]
-    told = [c for c in content["combinations"] if c["band_hz"] == 1000.0]
-    assert told[0]["sentence"] == sentence
-    assert told[0]["kind"] == "mean"
-    assert told[1]["determined"]
-    assert told[1]["differences"][0]["weights"] == {"floor": -1.0, "ceiling": 1.0}
-    assert all(sum(c["weights"].values()) == pytest.approx(1.0, abs=1e-5) for c in told)
+    reported = [c for c in content["combinations"] if c["band_hz"] == 1000.0]
+    assert reported[0]["sentence"] == sentence
+    assert reported[0]["kind"] == "mean"
+    assert reported[1]["determined"]
+    assert reported[1]["differences"][0]["weights"] == {"floor": -1.0, "ceiling": 1.0}
+    assert all(sum(c["weights"].values()) == pytest.approx(1.0, abs=1e-5) for c in reported)
 
 
 def test_a_difference_is_told_the_larger_less_the_smaller():

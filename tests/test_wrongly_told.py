@@ -11,11 +11,15 @@ import pytest
 from roomfit.air import Air
 from roomfit.findings import Code
 from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.inversion.geometry_checks import looser_places, places_findings, places_stretch
+from roomfit.inversion.geometry_checks import (
+    estimate_position_sd_scale,
+    inflate_position_sds,
+    position_uncertainty_findings,
+)
 from roomfit.inversion.model_checks import description_findings
 from roomfit.materials.priors import unknown_material
 from roomfit.scene import Point, Scene, room_from_mesh
-from roomfit.uncertainty.gaussian import untold_band
+from roomfit.uncertainty.gaussian import prior_only_band
 
 N_PLACES, N_OTHERS = 18, 3
 
@@ -40,12 +44,14 @@ def test_places_as_sure_as_told_are_left_alone_and_three_times_worse_ones_are_no
     rng = np.random.default_rng(4)
     share = np.sqrt(1.0 - 0.04)  # of what is left after the fit, the rest is still open
     right = [
-        places_stretch(scene(), *found(share * rng.standard_normal(N_PLACES + N_OTHERS)))
+        estimate_position_sd_scale(
+            scene(), *found(share * rng.standard_normal(N_PLACES + N_OTHERS))
+        )
         for _ in range(600)
     ]
     assert np.count_nonzero(np.array(right) > 1.0) <= 5
     wrong = [
-        places_stretch(scene(), *found(3.0 * rng.standard_normal(N_PLACES + N_OTHERS)))
+        estimate_position_sd_scale(scene(), *found(3.0 * rng.standard_normal(N_PLACES + N_OTHERS)))
         for _ in range(200)
     ]
     # the root of a mean of 18 squares scatters by a sixth; five times is the most that is taken
@@ -56,18 +62,19 @@ def test_places_as_sure_as_told_are_left_alone_and_three_times_worse_ones_are_no
 def test_what_is_no_place_has_no_say():
     mean = np.zeros(N_PLACES + N_OTHERS)
     mean[N_PLACES:] = 20.0
-    assert places_stretch(scene(), *found(mean)) == 1.0
-    assert places_stretch(scene(), [None], [None]) == 1.0
+    assert estimate_position_sd_scale(scene(), *found(mean)) == 1.0
+    assert estimate_position_sd_scale(scene(), [None], [None]) == 1.0
 
 
 def test_looser_places_are_the_same_places_with_a_wider_spread():
     """Free numbers are in units of the spread: those of the places shrink as it grows."""
-    told = scene()
-    told = replace(
-        told, receivers=(replace(told.receivers[0], position_sd_m=None), *told.receivers[1:])
+    specified = scene()
+    specified = replace(
+        specified,
+        receivers=(replace(specified.receivers[0], position_sd_m=None), *specified.receivers[1:]),
     )
     origin = np.arange(1.0, N_PLACES + N_OTHERS + 1.0)
-    changed, moved = looser_places(told, origin, 2.5)
+    changed, moved = inflate_position_sds(specified, origin, 2.5)
     assert [p.position_sd_m for p in changed.sources] == [0.025, 0.025]
     assert [p.position_sd_m for p in changed.receivers] == [None, 0.025, 0.025, 0.025]
     assert moved is not None
@@ -75,20 +82,20 @@ def test_looser_places_are_the_same_places_with_a_wider_spread():
     factor[6:9] = 1.0  # the first receiver, of which nothing is told
     np.testing.assert_allclose(moved[:N_PLACES] * factor, origin[:N_PLACES])
     np.testing.assert_array_equal(moved[N_PLACES:], origin[N_PLACES:])
-    assert looser_places(told, None, 2.0)[1] is None
+    assert inflate_position_sds(specified, None, 2.0)[1] is None
 
 
 def test_a_stretch_is_told():
-    assert places_findings(1.0) == ()
-    (finding,) = places_findings(3.2)
+    assert position_uncertainty_findings(1.0) == ()
+    (finding,) = position_uncertainty_findings(3.2)
     assert finding.code == Code.POSITION_UNCERTAINTY_INFLATED
     assert "3.2 times" in finding.sentence
 
 
 def answers(phi: list[float], model: str = "coherent"):
-    knowledge = (unknown_material("a", len(phi)),)
+    priors = (unknown_material("a", len(phi)),)
     return [
-        replace(untold_band(knowledge, band, np.ones(1)), phi=p, model=model)
+        replace(prior_only_band(priors, band, np.ones(1)), chi2_reduced=p, model=model)
         for band, p in enumerate(phi)
     ]
 

@@ -19,7 +19,7 @@ from roomfit.errors import InputError
 from roomfit.synthetic.boxes import add_noise
 from roomfit.synthetic.polyhedra import (
     Cells,
-    PolyhedronTruth,
+    SyntheticPolyhedron,
     obj_text,
     pressure_responses,
     with_moved_planes,
@@ -174,8 +174,8 @@ def write_measured_polyhedron(
 
     bands = bands_between("octave", 63, 8000)
     air = Air()
-    told = _told(plan.cells, plane_error_m, rng)
-    truth = PolyhedronTruth(
+    reported = _specified(plan.cells, plane_error_m, rng)
+    truth = SyntheticPolyhedron(
         plan.cells,
         bands.centres_hz,
         plan.absorption,
@@ -203,13 +203,13 @@ def write_measured_polyhedron(
             )
         if progress is not None:
             progress((number + 1) / len(plan.sources_m))
-    write_text_atomically(folder / "room.obj", obj_text(told))
+    write_text_atomically(folder / "room.obj", obj_text(reported))
     text = _campaign_text(plan, position_error_m)
     campaign = write_text_atomically(folder / "campaign.toml", text)
     return MeasuredPolyhedron(campaign, plan.cells.materials, bands.centres_hz, plan.absorption)
 
 
-def _told(cells: Cells, plane_error_m: float, rng: np.random.Generator) -> Cells:
+def _specified(cells: Cells, plane_error_m: float, rng: np.random.Generator) -> Cells:
     if plane_error_m == 0.0:
         return cells
     if any(face.material < 0 for face in cells.faces):

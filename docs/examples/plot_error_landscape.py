@@ -33,7 +33,7 @@ for axes, (name, problem) in zip(panels, problems.items(), strict=True):
     errors = np.array([[error(problem.squares, np.array([a, b])) for a in grid] for b in grid])
     levels = errors.max() / 3.0 ** np.arange(12, -1, -1)
     axes.contour(grid, grid, errors, levels, cmap="viridis_r", norm="log")
-    axes.plot(*problem.truth, "+", color="#D55E00", ms=12, mew=2)
+    axes.plot(*problem.true_absorption, "+", color="#D55E00", ms=12, mew=2)
     axes.set(title=windows[name], xlabel="absorption of floor and ceilings", aspect="equal")
 panels[0].set_ylabel("absorption of walls")
 figure.suptitle("Room reconstructed from the arrival times and Table 2 of the paper", fontsize=10)

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from roomfit.bands import Bands, bands_between
     from roomfit.cache import Cache, cache_of
     from roomfit.commands import check_room, export_result
-    from roomfit.coverage.calibrate import CalibrationResult, calibrate
-    from roomfit.coverage.truth import CalibrationSettings
+    from roomfit.coverage.calibrate import CoverageResult, estimate_coverage
+    from roomfit.coverage.truth import CoverageSettings
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
     from roomfit.experiment_design.choose import Design
     from roomfit.experiment_design.design import design
@@ -63,9 +63,9 @@ _HOME = {
     "Air": "air",
     "attenuation_per_m": "air",
     "speed_of_sound_m_s": "air",
-    "calibrate": "coverage.calibrate",
-    "CalibrationResult": "coverage.calibrate",
-    "CalibrationSettings": "coverage.truth",
+    "estimate_coverage": "coverage.calibrate",
+    "CoverageResult": "coverage.calibrate",
+    "CoverageSettings": "coverage.truth",
     "read_change": "prediction.setup",
     "Change": "prediction.setup",
     "check_room": "commands",

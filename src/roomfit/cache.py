@@ -49,10 +49,10 @@ def digest(*parts: object) -> str:
     TypeError
         A value of another kind: a fault of the calling code.
     """
-    seen = hashlib.sha256()
+    hasher = hashlib.sha256()
     for part in parts:
-        _feed(seen, part)
-    return seen.hexdigest()
+        _feed(hasher, part)
+    return hasher.hexdigest()
 
 
 @cache
@@ -68,15 +68,15 @@ def code_digest() -> str:
     return digest(contents, {name: version(name) for name in _LIBRARIES})
 
 
-def _feed(seen: hashlib._Hash, value: object) -> None:
+def _feed(hasher: hashlib._Hash, value: object) -> None:
     kind, content = _plain(value)
     if isinstance(content, bytes):
-        seen.update(f"{kind}:{len(content)}:".encode())
-        seen.update(content)
+        hasher.update(f"{kind}:{len(content)}:".encode())
+        hasher.update(content)
         return
-    seen.update(f"{kind}:[{len(content)}]:".encode())
+    hasher.update(f"{kind}:[{len(content)}]:".encode())
     for item in content:
-        _feed(seen, item)
+        _feed(hasher, item)
 
 
 def _plain(value: object) -> tuple[str, bytes | list[Any]]:
@@ -99,8 +99,8 @@ def _plain(value: object) -> tuple[str, bytes | list[Any]]:
     if isinstance(value, bytes):
         return "bytes", value
     if is_dataclass(value) and not isinstance(value, type):
-        told = [[f.name, getattr(value, f.name)] for f in fields(value)]
-        return f"record {type(value).__qualname__}", told
+        entries = [[f.name, getattr(value, f.name)] for f in fields(value)]
+        return f"record {type(value).__qualname__}", entries
     if isinstance(value, Mapping):
         return "mapping", [[k, value[k]] for k in sorted(value, key=str)]
     if isinstance(value, list | tuple):
@@ -189,10 +189,10 @@ def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
     if value is None or isinstance(value, bool | int | float | str):
         return value
     if is_dataclass(value) and not isinstance(value, type):
-        told = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+        entries = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
         return {
             "record": type(value).__qualname__,
-            "fields": {name: _outlined(item, arrays) for name, item in told.items()},
+            "fields": {name: _outlined(item, arrays) for name, item in entries.items()},
         }
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
@@ -218,8 +218,8 @@ def _rebuilt(
         return known[outline["member"]](outline["value"])
     if "mapping" in outline:
         return {key: _rebuilt(item, arrays, known) for key, item in outline["mapping"].items()}
-    told = {name: _rebuilt(item, arrays, known) for name, item in outline["fields"].items()}
-    return known[outline["record"]](**told)
+    entries = {name: _rebuilt(item, arrays, known) for name, item in outline["fields"].items()}
+    return known[outline["record"]](**entries)
 
 
 # Within an output folder: intermediate results of a run, see `roomfit.cache`.
@@ -526,11 +526,11 @@ def _make_room(cache: Cache, newest: Path) -> None:
     files = []
     for path in cache.folder.iterdir():
         try:
-            told = path.stat()
+            status = path.stat()
         except FileNotFoundError:  # another run has just removed it
             continue
         if path.is_file():
-            files.append((told.st_mtime_ns, told.st_size, path))
+            files.append((status.st_mtime_ns, status.st_size, path))
     total = sum(size for _, size, _ in files)
     for _, size, path in sorted(files):
         if total <= cache.limit_bytes:

@@ -36,7 +36,7 @@ from roomfit.inversion.measurements import campaign_scene
 from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 from roomfit.io.campaign import Campaign, input_files, read_campaign
 from roomfit.io.exports import export_materials, read_material_table
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.results import input_digests, read_misfit, read_result, write_result
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.model import RoomSpec
@@ -80,9 +80,9 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     if not check.traceable:
         return check
     room = room_from_mesh(mesh, spec.materials)
-    material_knowledge(campaign, room.materials)
-    places = position_findings(room, campaign.sources, campaign.receivers)
-    return replace(check, findings=(*check.findings, *places))
+    material_priors(campaign, room.materials)
+    position_doubts = position_findings(room, campaign.sources, campaign.receivers)
+    return replace(check, findings=(*check.findings, *position_doubts))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -302,11 +302,11 @@ def _table(answer: Answer, true_absorption: FloatArray) -> str:
         f"{'Hz':<{width}}  " + " ".join(f"{f:^22g}" for f in answer.bands.centres_hz),
         f"{'':<{width}}  " + " ".join(f"{cell:<22}" for _ in answer.bands.centres_hz),
     ]
-    held = _held(answer, true_absorption)
+    covered = _covered(answer, true_absorption)
     for i, name in enumerate(answer.materials):
         cells = []
         for j in range(len(answer.bands)):
-            mark = ("" if held[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
+            mark = ("" if covered[i, j] else "!") + ("" if answer.identifiable[i, j] else "?")
             bounds = f"{answer.lower95[i, j]:.2f}-{answer.upper95[i, j]:.2f}"
             text = f"{true_absorption[i, j]:5.2f} {answer.absorption[i, j]:5.2f} {bounds}{mark}"
             cells.append(f"{text:<22}")
@@ -316,23 +316,23 @@ def _table(answer: Answer, true_absorption: FloatArray) -> str:
 
 def _summary(answer: Answer, true_absorption: FloatArray) -> str:
     error = np.abs(answer.absorption - true_absorption)
-    held = _held(answer, true_absorption)
+    covered = _covered(answer, true_absorption)
     uniform = np.abs(answer.mean_absorption[0] - true_absorption)
     sure = answer.identifiable
     lines = [
         f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
         f"largest {error.max():.3f}",
         f"null model, one absorption for all walls: median error {np.median(uniform):.3f}",
-        f"intervals hold the truth in {held.sum()} of {held.size} cases "
-        f"({100 * held.mean():.0f} %)",
-        f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~held).sum()} "
+        f"intervals hold the truth in {covered.sum()} of {covered.size} cases "
+        f"({100 * covered.mean():.0f} %)",
+        f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~covered).sum()} "
         "outside their interval",
         f"{answer.seconds:.1f} s for the identification",
     ]
     return "\n".join(lines)
 
 
-def _held(answer: Answer, true_absorption: FloatArray) -> BoolArray:
+def _covered(answer: Answer, true_absorption: FloatArray) -> BoolArray:
     return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
 
 
@@ -436,13 +436,13 @@ def run_demo(
         answer = identify_to_folder(
             box.campaign, folder / "result", progress=part(progress, 0.4, 1.0)
         )
-        truth = _truth(box, answer)
-        picture = png(absorption_figure(answer, truth))
+        true_absorption = _true_absorption(box, answer)
+        picture = png(absorption_figure(answer, true_absorption))
         write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
-    return DemoResult(answer, truth)
+    return DemoResult(answer, true_absorption)
 
 
-def _truth(box: MeasuredBox, answer: Answer) -> FloatArray:
+def _true_absorption(box: MeasuredBox, answer: Answer) -> FloatArray:
     """Return the true absorption in the answer's order of materials and bands."""
     rows = [box.materials.index(name) for name in answer.materials]
     columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]

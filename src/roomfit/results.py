@@ -93,7 +93,7 @@ class Answer:
     identifiable : bool array, shape (n_materials, n_bands)
     mean_absorption : float array, shape (3, n_bands)
         Area-weighted mean absorption of the room, its lower and its upper 95 % bound.
-    phi : float array, shape (n_bands,)
+    chi2_reduced : float array, shape (n_bands,)
         Pearson's chi-square over degrees of freedom; above 2 the model does not fit.
     cost : float
         Sum over bands of half the squared weighted residuals, priors included.
@@ -150,7 +150,7 @@ class Answer:
     upper95: FloatArray
     identifiable: BoolArray
     mean_absorption: FloatArray
-    phi: FloatArray
+    chi2_reduced: FloatArray
     cost: float
     evaluations: int
     converged: BoolArray

@@ -128,9 +128,9 @@ def powers(g: FloatArray, most: int) -> FloatArray:
 
 
 @kernel(allocates=False)
-def energies(question: Arrays, table: FloatArray, energy: FloatArray) -> None:
+def energies(global_problem: Arrays, table: FloatArray, energy: FloatArray) -> None:
     """Fill the energy of every window, shape (n_windows,)."""
-    offsets, weight, exponents = question[0], question[1], question[2]
+    offsets, weight, exponents = global_problem[0], global_problem[1], global_problem[2]
     n = exponents.shape[1]
     for i in range(len(offsets) - 1):
         total = 0.0
@@ -144,7 +144,7 @@ def energies(question: Arrays, table: FloatArray, energy: FloatArray) -> None:
 
 @kernel(allocates=False)
 def log_slopes(
-    question: Arrays,
+    global_problem: Arrays,
     table: FloatArray,
     far: BoolArray,
     values: FloatArray,
@@ -156,7 +156,7 @@ def log_slopes(
     Rows that hit a coordinate of `far`, and rows too small to be rounded well, are left out: their
     value is 0.
     """
-    offsets, weight, exponents = question[0], question[1], question[2]
+    offsets, weight, exponents = global_problem[0], global_problem[1], global_problem[2]
     n = exponents.shape[1]
     for i in range(len(offsets) - 1):
         total = 0.0
@@ -182,7 +182,7 @@ def log_slopes(
 
 @kernel(allocates=False)
 def vertex_remainder(
-    question: Arrays,
+    global_problem: Arrays,
     i: int,
     values: FloatArray,
     total: float,
@@ -201,7 +201,7 @@ def vertex_remainder(
     product, sums : float arrays, shape (2 ** n,)
         Scratch.
     """
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     n = exponents.shape[1]
     sums[:] = 0.0
     for k in range(offsets[i], offsets[i + 1]):
@@ -230,7 +230,7 @@ def vertex_remainder(
 
 @kernel(allocates=False)
 def spread_of_window(
-    question: Arrays,
+    global_problem: Arrays,
     i: int,
     values: FloatArray,
     total: float,
@@ -253,7 +253,7 @@ def spread_of_window(
     wobble : float
         More than the rounding of rho.
     """
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     n = exponents.shape[1]
     for a in range(n):
         for b in range(n):
@@ -335,7 +335,7 @@ def kappa_nodes() -> FloatArray:
 
 
 @kernel(allocates=False)
-def relative_rounding(question: Arrays) -> float:
+def relative_rounding(global_problem: Arrays) -> float:
     """Return more than the relative rounding error of any window's energy.
 
     A row is a product of N + n + 1 rounded factors at most: N its hits in all, powers are made by
@@ -343,7 +343,7 @@ def relative_rounding(question: Arrays) -> float:
     nonnegative, so that relative errors add up to ``(K + 3 N + n + 1) u``, and less than a
     hundredth more for their products; 4 u for each of these and 64 for what is done with the sum.
     """
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     rows, hits = 0, 0
     for i in range(len(offsets) - 1):
         rows = max(rows, offsets[i + 1] - offsets[i])
@@ -358,14 +358,14 @@ def relative_rounding(question: Arrays) -> float:
 @kernel(allocates=False)
 def corner_bound(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     low: FloatArray,
     high: FloatArray,
     rounding: float,
     each: FloatArray,
 ) -> float:
     """Fill the least misfit of every window with its energy between two corners; return the sum."""
-    measured, precision = question[3], question[4]
+    measured, precision = global_problem[3], global_problem[4]
     total = 0.0
     for i in range(len(measured)):
         least, most = low[i] * (1.0 - rounding), high[i] * (1.0 + rounding) + VANISHING
@@ -382,7 +382,7 @@ def corner_bound(
 @kernel()
 def planes_over(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     lo: FloatArray,
     hi: FloatArray,
     most: int,
@@ -404,7 +404,7 @@ def planes_over(
         Planes are only valid where the whole misfit is no greater: a window of squares may then
         lie below what was measured by no more than the root of what the others leave over.
     """
-    measured, precision = question[3], question[4]
+    measured, precision = global_problem[3], global_problem[4]
     n, windows = len(lo), len(measured)
     far = np.empty(n, dtype=np.bool_)
     centre, half, low_g = np.empty(n), np.empty(n), np.empty(n)
@@ -416,9 +416,9 @@ def planes_over(
         half[m] = 0.5 * (hi[m] - low_g[m]) + 8.0 * UNIT_ROUNDOFF * (1.0 + abs(centre[m]))
     energy, low, high = np.empty(windows), np.empty(windows), np.empty(windows)
     each, slope = np.empty(windows), np.empty((windows, n))
-    energies(question, powers(lo, most), low)
-    energies(question, powers(hi, most), high)
-    total = corner_bound(kind, question, low, high, rounding, each)
+    energies(global_problem, powers(lo, most), low)
+    energies(global_problem, powers(hi, most), high)
+    total = corner_bound(kind, global_problem, low, high, rounding, each)
     level, remainder = np.empty(windows), np.empty(windows)
     tail, share = np.empty(windows), np.zeros(n)
     planar = np.empty(windows, dtype=np.bool_)
@@ -426,11 +426,11 @@ def planes_over(
     apart = 0.0
     if total >= threshold:
         return total, apart, found, centre, half
-    log_slopes(question, powers(centre, most), far, values, energy, slope)
+    log_slopes(global_problem, powers(centre, most), far, values, energy, slope)
     spread = np.zeros((n, n))
     product, sums = np.empty(1 << min(n, MOST_VERTICES)), np.empty(1 << min(n, MOST_VERTICES))
     ghost = np.zeros(windows)
-    _vanishing(question, powers(hi, most), values, ghost)
+    _vanishing(global_problem, powers(hi, most), values, ghost)
     for i in range(windows):
         planar[i] = energy[i] > 0.0
         if not planar[i]:
@@ -441,11 +441,13 @@ def planes_over(
             reach += slope[i, m] * half[m]
         off = rounding * (1.0 + 4.0 * reach)
         if n <= MOST_VERTICES:
-            own = vertex_remainder(question, i, values, energy[i], slope[i], half, product, sums)
-            _variances(question, i, values, energy[i], slope[i], spread)
+            own = vertex_remainder(
+                global_problem, i, values, energy[i], slope[i], half, product, sums
+            )
+            _variances(global_problem, i, values, energy[i], slope[i], spread)
         else:
             kept = spread_of_window(
-                question, i, values, energy[i], slope[i], half, nodes, off, spread
+                global_problem, i, values, energy[i], slope[i], half, nodes, off, spread
             )
             form = largest_form(spread, half)
             form = (math.sqrt(form * (1.0 + rounding)) + off * math.sqrt(kept)) ** 2
@@ -474,7 +476,7 @@ def planes_over(
 
 @kernel(allocates=False)
 def _variances(
-    question: Arrays,
+    global_problem: Arrays,
     i: int,
     values: FloatArray,
     total: float,
@@ -482,7 +484,7 @@ def _variances(
     spread: FloatArray,
 ) -> None:
     """Fill the diagonal with half the variance of one window's exponents."""
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     for m in range(len(slope)):
         spread[m, m] = 0.0
     for k in range(offsets[i], offsets[i + 1]):
@@ -493,10 +495,10 @@ def _variances(
 
 @kernel(allocates=False)
 def _vanishing(
-    question: Arrays, at_high: FloatArray, values: FloatArray, ghost: FloatArray
+    global_problem: Arrays, at_high: FloatArray, values: FloatArray, ghost: FloatArray
 ) -> None:
     """Fill the energy at the upper corner of the rows that the planes leave out."""
-    offsets, weight, exponents = question[0], question[1], question[2]
+    offsets, weight, exponents = global_problem[0], global_problem[1], global_problem[2]
     for i in range(len(offsets) - 1):
         for k in range(offsets[i], offsets[i + 1]):
             if values[k] == 0.0:

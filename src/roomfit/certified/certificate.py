@@ -15,8 +15,8 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.certified.convex import descend, is_convex, total_misfit
 from roomfit.certified.question import (
-    Question,
-    energy_question,
+    GlobalProblem,
+    energy_global_problem,
     free_vector,
     is_certifiable,
     to_absorption,
@@ -111,29 +111,29 @@ class Certificate:
 
 
 def certify(
-    question: Question, settings: SearchSettings, *, progress: Progress | None = None
+    global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
 ) -> Certificate:
     """Return a proof of how low the misfit can be, and where.
 
     Parameters
     ----------
-    question : Question
+    global_problem : GlobalProblem
     settings : SearchSettings
     progress : callable, optional
     """
-    return certificate_of(question, search(question, settings, progress=progress))
+    return certificate_of(global_problem, search(global_problem, settings, progress=progress))
 
 
-def certificate_of(question: Question, found: Searched) -> Certificate:
+def certificate_of(global_problem: GlobalProblem, found: Searched) -> Certificate:
     """Return what a search has proven, its boxes joined to clusters."""
-    tools = tools_for(question)
+    tools = tools_for(global_problem)
     label = touching(found.boxes)
     clusters = []
     for number in range(int(label.max(initial=-1)) + 1):
         own = np.flatnonzero(label == number)
-        cluster = _cluster(question, tools, found, own)
+        cluster = _cluster(global_problem, tools, found, own)
         empty = cluster.value > found.value + found.delta and proven_empty(
-            question, found, found.boxes[own], found.bounds[own], _MORE_BOXES
+            global_problem, found, found.boxes[own], found.bounds[own], _MORE_BOXES
         )
         if not empty:
             clusters.append(cluster)
@@ -148,7 +148,7 @@ def certificate_of(question: Question, found: Searched) -> Certificate:
     return Certificate(
         status,
         _sentence(status, value, bound, found, len(clusters)),
-        question.coordinates,
+        global_problem.coordinates,
         value,
         bound,
         found.delta,
@@ -186,7 +186,9 @@ def touching(boxes: FloatArray) -> IntArray:
     return label
 
 
-def _cluster(question: Question, tools: Tools, found: Searched, own: IntArray) -> Cluster:
+def _cluster(
+    global_problem: GlobalProblem, tools: Tools, found: Searched, own: IntArray
+) -> Cluster:
     boxes = found.boxes[own]
     hull = np.stack((boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)))
     low = np.maximum(hull[0], np.minimum(_ALMOST_BLACK, hull[1] - 1e-3))
@@ -196,11 +198,11 @@ def _cluster(question: Question, tools: Tools, found: Searched, own: IntArray) -
         starts.append(found.minimiser)
     ends = [descend(tools.kind, tools.data, start, low, hull[1], tools.most) for start in starts]
     place, value = min((_blackened(tools, hull, end) for end in ends), key=lambda end: end[1])
-    ends_of_hull = to_absorption(question, hull)
+    ends_of_hull = to_absorption(global_problem, hull)
     return Cluster(
         np.minimum(ends_of_hull[0], ends_of_hull[1]),
         np.maximum(ends_of_hull[0], ends_of_hull[1]),
-        to_absorption(question, place),
+        to_absorption(global_problem, place),
         float(value),
         bool(is_convex(tools.kind, tools.data, hull, tools.most, tools.values)),
         len(own),
@@ -296,16 +298,16 @@ def certified_fit(
     if not fit.vector.size:
         return fit, None
     for number in range(_ROUNDS):
-        question = energy_question(problem, fit.vector)
-        if len(question.weight) > limits.max_rows:
+        global_problem = energy_global_problem(problem, fit.vector)
+        if len(global_problem.weight) > limits.max_rows:
             raise InputError(
                 "too many rows for a certificate",
-                found=f"{len(question.weight)} at {problem.centre_hz:g} Hz",
+                found=f"{len(global_problem.weight)} at {problem.centre_hz:g} Hz",
                 needed=f"at most {limits.max_rows}",
                 hint='fewer materials, fewer pairs, or method = "least-squares"',
             )
-        settings = _settings(limits, tracing_delta(problem, fit.vector, question.precision))
-        certificate = certify(question, settings)
+        settings = _settings(limits, tracing_delta(problem, fit.vector, global_problem.precision))
+        certificate = certify(global_problem, settings)
         if progress is not None:
             progress((number + 1) / _ROUNDS)
         if fit.cost <= certificate.value + 1e-3 + 0.01 * settings.delta:
@@ -330,11 +332,11 @@ def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certific
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
     if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
         return None
-    question = energy_question(problem, vector)
-    if len(question.weight) > AFFORDABLE.max_rows:
+    global_problem = energy_global_problem(problem, vector)
+    if len(global_problem.weight) > AFFORDABLE.max_rows:
         return None
-    delta = max(tracing_delta(problem, vector, question.precision), _AFFORDABLE_DELTA)
-    certificate = certify(question, _settings(AFFORDABLE, delta))
+    delta = max(tracing_delta(problem, vector, global_problem.precision), _AFFORDABLE_DELTA)
+    certificate = certify(global_problem, _settings(AFFORDABLE, delta))
     return certificate if certificate.status == "certified" else None
 
 
@@ -372,9 +374,9 @@ def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatAr
     gains = np.append(values["gain"], 1.0)
     variance = np.concatenate(
         [
-            gains[seen.gain] ** 2
-            * tracing_variance(rows, seen, values["absorption"][:, None], np.zeros(1))
-            for rows, seen in zip(problem.rows, problem.observations, strict=True)
+            gains[observed.gain] ** 2
+            * tracing_variance(rows, observed, values["absorption"][:, None], np.zeros(1))
+            for rows, observed in zip(problem.rows, problem.observations, strict=True)
         ]
     )
     off = problem.predict(vector).expected - problem.measured()
@@ -390,22 +392,22 @@ def certificate_findings(
     named = [(float(f), c) for f, c in zip(bands.centres_hz, certificates, strict=True)]
     open_ = [(f, c) for f, c in named if c is not None and c.status != "certified"]
     if open_:
-        told = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
+        listed = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
         findings.append(
             Finding(
                 Code.NOT_CERTIFIED,
                 "The search for a better answer was stopped before it was complete; the cost could "
-                f"be lower at {told}.",
+                f"be lower at {listed}.",
                 {"bands_hz": [f for f, _ in open_]},
             )
         )
     several = [(f, c) for f, c in named if c is not None and len(c.clusters) > 1]
     if several:
-        told = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
+        listed = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
         findings.append(
             Finding(
                 Code.MULTIPLE_MINIMA_CERTIFIED,
-                f"Absorptions far apart explain the energies within what rays can tell: {told}. "
+                f"Absorptions far apart explain the energies within what rays can tell: {listed}. "
                 "The intervals are about one of them; fit.certified holds all.",
                 {"bands_hz": [f for f, _ in several]},
             )

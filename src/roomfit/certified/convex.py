@@ -43,7 +43,7 @@ _ARMIJO = 1e-4
 @kernel()
 def bound_at(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     planes: Planes,
     separable: Separable,
     d: FloatArray,
@@ -51,7 +51,7 @@ def bound_at(
     hessian: FloatArray,
 ) -> float:
     """Return the convex lower bound at d and fill its gradient and a Hessian."""
-    measured, precision = question[3], question[4]
+    measured, precision = global_problem[3], global_problem[4]
     level, slope, remainder, tail, _, planar = planes
     n = len(d)
     total = 0.0
@@ -85,7 +85,7 @@ def bound_at(
 @kernel()
 def least_over(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     planes: Planes,
     separable: Separable,
     low: FloatArray,
@@ -111,7 +111,7 @@ def least_over(
     other, unused = np.empty(n), np.empty((n, n))
     for a in range(n):
         d[a] = min(max(d[a], low[a]), high[a])
-    here = bound_at(kind, question, planes, separable, d, gradient, hessian)
+    here = bound_at(kind, global_problem, planes, separable, d, gradient, hessian)
     best = -math.inf
     for _ in range(_CONVEX_STEPS):
         best = max(best, _tangent_bound(here, gradient, d, low, high))
@@ -126,7 +126,7 @@ def least_over(
             for a in range(n):
                 other[a] = min(max(d[a] + size * step[a], low[a]), high[a])
                 gain += gradient[a] * (other[a] - d[a])
-            there = bound_at(kind, question, planes, separable, other, unused[0], unused)
+            there = bound_at(kind, global_problem, planes, separable, other, unused[0], unused)
             if there <= here + _ARMIJO * gain and there < here:
                 moved = True
                 break
@@ -135,7 +135,7 @@ def least_over(
             break
         for a in range(n):
             d[a] = other[a]
-        here = bound_at(kind, question, planes, separable, d, gradient, hessian)
+        here = bound_at(kind, global_problem, planes, separable, d, gradient, hessian)
     return max(best, _tangent_bound(here, gradient, d, low, high))
 
 
@@ -307,7 +307,9 @@ _SHARES = (1e-4, 1e-3, 1e-2, 0.03, 0.1, 0.25)
 
 
 @kernel()
-def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: FloatArray) -> bool:
+def is_convex(
+    kind: int, global_problem: Arrays, box: FloatArray, most: int, values: FloatArray
+) -> bool:
     """Return True only where the Hessian is positive definite at every point of the box.
 
     With f the misfit of a window as a function of its log energy, nbar the mean and C the
@@ -318,7 +320,7 @@ def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: F
     the second moment with weights ``p_k exp(rho_k)``, and at least C at the centre times the least
     ratio. What these leave is compared in the basis in which it is the unit matrix at t = 0.
     """
-    measured, prior = question[3], question[5]
+    measured, prior = global_problem[3], global_problem[5]
     n, windows = box.shape[1], len(measured)
     centre, half = np.empty(n), np.empty(n)
     far = np.zeros(n, dtype=np.bool_)
@@ -329,9 +331,9 @@ def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: F
         half[m] = 0.5 * (box[1, m] - box[0, m]) * (1.0 + 1e-12) + 1e-14 * (1.0 + abs(centre[m]))
     energy, low, high = np.empty(windows), np.empty(windows), np.empty(windows)
     slope, stiff = np.empty((windows, n)), np.empty(windows)
-    log_slopes(question, powers(centre, most), far, values, energy, slope)
-    energies(question, powers(box[0], most), low)
-    energies(question, powers(box[1], most), high)
+    log_slopes(global_problem, powers(centre, most), far, values, energy, slope)
+    energies(global_problem, powers(box[0], most), low)
+    energies(global_problem, powers(box[1], most), high)
     outer, whole = np.zeros((n, n)), np.zeros((n, n))
     for i in range(windows):
         if high[i] == 0.0:
@@ -340,7 +342,13 @@ def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: F
         if low[i] < VANISHING:
             return False
         stiff[i], pull = _least_slopes(
-            *(kind, measured[i], question[4][i], low[i] * (1.0 - 1e-10), high[i] * (1.0 + 1e-10))
+            *(
+                kind,
+                measured[i],
+                global_problem[4][i],
+                low[i] * (1.0 - 1e-10),
+                high[i] * (1.0 + 1e-10),
+            )
         )
         # a part that bends down is taken off in full: (x + y)(x + y)' <= 2 x x' + 2 y y'
         factor = stiff[i] if stiff[i] >= 0.0 else 2.0 * stiff[i]
@@ -349,7 +357,7 @@ def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: F
                 part = factor * slope[i, a] * slope[i, b]
                 whole[a, b] += part
                 outer[a, b] += max(stiff[i], 0.0) * slope[i, a] * slope[i, b]
-        if not _add_covariance(question, i, values, energy[i], slope[i], half, pull, whole):
+        if not _add_covariance(global_problem, i, values, energy[i], slope[i], half, pull, whole):
             return False
     for m in range(n):
         whole[m, m] += least_curvature(prior[m], centre[m] - half[m], centre[m] + half[m])
@@ -361,7 +369,9 @@ def is_convex(kind: int, question: Arrays, box: FloatArray, most: int, values: F
     moved = np.zeros(n)
     for i in range(windows):
         if high[i] > 0.0:
-            _add_movement(question, i, values, energy[i], slope[i], half, basis, stiff[i], moved)
+            _add_movement(
+                global_problem, i, values, energy[i], slope[i], half, basis, stiff[i], moved
+            )
     return _stays_definite(basis, whole, outer, moved)
 
 
@@ -423,7 +433,7 @@ def _whitening(matrix: FloatArray) -> FloatArray:
 
 @kernel(allocates=False)
 def _add_covariance(
-    question: Arrays,
+    global_problem: Arrays,
     i: int,
     values: FloatArray,
     total: float,
@@ -433,12 +443,12 @@ def _add_covariance(
     whole: FloatArray,
 ) -> bool:
     """Add the least that ``pull C`` may be; False where a row may change too much."""
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     n = len(half)
     reach, partition = 0.0, 1.0
     for k in range(offsets[i], offsets[i + 1]):
         rho = _reach(exponents[k], slope, half)
-        lost = values[k] == 0.0 and question[1][k] > 0.0
+        lost = values[k] == 0.0 and global_problem[1][k] > 0.0
         if rho > _MOST_CHANGE or lost:
             return False
         reach = max(reach, rho)
@@ -456,7 +466,7 @@ def _add_covariance(
 
 @kernel()
 def _add_movement(
-    question: Arrays,
+    global_problem: Arrays,
     i: int,
     values: FloatArray,
     total: float,
@@ -470,7 +480,7 @@ def _add_movement(
 
     A weight p_k moves by at most ``p_k max(exp(rho_k) - 1, 1 - exp(-rho_k) / Z)``.
     """
-    offsets, exponents = question[0], question[2]
+    offsets, exponents = global_problem[0], global_problem[2]
     n = len(half)
     change = np.zeros(n)
     partition = 1.0 + 1e-9
@@ -522,11 +532,11 @@ _DESCENT_STEPS = 60
 
 
 @kernel()
-def total_misfit(kind: int, question: Arrays, g: FloatArray, most: int) -> float:
+def total_misfit(kind: int, global_problem: Arrays, g: FloatArray, most: int) -> float:
     """Return the misfit at g, priors included; g may hold minus infinities."""
-    measured, precision, prior = question[3], question[4], question[5]
+    measured, precision, prior = global_problem[3], global_problem[4], global_problem[5]
     energy = np.empty(len(measured))
-    energies(question, powers(g, most), energy)
+    energies(global_problem, powers(g, most), energy)
     total = 0.0
     for i in range(len(measured)):
         total += misfit(kind, measured[i], precision[i], energy[i])
@@ -537,14 +547,21 @@ def total_misfit(kind: int, question: Arrays, g: FloatArray, most: int) -> float
 
 @kernel()
 def misfit_slopes(
-    kind: int, question: Arrays, g: FloatArray, most: int, gradient: FloatArray, hessian: FloatArray
+    kind: int,
+    global_problem: Arrays,
+    g: FloatArray,
+    most: int,
+    gradient: FloatArray,
+    hessian: FloatArray,
 ) -> float:
     """Return the misfit and fill its gradient and Gauss-Newton Hessian by g."""
-    measured, precision, prior = question[3], question[4], question[5]
+    measured, precision, prior = global_problem[3], global_problem[4], global_problem[5]
     n, windows = len(g), len(measured)
     far = np.zeros(n, dtype=np.bool_)
     energy, slope = np.empty(windows), np.empty((windows, n))
-    log_slopes(question, powers(g, most), far, np.empty(len(question[1])), energy, slope)
+    log_slopes(
+        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
+    )
     total = 0.0
     for a in range(n):
         value, first, second = prior_at(prior[a], g[a])
@@ -581,13 +598,18 @@ def _clipped(g: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
 
 @kernel()
 def descend(
-    kind: int, question: Arrays, start: FloatArray, low: FloatArray, high: FloatArray, most: int
+    kind: int,
+    global_problem: Arrays,
+    start: FloatArray,
+    low: FloatArray,
+    high: FloatArray,
+    most: int,
 ) -> tuple[FloatArray, float]:
     """Return where damped Gauss-Newton steps within bounds end, and the misfit there."""
     n = len(start)
     g = _clipped(start, low, high)
     gradient, hessian, damped = np.empty(n), np.empty((n, n)), np.empty((n, n))
-    here = misfit_slopes(kind, question, g, most, gradient, hessian)
+    here = misfit_slopes(kind, global_problem, g, most, gradient, hessian)
     damping = 1e-3
     for _ in range(_DESCENT_STEPS):
         for a in range(n):
@@ -598,7 +620,7 @@ def descend(
         for a in range(n):
             step[a] += g[a]
         other = _clipped(step, low, high)
-        there = total_misfit(kind, question, other, most)
+        there = total_misfit(kind, global_problem, other, most)
         if not there < here:
             damping *= 8.0
             if damping > 1e8:
@@ -606,16 +628,16 @@ def descend(
             continue
         done = here - there <= 1e-13 * here
         g, damping = other, max(damping * 0.2, 1e-12)
-        here = misfit_slopes(kind, question, g, most, gradient, hessian)
+        here = misfit_slopes(kind, global_problem, g, most, gradient, hessian)
         if done:
             break
-    return g, total_misfit(kind, question, g, most)
+    return g, total_misfit(kind, global_problem, g, most)
 
 
 @kernel()
 def least_of_convex(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     box: FloatArray,
     start: FloatArray,
     most: int,
@@ -628,29 +650,33 @@ def least_of_convex(
     fraction e changes a window's misfit by |f'| e, and its slope by as much of f' and f''.
     """
     n = len(start)
-    place, value = descend(kind, question, start, box[0], box[1], most)
+    place, value = descend(kind, global_problem, start, box[0], box[1], most)
     gradient, hessian = np.empty(n), np.empty((n, n))
-    here = misfit_slopes(kind, question, place, most, gradient, hessian)
+    here = misfit_slopes(kind, global_problem, place, most, gradient, hessian)
     bound, reach = here, 0.0
     for m in range(n):
         bound += min(gradient[m] * (box[0, m] - place[m]), gradient[m] * (box[1, m] - place[m]))
         reach = max(reach, box[1, m] - box[0, m])
-    size = _sensitivity(kind, question, place, most, reach)
+    size = _sensitivity(kind, global_problem, place, most, reach)
     return place, value, bound - 8.0 * rounding * size - 1e-12 * (here + abs(here - bound))
 
 
 @kernel()
-def _sensitivity(kind: int, question: Arrays, g: FloatArray, most: int, reach: float) -> float:
+def _sensitivity(
+    kind: int, global_problem: Arrays, g: FloatArray, most: int, reach: float
+) -> float:
     """Return by how much misfit and tangent change for a relative change of every energy by 1.
 
     Of a misfit by ``|f'|``, of a tangent over a distance by ``(|f'| + |f''|)`` times the mean
     exponents and the distance.
     """
-    measured, precision = question[3], question[4]
+    measured, precision = global_problem[3], global_problem[4]
     windows = len(measured)
     far = np.zeros(len(g), dtype=np.bool_)
     energy, slope = np.empty(windows), np.empty((windows, len(g)))
-    log_slopes(question, powers(g, most), far, np.empty(len(question[1])), energy, slope)
+    log_slopes(
+        global_problem, powers(g, most), far, np.empty(len(global_problem[1])), energy, slope
+    )
     total = 0.0
     for i in range(windows):
         if energy[i] > 0.0:
@@ -669,14 +695,14 @@ _SLICES = (0.5, 0.25, 0.125)
 @kernel()
 def shave(
     kind: int,
-    question: Arrays,
+    global_problem: Arrays,
     planes: Planes,
     separable: Separable,
     box: FloatArray,
     centre: FloatArray,
     half: FloatArray,
     threshold: float,
-    lowest: FloatArray,
+    low_ends: FloatArray,
 ) -> float:
     """Shrink a box in place and return the share of its volume that is kept.
 
@@ -686,7 +712,7 @@ def shave(
         In g; a coordinate that reaches minus infinity keeps its lower end.
     threshold : float
         A slice goes where the convex bound reaches it.
-    lowest : float array, shape (n,)
+    low_ends : float array, shape (n,)
         Where over the whole box the convex bound is lowest, from the centre.
     """
     n = box.shape[1]
@@ -707,9 +733,9 @@ def shave(
                 else:
                     low[m] = edge
                 for a in range(n):
-                    d[a] = lowest[a]
+                    d[a] = low_ends[a]
                 bound = least_over(
-                    kind, question, planes, separable, low, high, threshold, d, False
+                    kind, global_problem, planes, separable, low, high, threshold, d, False
                 )
                 low[m], high[m] = old_low, old_high
                 if bound < threshold:

@@ -28,7 +28,7 @@ Arrays: TypeAlias = tuple[
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Question:
+class GlobalProblem:
     """One band's misfit as a function of log factors g, to be minimised over a box.
 
     Window i is expected to have the energy ``R_i = sum over its rows of w prod exp(n_m g_m)``. The
@@ -101,39 +101,41 @@ class Question:
         _check_bounds(self)
 
 
-def arrays(question: Question) -> Arrays:
+def arrays(global_problem: GlobalProblem) -> Arrays:
     """Return what the kernels take, writable copies of one contiguous form."""
     return (
-        np.array(question.offsets),
-        np.array(question.weight),
-        np.array(question.exponents),
-        np.array(question.measured),
-        np.array(question.precision),
-        np.array(question.prior),
-        np.array(question.is_absorption),
+        np.array(global_problem.offsets),
+        np.array(global_problem.weight),
+        np.array(global_problem.exponents),
+        np.array(global_problem.measured),
+        np.array(global_problem.precision),
+        np.array(global_problem.prior),
+        np.array(global_problem.is_absorption),
     )
 
 
-def to_absorption(question: Question, g: FloatArray) -> FloatArray:
+def to_absorption(global_problem: GlobalProblem, g: FloatArray) -> FloatArray:
     """Return what log factors mean: absorption for materials, the gain itself for gains."""
     factor = np.exp(g)
-    return np.where(question.is_absorption, -np.expm1(g), factor)
+    return np.where(global_problem.is_absorption, -np.expm1(g), factor)
 
 
-def _check_bounds(question: Question) -> None:
-    if not np.all(question.least < question.most) or not np.all(np.isfinite(question.most)):
+def _check_bounds(global_problem: GlobalProblem) -> None:
+    if not np.all(global_problem.least < global_problem.most) or not np.all(
+        np.isfinite(global_problem.most)
+    ):
         raise InputError("bounds of a certified search must rise and end finitely")
-    if np.any(~np.isfinite(question.least) & ~question.is_absorption):
+    if np.any(~np.isfinite(global_problem.least) & ~global_problem.is_absorption):
         raise InputError("a gain needs a finite lower bound for a certificate")
-    if question.misfit != "squares":
-        empty = np.flatnonzero(question.measured <= 0.0)
+    if global_problem.misfit != "squares":
+        empty = np.flatnonzero(global_problem.measured <= 0.0)
         if empty.size:
             raise InputError(
                 "a window without energy has no logarithm",
                 where=f"window {int(empty[0])}",
                 hint="leave it out, or use least squares",
             )
-        starts, ends = question.offsets[:-1], question.offsets[1:]
+        starts, ends = global_problem.offsets[:-1], global_problem.offsets[1:]
         if np.any(starts == ends):
             raise InputError("a window that no path reaches has no logarithm")
 
@@ -143,14 +145,14 @@ LOG_REACH = 3.0
 
 
 def is_certifiable(problem: EnergyProblem) -> bool:
-    """Whether `energy_question` accepts a problem: nothing unknown but absorption and gains."""
+    """Whether `energy_global_problem` accepts it: nothing unknown but absorption and gains."""
     parameters = problem.parameters
     names = {b.name for b in parameters.blocks}
     alone = names == {"absorption", "gain"} and parameters.joint is None
     return alone and problem.attenuation_per_m == 0.0
 
 
-def energy_question(problem: EnergyProblem, vector: FloatArray) -> Question:
+def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalProblem:
     """Return half the weighted squares of a band's window energies, and half those of its priors.
 
     The weights are those of the answer `vector`, held fixed: the cost that a fit's last round has
@@ -181,12 +183,12 @@ def energy_question(problem: EnergyProblem, vector: FloatArray) -> Question:
     own = np.flatnonzero(absorption.fitted)
     free_gains = np.flatnonzero(gain.fitted)
     parts = [
-        _window_rows(rows, seen, absorption, gain, values["gain"])
-        for rows, seen in zip(problem.rows, problem.observations, strict=True)
+        _window_rows(rows, observed, absorption, gain, values["gain"])
+        for rows, observed in zip(problem.rows, problem.observations, strict=True)
     ]
     counts = np.concatenate([p[0] for p in parts])
     centre = np.log(gain.start[free_gains])
-    spread = problem.variance(vector) * problem.counted_as_one()
+    spread = problem.variance(vector) * problem.correlation_length()
     prior = np.zeros((own.size + free_gains.size, 4))
     prior[: own.size, 0] = 0.5 / absorption.prior_sd[own] ** 2
     prior[: own.size, 1] = absorption.prior_mean[own]
@@ -194,7 +196,7 @@ def energy_question(problem: EnergyProblem, vector: FloatArray) -> Question:
     prior[: own.size, 3] = 1.0 - absorption.upper[own]
     with np.errstate(divide="ignore"):
         darkest = np.log1p(-absorption.upper[own])
-    return Question(
+    return GlobalProblem(
         (
             *(absorption.labels[i] for i in own),
             *(f"gain of {gain.labels[i]}" for i in free_gains),
@@ -227,7 +229,7 @@ def free_vector(problem: EnergyProblem, place: FloatArray) -> FloatArray:
 
 
 def _window_rows(
-    rows: EnergyRows, seen: Observation, absorption: Block, gain: Block, gains: FloatArray
+    rows: EnergyRows, observed: Observation, absorption: Block, gain: Block, gains: FloatArray
 ) -> tuple[IntArray, FloatArray, IntArray]:
     """Return the rows of one observation's windows: counts, weights and exponents.
 
@@ -236,8 +238,8 @@ def _window_rows(
     """
     leader = leaders(absorption)
     own = np.flatnonzero(absorption.fitted)
-    held = ~absorption.fitted[leader]
-    factor = np.prod((1.0 - absorption.start[leader])[held] ** rows.hits[:, held], axis=1)
+    fixed = ~absorption.fitted[leader]
+    factor = np.prod((1.0 - absorption.start[leader])[fixed] ** rows.hits[:, fixed], axis=1)
     hits = rows.hits.astype(np.int64) @ (leader[:, None] == own[None, :])
     patterns, which = np.unique(hits, axis=0, return_inverse=True)
     by_bin = csr_array(
@@ -245,16 +247,16 @@ def _window_rows(
         shape=(rows.n_windows, len(patterns)),
     )
     # the filter's shares are positive but for the rounding of their table
-    shares = seen.shares.maximum(0.0) if seen.shares.nnz else seen.shares
-    merged = csr_array(shares[:, : rows.n_windows] @ by_bin)
-    level = gains[seen.gain] if seen.gain >= 0 and not gain.fitted[seen.gain] else 1.0
+    spreading = observed.spreading.maximum(0.0) if observed.spreading.nnz else observed.spreading
+    merged = csr_array(spreading[:, : rows.n_windows] @ by_bin)
+    level = gains[observed.gain] if observed.gain >= 0 and not gain.fitted[observed.gain] else 1.0
     free_gains = np.flatnonzero(gain.fitted)
-    n_windows = seen.energy.size
+    n_windows = observed.energy.size
     window = np.repeat(np.arange(n_windows), np.diff(merged.indptr))
     exponents = np.zeros((merged.nnz, own.size + free_gains.size), dtype=np.int64)
     exponents[:, : own.size] = patterns[merged.indices]
-    exponents[:, own.size :] = (free_gains == seen.gain)[None, :]
-    weight = np.concatenate((level * merged.data, seen.noise))
+    exponents[:, own.size :] = (free_gains == observed.gain)[None, :]
+    weight = np.concatenate((level * merged.data, observed.noise))
     exponents = np.concatenate((exponents, np.zeros((n_windows, exponents.shape[1]), np.int64)))
     window = np.concatenate((window, np.arange(n_windows)))
     order = np.argsort(window, kind="stable")

@@ -22,7 +22,7 @@ from roomfit.certified.convex import (
     shave,
     total_misfit,
 )
-from roomfit.certified.question import KINDS, Arrays, Question, arrays
+from roomfit.certified.question import KINDS, Arrays, GlobalProblem, arrays
 from roomfit.errors import InputError
 from roomfit.typing import BoolArray, FloatArray, Progress
 
@@ -33,7 +33,7 @@ _WORTH = 0.6
 FAR_CUT = 1.2
 
 
-class Fate(Enum):
+class BoxStatus(Enum):
     """What became of a box."""
 
     PRUNED = "pruned"
@@ -56,7 +56,7 @@ class Tools:
 
 
 @dataclass(slots=True)
-class Lowest:
+class Incumbent:
     """The lowest misfit seen so far, and where in g."""
 
     value: float
@@ -68,23 +68,28 @@ class Lowest:
             self.value, self.place = value, place
 
 
-def tools_for(question: Question) -> Tools:
+def tools_for(global_problem: GlobalProblem) -> Tools:
     """Return what working on the boxes of a question needs."""
-    data = arrays(question)
+    data = arrays(global_problem)
     return Tools(
-        KINDS[question.misfit],
+        KINDS[global_problem.misfit],
         data,
-        question.is_absorption,
-        int(question.exponents.max(initial=0)),
+        global_problem.is_absorption,
+        int(global_problem.exponents.max(initial=0)),
         kappa_nodes(),
         relative_rounding(data),
-        np.empty(len(question.weight)),
+        np.empty(len(global_problem.weight)),
     )
 
 
 def examine(
-    tools: Tools, box: FloatArray, lowest: Lowest, delta: float, width: float, narrowest: float
-) -> tuple[Fate, float, int]:
+    tools: Tools,
+    box: FloatArray,
+    incumbent: Incumbent,
+    delta: float,
+    width: float,
+    narrowest: float,
+) -> tuple[BoxStatus, float, int]:
     """Work on one box: return what became of it, a lower bound of the misfit, and where to cut.
 
     Parameters
@@ -92,7 +97,7 @@ def examine(
     box : float array, shape (2, n)
         Lower and upper ends in g; shrunk in place to what was not proven to lie above the
         threshold.
-    lowest : Lowest
+    incumbent : Incumbent
         Lowered in place.
     delta : float
         Points whose misfit exceeds the lowest by more are of no interest.
@@ -104,28 +109,28 @@ def examine(
     bound = -math.inf
     share = np.empty(0)
     for _ in range(_ROUNDS):
-        bound, kept, share = _bounded(tools, box, lowest, delta)
-        if bound >= lowest.value + delta:
-            return Fate.PRUNED, bound, 0
+        bound, kept, share = _bounded(tools, box, incumbent, delta)
+        if bound >= incumbent.value + delta:
+            return BoxStatus.PRUNED, bound, 0
         if kept > _WORTH:
             break
     widths = widths_of(tools.is_absorption, box)
-    if widths.max() <= narrowest or (widths.max() <= width and bound >= lowest.value - delta):
-        return Fate.KEPT, bound, 0
+    if widths.max() <= narrowest or (widths.max() <= width and bound >= incumbent.value - delta):
+        return BoxStatus.KEPT, bound, 0
     if is_convex(tools.kind, tools.data, box, tools.most, tools.values):
-        bound = max(bound, _bound_of_convex(tools, box, lowest))
-        pruned = bound >= lowest.value + delta
-        return (Fate.PRUNED if pruned else Fate.CONVEX), bound, 0
+        bound = max(bound, _bound_of_convex(tools, box, incumbent))
+        pruned = bound >= incumbent.value + delta
+        return (BoxStatus.PRUNED if pruned else BoxStatus.CONVEX), bound, 0
     wide = widths > (width if widths.max() > width else 0.0)
-    return Fate.CUT, bound, int(np.argmax(np.where(wide, share, -1.0)))
+    return BoxStatus.CUT, bound, int(np.argmax(np.where(wide, share, -1.0)))
 
 
 def _bounded(
-    tools: Tools, box: FloatArray, lowest: Lowest, delta: float
+    tools: Tools, box: FloatArray, incumbent: Incumbent, delta: float
 ) -> tuple[float, float, FloatArray]:
     """Bound the misfit over a box and shave it; return bound, share kept, and shares of blame."""
     kind, data, most = tools.kind, tools.data, tools.most
-    threshold = lowest.value + delta
+    threshold = incumbent.value + delta
     corners, apart, planes, centre, half = planes_over(
         kind, data, box[0], box[1], most, tools.nodes, tools.rounding, threshold, tools.values
     )
@@ -138,29 +143,29 @@ def _bounded(
     )
     if bound >= threshold:
         return bound, 1.0, planes[4]
-    _try_point(tools, box, centre + d, lowest)
-    threshold = lowest.value + delta
+    _try_point(tools, box, centre + d, incumbent)
+    threshold = incumbent.value + delta
     if bound >= threshold:
         return bound, 1.0, planes[4]
     kept = shave(kind, data, planes, separable, box, centre, half, threshold - apart, d)
     return bound, kept, planes[4]
 
 
-def _try_point(tools: Tools, box: FloatArray, g: FloatArray, lowest: Lowest) -> None:
+def _try_point(tools: Tools, box: FloatArray, g: FloatArray, incumbent: Incumbent) -> None:
     """Offer the misfit at a point, and that where a descent from there within the box ends."""
     low = np.where(np.isfinite(box[0]), box[0], box[1] - 2.0 * FAR_CUT)
     inside = np.clip(g, low, box[1])
-    if total_misfit(tools.kind, tools.data, inside, tools.most) < lowest.value:
+    if total_misfit(tools.kind, tools.data, inside, tools.most) < incumbent.value:
         place, value = descend(tools.kind, tools.data, inside, low, box[1], tools.most)
-        lowest.offer(value, place)
+        incumbent.offer(value, place)
 
 
-def _bound_of_convex(tools: Tools, box: FloatArray, lowest: Lowest) -> float:
+def _bound_of_convex(tools: Tools, box: FloatArray, incumbent: Incumbent) -> float:
     middle = 0.5 * (box[0] + box[1])
     place, value, bound = least_of_convex(
         tools.kind, tools.data, box, middle, tools.most, tools.rounding
     )
-    lowest.offer(value, place)
+    incumbent.offer(value, place)
     return bound
 
 
@@ -256,39 +261,39 @@ class Searched:
 
 
 def search(
-    question: Question, settings: SearchSettings, *, progress: Progress | None = None
+    global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
 ) -> Searched:
     """Return every box that may hold a misfit within `delta` of the lowest.
 
     The box of lowest bound goes first, so that the lower bound rises all the time. Stopped by a
     cap, or by an interrupt from the keyboard, it returns what is open, too.
     """
-    tools = tools_for(question)
-    lowest = first_guess(question, tools)
-    queue, kept = _Boxes(len(question.coordinates)), _Boxes(len(question.coordinates))
-    queue.add(np.stack((question.least, question.most))[None], -math.inf)
+    tools = tools_for(global_problem)
+    incumbent = first_guess(global_problem, tools)
+    queue, kept = _Boxes(len(global_problem.coordinates)), _Boxes(len(global_problem.coordinates))
+    queue.add(np.stack((global_problem.least, global_problem.most))[None], -math.inf)
     # the first box may have to wait for kernels to be compiled: no part of the search
-    examined = _work_on(tools, queue, kept, lowest, settings)
+    examined = _work_on(tools, queue, kept, incumbent, settings)
     began, worked = time.perf_counter(), time.thread_time()
     while queue.n and examined < settings.max_boxes:
         if time.thread_time() - worked > settings.max_seconds:
             break
         try:
-            examined += _work_on(tools, queue, kept, lowest, settings)
+            examined += _work_on(tools, queue, kept, incumbent, settings)
         except KeyboardInterrupt:
             break
         if progress is not None:
             progress(examined / (examined + 2.0 * queue.n))
     boxes = np.concatenate([kept.boxes[: kept.n], queue.boxes[: queue.n]])
     bounds = np.concatenate([kept.bounds[: kept.n], queue.bounds[: queue.n]])
-    near = bounds < lowest.value + settings.delta
+    near = bounds < incumbent.value + settings.delta
     return Searched(
-        lowest.value,
-        lowest.place,
-        float(min(lowest.value, bounds[near].min(initial=math.inf))),
+        incumbent.value,
+        incumbent.place,
+        float(min(incumbent.value, bounds[near].min(initial=math.inf))),
         boxes[near],
         bounds[near],
-        int(np.count_nonzero(queue.bounds[: queue.n] < lowest.value + settings.delta)),
+        int(np.count_nonzero(queue.bounds[: queue.n] < incumbent.value + settings.delta)),
         examined,
         time.perf_counter() - began,
         settings.delta,
@@ -296,30 +301,34 @@ def search(
 
 
 def _work_on(
-    tools: Tools, queue: _Boxes, kept: _Boxes, lowest: Lowest, settings: SearchSettings
+    tools: Tools, queue: _Boxes, kept: _Boxes, incumbent: Incumbent, settings: SearchSettings
 ) -> int:
     """Examine the boxes of lowest bounds; return how many. Interrupted, it loses none."""
     chosen, bounds = queue.lowest(_TOGETHER)
-    for i, (box, before) in enumerate(zip(chosen, bounds, strict=True)):
-        if before >= lowest.value + settings.delta:
+    for i, (box, parent_bound) in enumerate(zip(chosen, bounds, strict=True)):
+        if parent_bound >= incumbent.value + settings.delta:
             continue
         try:
-            fate, bound, where = examine(
-                tools, box, lowest, settings.delta, settings.width, settings.narrowest
+            box_status, bound, where = examine(
+                tools, box, incumbent, settings.delta, settings.width, settings.narrowest
             )
         except KeyboardInterrupt:
             for rest, least in zip(chosen[i:], bounds[i:], strict=True):
                 queue.add(rest[None], least)
             raise
-        if fate in (Fate.KEPT, Fate.CONVEX):
-            kept.add(box[None], max(bound, before))
-        elif fate is Fate.CUT:
-            queue.add(halves(box, where), max(bound, before))
+        if box_status in (BoxStatus.KEPT, BoxStatus.CONVEX):
+            kept.add(box[None], max(bound, parent_bound))
+        elif box_status is BoxStatus.CUT:
+            queue.add(halves(box, where), max(bound, parent_bound))
     return len(chosen)
 
 
 def proven_empty(
-    question: Question, found: Searched, boxes: FloatArray, bounds: FloatArray, max_boxes: int
+    global_problem: GlobalProblem,
+    found: Searched,
+    boxes: FloatArray,
+    bounds: FloatArray,
+    max_boxes: int,
 ) -> bool:
     """Whether narrower boxes prove that no misfit within delta of the lowest lies in these boxes.
 
@@ -331,34 +340,34 @@ def proven_empty(
     max_boxes : int
         How many may be examined.
     """
-    tools = tools_for(question)
-    lowest = Lowest(found.value, found.minimiser)
+    tools = tools_for(global_problem)
+    incumbent = Incumbent(found.value, found.minimiser)
     settings = SearchSettings(found.delta, width=_NARROW, narrowest=_NARROW)
     queue, kept = _Boxes(boxes.shape[2]), _Boxes(boxes.shape[2])
     for box, bound in zip(boxes, bounds, strict=True):
         queue.add(box[None], float(bound))
     examined = 0
     while queue.n and not kept.n and examined < max_boxes:
-        examined += _work_on(tools, queue, kept, lowest, settings)
+        examined += _work_on(tools, queue, kept, incumbent, settings)
     return not queue.n and not kept.n
 
 
-def first_guess(question: Question, tools: Tools, seed: int = 0) -> Lowest:
+def first_guess(global_problem: GlobalProblem, tools: Tools, seed: int = 0) -> Incumbent:
     """Return the lowest misfit that descents from a dozen points find, and where.
 
     Even absorptions first, then points drawn at random.
     """
-    low, high = np.maximum(question.least, _ALMOST_BLACK), question.most
+    low, high = np.maximum(global_problem.least, _ALMOST_BLACK), global_problem.most
     rng = np.random.default_rng(seed)
     even = [np.clip(np.full(low.size, math.log(1.0 - a)), low, high) for a in _EVEN]
     share = rng.random((_STARTS - len(even), low.size))
     drawn = np.log(np.exp(low) + (np.exp(high) - np.exp(low)) * share)
-    lowest = Lowest(math.inf, even[0])
+    incumbent = Incumbent(math.inf, even[0])
     for start in (*even, *drawn):
         if math.isfinite(total_misfit(tools.kind, tools.data, start, tools.most)):
             place, value = descend(tools.kind, tools.data, start, low, high, tools.most)
-            lowest.offer(value, place)
-    return lowest
+            incumbent.offer(value, place)
+    return incumbent
 
 
 class _Boxes:

@@ -43,10 +43,10 @@ def calibrate(
     A run that was stopped goes on where it was. Slices of one folder may run on many machines.
     """
     from roomfit.cli.progress import progress_bar
-    from roomfit.coverage.report import calibrate_to_folder, result_text
-    from roomfit.coverage.truth import CalibrationSettings
+    from roomfit.coverage.report import estimate_coverage_to_folder, result_text
+    from roomfit.coverage.truth import CoverageSettings
 
-    settings = CalibrationSettings(
+    settings = CoverageSettings(
         replicates=replicates,
         first=first,
         only=only,
@@ -56,6 +56,6 @@ def calibrate(
         workers=workers,
     )
     with progress_bar("calibrating") as progress:
-        result = calibrate_to_folder(campaign, out, settings, progress=progress)
+        result = estimate_coverage_to_folder(campaign, out, settings, progress=progress)
     typer.echo(result_text(result))
     typer.echo(f"\ncalibration.json, calibration.csv and calibration.png are in {out}")

@@ -24,13 +24,18 @@ import numpy as np
 from roomfit._numba import in_pool, worker_pool
 from roomfit.air import attenuation_per_m
 from roomfit.cache import write_json_atomically
-from roomfit.coverage.simulate import made_campaign, made_rate_hz, made_sound, wanted_pairs
-from roomfit.coverage.statistics import Calibration
+from roomfit.coverage.simulate import (
+    synthetic_campaign,
+    synthetic_rate_hz,
+    synthetic_sound,
+    wanted_pairs,
+)
+from roomfit.coverage.statistics import CoverageSample
 from roomfit.coverage.truth import (
-    CalibrationPlan,
-    CalibrationSettings,
-    calibration_plan,
-    draw_truth,
+    CoveragePlan,
+    CoverageSettings,
+    coverage_plan,
+    draw_synthetic_room,
 )
 from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
 from roomfit.findings import Code, code_of
@@ -55,7 +60,7 @@ class Found:
     identifiable : bool array, shape (n_materials, n_bands)
     uniform : float array, shape (n_bands,)
         Eyring's absorption of the measured decay.
-    phi : float array, shape (n_bands,)
+    chi2_reduced : float array, shape (n_bands,)
     models : tuple of str, one a band
     findings : tuple of Code
         Codes of all findings above "info", each once.
@@ -66,7 +71,7 @@ class Found:
     upper95: FloatArray
     identifiable: BoolArray
     uniform: FloatArray
-    phi: FloatArray
+    chi2_reduced: FloatArray
     models: tuple[str, ...]
     findings: tuple[Code, ...]
 
@@ -80,7 +85,7 @@ class Replicate:
     number : int
     digest : str
         Of the campaign and the settings that it belongs to.
-    road : str
+    synthesis : str
         How its responses were made.
     true : float array, shape (n_materials, n_bands)
     refused : str or None
@@ -92,7 +97,7 @@ class Replicate:
 
     number: int
     digest: str
-    road: str
+    synthesis: str
     true: FloatArray
     refused: str | None
     found: Found | None
@@ -108,7 +113,7 @@ class Replicate:
             answer.upper95,
             answer.identifiable,
             uniform,
-            answer.phi,
+            answer.chi2_reduced,
             answer.models,
             tuple(codes),
         )
@@ -139,7 +144,7 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
         "format_version": _VERSION,
         "digest": replicate.digest,
         "number": replicate.number,
-        "road": replicate.road,
+        "road": replicate.synthesis,
         "true": replicate.true.tolist(),
         "refused": replicate.refused,
         "seconds": round(replicate.seconds, 2),
@@ -147,7 +152,7 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
     found = replicate.found
     if found is not None:
         for name in ("absorption", "lower95", "upper95", "identifiable", "uniform", "phi"):
-            content[name] = getattr(found, name).tolist()
+            content[name] = getattr(found, {"phi": "chi2_reduced"}.get(name, name)).tolist()
         content["models"], content["findings"] = (
             list(found.models),
             [c.value for c in found.findings],
@@ -229,7 +234,7 @@ _PURPOSE = 31
 
 
 def replicated(
-    plan: CalibrationPlan,
+    plan: CoveragePlan,
     seed: int,
     number: int,
     scratch: Path,
@@ -251,25 +256,25 @@ def replicated(
     """
     began = time.perf_counter()
     rng = np.random.default_rng([seed, _PURPOSE, number])
-    truth = draw_truth(plan, rng)
+    synthetic = draw_synthetic_room(plan, rng)
     pairs = wanted_pairs(plan)
-    sound = made_sound(plan, truth, pairs, made_rate_hz(plan.campaign.bands), rng)
-    true = truth.absorption[:, plan.columns]
+    sound = synthetic_sound(plan, synthetic, pairs, synthetic_rate_hz(plan.campaign.bands), rng)
+    true = synthetic.absorption[:, plan.columns]
     with tempfile.TemporaryDirectory(dir=scratch, prefix=f"{number:04d}-") as folder:
-        campaign = made_campaign(plan, truth, sound, Path(folder), rng)
+        campaign = synthetic_campaign(plan, synthetic, sound, Path(folder), rng)
         try:
             answer = identify(campaign, progress=part(progress, 0.3, 1.0))
         except StoreError:
             raise
         except RoomfitError as error:
             seconds = time.perf_counter() - began
-            return Replicate(number, plan.digest, sound.road, true, str(error), None, seconds)
+            return Replicate(number, plan.digest, sound.synthesis, true, str(error), None, seconds)
     seconds = time.perf_counter() - began
     found = Replicate.found_in(answer, _uniform(plan, answer))
-    return Replicate(number, plan.digest, sound.road, true, None, found, seconds)
+    return Replicate(number, plan.digest, sound.synthesis, true, None, found, seconds)
 
 
-def _uniform(plan: CalibrationPlan, answer: Answer) -> FloatArray:
+def _uniform(plan: CoveragePlan, answer: Answer) -> FloatArray:
     """Return Eyring's absorption of the measured decay in every band, the null model; or the prior.
 
     The median over pairs of T20, else of EDT.
@@ -278,7 +283,7 @@ def _uniform(plan: CalibrationPlan, answer: Answer) -> FloatArray:
     attenuation = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     mean: FloatArray = np.array(
         [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean))
-         for k in plan.knowledge]
+         for k in plan.priors]
     ).mean(axis=0)  # fmt: skip
     out = []
     for band in range(len(plan.campaign.bands)):
@@ -301,52 +306,52 @@ _SCRATCH = ".making-"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationResult:
+class CoverageResult:
     """What all replicates that are there say together.
 
     Attributes
     ----------
-    asked, done : int
+    requested, done : int
         Replicates of the whole calibration, and those that are there.
     refused : tuple of str
         Why roomfit gave no answer to some of them.
-    roads : mapping of road to count
+    syntheses : mapping of road to count
         How their responses were made.
     findings : mapping of code to count
         Above "info", over the replicates that were answered.
-    found : Calibration
+    found : CoverageSample
     drawn_from : str
         "prior" or "answer".
     """
 
-    asked: int
+    requested: int
     done: int
     refused: tuple[str, ...]
-    roads: dict[str, int]
+    syntheses: dict[str, int]
     findings: dict[Code, int]
-    found: Calibration
+    found: CoverageSample
     drawn_from: str
 
 
-def calibrate(
+def estimate_coverage(
     campaign: Campaign,
     out: Path,
-    settings: CalibrationSettings | None = None,
+    settings: CoverageSettings | None = None,
     *,
     progress: Progress | None = None,
-) -> CalibrationResult:
+) -> CoverageResult:
     """Make a campaign anew many times with known truths, identify each, and count.
 
     Every replicate is a file of its own in ``out/replicates``; those that are there already are
     not made again, so that a run that was stopped goes on, and several machines may each take a
-    slice (`CalibrationSettings.first` and `only`) of one folder.
+    slice (`CoverageSettings.first` and `only`) of one folder.
 
     Parameters
     ----------
     campaign : Campaign
     out : Path
         Made if needed. What lies there must belong to the same campaign and settings.
-    settings : CalibrationSettings, optional
+    settings : CoverageSettings, optional
     progress : callable, optional
 
     Raises
@@ -359,9 +364,9 @@ def calibrate(
     StoreError
         The disk refuses.
     """
-    settings = CalibrationSettings() if settings is None else settings
+    settings = CoverageSettings() if settings is None else settings
     _check_folder(out)
-    plan = calibration_plan(campaign, settings)
+    plan = coverage_plan(campaign, settings)
     there = {n: read_replicate(out, n, plan.digest) for n in range(settings.replicates)}
     missing = [n for n in settings.numbers if there[n] is None]
     with _scratch(out) as scratch:
@@ -370,8 +375,8 @@ def calibrate(
 
 
 def _make(
-    plan: CalibrationPlan,
-    settings: CalibrationSettings,
+    plan: CoveragePlan,
+    settings: CoverageSettings,
     missing: list[int],
     out: Path,
     scratch: Path,
@@ -392,7 +397,7 @@ def _make(
             raise
 
 
-def _task(plan: CalibrationPlan, seed: int, number: int, out: Path, scratch: Path) -> None:
+def _task(plan: CoveragePlan, seed: int, number: int, out: Path, scratch: Path) -> None:
     """Make one replicate in a worker, unless the work was called off."""
 
     def watch(_: float) -> None:
@@ -402,7 +407,7 @@ def _task(plan: CalibrationPlan, seed: int, number: int, out: Path, scratch: Pat
     write_replicate(out, replicated(plan, seed, number, scratch, watch))
 
 
-def collected(plan: CalibrationPlan, out: Path, settings: CalibrationSettings) -> CalibrationResult:
+def collected(plan: CoveragePlan, out: Path, settings: CoverageSettings) -> CoverageResult:
     """Return what the replicates that are there say together.
 
     Raises
@@ -424,30 +429,27 @@ def collected(plan: CalibrationPlan, out: Path, settings: CalibrationSettings) -
             hint="more measurements, or less noise",
         )
     codes = Counter(code for r in answered if r.found for code in r.found.findings)
-    return CalibrationResult(
+    return CoverageResult(
         settings.replicates,
         len(done),
         refused,
-        dict(Counter(r.road for r in done)),
+        dict(Counter(r.synthesis for r in done)),
         dict(codes.most_common()),
-        _calibration(plan, answered),
+        _coverage_sample(plan, answered),
         "prior" if plan.answer is None else "answer",
     )
 
 
-def _calibration(plan: CalibrationPlan, answered: list[Replicate]) -> Calibration:
+def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageSample:
     found = [r.found for r in answered if r.found is not None]
-    free = np.array([k.known is None and k.tied_to is None for k in plan.knowledge])
+    free = np.array([k.known is None and k.tied_to is None for k in plan.priors])
     fitted = np.array([[model != "prior" for model in f.models] for f in found])
     prior = np.array(
-        [
-            k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean))
-            for k in plan.knowledge
-        ]
+        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean)) for k in plan.priors]
     )
     if plan.answer is not None:
         prior = plan.answer.absorption
-    return Calibration(
+    return CoverageSample(
         plan.room.materials,
         plan.campaign.bands,
         np.array([r.true for r in answered]),
@@ -458,7 +460,7 @@ def _calibration(plan: CalibrationPlan, answered: list[Replicate]) -> Calibratio
         free[None, :, None] & fitted[:, None, :],
         prior,
         np.array([f.uniform for f in found]),
-        np.array([f.phi for f in found]),
+        np.array([f.chi2_reduced for f in found]),
     )
 
 

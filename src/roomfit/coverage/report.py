@@ -17,15 +17,15 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from roomfit.cache import write_bytes_atomically, write_json_atomically, write_text_atomically
-from roomfit.coverage.calibrate import CalibrationResult, calibrate
+from roomfit.coverage.calibrate import CoverageResult, estimate_coverage
 from roomfit.coverage.statistics import (
-    Calibration,
-    CalibrationRow,
-    Share,
-    calibration_rows,
+    CoverageRow,
+    CoverageSample,
+    Proportion,
     coverage_at,
+    coverage_rows,
 )
-from roomfit.coverage.truth import CalibrationSettings
+from roomfit.coverage.truth import CoverageSettings
 from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
 from roomfit.report.figures import OKABE_ITO, new_figure
@@ -34,26 +34,28 @@ from roomfit.typing import Progress
 _NOMINAL = np.concatenate((np.linspace(0.05, 0.95, 19), [0.98, 0.99]))
 
 
-def calibration_figure(found: Calibration) -> Figure:
+def coverage_figure(found: CoverageSample) -> Figure:
     """Return coverage over nominal level, and coverage and false certainty of every band."""
     figure = new_figure(9.6, 4.8)
     left, right = figure.subplots(1, 2)
     _levels(left, coverage_at(found, _NOMINAL))
-    _bands(right, calibration_rows(found)[:-1])
+    _bands(right, coverage_rows(found)[:-1])
     n = len(found.true)
     figure.suptitle(f"{n} replicate{'' if n == 1 else 's'} with a known truth", fontsize=10)
     return figure
 
 
-def _levels(axes: Axes, shares: tuple[Share, ...]) -> None:
+def _levels(axes: Axes, proportions: tuple[Proportion, ...]) -> None:
     percent = 100.0 * _NOMINAL
     axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="as promised")
-    if shares[0].of:
-        low, high = (100.0 * np.array([getattr(s, n) for s in shares]) for n in ("low", "high"))
+    if proportions[0].of:
+        low, high = (
+            100.0 * np.array([getattr(s, n) for s in proportions]) for n in ("low", "high")
+        )
         axes.fill_between(
             *(percent, low, high), color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
         )
-        values = [100.0 * s.value for s in shares]
+        values = [100.0 * s.value for s in proportions]
         axes.plot(percent, values, "o-", color=OKABE_ITO[0], ms=3.5, lw=1.4, label="found")
     axes.set_xlabel("level of the interval (%)")
     axes.set_ylabel("intervals that hold the truth (%)")
@@ -63,22 +65,22 @@ def _levels(axes: Axes, shares: tuple[Share, ...]) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8.5)
 
 
-def _bands(axes: Axes, rows: tuple[CalibrationRow, ...]) -> None:
-    places = np.arange(len(rows))
+def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
+    positions = np.arange(len(rows))
     axes.axhspan(90, 98, color="0.9", lw=0.0, zorder=0)
     axes.axhspan(0, 5, color="0.9", lw=0.0, zorder=0, label="aimed at")
     marks = (
         ([r.holds for r in rows], "o", OKABE_ITO[0], -0.08, "95 % intervals that hold"),
-        ([r.wrong for r in rows], "s", OKABE_ITO[1], 0.08, "identifiable but outside"),
+        ([r.outside for r in rows], "s", OKABE_ITO[1], 0.08, "identifiable but outside"),
     )
-    for shares, mark, colour, shift, label in marks:
-        known = [i for i, s in enumerate(shares) if s.of]
-        value = np.array([100.0 * shares[i].value for i in known])
+    for proportions, mark, colour, shift, label in marks:
+        known = [i for i, s in enumerate(proportions) if s.of]
+        value = np.array([100.0 * proportions[i].value for i in known])
         low, high = (
-            np.array([100.0 * getattr(shares[i], n) for i in known]) for n in ("low", "high")
+            np.array([100.0 * getattr(proportions[i], n) for i in known]) for n in ("low", "high")
         )
         axes.errorbar(
-            places[known] + shift,
+            positions[known] + shift,
             value,
             yerr=np.abs(np.array([value - low, high - value])),
             fmt=mark,
@@ -88,7 +90,7 @@ def _bands(axes: Axes, rows: tuple[CalibrationRow, ...]) -> None:
             lw=1.2,
             label=label,
         )
-    axes.set_xticks(places, [f"{r.band_hz:g}" for r in rows])
+    axes.set_xticks(positions, [f"{r.band_hz:g}" for r in rows])
     if len(rows) > 10:
         axes.tick_params(axis="x", labelrotation=90)
     axes.set_xlabel("band (Hz)")
@@ -108,7 +110,7 @@ CSV_HEAD = (
 )
 
 
-def calibration_table(rows: Sequence[CalibrationRow]) -> str:
+def coverage_table(rows: Sequence[CoverageRow]) -> str:
     """Return the table for a terminal; shares in percent, with their own 95 % intervals."""
     lines = [
         "             95 % intervals      called           of these        median    "
@@ -119,14 +121,14 @@ def calibration_table(rows: Sequence[CalibrationRow]) -> str:
     for row in rows:
         name = "all" if row.band_hz is None else f"{row.band_hz:g} Hz"
         lines.append(
-            f"{name:>8}  {_told(row.holds):>18}  {_percent(row.identifiable):>10}  "
-            f"{_told(row.wrong):>18}  {_short(row.width):>8}  {_short(row.error):>8} "
+            f"{name:>8}  {_fraction(row.holds):>18}  {_percent(row.identifiable):>10}  "
+            f"{_fraction(row.outside):>18}  {_short(row.width):>8}  {_short(row.error):>8} "
             f"{_short(row.error_prior):>6}  {_short(row.error_uniform):>6}"
         )
     return "\n".join(lines)
 
 
-def verdict(row: CalibrationRow) -> str:
+def verdict(row: CoverageRow) -> str:
     """Return in words whether the intervals of all bands together hold what they promise."""
     if not row.holds.of:
         return "No absorption was fitted: nothing can be said of intervals."
@@ -137,27 +139,27 @@ def verdict(row: CalibrationRow) -> str:
         first = f"{share}: they are too narrow for this campaign. Do not rely on them."
     else:
         first = f"{share}: they are wider than they need be for this campaign."
-    if not row.wrong.of:
+    if not row.outside.of:
         return f"{first} Nothing is called identifiable."
-    second = f"Of what is called identifiable {100 * row.wrong.value:.0f} % lies outside"
-    if row.wrong.low > _TOLERATED_WRONG:
+    second = f"Of what is called identifiable {100 * row.outside.value:.0f} % lies outside"
+    if row.outside.low > _TOLERATED_WRONG:
         return f"{first} {second}: more than the 5 % that 95 % intervals leave."
     return f"{first} {second}."
 
 
-def calibration_text(
-    rows: Sequence[CalibrationRow],
+def coverage_text(
+    rows: Sequence[CoverageRow],
     done: int,
     asked: int,
-    roads: Mapping[str, int],
+    syntheses: Mapping[str, int],
     findings: Mapping[Code, int],
     refused: Sequence[str],
 ) -> str:
     """Return everything a user must see."""
-    lines = [f"{done} of {asked} replicates; made by " + _counts(roads.items())]
+    lines = [f"{done} of {asked} replicates; made by " + _counts(syntheses.items())]
     if done < asked:
         lines.append("The calibration is not complete: run it again, or the other slices.")
-    lines += ["", calibration_table(rows), "", verdict(rows[-1])]
+    lines += ["", coverage_table(rows), "", verdict(rows[-1])]
     if findings:
         lines.append("Findings: " + _counts(findings.items()))
     if refused:
@@ -174,13 +176,13 @@ def _refusals(refused: Sequence[str]) -> str:
     return f"{number} refused; the first: {what}" + "".join(f" ({f})" for f in found)
 
 
-def calibration_csv(rows: Sequence[CalibrationRow]) -> str:
+def coverage_csv(rows: Sequence[CoverageRow]) -> str:
     """Return the table as CSV; empty cells where nothing can be counted."""
     lines = [",".join(CSV_HEAD)]
     for row in rows:
         numbers = (
             *(row.holds.value, row.holds.low, row.holds.high),
-            *(row.identifiable.value, row.wrong.value, row.wrong.low, row.wrong.high),
+            *(row.identifiable.value, row.outside.value, row.outside.low, row.outside.high),
             *(row.width, row.error, row.error_prior, row.error_uniform),
         )
         band = "all" if row.band_hz is None else f"{row.band_hz:g}"
@@ -193,27 +195,29 @@ def _counts(counted: Iterable[tuple[str, int]]) -> str:
     return ", ".join(f"{name} ({n})" for name, n in counted)
 
 
-def _told(share: Share) -> str:
-    if not share.of:
+def _fraction(proportion: Proportion) -> str:
+    if not proportion.of:
         return "-"
-    return f"{100 * share.value:.0f} ({100 * share.low:.0f}-{100 * share.high:.0f}) %"
+    return (
+        f"{100 * proportion.value:.0f} ({100 * proportion.low:.0f}-{100 * proportion.high:.0f}) %"
+    )
 
 
-def _percent(share: Share) -> str:
-    return f"{100 * share.value:.0f} %" if share.of else "-"
+def _percent(proportion: Proportion) -> str:
+    return f"{100 * proportion.value:.0f} %" if proportion.of else "-"
 
 
 def _short(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.3f}"
 
 
-def calibrate_to_folder(
+def estimate_coverage_to_folder(
     campaign_file: Path,
     out: Path,
-    settings: CalibrationSettings | None = None,
+    settings: CoverageSettings | None = None,
     *,
     progress: Progress | None = None,
-) -> CalibrationResult:
+) -> CoverageResult:
     """Calibrate a campaign and write calibration.json, calibration.csv and calibration.png.
 
     They tell of all replicates in the folder, whichever run has made them.
@@ -225,38 +229,38 @@ def calibrate_to_folder(
     """
     from roomfit.report.figures import png
 
-    result = calibrate(read_campaign(campaign_file), out, settings, progress=progress)
-    write_text_atomically(out / "calibration.csv", calibration_csv(calibration_rows(result.found)))
-    write_bytes_atomically(out / "calibration.png", png(calibration_figure(result.found)))
-    write_json_atomically(out / "calibration.json", calibration_json(result))
+    result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
+    write_text_atomically(out / "calibration.csv", coverage_csv(coverage_rows(result.found)))
+    write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
+    write_json_atomically(out / "calibration.json", coverage_json(result))
     return result
 
 
-def result_text(result: CalibrationResult) -> str:
+def result_text(result: CoverageResult) -> str:
     """Return everything a user must see."""
-    return calibration_text(
-        calibration_rows(result.found),
+    return coverage_text(
+        coverage_rows(result.found),
         result.done,
-        result.asked,
-        result.roads,
+        result.requested,
+        result.syntheses,
         result.findings,
         result.refused,
     )
 
 
-def calibration_json(result: CalibrationResult) -> dict[str, Any]:
+def coverage_json(result: CoverageResult) -> dict[str, Any]:
     """Return the content of calibration.json."""
-    *bands, together = calibration_rows(result.found)
+    *bands, together = coverage_rows(result.found)
     return {
         "format": "roomfit-calibration",
         "format_version": 1,
         "replicates": {
-            "asked": result.asked,
+            "asked": result.requested,
             "done": result.done,
             "refused": list(result.refused),
         },
         "drawn_from": result.drawn_from,
-        "made_by": result.roads,
+        "made_by": result.syntheses,
         "materials": list(result.found.materials),
         "bands": [_row(row) for row in bands],
         "all": _row(together),
@@ -264,13 +268,13 @@ def calibration_json(result: CalibrationResult) -> dict[str, Any]:
     }
 
 
-def _row(row: CalibrationRow) -> dict[str, Any]:
-    told = {} if row.band_hz is None else {"band_hz": row.band_hz}
+def _row(row: CoverageRow) -> dict[str, Any]:
+    band_entry = {} if row.band_hz is None else {"band_hz": row.band_hz}
     return {
-        **told,
-        "hold": _share(row.holds),
-        "identifiable": _share(row.identifiable),
-        "identifiable_wrong": _share(row.wrong),
+        **band_entry,
+        "hold": _proportion(row.holds),
+        "identifiable": _proportion(row.identifiable),
+        "identifiable_wrong": _proportion(row.outside),
         "median_width": _number(row.width),
         "median_error": _number(row.error),
         "median_error_prior": _number(row.error_prior),
@@ -278,13 +282,13 @@ def _row(row: CalibrationRow) -> dict[str, Any]:
     }
 
 
-def _share(share: Share) -> dict[str, Any]:
+def _proportion(proportion: Proportion) -> dict[str, Any]:
     return {
-        "count": share.count,
-        "of": share.of,
-        "share": _number(share.value),
-        "lower95": share.low,
-        "upper95": share.high,
+        "count": proportion.count,
+        "of": proportion.of,
+        "share": _number(proportion.value),
+        "lower95": proportion.low,
+        "upper95": proportion.high,
     }
 
 

@@ -22,7 +22,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
-from roomfit.coverage.truth import CalibrationPlan, TabulatedPair, Truth
+from roomfit.coverage.truth import CoveragePlan, SyntheticRoom, TabulatedPair
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import N_RAYS, plan_trace
@@ -36,7 +36,7 @@ from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
-    BoxTruth,
+    SyntheticBox,
     diffuse_echogram,
     loudspeaker,
     modulated_noise,
@@ -44,7 +44,7 @@ from roomfit.synthetic.boxes import (
     pressure_response,
     scattered_response,
 )
-from roomfit.synthetic.polyhedra import PolyhedronTruth, convex_cells, pressure_responses
+from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
@@ -57,8 +57,8 @@ _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 
 def traced_pressures(
-    plan: CalibrationPlan,
-    truth: Truth,
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
     pairs: tuple[tuple[str, str], ...],
     duration_s: float,
     rate_hz: float,
@@ -69,22 +69,26 @@ def traced_pressures(
     Image sources are followed as far as the fit's own, with another enumeration for moved points;
     rays are others, and three times as many. What rays bring is Gaussian noise with their energy.
     """
-    scene = _true_scene(plan, truth, pairs)
-    knowledge = tuple(
+    scene = _true_scene(plan, synthetic, pairs)
+    priors = tuple(
         replace(k, scattering=row, fit_scattering=False)
-        for k, row in zip(plan.knowledge, truth.scattering, strict=True)
+        for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
     seed = int(rng.integers(2**62))
-    planned = plan_trace(scene, knowledge, 0.0, duration_s, seed, coherent=True)
+    planned = plan_trace(scene, priors, 0.0, duration_s, seed, coherent=True)
     n_rays = 0 if planned.settings.n_rays == 0 else N_RAYS
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    told = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in truth.b.items()}
-    directed = replace(plan.campaign, directivities={**plan.campaign.directivities, **told})
-    factors, _ = band_factors(directed, scene, bands, paths, truth.scattering)
-    energy = _energies(plan, truth, paths, factors)
-    times_s = paths.length_m / truth.speed_of_sound_m_s + hits(paths) @ truth.delays_s
+    directivities = {
+        name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()
+    }
+    directed = replace(
+        plan.campaign, directivities={**plan.campaign.directivities, **directivities}
+    )
+    factors, _ = band_factors(directed, scene, bands, paths, synthetic.scattering)
+    energy = _energies(plan, synthetic, paths, factors)
+    times_s = paths.length_m / synthetic.speed_of_sound_m_s + hits(paths) @ synthetic.delays_s
     images = paths.batch < 0
     found = {}
     for number, pair in enumerate(pairs):
@@ -95,23 +99,25 @@ def traced_pressures(
     return found
 
 
-def _true_scene(plan: CalibrationPlan, truth: Truth, pairs: tuple[tuple[str, str], ...]) -> Scene:
-    sources = [s.name for s in truth.sources]
-    receivers = [r.name for r in truth.receivers]
+def _true_scene(
+    plan: CoveragePlan, synthetic: SyntheticRoom, pairs: tuple[tuple[str, str], ...]
+) -> Scene:
+    sources = [s.name for s in synthetic.sources]
+    receivers = [r.name for r in synthetic.receivers]
     index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
-    air = replace(plan.campaign.air, speed_of_sound_m_s=truth.speed_of_sound_m_s)
-    return Scene(plan.room, truth.sources, truth.receivers, index, air)
+    air = replace(plan.campaign.air, speed_of_sound_m_s=synthetic.speed_of_sound_m_s)
+    return Scene(plan.room, synthetic.sources, synthetic.receivers, index, air)
 
 
 def _energies(
-    plan: CalibrationPlan, truth: Truth, paths: Paths, factors: FloatArray | None
+    plan: CoveragePlan, synthetic: SyntheticRoom, paths: Paths, factors: FloatArray | None
 ) -> FloatArray:
     """Return what every path brings in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
     struck = hits(paths).astype(np.float64)
     attenuation = attenuation_per_m(plan.campaign.air, plan.grid)
     out: FloatArray = np.empty((len(plan.grid), len(paths)))
     for band, near in enumerate(plan.nearest):
-        left = np.log(np.maximum(1.0 - truth.absorption[:, band], _NOTHING))
+        left = np.log(np.maximum(1.0 - synthetic.absorption[:, band], _NOTHING))
         lost = struck @ left - attenuation[band] * paths.length_m
         out[band] = paths.weight_per_m2 * np.exp(lost)
         if factors is not None:
@@ -120,7 +126,7 @@ def _energies(
 
 
 def _pressure(
-    plan: CalibrationPlan,
+    plan: CoveragePlan,
     times_s: FloatArray,
     energy: FloatArray,
     own: BoolArray,
@@ -140,8 +146,8 @@ def _pressure(
     echogram = np.zeros((len(plan.grid), n_bins))
     for band, share in enumerate(shares):
         amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
-        train = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
-        spectrum += share * np.fft.rfft(train)[: n_samples + 1]
+        impulse_grid = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
+        spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
         echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
     made = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
     flat = np.zeros(len(plan.grid))
@@ -170,18 +176,18 @@ class Sound:
 
     Attributes
     ----------
-    road : str
+    synthesis : str
     pressure : mapping of (source, receiver) to float array, shape (n_samples,)
         In the unit in which a unit source's direct sound is ``1 / (4 pi r)``.
     """
 
-    road: str
+    synthesis: str
     pressure: dict[Pair, FloatArray]
 
 
-def made_sound(
-    plan: CalibrationPlan,
-    truth: Truth,
+def synthetic_sound(
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
     pairs: tuple[Pair, ...],
     rate_hz: float,
     rng: np.random.Generator,
@@ -191,30 +197,30 @@ def made_sound(
     Files last until the slowest band has fallen to its noise, as long as the measured ones at most,
     and as long as their image sources can be counted.
     """
-    road = road_of(plan, truth)
-    duration_s = _duration_s(plan, truth, road)
-    if road == TRACED:
-        found = traced_pressures(plan, truth, pairs, duration_s, rate_hz, rng)
-    elif road == CONVEX:
-        found = _convex(plan, truth, pairs, duration_s, rate_hz)
+    synthesis = synthesis_of(plan, synthetic)
+    duration_s = _duration_s(plan, synthetic, synthesis)
+    if synthesis == TRACED:
+        found = traced_pressures(plan, synthetic, pairs, duration_s, rate_hz, rng)
+    elif synthesis == CONVEX:
+        found = _convex(plan, synthetic, pairs, duration_s, rate_hz)
     else:
-        found = _box(plan, truth, pairs, duration_s, rate_hz, rng)
-    return Sound(road, found)
+        found = _box(plan, synthetic, pairs, duration_s, rate_hz, rng)
+    return Sound(synthesis, found)
 
 
-def road_of(plan: CalibrationPlan, truth: Truth) -> str:
+def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     """Return by which road the sound of a room is made."""
-    first_order = all(_is_first_order(plan.campaign, s.name) for s in truth.sources)
-    even = first_order and not any(_b(plan.campaign, truth, s.name) is not None
-                                   for s in truth.sources)  # fmt: skip
-    smooth = not np.any(truth.scattering)
+    first_order = all(_is_first_order(plan.campaign, s.name) for s in synthetic.sources)
+    even = first_order and not any(_b(plan.campaign, synthetic, s.name) is not None
+                                   for s in synthetic.sources)  # fmt: skip
+    smooth = not np.any(synthetic.scattering)
     if plan.room.shoebox_m is not None:
         if smooth and first_order:
             return BOX
         lengths = np.array(plan.room.shoebox_m)
         clear = all(
             np.min(np.minimum(p.position_m, lengths - p.position_m)) > _CLEAR_OF_WALLS_M
-            for p in truth.receivers
+            for p in synthetic.receivers
         )
         return SCATTERING_BOX if even and clear else TRACED
     convex = smooth and even and convex_cells(plan.room) is not None
@@ -222,35 +228,35 @@ def road_of(plan: CalibrationPlan, truth: Truth) -> str:
 
 
 def _is_first_order(campaign: Campaign, source: str) -> bool:
-    told = campaign.directivities.get(source, "omni")
-    return told in ("omni", "fit") or isinstance(told, Directivity)
+    directivity = campaign.directivities.get(source, "omni")
+    return directivity in ("omni", "fit") or isinstance(directivity, Directivity)
 
 
-def _b(campaign: Campaign, truth: Truth, source: str) -> FloatArray | None:
-    told = campaign.directivities.get(source, "omni")
-    if source in truth.b:
-        return truth.b[source]
-    return aimed(told.aim, told.b).b if isinstance(told, Directivity) else None
+def _b(campaign: Campaign, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
+    directivity = campaign.directivities.get(source, "omni")
+    if source in synthetic.b:
+        return synthetic.b[source]
+    return aimed(directivity.aim, directivity.b).b if isinstance(directivity, Directivity) else None
 
 
-def _duration_s(plan: CalibrationPlan, truth: Truth, road: str) -> float:
+def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) -> float:
     """Eyring's time of the slowest fitted band, down to its noise."""
     areas = material_areas_m2(plan.room)
-    mean = (areas @ truth.absorption / areas.sum())[plan.columns]
+    mean = (areas @ synthetic.absorption / areas.sum())[plan.columns]
     m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     volume = volume_m3(plan.room.mesh)
     left = -np.log1p(-np.minimum(mean, 0.999)) * surface_area_m2(plan.room.mesh) + 4.0 * m * volume
-    t60_s = 24.0 * np.log(10.0) / truth.speed_of_sound_m_s * volume / left
+    t60_s = 24.0 * np.log(10.0) / synthetic.speed_of_sound_m_s * volume / left
     ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
     wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
-    reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[road]) ** (1.0 / 3.0)
-    longest_s = min(_LONGEST_S, plan.length_s, reach_m / truth.speed_of_sound_m_s)
+    reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[synthesis]) ** (1.0 / 3.0)
+    longest_s = min(_LONGEST_S, plan.length_s, reach_m / synthetic.speed_of_sound_m_s)
     return float(min(max(wanted_s, _SHORTEST_S), longest_s))
 
 
 def _box(
-    plan: CalibrationPlan,
-    truth: Truth,
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
     pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
@@ -259,28 +265,30 @@ def _box(
     owner = plan.room.surface_material
     lengths = plan.room.shoebox_m
     assert lengths is not None  # noqa: S101 - the road says that it is a box
-    box = BoxTruth(
+    box = SyntheticBox(
         lengths,
         plan.grid.centres_hz,
-        truth.absorption[owner],
+        synthetic.absorption[owner],
         attenuation_per_m(plan.campaign.air, plan.grid),
-        truth.speed_of_sound_m_s,
-        tuple(truth.delays_s[owner].tolist()),
+        synthetic.speed_of_sound_m_s,
+        tuple(synthetic.delays_s[owner].tolist()),
     )
-    scattering = truth.scattering.mean(axis=1)[owner]
-    at = {p.name: p.position_m for p in truth.receivers}
+    scattering = synthetic.scattering.mean(axis=1)[owner]
+    at = {p.name: p.position_m for p in synthetic.receivers}
     flat: FloatArray = np.zeros(len(plan.grid))
     found = {}
-    for source in truth.sources:
+    for source in synthetic.sources:
         own = [r for s, r in pairs if s == source.name]
-        b = _b(plan.campaign, truth, source.name)
+        b = _b(plan.campaign, synthetic, source.name)
         if not np.any(scattering):
             for r in own:
                 ends = (source.position_m, at[r], duration_s, rate_hz)
                 found[source.name, r] = pressure_response(box, *ends, flat, b)
         elif own:
-            places = np.array([at[r] for r in own])
-            echo = diffuse_echogram(box, scattering, source.position_m, places, duration_s, rng)
+            receivers_m = np.array([at[r] for r in own])
+            echo = diffuse_echogram(
+                box, scattering, source.position_m, receivers_m, duration_s, rng
+            )
             for r, energy in zip(own, echo.energy, strict=True):
                 found[source.name, r] = scattered_response(
                     *(box, scattering, source.position_m, at[r], energy),
@@ -290,30 +298,30 @@ def _box(
 
 
 def _convex(
-    plan: CalibrationPlan,
-    truth: Truth,
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
     pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
 ) -> dict[Pair, FloatArray]:
     cells = convex_cells(plan.room)
     assert cells is not None  # noqa: S101 - the road says that it is convex
-    room = PolyhedronTruth(
+    room = SyntheticPolyhedron(
         cells,
         plan.grid.centres_hz,
-        truth.absorption,
+        synthetic.absorption,
         attenuation_per_m(plan.campaign.air, plan.grid),
-        truth.speed_of_sound_m_s,
-        tuple(truth.delays_s.tolist()),
+        synthetic.speed_of_sound_m_s,
+        tuple(synthetic.delays_s.tolist()),
     )
-    at = {p.name: p.position_m for p in truth.receivers}
+    at = {p.name: p.position_m for p in synthetic.receivers}
     found = {}
-    for source in truth.sources:
+    for source in synthetic.sources:
         own = [r for s, r in pairs if s == source.name]
         if own:
-            places = np.array([at[r] for r in own])
+            receivers_m = np.array([at[r] for r in own])
             made = pressure_responses(
-                room, source.position_m, places, duration_s, rate_hz, np.zeros(len(plan.grid))
+                room, source.position_m, receivers_m, duration_s, rate_hz, np.zeros(len(plan.grid))
             )
             found.update({(source.name, r): p for r, p in zip(own, made, strict=True)})
     return found
@@ -323,8 +331,12 @@ _WRITTEN: dict[ValueName, str] = {name: key for key, name in NAMES.items()}
 _PAD_S = 0.05
 
 
-def made_table(
-    plan: CalibrationPlan, truth: Truth, sound: Sound, rate_hz: float, rng: np.random.Generator
+def synthetic_table(
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
+    sound: Sound,
+    rate_hz: float,
+    rng: np.random.Generator,
 ) -> str:
     """Return a table of the same pairs, parameters and stated spreads as the user's.
 
@@ -337,7 +349,7 @@ def made_table(
     for measured in plan.tabulated:
         pressure = sound.pressure[measured.source, measured.receiver]
         response = padded(ImpulseResponse(pressure, rate_hz), _PAD_S)
-        direct_s = _distance_m(truth, measured) / truth.speed_of_sound_m_s
+        direct_s = _distance_m(synthetic, measured) / synthetic.speed_of_sound_m_s
         found = _values(response, bands, direct_s)
         for name, spread in measured.spread.items():
             error = np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(bands))
@@ -365,15 +377,15 @@ def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     impulse: FloatArray = np.zeros(len(response.pressure))
     impulse[impulse.size // 2] = 1.0 / (4.0 * np.pi * 10.0)
     free = ImpulseResponse(impulse, response.sampling_rate_hz)
-    heard, reference = (np.sum(filter_pressure(bank, r) ** 2, axis=1) for r in (response, free))
-    return np.asarray(10.0 * np.log10(heard / reference))
+    energy, reference = (np.sum(filter_pressure(bank, r) ** 2, axis=1) for r in (response, free))
+    return np.asarray(10.0 * np.log10(energy / reference))
 
 
-def _distance_m(truth: Truth, measured: TabulatedPair) -> float:
+def _distance_m(synthetic: SyntheticRoom, measured: TabulatedPair) -> float:
     def place(points: tuple[Point, ...], name: str) -> FloatArray:
         return next(p.position_m for p in points if p.name == name)
 
-    step = place(truth.receivers, measured.receiver) - place(truth.sources, measured.source)
+    step = place(synthetic.receivers, measured.receiver) - place(synthetic.sources, measured.source)
     return float(np.linalg.norm(step))
 
 
@@ -398,21 +410,25 @@ _RATES_HZ = (16_000.0, 32_000.0, 48_000.0, 96_000.0)
 _SAMPLES_PER_EDGE = 2.8
 
 
-def made_rate_hz(bands: Bands) -> float:
+def synthetic_rate_hz(bands: Bands) -> float:
     """Return the least usual sampling rate that leaves the highest band alone."""
     wanted = _SAMPLES_PER_EDGE * float(bands.upper_hz[-1])
     return next((rate for rate in _RATES_HZ if rate >= wanted), _RATES_HZ[-1])
 
 
-def wanted_pairs(plan: CalibrationPlan) -> tuple[Pair, ...]:
+def wanted_pairs(plan: CoveragePlan) -> tuple[Pair, ...]:
     """Return every pair of which a response or a table is fitted, once."""
     pairs = [(m.source, m.receiver) for m in plan.campaign.measurements]
     pairs += [(v.source, v.receiver) for v in plan.tabulated]
     return tuple(dict.fromkeys(pairs))
 
 
-def made_campaign(
-    plan: CalibrationPlan, truth: Truth, sound: Sound, folder: Path, rng: np.random.Generator
+def synthetic_campaign(
+    plan: CoveragePlan,
+    synthetic: SyntheticRoom,
+    sound: Sound,
+    folder: Path,
+    rng: np.random.Generator,
 ) -> Campaign:
     """Write WAV files and a table into a folder; return the campaign that reads them.
 
@@ -420,15 +436,15 @@ def made_campaign(
     """
     import soundfile
 
-    rate_hz = made_rate_hz(plan.campaign.bands)
+    rate_hz = synthetic_rate_hz(plan.campaign.bands)
     files = []
     for i, m in enumerate(plan.campaign.measurements):
         samples = recorded(
             sound.pressure[m.source, m.receiver],
             rate_hz,
             plan.grid,
-            truth.level_db[i],
-            _LEAD_S + truth.latency_s[i],
+            synthetic.level_db[i],
+            _LEAD_S + synthetic.latency_s[i],
             plan.snr_db[i],
             rng,
         )
@@ -441,7 +457,7 @@ def made_campaign(
         files.append(replace(m, response=spec))
     tables: tuple[MeasuredTable, ...] = ()
     if plan.tabulated:
-        text = made_table(plan, truth, sound, rate_hz, rng)
+        text = synthetic_table(plan, synthetic, sound, rate_hz, rng)
         tables = (
             MeasuredTable(write_text_atomically(folder / "table.csv", text), None, None, "fit"),
         )
@@ -494,11 +510,11 @@ def _noise(
     widths_hz = grid.upper_hz - grid.lower_hz
     shares = octave_shares(grid.centres_hz, frequencies)
     for share, width_hz, ratio_db in zip(shares, widths_hz, snr_db, strict=True):
-        heard = np.fft.irfft(spectrum * share, 2 * n)[:n] ** 2
+        filtered = np.fft.irfft(spectrum * share, 2 * n)[:n] ** 2
         size = max(1, round(max(_BLOCK_S, 4.0 / width_hz) * rate_hz))
-        sums = np.concatenate(([0.0], np.cumsum(heard)))
+        sums = np.concatenate(([0.0], np.cumsum(filtered)))
         blocks = np.diff(sums[::size]) / size
-        loudest = float(blocks.max()) if blocks.size else float(heard.mean())
+        loudest = float(blocks.max()) if blocks.size else float(filtered.mean())
         density.append(loudest * 10.0 ** (-0.1 * ratio_db) * 0.5 * rate_hz / width_hz)
     at = np.log(np.maximum(frequencies, 1.0))
     level = np.interp(at, np.log(grid.centres_hz), np.log(np.maximum(density, 1e-300)))

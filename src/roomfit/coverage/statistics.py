@@ -16,7 +16,7 @@ _Z95 = 1.959963984540054  # standard normal, 97.5 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Calibration:
+class CoverageSample:
     """Answers to campaigns whose truth is known.
 
     Attributes
@@ -25,14 +25,14 @@ class Calibration:
     bands : Bands
     true, absorption, lower95, upper95 : float arrays, shape (n_replicates, n_materials, n_bands)
     identifiable : bool array, shape (n_replicates, n_materials, n_bands)
-    told : bool array, shape (n_replicates, n_materials, n_bands)
+    has_interval : bool array, shape (n_replicates, n_materials, n_bands)
         Where an interval says anything: not where an absorption was held, tied to another or not
         fitted at all.
     prior : float array, shape (n_materials, n_bands)
         Mean absorption beforehand: a null model.
     uniform : float array, shape (n_replicates, n_bands)
         Eyring's absorption of the measured decay: another.
-    phi : float array, shape (n_replicates, n_bands)
+    chi2_reduced : float array, shape (n_replicates, n_bands)
     """
 
     materials: tuple[str, ...]
@@ -42,14 +42,14 @@ class Calibration:
     lower95: FloatArray
     upper95: FloatArray
     identifiable: BoolArray
-    told: BoolArray
+    has_interval: BoolArray
     prior: FloatArray
     uniform: FloatArray
-    phi: FloatArray
+    chi2_reduced: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
-class Share:
+class Proportion:
     """A share with its own 95 % interval.
 
     Attributes
@@ -71,18 +71,18 @@ class Share:
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationRow:
+class CoverageRow:
     """One band, or all of them.
 
     Attributes
     ----------
     band_hz : float or None
         None for all bands together.
-    holds : Share
+    holds : Proportion
         95 % intervals that hold the truth.
-    identifiable : Share
+    identifiable : Proportion
         Values called identifiable.
-    wrong : Share
+    outside : Proportion
         Of these, those whose interval does not hold the truth.
     width, error, error_prior, error_uniform : float
         Medians: width of the interval, |error| of the answer and of the two null models; NaN where
@@ -90,46 +90,46 @@ class CalibrationRow:
     """
 
     band_hz: float | None
-    holds: Share
-    identifiable: Share
-    wrong: Share
+    holds: Proportion
+    identifiable: Proportion
+    outside: Proportion
     width: float
     error: float
     error_prior: float
     error_uniform: float
 
 
-def calibration_rows(found: Calibration) -> tuple[CalibrationRow, ...]:
+def coverage_rows(found: CoverageSample) -> tuple[CoverageRow, ...]:
     """Return the table of a calibration: each band, then all of them."""
     rows = [_row(found, slice(j, j + 1), float(f)) for j, f in enumerate(found.bands.centres_hz)]
     return (*rows, _row(found, slice(None), None))
 
 
-def _row(found: Calibration, chosen: slice, band_hz: float | None) -> CalibrationRow:
-    true, value, low, high, sure, told = (
+def _row(found: CoverageSample, chosen: slice, band_hz: float | None) -> CoverageRow:
+    true, value, low, high, sure, has_interval = (
         getattr(found, name)[:, :, chosen]
-        for name in ("true", "absorption", "lower95", "upper95", "identifiable", "told")
+        for name in ("true", "absorption", "lower95", "upper95", "identifiable", "has_interval")
     )
-    held = (low <= true) & (true <= high)
+    covered = (low <= true) & (true <= high)
     prior = np.abs(found.prior[None, :, chosen] - true)
     uniform = np.abs(found.uniform[:, None, chosen] - true)
-    return CalibrationRow(
+    return CoverageRow(
         band_hz,
-        grouped_share(held, told),
-        grouped_share(sure, told),
-        grouped_share(~held, told & sure),
-        _median(high - low, told),
-        _median(np.abs(value - true), told),
-        _median(prior, told),
-        _median(uniform, told),
+        grouped_proportion(covered, has_interval),
+        grouped_proportion(sure, has_interval),
+        grouped_proportion(~covered, has_interval & sure),
+        _median(high - low, has_interval),
+        _median(np.abs(value - true), has_interval),
+        _median(prior, has_interval),
+        _median(uniform, has_interval),
     )
 
 
-def _median(values: FloatArray, told: BoolArray) -> float:
-    return float(np.median(values[told])) if told.any() else float("nan")
+def _median(values: FloatArray, counted: BoolArray) -> float:
+    return float(np.median(values[counted])) if counted.any() else float("nan")
 
 
-def grouped_share(hit: BoolArray, counted: BoolArray) -> Share:
+def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
     """Return a share of values that come in groups, with its 95 % interval.
 
     Values of one replicate share its misfortunes, so that they tell less than as many independent
@@ -151,7 +151,7 @@ def grouped_share(hit: BoolArray, counted: BoolArray) -> Share:
     --------
     Ten of ten leave room for a share of 0.69.
 
-    >>> share = grouped_share(np.ones((10, 1), bool), np.ones((10, 1), bool))
+    >>> share = grouped_proportion(np.ones((10, 1), bool), np.ones((10, 1), bool))
     >>> round(share.low, 2), share.high
     (0.69, 1.0)
     """
@@ -160,7 +160,7 @@ def grouped_share(hit: BoolArray, counted: BoolArray) -> Share:
     hits = (hit & counted).reshape(groups, -1).sum(axis=1)
     n, k = int(sizes.sum()), int(hits.sum())
     if n == 0:
-        return Share(0, 0, 0.0, 1.0)
+        return Proportion(0, 0, 0.0, 1.0)
     p = k / n
     effect = 1.0
     if groups > 1 and 0 < k < n:
@@ -169,10 +169,10 @@ def grouped_share(hit: BoolArray, counted: BoolArray) -> Share:
     effective, count = n / effect, k / effect
     low = float(beta.ppf(0.025, count, effective - count + 1.0)) if k > 0 else 0.0
     high = float(beta.ppf(0.975, count + 1.0, effective - count)) if k < n else 1.0
-    return Share(k, n, low, high)
+    return Proportion(k, n, low, high)
 
 
-def scaled_errors(found: Calibration) -> FloatArray:
+def scaled_errors(found: CoverageSample) -> FloatArray:
     """Return errors in standard deviations of logit absorption, as the intervals have them.
 
     Each by the side of the interval on which the truth lies, so that a value within +-1.96 is held
@@ -186,10 +186,10 @@ def scaled_errors(found: Calibration) -> FloatArray:
     up, down = logit(found.upper95) - middle, middle - logit(found.lower95)
     side = np.where(true > middle, up, down)
     z = _Z95 * (true - middle) / np.maximum(side, 1e-12)
-    return np.asarray(z[found.told])
+    return np.asarray(z[found.has_interval])
 
 
-def coverage_at(found: Calibration, nominal: FloatArray) -> tuple[Share, ...]:
+def coverage_at(found: CoverageSample, nominal: FloatArray) -> tuple[Proportion, ...]:
     """Return how many intervals of other levels hold the truth, stretched from the 95 % ones.
 
     Parameters
@@ -198,6 +198,6 @@ def coverage_at(found: Calibration, nominal: FloatArray) -> tuple[Share, ...]:
         Above 0 and below 1.
     """
     reach = ndtri(0.5 + 0.5 * nominal)
-    z = np.full(found.told.shape, np.inf)
-    z[found.told] = np.abs(scaled_errors(found))
-    return tuple(grouped_share(z <= r, found.told) for r in reach)
+    z = np.full(found.has_interval.shape, np.inf)
+    z[found.has_interval] = np.abs(scaled_errors(found))
+    return tuple(grouped_proportion(z <= r, found.has_interval) for r in reach)

@@ -19,15 +19,15 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
-from roomfit.inversion.measurements import gather
+from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
-from roomfit.io.materials import material_knowledge, unknown_directivity
+from roomfit.io.materials import material_priors, unknown_directivity
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import SPEED_SD
-from roomfit.objective.directivity import UNTOLD_B_SD
-from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.objective.directivity import DEFAULT_B_SD
+from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Room, position_findings
 from roomfit.signals.iso3382 import MeasuredValues, ValueName
 from roomfit.typing import FloatArray, IntArray
@@ -35,7 +35,7 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior, logit
 
 
 @dataclass(frozen=True, slots=True)
-class CalibrationSettings:
+class CoverageSettings:
     """How many replicates, drawn from what, and which of them now.
 
     Attributes
@@ -97,7 +97,7 @@ _LEAST_SNR_DB, _MOST_SNR_DB = 15.0, 90.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class ReferenceResult:
     """An answer that absorption is drawn about, bands as they are fitted.
 
     Attributes
@@ -129,7 +129,7 @@ class TabulatedPair:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CalibrationPlan:
+class CoveragePlan:
     """A campaign, what is known of it beforehand, and how its files sound.
 
     Attributes
@@ -137,8 +137,8 @@ class CalibrationPlan:
     campaign : Campaign
         Without what is kept for validation.
     room : Room
-    knowledge : tuple of MaterialKnowledge, in the order of the room's materials
-    answer : Known or None
+    priors : tuple of MaterialPrior, in the order of the room's materials
+    answer : ReferenceResult or None
         What absorption is drawn from; None for the priors.
     grid : Bands
         Adjacent bands of the truth, one beyond the fitted ones at either end.
@@ -158,8 +158,8 @@ class CalibrationPlan:
 
     campaign: Campaign
     room: Room
-    knowledge: tuple[MaterialKnowledge, ...]
-    answer: Known | None
+    priors: tuple[MaterialPrior, ...]
+    answer: ReferenceResult | None
     grid: Bands
     columns: IntArray
     nearest: IntArray
@@ -169,7 +169,7 @@ class CalibrationPlan:
     digest: str
 
 
-def calibration_plan(campaign: Campaign, settings: CalibrationSettings) -> CalibrationPlan:
+def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePlan:
     """Return what every replicate of a campaign is made from.
 
     Raises
@@ -190,30 +190,30 @@ def calibration_plan(campaign: Campaign, settings: CalibrationSettings) -> Calib
         tables=tuple(t for t in campaign.tables if t.use == "fit"),
     )
     room, _ = read_room(campaign.room)
-    knowledge = material_knowledge(campaign, room.materials)
+    priors = material_priors(campaign, room.materials)
     answer = None
     if settings.result is not None:
         answer = _checked(read_result(settings.result), settings.result, campaign, room)
-    grid = truth_bands(campaign.bands)
+    grid = synthetic_bands(campaign.bands)
     steps = np.abs(np.log(grid.centres_hz[:, None] / campaign.bands.exact_centres_hz[None, :]))
     nearest = np.argmin(steps, axis=1)
-    heard, tabulated, length_s = _as_measured(fitted, room, settings.snr_db)
-    return CalibrationPlan(
+    observed, tabulated, length_s = _as_measured(fitted, room, settings.snr_db)
+    return CoveragePlan(
         fitted,
         room,
-        knowledge,
+        priors,
         answer,
         grid,
         read_only(np.argmin(steps, axis=0)),
         read_only(nearest),
-        read_only(heard[:, nearest]),
+        read_only(observed[:, nearest]),
         length_s,
         tabulated,
         _digest(campaign, settings),
     )
 
 
-def truth_bands(bands: Bands) -> Bands:
+def synthetic_bands(bands: Bands) -> Bands:
     """Return adjacent bands from one below the lowest to one above the highest of the given ones.
 
     Exact centres; filters have skirts, and a room does not end where a fit does.
@@ -225,7 +225,9 @@ def truth_bands(bands: Bands) -> Bands:
     return Bands(bands.kind, exact[0] * ratio ** np.arange(-1, count + 2))
 
 
-def _checked(posterior: AbsorptionPosterior, where: Path, campaign: Campaign, room: Room) -> Known:
+def _checked(
+    posterior: AbsorptionPosterior, where: Path, campaign: Campaign, room: Room
+) -> ReferenceResult:
     same_bands = np.array_equal(posterior.bands.centres_hz, campaign.bands.centres_hz)
     if posterior.materials != room.materials or not same_bands:
         raise InputError(
@@ -237,7 +239,7 @@ def _checked(posterior: AbsorptionPosterior, where: Path, campaign: Campaign, ro
             f"{', '.join(f'{f:g}' for f in campaign.bands.centres_hz)} Hz",
             hint="identify the campaign again, or draw from the priors",
         )
-    return Known(posterior.absorption, posterior.logit_covariance, posterior.scattering)
+    return ReferenceResult(posterior.absorption, posterior.logit_covariance, posterior.scattering)
 
 
 def _as_measured(
@@ -251,14 +253,14 @@ def _as_measured(
     read = campaign if snr_db is None else replace(campaign, measurements=())
     if not read.measurements and not read.tables:
         return np.full((n, n_bands), snr_db), (), np.inf
-    gathered = gather(read, room)
-    tabulated = tuple(_tabulated(v, campaign.bands) for v in gathered.values)
+    measurements = collect_measurements(read, room)
+    tabulated = tuple(_tabulated(v, campaign.bands) for v in measurements.values)
     if not read.measurements:
         return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
-    ratios = np.array([m.noise.peak_to_noise_db for m in gathered.responses])
+    ratios = np.array([m.noise.peak_to_noise_db for m in measurements.responses])
     lengths = [
         len(m.response.pressure) / m.response.sampling_rate_hz - m.response.time_zero_s
-        for m in gathered.responses
+        for m in measurements.responses
     ]
     return np.clip(ratios, _LEAST_SNR_DB, _MOST_SNR_DB), tabulated, max(lengths)
 
@@ -268,15 +270,15 @@ def _tabulated(values: MeasuredValues, bands: Bands) -> TabulatedPair:
         if name not in values.spread:
             return np.full(len(bands), np.nan)
         rows = zip(values.centres_hz.tolist(), values.spread[name].tolist(), strict=True)
-        told = dict(rows)
-        return np.array([told.get(f, np.nan) for f in bands.centres_hz.tolist()])
+        by_centre = dict(rows)
+        return np.array([by_centre.get(f, np.nan) for f in bands.centres_hz.tolist()])
 
     return TabulatedPair(
         values.source, values.receiver, {name: at_bands(name) for name in values.values}
     )
 
 
-def _digest(campaign: Campaign, settings: CalibrationSettings) -> str:
+def _digest(campaign: Campaign, settings: CoverageSettings) -> str:
     """Files by content; responses that nobody reads are left out, for they may not exist yet."""
     unread = set()
     if settings.snr_db is not None:
@@ -292,13 +294,13 @@ def _digest(campaign: Campaign, settings: CalibrationSettings) -> str:
 # Correlation of logit absorption from one octave to the next, where the campaign states none.
 _ALIKE = 0.95
 _LEVEL_SD_DB = 3.0
-_UNTOLD_LATENCY_SD_S = {"emission": 2e-5, "direct": 0.0, "unknown": 5e-3}
+_DEFAULT_LATENCY_SD_S = {"emission": 2e-5, "direct": 0.0, "unknown": 5e-3}
 _SCATTERING = (0.02, 0.4)
 _MOST_DRAWS = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Truth:
+class SyntheticRoom:
     """One draw of everything that the campaign leaves open.
 
     Attributes
@@ -328,7 +330,7 @@ class Truth:
     latency_s: FloatArray
 
 
-def draw_truth(plan: CalibrationPlan, rng: np.random.Generator) -> Truth:
+def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> SyntheticRoom:
     """Draw what might be true of a campaign.
 
     Raises
@@ -338,28 +340,30 @@ def draw_truth(plan: CalibrationPlan, rng: np.random.Generator) -> Truth:
     """
     absorption = _absorption(plan, rng)
     scattering = _scattering(plan, rng)
-    sds = [k.wall_delay_sd_s or 0.0 for k in plan.knowledge]
+    sds = [k.wall_delay_sd_s or 0.0 for k in plan.priors]
     delays = np.abs(rng.standard_normal(len(sds))) * np.array(sds)
-    sources, receivers = _places(plan, rng)
-    told = plan.campaign.temperature_sd_c
+    sources, receivers = _positions(plan, rng)
+    temperature_sd_c = plan.campaign.temperature_sd_c
     kelvin = 273.15 + plan.campaign.air.temperature_c
-    speed_sd = SPEED_SD if told is None else 0.5 * told / kelvin
+    speed_sd = SPEED_SD if temperature_sd_c is None else 0.5 * temperature_sd_c / kelvin
     c = speed_of_sound_m_s(plan.campaign.air) * float(np.exp(speed_sd * rng.standard_normal()))
     b = {s.name: _b(plan, s.name, rng) for s in plan.campaign.sources}
     known = {name: value for name, value in b.items() if value is not None}
     level_db, latency = _levels(plan, rng), _latency_s(plan, rng)
-    return Truth(absorption, scattering, delays, sources, receivers, c, known, level_db, latency)
+    return SyntheticRoom(
+        absorption, scattering, delays, sources, receivers, c, known, level_db, latency
+    )
 
 
-def _absorption(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     """Draw absorption with the marginals of priors or posterior, smooth over the bands."""
-    n, n_grid = len(plan.knowledge), len(plan.grid)
-    lower = np.array([k.lower for k in plan.knowledge])[:, None]
-    upper = np.array([k.upper for k in plan.knowledge])[:, None]
-    prior_sd = np.array([k.prior_logit_sd for k in plan.knowledge])
+    n, n_grid = len(plan.priors), len(plan.grid)
+    lower = np.array([k.lower for k in plan.priors])[:, None]
+    upper = np.array([k.upper for k in plan.priors])[:, None]
+    prior_sd = np.array([k.prior_logit_sd for k in plan.priors])
     normal = _smooth_normal(plan, float(np.median(prior_sd)), n, rng)
     if plan.answer is None:
-        mean = np.array([k.prior_logit_mean for k in plan.knowledge])[:, plan.nearest]
+        mean = np.array([k.prior_logit_mean for k in plan.priors])[:, plan.nearest]
         free = mean + prior_sd[:, plan.nearest] * normal
         drawn = lower + (upper - lower) / (1.0 + np.exp(-free))
     else:
@@ -367,20 +371,18 @@ def _absorption(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
         spread = np.einsum("gij,jg->ig", roots, normal)
         free = logit(plan.answer.absorption)[:, plan.nearest] + spread
         drawn = np.clip(1.0 / (1.0 + np.exp(-free)), lower, upper)
-    for row, k in enumerate(plan.knowledge):
+    for row, k in enumerate(plan.priors):
         if k.known is not None:
             drawn[row] = k.known[plan.nearest]
-    names = [k.name for k in plan.knowledge]
-    leaders = [names.index(k.tied_to or k.name) for k in plan.knowledge]
+    names = [k.name for k in plan.priors]
+    leaders = [names.index(k.tied_to or k.name) for k in plan.priors]
     return np.asarray(drawn[leaders].reshape(n, n_grid))
 
 
-def _smooth_normal(
-    plan: CalibrationPlan, sd: float, n: int, rng: np.random.Generator
-) -> FloatArray:
+def _smooth_normal(plan: CoveragePlan, sd: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers (n, n_grid) that run smoothly over the bands of the grid."""
-    told = plan.campaign.smoothness_per_octave
-    alike = _ALIKE if told is None else max(1.0 - 0.5 * (told / sd) ** 2, 0.0)
+    sd_per_octave = plan.campaign.smoothness_per_octave
+    alike = _ALIKE if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
     step = alike if plan.grid.kind == "octave" else alike ** (1.0 / 3.0)
     drawn = rng.standard_normal((n, len(plan.grid)))
     for band in range(1, len(plan.grid)):
@@ -394,23 +396,23 @@ def _root(covariance: FloatArray) -> FloatArray:
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)
 
 
-def _scattering(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+def _scattering(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     """Keep what is told; draw one coefficient for all walls of which nothing is."""
     n_bands = len(plan.campaign.bands)
     low, high = np.log(_SCATTERING)
     drawn = float(np.exp(rng.uniform(low, high)))
     found = None if plan.answer is None else plan.answer.scattering
     rows = []
-    for row, k in enumerate(plan.knowledge):
-        told = None if k.fit_scattering else k.scattering
-        if told is None and found is not None:
-            told = found[row]
-        rows.append(np.full(n_bands, drawn) if told is None else told)
+    for row, k in enumerate(plan.priors):
+        specified = None if k.fit_scattering else k.scattering
+        if specified is None and found is not None:
+            specified = found[row]
+        rows.append(np.full(n_bands, drawn) if specified is None else specified)
     return np.array(rows)
 
 
-def _places(
-    plan: CalibrationPlan, rng: np.random.Generator
+def _positions(
+    plan: CoveragePlan, rng: np.random.Generator
 ) -> tuple[tuple[Point, ...], tuple[Point, ...]]:
     for _ in range(_MOST_DRAWS):
         sources, receivers = (
@@ -428,22 +430,22 @@ def _places(
 
 
 def _moved(point: Point, rng: np.random.Generator) -> Point:
-    sd = UNTOLD_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
+    sd = DEFAULT_POSITION_SD_M if point.position_sd_m is None else point.position_sd_m
     return replace(point, position_m=point.position_m + sd * rng.standard_normal(3))
 
 
-def _b(plan: CalibrationPlan, name: str, rng: np.random.Generator) -> FloatArray | None:
+def _b(plan: CoveragePlan, name: str, rng: np.random.Generator) -> FloatArray | None:
     """Draw the unknown directivity of a source, nowhere of negative amplitude."""
     unknown = unknown_directivity(plan.campaign, name)
     if unknown is None:
         return None
     mean = np.zeros(3) if unknown.mean is None else unknown.mean
-    sd = UNTOLD_B_SD if unknown.sd is None else unknown.sd
+    sd = DEFAULT_B_SD if unknown.sd is None else unknown.sd
     b = mean + sd * rng.standard_normal(3)
     return np.asarray(b / max(1.0, float(np.linalg.norm(b))))
 
 
-def _levels(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+def _levels(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     """Draw what is not known of levels: one gain a source or a file, in every band."""
     files, n_grid = plan.campaign.measurements, len(plan.grid)
     of_source = {s.name: rng.normal(0.0, _LEVEL_SD_DB, n_grid) for s in plan.campaign.sources}
@@ -456,12 +458,12 @@ def _levels(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
     return np.array(rows).reshape(len(files), n_grid)
 
 
-def _latency_s(plan: CalibrationPlan, rng: np.random.Generator) -> FloatArray:
+def _latency_s(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     """Draw the error of the moment of emission, which all files of a source share."""
     error = {s.name: rng.standard_normal() for s in plan.campaign.sources}
     rows = []
     for m in plan.campaign.measurements:
-        sd = _UNTOLD_LATENCY_SD_S[m.response.time_zero]
+        sd = _DEFAULT_LATENCY_SD_S[m.response.time_zero]
         if m.latency_sd_s is not None and m.response.time_zero == "emission":
             sd = m.latency_sd_s
         rows.append(sd * error[m.source])

@@ -22,27 +22,27 @@ from roomfit.errors import InputError
 from roomfit.experiment_design.choose import Rules
 from roomfit.experiment_design.information import (
     DesignTrace,
-    Foreseen,
+    ExpectedMeasurement,
     Unknowns,
     information_of_pairs,
 )
 from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m, is_inside
 from roomfit.geometry.mesh import refuse, volume_m3
-from roomfit.inversion.scattering import band_factors, told_scattering
+from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.solve import relative_speed_sd
 from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
 from roomfit.io.campaign import Campaign, Position
 from roomfit.io.iso3382 import read_parameters
-from roomfit.io.materials import material_knowledge
-from roomfit.materials.priors import MaterialKnowledge, in_bands
+from roomfit.io.materials import material_priors
+from roomfit.materials.priors import MaterialPrior, in_bands
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import leaders
 from roomfit.prediction.setup import (
     eyring_time_s,
     predicted_bands,
     room_posterior,
-    scattering_known,
+    with_fitted_scattering,
 )
 from roomfit.scene import NEAREST_PAIR_M, Point, Room, Scene, distances_m, position_findings
 from roomfit.tracing.paths import TraceSettings
@@ -55,13 +55,13 @@ _LEAST_VARIANCE = 1e-12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Known:
+class PriorInformation:
     """What is known beforehand.
 
     Attributes
     ----------
     bands : Bands
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
     unknowns : Unknowns
     typical : float array, shape (n_materials, n_bands)
         Middle of what is known.
@@ -70,40 +70,40 @@ class Known:
     """
 
     bands: Bands
-    knowledge: tuple[MaterialKnowledge, ...]
+    priors: tuple[MaterialPrior, ...]
     unknowns: Unknowns
     typical: FloatArray
     draws: FloatArray
     findings: tuple[Finding, ...] = ()
 
 
-def known_by_priors(campaign: Campaign, materials: tuple[str, ...]) -> Known:
+def information_from_priors(campaign: Campaign, materials: tuple[str, ...]) -> PriorInformation:
     """Return what the campaign tells of every material, or else the broad prior.
 
     The draws are a Latin hypercube of the priors, each band's its own: every absorption takes
     values spread evenly over its prior.
     """
-    knowledge = material_knowledge(campaign, materials)
-    number, leader = _numbers(knowledge)
-    mean = np.stack([k.prior_logit_mean for k in knowledge])[leader]
-    sd = np.stack([k.prior_logit_sd for k in knowledge])[leader]
+    priors = material_priors(campaign, materials)
+    number, leader = _numbers(priors)
+    mean = np.stack([k.prior_logit_mean for k in priors])[leader]
+    sd = np.stack([k.prior_logit_sd for k in priors])[leader]
     n, rng = campaign.design.draws, np.random.default_rng(campaign.seed)
     strata = rng.permuted(np.broadcast_to(np.arange(n), (*mean.shape, n)), axis=-1)
     drawn: FloatArray = mean + sd * np.moveaxis(ndtri((strata + 0.5) / n), -1, 0)
     free = np.flatnonzero(_is_free(number, leader))
     prior: FloatArray = np.stack([np.diag(row) for row in sd[free].T ** -2.0])
-    return Known(
+    return PriorInformation(
         campaign.bands,
-        knowledge,
-        _unknowns(knowledge, number, free, drawn, np.tile(prior, (n, 1, 1, 1))),
-        _absorption(knowledge, mean[None], leader)[0],
-        _absorption(knowledge, drawn, leader),
+        priors,
+        _unknowns(priors, number, free, drawn, np.tile(prior, (n, 1, 1, 1))),
+        _absorption(priors, mean[None], leader)[0],
+        _absorption(priors, drawn, leader),
     )
 
 
-def known_by_fit(
+def information_from_fit(
     campaign: Campaign, materials: tuple[str, ...], found: AbsorptionPosterior
-) -> Known:
+) -> PriorInformation:
     """Return what a finished fit tells of every material, in the bands that it has.
 
     Bounds are left to the fit: intervals afterwards are those of plain logit absorption, as the
@@ -116,39 +116,39 @@ def known_by_fit(
         told.
     """
     bands, findings = predicted_bands(campaign, found.bands)
-    places = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
-    told = in_bands(material_knowledge(campaign, materials), places)
-    knowledge = scattering_known(told, bands, found)
-    posterior = room_posterior(campaign, knowledge, bands, found)
+    band_indices = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
+    specified_priors = in_bands(material_priors(campaign, materials), band_indices)
+    priors = with_fitted_scattering(specified_priors, bands, found)
+    posterior = room_posterior(campaign, priors, bands, found)
     variance = np.diagonal(posterior.logit_covariance, axis1=1, axis2=2).T
-    knowledge = tuple(
+    priors = tuple(
         replace(
             k,
             lower=0.0,
             upper=1.0,
             known=a if k.tied_to is None and np.all(v <= _LEAST_VARIANCE) else k.known,
         )
-        for k, a, v in zip(knowledge, posterior.absorption, variance, strict=True)
+        for k, a, v in zip(priors, posterior.absorption, variance, strict=True)
     )
-    number, leader = _numbers(knowledge)
+    number, leader = _numbers(priors)
     free = np.flatnonzero(_is_free(number, leader))
     covariance = posterior.logit_covariance[:, free[:, None], free]
     inverse = np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(free.size))
     information: FloatArray = np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
     at = logit(posterior.absorption)[None]
-    return Known(
+    return PriorInformation(
         bands,
-        knowledge,
-        _unknowns(knowledge, number, free, at, information[None]),
+        priors,
+        _unknowns(priors, number, free, at, information[None]),
         posterior.absorption,
-        _absorption(knowledge, at, leader),
+        _absorption(priors, at, leader),
         findings,
     )
 
 
-def _numbers(knowledge: tuple[MaterialKnowledge, ...]) -> tuple[IntArray, IntArray]:
+def _numbers(priors: tuple[MaterialPrior, ...]) -> tuple[IntArray, IntArray]:
     """Return the number of each material's unknown, -1 where it is known, and its leader."""
-    block = absorption_block(knowledge, 0, 0.2)
+    block = absorption_block(priors, 0, 0.2)
     leader = leaders(block)
     count = np.cumsum(block.fitted) - 1
     return np.where(block.fitted[leader], count[leader], -1), np.asarray(leader)
@@ -159,31 +159,31 @@ def _is_free(number: IntArray, leader: IntArray) -> np.ndarray[tuple[int], np.dt
 
 
 def _unknowns(
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     number: IntArray,
     free: IntArray,
     drawn: FloatArray,
     information: FloatArray,
 ) -> Unknowns:
     return Unknowns(
-        tuple(k.name for k in knowledge),
+        tuple(k.name for k in priors),
         number,
         np.swapaxes(drawn[:, free], 1, 2),
         information,
-        np.array([knowledge[i].lower for i in free]),
-        np.array([knowledge[i].upper for i in free]),
+        np.array([priors[i].lower for i in free]),
+        np.array([priors[i].upper for i in free]),
     )
 
 
 def _absorption(
-    knowledge: tuple[MaterialKnowledge, ...], free: FloatArray, leader: IntArray
+    priors: tuple[MaterialPrior, ...], free: FloatArray, leader: IntArray
 ) -> FloatArray:
     """Return absorption of free numbers, known ones as they are, both (n_draws, n_materials, m)."""
-    low = np.array([k.lower for k in knowledge])[leader, None]
-    high = np.array([k.upper for k in knowledge])[leader, None]
+    low = np.array([k.lower for k in priors])[leader, None]
+    high = np.array([k.upper for k in priors])[leader, None]
     out = low + (high - low) * expit(free)
     for i, of in enumerate(leader):
-        known = knowledge[of].known
+        known = priors[of].known
         if known is not None:
             out[:, i] = known
     return np.asarray(out)
@@ -197,7 +197,7 @@ _TRACING = 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class HeardCandidates:
+class TracedCandidates:
     """What all candidates would tell.
 
     Attributes
@@ -214,9 +214,13 @@ class HeardCandidates:
     findings: tuple[Finding, ...]
 
 
-def heard_candidates(
-    campaign: Campaign, scene: Scene, known: Known, n_pairs: int, progress: Progress | None
-) -> HeardCandidates:
+def trace_candidates(
+    campaign: Campaign,
+    scene: Scene,
+    known: PriorInformation,
+    n_pairs: int,
+    progress: Progress | None,
+) -> TracedCandidates:
     """Trace the candidates of every source at once and return what each of them would tell.
 
     Parameters
@@ -227,10 +231,10 @@ def heard_candidates(
         How many will have been measured in the end.
     """
     plan = _plan(campaign, scene, known)
-    foreseen = _foreseen(campaign, known, plan, n_pairs)
+    expected_measurement = _expected_measurement(campaign, known, plan, n_pairs)
     findings = list(plan.findings)
     found: list[FloatArray] = []
-    places: list[IntArray] = []
+    band_indices: list[IntArray] = []
     sources = np.unique(scene.pairs[:, 0])
     for number, source in enumerate(sources):
         at = np.flatnonzero(scene.pairs[:, 0] == source)
@@ -240,23 +244,24 @@ def heard_candidates(
         findings += [f for f in doubts if f.code not in {g.code for g in findings}]
         found.append(
             information_of_pairs(
-                *(own, traced, foreseen, known.typical, known.draws), part(done, _TRACING, 1.0)
+                *(own, traced, expected_measurement, known.typical, known.draws),
+                part(done, _TRACING, 1.0),
             )
         )
-        places.append(at)
+        band_indices.append(at)
     # back from the order of the sources to that of the pairs
-    matrices = np.concatenate(found)[np.argsort(np.concatenate(places))]
-    return HeardCandidates(matrices, foreseen.coherent, tuple(findings))
+    matrices = np.concatenate(found)[np.argsort(np.concatenate(band_indices))]
+    return TracedCandidates(matrices, expected_measurement.coherent, tuple(findings))
 
 
-def _plan(campaign: Campaign, scene: Scene, known: Known) -> TracePlan:
+def _plan(campaign: Campaign, scene: Scene, known: PriorInformation) -> TracePlan:
     """Choose how to trace: as for a fit, for as long as decays will be heard."""
     decay_s = float(eyring_time_s(scene, known.bands, known.typical).max())
     # how far image sources can be had costs several searches for them: one source stands for all
     first = replace(scene, pairs=scene.pairs[scene.pairs[:, 0] == scene.pairs[0, 0]])
-    heard_s = decay_s * campaign.design.decay_range_db / 60.0
+    observed_s = decay_s * campaign.design.decay_range_db / 60.0
     plan = plan_trace(
-        *(first, known.knowledge, decay_s, heard_s, campaign.seed),
+        *(first, known.priors, decay_s, observed_s, campaign.seed),
         coherent=fits_pressures(campaign),
     )
     return replace(plan, settings=_with_fewer_rays(plan.settings, scene))
@@ -274,10 +279,12 @@ def _with_fewer_rays(settings: TraceSettings, scene: Scene) -> TraceSettings:
     return replace(settings, n_rays=min(settings.n_rays, max(affordable, _FEWEST_RAYS)))
 
 
-def _foreseen(campaign: Campaign, known: Known, plan: TracePlan, n_pairs: int) -> Foreseen:
-    return Foreseen(
+def _expected_measurement(
+    campaign: Campaign, known: PriorInformation, plan: TracePlan, n_pairs: int
+) -> ExpectedMeasurement:
+    return ExpectedMeasurement(
         known.bands,
-        known.knowledge,
+        known.priors,
         fits_pressures(campaign) and (plan.far_images or campaign.model == "coherent"),
         n_pairs,
         campaign.design.decay_range_db,
@@ -289,15 +296,19 @@ def _foreseen(campaign: Campaign, known: Known, plan: TracePlan, n_pairs: int) -
 
 
 def _traced(
-    campaign: Campaign, own: Scene, known: Known, plan: TracePlan, progress: Progress | None
+    campaign: Campaign,
+    own: Scene,
+    known: PriorInformation,
+    plan: TracePlan,
+    progress: Progress | None,
 ) -> tuple[DesignTrace, tuple[Finding, ...]]:
     """Trace the pairs of one source, and weigh their paths in every band."""
     traced = trace(own, plan.settings, plan.scattering, progress)
-    scattering = told_scattering(known.knowledge, plan.scattering.coefficients, len(known.bands))
-    factors, worn = band_factors(campaign, own, known.bands, traced.paths, scattering)
+    scattering = specified_scattering(known.priors, plan.scattering.coefficients, len(known.bands))
+    factors, degenerate = band_factors(campaign, own, known.bands, traced.paths, scattering)
     # a candidate near a wall is no doubt about anything
     doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
-    return DesignTrace(traced.paths, factors, plan.settings.duration_s), (*doubts, *worn)
+    return DesignTrace(traced.paths, factors, plan.settings.duration_s), (*doubts, *degenerate)
 
 
 # Points that are tried before a region counts as too narrow.
@@ -349,7 +360,7 @@ def region_of(
     return Region(low, high, wall_distance_m)
 
 
-def spread_places(room: Room, region: Region, n: int, seed: int) -> FloatArray:
+def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArray:
     """Return n places spread evenly over a region, shape (n, 3).
 
     Scrambled Sobol points of the box, those kept that are in the room and clear of its walls.
@@ -365,14 +376,14 @@ def spread_places(room: Room, region: Region, n: int, seed: int) -> FloatArray:
     while len(found) < n and tried < _MOST_TRIES:
         points = sampler.random(max(256, 1 << (4 * n - 1).bit_length()))
         tried += len(points)
-        places = region.low_m + points * (region.high_m - region.low_m)
-        found = np.concatenate((found, places[_clear(room, region, places)]))
+        positions = region.low_m + points * (region.high_m - region.low_m)
+        found = np.concatenate((found, positions[_clear(room, region, positions)]))
     if len(found) < n:
         raise _too_narrow(region, len(found), n)
     return found[:n]
 
 
-def grid_places(room: Room, region: Region, spacing_m: float) -> FloatArray:
+def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
     """Return the places of a grid in a region, shape (n, 3).
 
     The grid is centred in the region, with the same spacing in x, y and z; a region without height
@@ -387,11 +398,11 @@ def grid_places(room: Room, region: Region, spacing_m: float) -> FloatArray:
     for low, high in zip(region.low_m, region.high_m, strict=True):
         n = int((high - low) / spacing_m + 1e-9)
         axes.append(0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n))
-    places = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
-    places = places[_clear(room, region, places)]
-    if not len(places):
+    positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    positions = positions[_clear(room, region, positions)]
+    if not len(positions):
         raise _too_narrow(region, 0, 1)
-    return places
+    return positions
 
 
 def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) -> float:
@@ -403,7 +414,7 @@ def least_source_distance_m(volume_m3: float, speed_m_s: float, decay_s: float) 
     return float(2.0 * np.sqrt(volume_m3 / (speed_m_s * decay_s)))
 
 
-def compatible_places(receivers_m: FloatArray, apart_m: float) -> BoolArray:
+def compatible_positions(receivers_m: FloatArray, apart_m: float) -> BoolArray:
     """Return which receivers may stand in one design: far enough apart, or in one place.
 
     Parameters
@@ -440,10 +451,10 @@ def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
     return np.sort(np.argsort(rank, kind="stable")[:n])
 
 
-def _clear(room: Room, region: Region, places_m: FloatArray) -> BoolArray:
-    inside = is_inside(room.mesh, places_m)
+def _clear(room: Room, region: Region, positions_m: FloatArray) -> BoolArray:
+    inside = is_inside(room.mesh, positions_m)
     inside[inside] = (
-        distance_to_walls_m(room.mesh, places_m[inside]) >= region.wall_distance_m - 1e-9
+        distance_to_walls_m(room.mesh, positions_m[inside]) >= region.wall_distance_m - 1e-9
     )
     return np.asarray(inside)
 
@@ -469,14 +480,14 @@ class Candidates:
     Attributes
     ----------
     scene : Scene
-    n_held : int
+    n_fixed : int
         How many of its pairs have been measured and are to count.
     rules : Rules
     findings : tuple of Finding
     """
 
     scene: Scene
-    n_held: int
+    n_fixed: int
     rules: Rules
     findings: tuple[Finding, ...]
 
@@ -534,10 +545,10 @@ def design_candidates(
         )
     rng = np.random.default_rng(campaign.seed)
     possible = possible[even_part(every[possible, 0], n, rng)]
-    held = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)
-    scene = _used(whole, every[np.concatenate((held, possible))])
+    fixed = np.flatnonzero(was) if count_measured else np.zeros(0, dtype=np.int64)
+    scene = _used(whole, every[np.concatenate((fixed, possible))])
     return Candidates(
-        scene, held.size, _rules(campaign, scene, held.size, most_sources), _few(possible.size, n)
+        scene, fixed.size, _rules(campaign, scene, fixed.size, most_sources), _few(possible.size, n)
     )
 
 
@@ -552,40 +563,44 @@ def measured_pairs(campaign: Campaign) -> set[tuple[str, str]]:
 
 
 def _new_sources(campaign: Campaign, room: Room) -> tuple[Point, ...]:
-    told = campaign.design
+    table = campaign.design
     taken = [p.name for p in campaign.sources]
-    if told.sources:
-        return _named("S", np.array(told.sources), taken, told.position_sd)
-    if told.new_sources == 0:
+    if table.sources:
+        return _named("S", np.array(table.sources), taken, table.position_sd)
+    if table.new_sources == 0:
         return ()
-    region = region_of(room, told.source_heights_m, told.wall_distance_m, _box(told.region_m))
-    places = spread_places(room, region, told.new_sources, campaign.seed)
-    return _named("S", places, taken, told.position_sd)
+    region = region_of(room, table.source_heights_m, table.wall_distance_m, _box(table.region_m))
+    positions = spread_positions(room, region, table.new_sources, campaign.seed)
+    return _named("S", positions, taken, table.position_sd)
 
 
 def _new_receivers(campaign: Campaign, room: Room, n: int) -> tuple[Point, ...]:
-    told = campaign.design
+    table = campaign.design
     taken = [p.name for p in campaign.receivers]
-    if told.receivers:
-        return _named("R", np.array(told.receivers), taken, told.position_sd)
-    region = region_of(room, told.receiver_heights_m, told.wall_distance_m, _box(told.region_m))
-    if told.grid_m is not None:
-        places = grid_places(room, region, told.grid_m)
+    if table.receivers:
+        return _named("R", np.array(table.receivers), taken, table.position_sd)
+    region = region_of(room, table.receiver_heights_m, table.wall_distance_m, _box(table.region_m))
+    if table.grid_m is not None:
+        positions = grid_positions(room, region, table.grid_m)
     else:
-        places = spread_places(
+        positions = spread_positions(
             room, region, int(np.ceil(_RECEIVERS_PER_PAIR * n)), campaign.seed + 1
         )
-    return _named("R", places, taken, told.position_sd)
+    return _named("R", positions, taken, table.position_sd)
 
 
-def _box(told: tuple[Position, Position] | None) -> tuple[FloatArray, FloatArray] | None:
-    return None if told is None else (np.array(told[0]), np.array(told[1]))
+def _box(corners_m: tuple[Position, Position] | None) -> tuple[FloatArray, FloatArray] | None:
+    return None if corners_m is None else (np.array(corners_m[0]), np.array(corners_m[1]))
 
 
-def _named(letter: str, places_m: FloatArray, taken: list[str], sd_m: float) -> tuple[Point, ...]:
+def _named(
+    letter: str, positions_m: FloatArray, taken: list[str], sd_m: float
+) -> tuple[Point, ...]:
     """Return points named by a letter and a number that is not taken yet."""
-    numbers = (i for i in range(1, len(places_m) + len(taken) + 1) if f"{letter}{i}" not in taken)
-    return tuple(Point(f"{letter}{next(numbers)}", place.round(3), sd_m) for place in places_m)
+    numbers = (
+        i for i in range(1, len(positions_m) + len(taken) + 1) if f"{letter}{i}" not in taken
+    )
+    return tuple(Point(f"{letter}{next(numbers)}", place.round(3), sd_m) for place in positions_m)
 
 
 def _refuse_impossible(
@@ -614,13 +629,13 @@ def _used(whole: Scene, pairs: IntArray) -> Scene:
     )
 
 
-def _rules(campaign: Campaign, scene: Scene, n_held: int, most_sources: int | None) -> Rules:
+def _rules(campaign: Campaign, scene: Scene, n_fixed: int, most_sources: int | None) -> Rules:
     receivers = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
-    told = campaign.design
-    candidate = np.arange(len(scene.pairs)) >= n_held
-    most = told.most_sources if most_sources is None else most_sources
-    apart_m = max(told.receiver_distance_m, NEAREST_PAIR_M)
-    return Rules(scene.pairs[:, 0], compatible_places(receivers, apart_m), candidate, most)
+    table = campaign.design
+    candidate = np.arange(len(scene.pairs)) >= n_fixed
+    most = table.most_sources if most_sources is None else most_sources
+    apart_m = max(table.receiver_distance_m, NEAREST_PAIR_M)
+    return Rules(scene.pairs[:, 0], compatible_positions(receivers, apart_m), candidate, most)
 
 
 def _few(found: int, asked: int) -> tuple[Finding, ...]:

@@ -62,9 +62,9 @@ class Rules:
             object.__setattr__(self, name, bool_array(name, getattr(self, name), shape))
 
 
-def allowed(rules: Rules, chosen: list[int], held: tuple[int, ...] = ()) -> BoolArray:
+def allowed(rules: Rules, chosen: list[int], fixed: tuple[int, ...] = ()) -> BoolArray:
     """Return which pairs may be added to those that are chosen or held, shape (n_pairs,)."""
-    together = [*held, *chosen]
+    together = [*fixed, *chosen]
     mask = rules.candidate & rules.compatible[together].all(axis=0)
     mask[chosen] = False
     sources = np.unique(rules.source[chosen])
@@ -116,7 +116,7 @@ def choose(
     rules: Rules,
     n: int,
     criterion: Criterion = "determinant",
-    held: tuple[int, ...] = (),
+    fixed: tuple[int, ...] = (),
     *,
     rng: np.random.Generator,
     starts: int = 4,
@@ -137,7 +137,7 @@ def choose(
         How many, 1 or more.
     criterion : {"determinant", "mean", "worst"}
         See `score`.
-    held : tuple of int
+    fixed : tuple of int
         Pairs that have been measured.
     rng : numpy.random.Generator
         Draws the random designs.
@@ -155,14 +155,14 @@ def choose(
            time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
            exact D-optimal designs", Technometrics 22, 315-324 (1980).
     """
-    first = _greedy(unknowns, pairs, rules, n, criterion, held)
-    others = [random_design(rules, n, rng, held) for _ in range(starts if n > 1 else 0)]
+    first = _greedy(unknowns, pairs, rules, n, criterion, fixed)
+    others = [random_design(rules, n, rng, fixed) for _ in range(starts if n > 1 else 0)]
     found = [
-        _exchanged(unknowns, pairs, rules, start, criterion, held)
+        _exchanged(unknowns, pairs, rules, start, criterion, fixed)
         for start in (first, *(list(o) for o in others if len(o) == n))
     ]
     _, best = min(found, key=lambda one: one[0])
-    return _in_order(unknowns, pairs, best, criterion, held)
+    return _in_order(unknowns, pairs, best, criterion, fixed)
 
 
 def _greedy(
@@ -171,18 +171,18 @@ def _greedy(
     rules: Rules,
     n: int,
     criterion: Criterion,
-    held: tuple[int, ...],
+    fixed: tuple[int, ...],
 ) -> list[int]:
     chosen: list[int] = []
     for number in range(n):
-        mask = allowed(rules, chosen, held)
+        mask = allowed(rules, chosen, fixed)
         if not mask.any():
             raise InputError(
                 "the rules leave no place for another measurement",
                 found=f"{number} of {n}",
                 hint="choose fewer, give more candidates, or lower the least distances in [design]",
             )
-        chosen.append(_best(unknowns, pairs, [*held, *chosen], mask, criterion)[1])
+        chosen.append(_best(unknowns, pairs, [*fixed, *chosen], mask, criterion)[1])
     return chosen
 
 
@@ -205,17 +205,17 @@ def _exchanged(
     rules: Rules,
     chosen: list[int],
     criterion: Criterion,
-    held: tuple[int, ...],
+    fixed: tuple[int, ...],
 ) -> tuple[float, list[int]]:
     """Return score and design after single exchanges, the best first, until none helps."""
-    start = information_of(unknowns, pairs, [*held, *chosen])
+    start = information_of(unknowns, pairs, [*fixed, *chosen])
     now = float(score(unknowns, start, criterion))
     for _ in range(_MOST_EXCHANGES):
         found = []
         for i in range(len(chosen)):
             rest = chosen[:i] + chosen[i + 1 :]
-            mask = allowed(rules, rest, held)
-            found.append((*_best(unknowns, pairs, [*held, *rest], mask, criterion), i))
+            mask = allowed(rules, rest, fixed)
+            found.append((*_best(unknowns, pairs, [*fixed, *rest], mask, criterion), i))
         best, at, place = min(found)
         if best > now - _LEAST_GAIN:
             break
@@ -228,19 +228,19 @@ def _in_order(
     pairs: PairInformation,
     chosen: list[int],
     criterion: Criterion,
-    held: tuple[int, ...],
+    fixed: tuple[int, ...],
 ) -> tuple[int, ...]:
     """Return the chosen pairs, at every place the one that helps most."""
     order: list[int] = []
     while len(order) < len(chosen):
         mask = np.zeros(len(pairs.gain), dtype=np.bool_)
         mask[[c for c in chosen if c not in order]] = True
-        order.append(_best(unknowns, pairs, [*held, *order], mask, criterion)[1])
+        order.append(_best(unknowns, pairs, [*fixed, *order], mask, criterion)[1])
     return tuple(order)
 
 
 def random_design(
-    rules: Rules, n: int, rng: np.random.Generator, held: tuple[int, ...] = ()
+    rules: Rules, n: int, rng: np.random.Generator, fixed: tuple[int, ...] = ()
 ) -> tuple[int, ...]:
     """Return pairs drawn one after the other, each evenly from those that the rules still allow.
 
@@ -248,7 +248,7 @@ def random_design(
     """
     chosen: list[int] = []
     for _ in range(n):
-        open_ = np.flatnonzero(allowed(rules, chosen, held))
+        open_ = np.flatnonzero(allowed(rules, chosen, fixed))
         if not open_.size:
             break
         chosen.append(int(rng.choice(open_)))
@@ -263,7 +263,7 @@ class Design:
     ----------
     scene : Scene
         Measured pairs, then candidates.
-    n_held : int
+    n_fixed : int
         How many of its pairs have been measured and count as held.
     chosen : int array, shape (n_chosen,)
         Pairs to measure, those that tell most first.
@@ -292,7 +292,7 @@ class Design:
     """
 
     scene: Scene
-    n_held: int
+    n_fixed: int
     chosen: IntArray
     bands: Bands
     materials: tuple[str, ...]

@@ -11,13 +11,13 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.experiment_design.candidates import (
     Candidates,
-    Known,
+    PriorInformation,
     design_candidates,
-    heard_candidates,
-    known_by_fit,
-    known_by_priors,
+    information_from_fit,
+    information_from_priors,
     least_source_distance_m,
     measured_pairs,
+    trace_candidates,
 )
 from roomfit.experiment_design.choose import Criterion, Design, choose, random_design
 from roomfit.experiment_design.information import (
@@ -90,9 +90,9 @@ def design(
     room, findings = read_room(campaign.room)
     names = room.materials
     known = (
-        known_by_priors(campaign, names)
+        information_from_priors(campaign, names)
         if result is None
-        else known_by_fit(campaign, names, result)
+        else information_from_fit(campaign, names, result)
     )
     distance_m = _source_distance_m(campaign, room, known)
     found = design_candidates(
@@ -102,34 +102,34 @@ def design(
     )
     n = choose_n or (CHOSEN if result is None else 1)
     n_pairs = n + len(measured_pairs(campaign))
-    heard = heard_candidates(campaign, found.scene, known, n_pairs, part(progress, 0.0, 0.95))
-    matrices = heard.matrices
+    traced = trace_candidates(campaign, found.scene, known, n_pairs, part(progress, 0.0, 0.95))
+    matrices = traced.matrices
     if misfit is not None and result is not None:
         at = np.searchsorted(result.bands.centres_hz, known.bands.centres_hz)
         matrices = matrices / np.maximum(misfit[at], 1.0)[:, None, None]
     pairs = PairInformation(matrices, _gains(campaign, found.scene))
     wanted = criterion or (campaign.design.criterion if result is None else "worst")
-    held = tuple(range(found.n_held))
+    fixed = tuple(range(found.n_fixed))
     rng = np.random.default_rng(campaign.seed)
-    chosen = choose(known.unknowns, pairs, found.rules, n, wanted, held, rng=rng)
+    chosen = choose(known.unknowns, pairs, found.rules, n, wanted, fixed, rng=rng)
     return Design(
         scene=found.scene,
-        n_held=found.n_held,
+        n_fixed=found.n_fixed,
         chosen=np.array(chosen),
         bands=known.bands,
         materials=names,
         to_find=known.unknowns.number >= 0,
-        widths=_widths(known.unknowns, pairs, held, chosen),
+        widths=_widths(known.unknowns, pairs, fixed, chosen),
         random_means=_random_means(campaign, known.unknowns, pairs, found, n, n_random),
         criterion=wanted,
-        model="coherent" if heard.coherent else "energy",
+        model="coherent" if traced.coherent else "energy",
         absorption=known.typical,
         n_draws=len(known.draws),
         after_fit=result is not None,
         source_distance_m=distance_m,
         receiver_distance_m=campaign.design.receiver_distance_m,
         wall_distance_m=campaign.design.wall_distance_m,
-        findings=(*findings, *known.findings, *found.findings, *heard.findings),
+        findings=(*findings, *known.findings, *found.findings, *traced.findings),
         seed=campaign.seed,
         seconds=time.perf_counter() - began,
     )
@@ -145,11 +145,11 @@ def _check_numbers(candidates: int, chosen: int | None, most_sources: int | None
             raise InputError(f"the number of {name} is below 1", found=str(number), needed="1")
 
 
-def _source_distance_m(campaign: Campaign, room: Room, known: Known) -> float:
+def _source_distance_m(campaign: Campaign, room: Room, known: PriorInformation) -> float:
     """Return the least distance of a receiver from its source, ISO 3382's where none is told."""
-    told = campaign.design.source_distance_m
-    if told is not None:
-        return told
+    specified_m = campaign.design.source_distance_m
+    if specified_m is not None:
+        return specified_m
     nobody = Scene(room, (), (), np.zeros((0, 2), dtype=np.int64), campaign.air)
     decay_s = float(np.median(eyring_time_s(nobody, known.bands, known.typical)))
     return least_source_distance_m(volume_m3(room.mesh), speed_of_sound_m_s(campaign.air), decay_s)
@@ -163,10 +163,10 @@ def _gains(campaign: Campaign, scene: Scene) -> IntArray:
 
 
 def _widths(
-    unknowns: Unknowns, pairs: PairInformation, held: tuple[int, ...], chosen: tuple[int, ...]
+    unknowns: Unknowns, pairs: PairInformation, fixed: tuple[int, ...], chosen: tuple[int, ...]
 ) -> FloatArray:
     """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands)."""
-    steps = [[*held, *chosen[:i]] for i in range(len(chosen) + 1)]
+    steps = [[*fixed, *chosen[:i]] for i in range(len(chosen) + 1)]
     return np.stack(
         [
             material_widths(
@@ -187,10 +187,10 @@ def _random_means(
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
     rng = np.random.default_rng(campaign.seed)
-    held = tuple(range(found.n_held))
+    fixed = tuple(range(found.n_fixed))
     out: FloatArray = np.full((n_random, n + 1), np.nan)
     for row in out:
-        drawn = random_design(found.rules, n, rng, held)
-        widths = _widths(unknowns, pairs, held, drawn)
+        drawn = random_design(found.rules, n, rng, fixed)
+        widths = _widths(unknowns, pairs, fixed, drawn)
         row[: len(drawn) + 1] = widths[:, unknowns.number >= 0].mean(axis=(1, 2))
     return out

@@ -22,7 +22,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.inversion.sequential import FIT_END_S
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.objective.coherent import (
     DELAY_SD_S,
@@ -31,7 +31,13 @@ from roomfit.objective.coherent import (
     coherent_problem,
     with_coherence,
 )
-from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.energy import (
+    EnergyProblem,
+    Observation,
+    fine_edges_s,
+    in_air,
+    squared_image_rows,
+)
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Block, Geometry, Parameters, start_vector, whole_covariance
 from roomfit.objective.windows import window_edges_s
@@ -40,11 +46,11 @@ from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m
 from roomfit.signals.filters import (
     FilterBank,
-    SmearingKernel,
-    share_matrix,
-    share_reach_s,
-    share_slopes_per_s,
-    smearing_kernel,
+    SpreadingKernel,
+    spreading_kernel,
+    spreading_matrix,
+    spreading_reach_s,
+    spreading_slopes_per_s,
     statistical_bandwidth_hz,
 )
 from roomfit.tracing.paths import Paths, select
@@ -66,7 +72,7 @@ class BandFilter:
     centre_hz, bandwidth_hz : float
     bank : FilterBank
         Of this band alone.
-    kernel : SmearingKernel
+    kernel : SpreadingKernel
         Of all bands.
     attenuation_per_m : float
     """
@@ -75,13 +81,13 @@ class BandFilter:
     centre_hz: float
     bandwidth_hz: float
     bank: FilterBank
-    kernel: SmearingKernel
+    kernel: SpreadingKernel
     attenuation_per_m: float
 
 
 def band_filters(bands: Bands, attenuation_per_m: FloatArray) -> tuple[BandFilter, ...]:
     """Return the filter of every band."""
-    kernel = smearing_kernel(FilterBank(bands))
+    kernel = spreading_kernel(FilterBank(bands))
     found = []
     for band, centre_hz in enumerate(bands.centres_hz):
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
@@ -125,30 +131,30 @@ def expected_problem(
     edges = window_edges_s(direct_s, usable_s, own.bandwidth_hz, periods=periods)
     fine = fine_edges_s(edges, own.bandwidth_hz)
     centres = 0.5 * (coarse.edges_s[1:] + coarse.edges_s[:-1])
-    reach_s = share_reach_s(own.kernel, own.band)
-    heard = centres[: int(np.searchsorted(centres, edges[-1] + reach_s))]
+    reach_s = spreading_reach_s(own.kernel, own.band)
+    bin_centres_s = centres[: int(np.searchsorted(centres, edges[-1] + reach_s))]
     noise = noise_per_s * np.diff(edges)
-    seen = Observation(
+    observed = Observation(
         0,
         edges,
         noise,
         noise,
-        share_matrix(own.kernel, own.band, heard, edges),
+        spreading_matrix(own.kernel, own.band, bin_centres_s, edges),
         fine,
-        share_matrix(own.kernel, own.band, heard, fine),
-        share_slopes_per_s(own.kernel, own.band, heard, edges),
+        spreading_matrix(own.kernel, own.band, bin_centres_s, fine),
+        spreading_slopes_per_s(own.kernel, own.band, bin_centres_s, edges),
         timing_sd_s,
         0,
     )
-    rows = first_rows(rows, heard.size)
+    rows = first_rows(rows, bin_centres_s.size)
     return in_air(
         EnergyProblem(
             own.centre_hz,
             own.bandwidth_hz,
             own.attenuation_per_m,
             (rows,),
-            (lone_rows(rows),),
-            (seen,),
+            (squared_image_rows(rows),),
+            (observed,),
             Parameters((absorption, _unit_gain())),
         )
     )
@@ -206,14 +212,14 @@ def about_geometry(information: FloatArray, first: int) -> FloatArray:
     return np.asarray(information[first:, first:] - cross.T @ np.linalg.solve(own, cross))
 
 
-def by_all_pairs(told: FloatArray, shared: BoolArray, n_others: int) -> FloatArray:
+def by_all_pairs(information: FloatArray, shared: BoolArray, n_others: int) -> FloatArray:
     """Return what a pair tells of the geometry, and n others as much of the part that all share."""
     own = ~shared
-    cross = told[np.ix_(shared, own)]
-    places = told[np.ix_(own, own)] + np.eye(int(own.sum()))
-    out = told.copy()
+    cross = information[np.ix_(shared, own)]
+    position_information = information[np.ix_(own, own)] + np.eye(int(own.sum()))
+    out = information.copy()
     out[np.ix_(shared, shared)] += n_others * (
-        told[np.ix_(shared, shared)] - cross @ np.linalg.solve(places, cross.T)
+        information[np.ix_(shared, shared)] - cross @ np.linalg.solve(position_information, cross.T)
     )
     return np.asarray(out)
 
@@ -232,11 +238,11 @@ def without_geometry(
     n_others : int
         Other pairs that tell as much of the shared part.
     """
-    told = [about_geometry(information, first) for information in found]
-    n = told[0].shape[0]
-    whole = by_all_pairs(sum(told, np.zeros((n, n))), shared, n_others)
+    geometry_information = [about_geometry(information, first) for information in found]
+    n = geometry_information[0].shape[0]
+    whole = by_all_pairs(sum(geometry_information, np.zeros((n, n))), shared, n_others)
     out = []
-    for information, own in zip(found, told, strict=True):
+    for information, own in zip(found, geometry_information, strict=True):
         known = np.eye(n) + whole - own + information[first:, first:]
         cross = information[:first, first:]
         taken = cross @ np.linalg.solve(known, cross.T)
@@ -269,13 +275,13 @@ class DesignTrace:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Foreseen:
+class ExpectedMeasurement:
     """How the measurements to be planned will be made and fitted.
 
     Attributes
     ----------
     bands : Bands
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
     coherent : bool
         Whether pressures of image sources will be added, or energies only.
     n_pairs : int
@@ -293,7 +299,7 @@ class Foreseen:
     """
 
     bands: Bands
-    knowledge: tuple[MaterialKnowledge, ...]
+    priors: tuple[MaterialPrior, ...]
     coherent: bool
     n_pairs: int
     decay_range_db: float
@@ -306,7 +312,7 @@ class Foreseen:
 def information_of_pairs(
     scene: Scene,
     traced: DesignTrace,
-    foreseen: Foreseen,
+    expected_measurement: ExpectedMeasurement,
     typical: FloatArray,
     draws: FloatArray,
     progress: Progress | None = None,
@@ -320,13 +326,15 @@ def information_of_pairs(
     scene : Scene
     traced : DesignTrace
         Paths of all pairs.
-    foreseen : Foreseen
+    expected_measurement : ExpectedMeasurement
     typical : float array, shape (n_materials, n_bands)
         Absorption by which windows and noise are laid out.
     draws : float array, shape (n_draws, n_materials, n_bands)
         Absorptions at which to ask.
     """
-    filters = band_filters(foreseen.bands, attenuation_per_m(scene.air, foreseen.bands))
+    filters = band_filters(
+        expected_measurement.bands, attenuation_per_m(scene.air, expected_measurement.bands)
+    )
     order = np.argsort(traced.paths.pair, kind="stable")
     ends = np.searchsorted(traced.paths.pair[order], np.arange(len(scene.pairs) + 1))
     found = []
@@ -337,11 +345,17 @@ def information_of_pairs(
         factors = None if traced.factors is None else traced.factors[:, own]
         alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
         problems = _problems(
-            alone, DesignTrace(paths, factors, traced.duration_s), filters, foreseen, typical
+            alone,
+            DesignTrace(paths, factors, traced.duration_s),
+            filters,
+            expected_measurement,
+            typical,
         )
-        times = _settled_times(problems, foreseen, typical)
-        settled = [_coherent(problem, times) for problem in problems]
-        found.append(np.stack([_at_draw(settled, foreseen, draw, times) for draw in draws]))
+        times = _information_on_times(problems, expected_measurement, typical)
+        coherent = [_coherent(problem, times) for problem in problems]
+        found.append(
+            np.stack([_at_draw(coherent, expected_measurement, draw, times) for draw in draws])
+        )
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
@@ -351,14 +365,16 @@ def _problems(
     alone: Scene,
     traced: DesignTrace,
     filters: tuple[BandFilter, ...],
-    foreseen: Foreseen,
+    expected_measurement: ExpectedMeasurement,
     typical: FloatArray,
 ) -> list[EnergyProblem | CoherentProblem]:
     """Return the problem of every band for the only pair of a scene."""
     c = speed_of_sound_m_s(alone.air)
     direct_s = float(distances_m(alone)[0] / c)
-    timing_sd_s = float(np.sqrt(2.0) * foreseen.position_sd_m / c)
-    binned = bin_paths(alone, foreseen.bands, traced.paths, traced.duration_s, traced.factors)
+    timing_sd_s = float(np.sqrt(2.0) * expected_measurement.position_sd_m / c)
+    binned = bin_paths(
+        alone, expected_measurement.bands, traced.paths, traced.duration_s, traced.factors
+    )
     image = np.flatnonzero(traced.paths.batch < 0)
     images = select(traced.paths, image)
     weights = None if traced.factors is None else traced.factors[:, image]
@@ -366,11 +382,14 @@ def _problems(
     for f in filters:
         energies = expected_problem(
             *(f, in_band(binned, f.centre_hz), direct_s),
-            *(_absorption(foreseen, f.band, typical[:, f.band]), foreseen.decay_range_db),
+            *(
+                _absorption(expected_measurement, f.band, typical[:, f.band]),
+                expected_measurement.decay_range_db,
+            ),
             timing_sd_s,
-            periods=_PRESSURE_PERIODS if foreseen.coherent else _ENERGY_PERIODS,
+            periods=_PRESSURE_PERIODS if expected_measurement.coherent else _ENERGY_PERIODS,
         )
-        if not foreseen.coherent:
+        if not expected_measurement.coherent:
             problems.append(energies)
             continue
         energies = replace(
@@ -378,8 +397,12 @@ def _problems(
         )
         problems.append(
             coherent_problem(
-                *(foreseen.bands, f.band, energies, f.attenuation_per_m),
-                *(paths_at(images, weights, f.band), binned, _pair_geometry(foreseen, c)),
+                *(expected_measurement.bands, f.band, energies, f.attenuation_per_m),
+                *(
+                    paths_at(images, weights, f.band),
+                    binned,
+                    _pair_geometry(expected_measurement, c),
+                ),
                 *(None, FIT_END_S),
             )
         )
@@ -388,7 +411,7 @@ def _problems(
 
 def _at_draw(
     problems: list[EnergyProblem | CoherentProblem],
-    foreseen: Foreseen,
+    expected_measurement: ExpectedMeasurement,
     absorption: FloatArray,
     covariance: FloatArray | None,
 ) -> FloatArray:
@@ -402,17 +425,21 @@ def _at_draw(
     problems : list of problems, one a band
         As coherent as arrival times will be known.
     covariance : float array, or None
-        Of the fitted arrival times, from `_settled_times`.
+        Of the fitted arrival times, from `_information_on_times`.
     """
     found = [_fisher(p, absorption[:, band]) for band, p in enumerate(problems)]
     if covariance is None:
         return np.stack(found)
     first = found[0].shape[0] - len(covariance)
-    return without_geometry(found, first, _shared(foreseen), foreseen.n_pairs - 1)
+    return without_geometry(
+        found, first, _shared(expected_measurement), expected_measurement.n_pairs - 1
+    )
 
 
-def _settled_times(
-    problems: list[EnergyProblem | CoherentProblem], foreseen: Foreseen, absorption: FloatArray
+def _information_on_times(
+    problems: list[EnergyProblem | CoherentProblem],
+    expected_measurement: ExpectedMeasurement,
+    absorption: FloatArray,
 ) -> FloatArray | None:
     """Return how uncertain arrival times are in the end: the covariance of their free numbers.
 
@@ -426,11 +453,13 @@ def _settled_times(
     covariance: FloatArray | None = None
     for band, problem in enumerate(problems):
         information = _fisher(_coherent(problem, covariance), absorption[:, band])
-        told = by_all_pairs(
-            about_geometry(information, first), _shared(foreseen), foreseen.n_pairs - 1
+        from_pairs = by_all_pairs(
+            about_geometry(information, first),
+            _shared(expected_measurement),
+            expected_measurement.n_pairs - 1,
         )
-        known = np.eye(len(told)) if covariance is None else np.linalg.inv(covariance)
-        inverse = np.linalg.inv(known + told)
+        known = np.eye(len(from_pairs)) if covariance is None else np.linalg.inv(covariance)
+        inverse = np.linalg.inv(known + from_pairs)
         covariance = np.asarray(0.5 * (inverse + inverse.T))
     return covariance
 
@@ -453,33 +482,41 @@ def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) ->
     problem = replace(problem, parameters=Parameters((replace(own, start=absorption), *others)))
     vector = start_vector(problem.parameters)
     jacobian = problem.predict(vector).jacobian
-    spread = problem.counted_as_one() * problem.variance(vector)
+    spread = problem.correlation_length() * problem.variance(vector)
     return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
 
 
-def _absorption(foreseen: Foreseen, band: int, absorption: FloatArray) -> Block:
-    return replace(absorption_block(foreseen.knowledge, band, 0.2), start=absorption)
+def _absorption(
+    expected_measurement: ExpectedMeasurement, band: int, absorption: FloatArray
+) -> Block:
+    return replace(absorption_block(expected_measurement.priors, band, 0.2), start=absorption)
 
 
-def _pair_geometry(foreseen: Foreseen, speed_m_s: float) -> Geometry:
+def _pair_geometry(expected_measurement: ExpectedMeasurement, speed_m_s: float) -> Geometry:
     """Return the unknowns of one pair's arrival times, each pair's its own."""
-    names = tuple(f"delay {k.name}" for k in foreseen.knowledge)
-    told = [k.wall_delay_sd_s for k in foreseen.knowledge]
-    delays = [DELAY_SD_S if sd is None else sd for sd in told]
+    names = tuple(f"delay {k.name}" for k in expected_measurement.priors)
+    delay_sds_s = [k.wall_delay_sd_s for k in expected_measurement.priors]
+    delays = [DELAY_SD_S if sd is None else sd for sd in delay_sds_s]
     n = len(names)
-    sd = [*(6 * [foreseen.position_sd_m]), foreseen.speed_sd, LATENCY_SD_S["emission"]]
+    sd = [
+        *(6 * [expected_measurement.position_sd_m]),
+        expected_measurement.speed_sd,
+        LATENCY_SD_S["emission"],
+    ]
     return Geometry(
         (*(f"{p} {x}" for p in ("source", "receiver") for x in "xyz"), "speed", "latency", *names),
-        np.array([*sd, *(delays if foreseen.wall_delays else n * [0.0])]),
-        np.array(8 * [foreseen.positions_free] + n * [foreseen.wall_delays]),
+        np.array([*sd, *(delays if expected_measurement.wall_delays else n * [0.0])]),
+        np.array(
+            8 * [expected_measurement.positions_free] + n * [expected_measurement.wall_delays]
+        ),
         speed_m_s,
         np.arange(8 + n)[None, :],
     )
 
 
-def _shared(foreseen: Foreseen) -> BoolArray:
+def _shared(expected_measurement: ExpectedMeasurement) -> BoolArray:
     """Return which fitted entries of `_pair_geometry` all pairs have in common."""
-    geometry = _pair_geometry(foreseen, 1.0)
+    geometry = _pair_geometry(expected_measurement, 1.0)
     common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
     return np.asarray(common[geometry.fitted & (geometry.sd > 0.0)])
 

@@ -64,17 +64,17 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
                 "mean_width95": float(means[i + 1]),
                 "width95": _by_material(design, design.widths[i + 1]),
             }
-            for i, (source, source_m, receiver, receiver_m) in enumerate(_places(design))
+            for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design))
         ],
         "before": {
             "mean_width95": float(means[0]),
             "width95": _by_material(design, design.widths[0]),
             "after_fit": design.after_fit,
-            "measured_pairs": design.n_held,
+            "measured_pairs": design.n_fixed,
         },
         "widest": _widest(design),
         "random": _random(design),
-        "candidates": len(design.scene.pairs) - design.n_held,
+        "candidates": len(design.scene.pairs) - design.n_fixed,
         "assumed": {
             "model": design.model,
             "criterion": design.criterion,
@@ -99,7 +99,7 @@ def design_csv(design: Design) -> str:
     writer = csv.writer(stream, lineterminator="\n")
     writer.writerow(_COLUMNS)
     after = mean_widths(design)[1:]
-    for i, (source, source_m, receiver, receiver_m) in enumerate(_places(design)):
+    for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
         at = [[f"{x:.3f}" for x in place] for place in (source_m, receiver_m)]
         distance = float(np.linalg.norm(source_m - receiver_m))
         row = [i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"]
@@ -107,7 +107,7 @@ def design_csv(design: Design) -> str:
     return stream.getvalue()
 
 
-def _places(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
+def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
     found = []
     for s, r in design.scene.pairs[design.chosen]:
         source, receiver = design.scene.sources[s], design.scene.receivers[r]
@@ -176,9 +176,9 @@ def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
     pairs = scene.pairs[design.chosen]
     axes.plot(*receivers.T, ".", color=_GREY, ms=4, label="candidate receiver")
     axes.plot(*sources.T, "^", color=_GREY, ms=6, mfc="none", label="candidate source")
-    held = scene.pairs[: design.n_held]
-    if len(held):
-        used = receivers[np.unique(held[:, 1])]
+    fixed = scene.pairs[: design.n_fixed]
+    if len(fixed):
+        used = receivers[np.unique(fixed[:, 1])]
         axes.plot(*used.T, "s", color="black", ms=6, mfc="none", label="measured already")
     for s, r in pairs:
         ends = np.array([sources[s], receivers[r]])
@@ -220,7 +220,7 @@ def design_gain(design: Design) -> Figure:
     axes.set_ylim(bottom=0.0)
     axes.set_xlim(left=0.0)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    beside = " beside what is known" if design.after_fit or design.n_held else ""
+    beside = " beside what is known" if design.after_fit or design.n_fixed else ""
     axes.set_xlabel(f"measured pairs of source and receiver{beside}")
     axes.set_ylabel("expected width of the 95 % interval,\nmean over materials and bands")
     axes.grid(alpha=0.25)
@@ -248,9 +248,9 @@ def design_text(design: Design) -> str:
 
 
 def _opening(design: Design) -> str:
-    n = len(design.scene.pairs) - design.n_held
-    before = "a finished fit" if design.after_fit else f"{design.n_held} measured pairs"
-    known = f", after {before}" if design.after_fit or design.n_held else ""
+    n = len(design.scene.pairs) - design.n_fixed
+    before = "a finished fit" if design.after_fit else f"{design.n_fixed} measured pairs"
+    known = f", after {before}" if design.after_fit or design.n_fixed else ""
     return (
         f"{len(design.chosen)} of {n} pairs, chosen for {_CRITERIA[design.criterion]}{known};\n"
         f"by {_MODELS[design.model]}.\n"

@@ -139,7 +139,7 @@ def _distinct(
 
     Fewer than three corners mean a face that welding has closed up.
     """
-    seen: dict[tuple[int, ...], tuple[int, ...]] = {}
+    visited: dict[tuple[int, ...], tuple[int, ...]] = {}
     stands_for = representative.tolist()
     for face in faces:
         welded = [stands_for[corner] for corner in face.corners]
@@ -154,7 +154,7 @@ def _distinct(
             continue
         turn = _from_smallest(corners)
         outline = min(turn, _from_smallest(corners[::-1]))
-        earlier = seen.setdefault(outline, turn)
+        earlier = visited.setdefault(outline, turn)
         if earlier is turn:
             yield np.array(corners), face.surface
         elif earlier == turn or face.surface.double_sided:

@@ -203,11 +203,11 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
     leak = find_leaks(mesh, points, n_rays, seed, _BOUNCES)
     if not leak.n_escapes:
         return 0.0, []
-    told = f"{leak.n_escapes} of {n_rays} rays lost in {leak.n_hits} hits"
+    counts = f"{leak.n_escapes} of {n_rays} rays lost in {leak.n_hits} hits"
     evidence = {"escapes": leak.n_escapes, "hits": leak.n_hits, "limit": LEAK_LIMIT}
     if leak.fraction <= LEAK_LIMIT:
         text = (
-            f"The mesh leaks a little: {told} ({1e2 * leak.fraction:.3g} %; "
+            f"The mesh leaks a little: {counts} ({1e2 * leak.fraction:.3g} %; "
             f"up to {1e2 * LEAK_LIMIT:g} % is harmless), {_ways_out(mesh, leak)}."
         )
         return leak.fraction, [Finding(Code.SMALL_LEAK, text, evidence)]
@@ -215,7 +215,7 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
         Code.LEAK,
         "the mesh leaks",
         where=_ways_out(mesh, leak),
-        found=f"{told} ({1e2 * leak.fraction:.3g} %)",
+        found=f"{counts} ({1e2 * leak.fraction:.3g} %)",
         needed=f"at most {1e2 * LEAK_LIMIT:g} % of the hits",
         hint="close the gap in the drawing program, or add the missing surface",
         **evidence,

@@ -47,10 +47,10 @@ def fault(
     `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
     """
     parts = {"where": where, "found": found, "needed": needed, "try": hint}
-    told = {key: text for key, text in parts.items() if text}
+    given_parts = {key: text for key, text in parts.items() if text}
     place = f" at {where}" if where else ""
     count = f": {found}" if found else ""
-    return Finding(code, f"{what}{place}{count}.", {"what": what, **told, **evidence})
+    return Finding(code, f"{what}{place}{count}.", {"what": what, **given_parts, **evidence})
 
 
 def refuse(findings: Iterable[Finding]) -> None:
@@ -64,16 +64,16 @@ def refuse(findings: Iterable[Finding]) -> None:
     serious = [f for f in findings if f.severity == "serious"]
     if not serious:
         return
-    told = serious[0].evidence
-    hints = [str(told["try"])] if "try" in told else []
+    evidence = serious[0].evidence
+    hints = [str(evidence["try"])] if "try" in evidence else []
     if len(serious) > 1:
         others = sorted({f.code for f in serious[1:]})
         hints.append(f"there are {len(serious) - 1} more faults ({', '.join(others)})")
     raise InputError(
-        str(told.get("what", serious[0].sentence)),
-        where=told.get("where"),
-        found=told.get("found"),
-        needed=told.get("needed"),
+        str(evidence.get("what", serious[0].sentence)),
+        where=evidence.get("where"),
+        found=evidence.get("found"),
+        needed=evidence.get("needed"),
         hint="; ".join(hints) or None,
     )
 

@@ -105,8 +105,8 @@ def damped_responses(
     return DampedResponses(tuple(pressure), tuple(noise), tuple(findings))
 
 
-UNTOLD_SD_M = 0.01
-UNTOLD_SPEED_SD = 0.01
+DEFAULT_IMPEDANCE_POSITION_SD_M = 0.01
+DEFAULT_SPEED_SD = 0.01
 _KELVIN = 293.15
 
 # A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
@@ -201,12 +201,12 @@ def _scene(
 
 def _refuse_directivity(campaign: Campaign, scene: Scene) -> None:
     for source in scene.sources:
-        told = campaign.directivities.get(source.name, "omni")
-        if told != "omni":
+        directivity = campaign.directivities.get(source.name, "omni")
+        if directivity != "omni":
             raise InputError(
                 "impedances need sources that radiate alike in all directions",
                 where=f"{campaign.path}, sources.{source.name}.directivity",
-                found=repr(told),
+                found=repr(directivity),
                 needed='"omni"; a directivity is refused so that no answer pretends to obey it',
             )
 
@@ -215,16 +215,18 @@ def _grid(
     campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[DampedSpectrum]
 ) -> tuple[FloatArray, float]:
     """Return the frequencies and the window: those of the spectra where there are any."""
-    told = campaign.impedance
+    table = campaign.impedance
     where = f"{campaign.path}, impedance"
-    if told.from_hz >= told.to_hz and not read:
+    if table.from_hz >= table.to_hz and not read:
         raise InputError(
             "the lowest frequency lies above the highest",
             where=where,
-            found=f"from_hz = {told.from_hz:g}, to_hz = {told.to_hz:g}",
+            found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
         )
     if not read:
-        return np.arange(told.from_hz, told.to_hz + 0.5 * told.step_hz, told.step_hz), told.tau_s
+        return np.arange(
+            table.from_hz, table.to_hz + 0.5 * table.step_hz, table.step_hz
+        ), table.tau_s
     first = read[0]
     for file, other in zip(spectra[1:], read[1:], strict=True):
         same = np.array_equal(other.frequency_hz, first.frequency_hz)
@@ -237,13 +239,13 @@ def _grid(
                 f"tau {first.tau_s:g} s",
             )
     f = first.frequency_hz
-    own = f[(f >= told.from_hz) & (f <= told.to_hz)]
+    own = f[(f >= table.from_hz) & (f <= table.to_hz)]
     if len(own) == 0:
         raise InputError(
             "no frequency of the spectra lies between from_hz and to_hz",
             where=where,
             found=f"{f[0]:g} to {f[-1]:g} Hz",
-            needed=f"{told.from_hz:g} to {told.to_hz:g} Hz",
+            needed=f"{table.from_hz:g} to {table.to_hz:g} Hz",
         )
     return own, first.tau_s
 
@@ -251,12 +253,12 @@ def _grid(
 def _nuisances(
     campaign: Campaign, files: list[MeasuredFile], spectra: list[MeasuredSpectrum]
 ) -> Nuisances:
-    told = campaign.impedance
+    table = campaign.impedance
     speed_sd = 0.0
-    if told.speed_of_sound == "fit":
+    if table.speed_of_sound == "fit":
         kelvin = campaign.temperature_sd_c
         # c grows as the root of the absolute temperature
-        speed_sd = UNTOLD_SPEED_SD if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
+        speed_sd = DEFAULT_SPEED_SD if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
     gain = _gain(campaign, files, spectra)
     # an onset that was found in each file is off in each; a clock is one of a source
     own = any(m.response.time_zero == "direct" for m in files)
@@ -264,7 +266,7 @@ def _nuisances(
     # a spectrum for each source and frequency holds any delay of the source
     known = gain in ("spectrum", "pair-spectrum") and not own
     return Nuisances(
-        position_sd_m=0.0 if told.positions == "fixed" else UNTOLD_SD_M,
+        position_sd_m=0.0 if table.positions == "fixed" else DEFAULT_IMPEDANCE_POSITION_SD_M,
         speed_sd=speed_sd,
         gain=gain,
         delay_sd_s=0.0 if known else max(delays, default=0.0),
@@ -322,14 +324,15 @@ def wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wal
 
 def _wall_model(table: MaterialTable) -> WallModel:
     kind = table.impedance or "spline"
-    told = dict(table.impedance_start or {})
+    specified = dict(table.impedance_start or {})
     if kind in LAWS:
         known = {p.name: p for p in LAWS[kind][1]}
         return WallModel(
-            kind, parameters={name: _parameter(known, kind, name, v) for name, v in told.items()}
+            kind,
+            parameters={name: _parameter(known, kind, name, v) for name, v in specified.items()},
         )
     start: complex = 0.8
-    for name, value in told.items():
+    for name, value in specified.items():
         if name != "r0":
             raise InputError(
                 "unknown key of impedance_start",

@@ -39,12 +39,12 @@ from roomfit.impedance.problem import (
     Problem,
     Whitened,
     data_rows,
-    evident_model_error,
-    honest_covariance,
     layout_of,
     levenberg_marquardt,
+    marginal_likelihood_error,
     prior_rows,
     r0_of,
+    robust_covariance,
     start_of,
     state_of,
 )
@@ -83,9 +83,9 @@ class ImpedanceFit:
     covariance : float array, shape (n_unknowns, n_unknowns)
         With the model's own error as it is in this room.
     model_error : float
-        That error, see `roomfit.impedance.problem.evident_model_error`.
+        That error, see `roomfit.impedance.problem.marginal_likelihood_error`.
     evaluations, rounds : int
-    settled : bool
+    converged : bool
         Whether the rounds ended because nothing moved any more.
     """
 
@@ -103,7 +103,7 @@ class ImpedanceFit:
     model_error: float
     evaluations: int
     rounds: int
-    settled: bool
+    converged: bool
 
 
 def reduced_chi2(fit: ImpedanceFit) -> float:
@@ -140,7 +140,7 @@ def descend(
     return levenberg_marquardt(rows, x, gain=gain)
 
 
-def relaxed(
+def continuation(
     problem: Problem,
     x: FloatArray,
     stages: Sequence[float] = STAGES[:2],
@@ -168,7 +168,7 @@ def relaxed(
     return x, cost, evaluations
 
 
-def refined(
+def polish(
     problem: Problem,
     x: FloatArray,
     roughness_sd: FloatArray | None = None,
@@ -180,7 +180,7 @@ def refined(
     ----------
     problem : Problem
     x : float array, shape (n_unknowns,)
-        From `relaxed`, or of an earlier fit.
+        From `continuation`, or of an earlier fit.
     roughness_sd : float array, shape (n_materials,), optional
         Where it is known already; else the last of the `STAGES`, then by its evidence.
     progress : callable, optional
@@ -188,22 +188,22 @@ def refined(
     layout = layout_of(problem)
     rough = np.full(len(problem.curves), STAGES[-1]) if roughness_sd is None else roughness_sd
     correction = _correction(problem, layout, x)
-    r0, evaluations, settled, rounds = r0_of(problem, layout, x), 0, False, 0
+    r0, evaluations, converged, rounds = r0_of(problem, layout, x), 0, False, 0
     while True:
         rounds += 1
         found = descend(problem, layout, x, rough, correction)
         x, evaluations = found.x, evaluations + found.evaluations
         before, r0 = r0, r0_of(problem, layout, x)
         moved = float(np.sqrt(np.mean(np.abs(r0 - before) ** 2, axis=1)).max())
-        settled = moved <= _SETTLED
+        converged = moved <= _SETTLED
         if progress is not None:
             progress(rounds / _MOST_ROUNDS)
-        if rounds >= _MOST_ROUNDS or (settled and rounds > 1):
+        if rounds >= _MOST_ROUNDS or (converged and rounds > 1):
             break
         if rounds <= _EVIDENCE_ROUNDS:
-            rough = _evident_roughness(problem, layout, found, rough)
+            rough = _marginal_likelihood_roughness(problem, layout, found, rough)
         correction = _correction(problem, layout, x)
-    return _fit(problem, layout, found, correction, rough, (evaluations, rounds, settled))
+    return _fit(problem, layout, found, correction, rough, (evaluations, rounds, converged))
 
 
 def _correction(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
@@ -220,7 +220,7 @@ def passive(r0: ComplexArray) -> ComplexArray:
     return np.asarray(r0 / np.maximum(np.abs(r0), 1.0))
 
 
-def _evident_roughness(
+def _marginal_likelihood_roughness(
     problem: Problem, layout: Layout, found: Minimum, rough: FloatArray
 ) -> FloatArray:
     """Return the roughness of each material under which what was found is most probable.
@@ -260,7 +260,7 @@ def _fit(
         n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
         effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
     linear = Whitened(data.residual, data.jacobian, found.normal)
-    error = evident_model_error(problem, linear)
+    error = marginal_likelihood_error(problem, linear)
     return ImpedanceFit(
         problem,
         layout,
@@ -272,7 +272,7 @@ def _fit(
         found.normal,
         data.residual,
         effective,
-        honest_covariance(problem, linear, error, effective),
+        robust_covariance(problem, linear, error, effective),
         error,
         *ended,
     )
@@ -356,9 +356,9 @@ def with_laws(
     .. [1] G. Schwarz, "Estimating the dimension of a model", Annals of Statistics 6, 461-464
            (1978).
     """
-    told = {i: w for i, w in enumerate(walls.values()) if w.kind in LAWS}
-    if told:
-        curves = {i: _nearest_law(fit, i, [w.kind], w, rng)[0] for i, w in told.items()}
+    with_law = {i: w for i, w in enumerate(walls.values()) if w.kind in LAWS}
+    if with_law:
+        curves = {i: _nearest_law(fit, i, [w.kind], w, rng)[0] for i, w in with_law.items()}
         fit = _replaced(fit, curves)
     tried: dict[str, dict[str, float]] = {}
     for i, (name, wall) in enumerate(walls.items()):
@@ -390,7 +390,7 @@ def _replaced(fit: ImpedanceFit, curves: Mapping[int, Curve]) -> ImpedanceFit:
     for i, (new, old) in enumerate(zip(layout.curves, fit.layout.curves, strict=True)):
         x[new] = own[i].start if i in curves else fit.x[old]
     x[layout.curves[-1].stop :] = fit.x[fit.layout.curves[-1].stop :]
-    return refined(other, x, fit.roughness_sd)
+    return polish(other, x, fit.roughness_sd)
 
 
 def _nearest_law(
@@ -482,7 +482,7 @@ class Start(NamedTuple):
     cost: float
 
 
-def looked_around(
+def multistart(
     problem: Problem,
     n_random: int,
     rng: np.random.Generator,
@@ -501,7 +501,7 @@ def looked_around(
         if number > 0:
             for place, curve in zip(layout.curves, thin.curves, strict=True):
                 x[place] = _random_start(curve.start, isinstance(curve, Spline), rng)
-        x, cost, _ = relaxed(thin, x, gain=1e-5)
+        x, cost, _ = continuation(thin, x, gain=1e-5)
         found.append(Start(x, r0_of(thin, layout, x), cost))
         if progress is not None:
             progress((number + 1) / (1 + n_random))

@@ -23,13 +23,13 @@ from roomfit.impedance.fit import (
     ImpedanceFit,
     Start,
     WallModel,
+    continuation,
     distance,
     distinct,
     first_curves,
-    looked_around,
+    multistart,
+    polish,
     reduced_chi2,
-    refined,
-    relaxed,
     thinned,
     with_laws,
 )
@@ -92,19 +92,19 @@ def identify_impedance(
         Data, walls and scene do not belong together.
     """
     began = time.perf_counter()
-    told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
+    models = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
     bare = model_without_paths(scene, observed.frequency_hz, observed.tau_s)
     problem = _problem(bare, observed, walls, nuisances, spherical, model_error)
-    findings = data_findings(problem, told)
+    findings = data_findings(problem, models)
     if findings:
         return answer_without_fit(problem, findings, time.perf_counter() - began)
     problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
-    starts = looked_around(problem, n_random_starts, rng, _part(progress, 0.0, 0.3))
-    fit = refined(problem, starts[0].x, progress=_part(progress, 0.3, 0.6))
+    starts = multistart(problem, n_random_starts, rng, _part(progress, 0.0, 0.3))
+    fit = polish(problem, starts[0].x, progress=_part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:
         fit = _with_estimated_noise(fit)
-    fit = with_laws(fit, told, rng).fit
+    fit = with_laws(fit, models, rng).fit
     if progress is not None:
         progress(0.9)
     return judged_answer(fit, starts, rivals, observed, time.perf_counter() - began, _again)
@@ -155,12 +155,12 @@ def _problem(
     model_error: float | None,
 ) -> Problem:
     scene = model.scene
-    told = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
+    models = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
     _check_names(scene, walls or {})
     usual = MODEL_ERROR if spherical else PLANE_MODEL_ERROR
     factor = usual if model_error is None else model_error
     sd = _deviation(model, observed, factor)
-    curves = tuple(first_curves(told, observed.frequency_hz))
+    curves = tuple(first_curves(models, observed.frequency_hz))
     return Problem(model, observed, sd, curves, nuisances or Nuisances(), spherical, factor)
 
 
@@ -179,7 +179,7 @@ def _rivals(
     for start in distinct(starts)[1:]:
         if start.cost > _RIVAL * starts[0].cost:
             continue
-        other = refined(problem, start.x)
+        other = polish(problem, start.x)
         as_good = reduced_chi2(other) <= max(1.2 * reduced_chi2(fit), 1.0)
         if as_good and distance(other.r0, fit.r0) > 5.0 * SAME_WITHIN:
             found.append(other)
@@ -191,11 +191,11 @@ def _with_estimated_noise(fit: ImpedanceFit) -> ImpedanceFit:
     problem = fit.problem
     observed = replace(problem.observed, noise=estimated_noise(fit))
     sd = _deviation(problem.model, observed, problem.model_error)
-    return refined(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)
+    return polish(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)
 
 
 def _again(problem: Problem) -> ImpedanceFit:
     """Return the fit of a changed problem, from the start of its curves."""
     thin = thinned(problem)
-    x, _, _ = relaxed(thin, start_of(thin))
-    return refined(problem, x)
+    x, _, _ = continuation(thin, start_of(thin))
+    return polish(problem, x)

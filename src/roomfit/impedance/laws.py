@@ -425,10 +425,10 @@ def law_curve(
     kind: str,
     frequency_hz: ComplexArray,
     speed_m_s: float,
-    told: Mapping[str, Parameter] | None = None,
+    specified: Mapping[str, Parameter] | None = None,
 ) -> LawCurve:
     """Return a law with its usual starts and bounds, or those that were told."""
     _, usual = LAWS[kind]
     return LawCurve(
-        kind, frequency_hz, speed_m_s, tuple((told or {}).get(p.name, p) for p in usual)
+        kind, frequency_hz, speed_m_s, tuple((specified or {}).get(p.name, p) for p in usual)
     )

@@ -139,8 +139,8 @@ def impedance_csv(answer: ImpedanceAnswer) -> str:
         columns = [_column(material, n, e) for n in _COLUMNS for e in ("", "_lower95", "_upper95")]
         for j, frequency in enumerate(answer.frequency_hz):
             cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
-            told = "true" if material.identified[j] else "false"
-            writer.writerow([material.name, f"{frequency:g}", *cells, told])
+            identified = "true" if material.identified[j] else "false"
+            writer.writerow([material.name, f"{frequency:g}", *cells, identified])
     return stream.getvalue()
 
 

@@ -133,8 +133,8 @@ def layout_of(problem: Problem) -> Layout:
     axes: list[IntArray] = []
     sds: list[FloatArray] = []
     for points, used in ((scene.sources, scene.pairs[:, 0]), (scene.receivers, scene.pairs[:, 1])):
-        told = [p.position_sd_m for p in points]
-        sd = np.array([nuisances.position_sd_m if s is None else s for s in told])
+        position_sds_m = [p.position_sd_m for p in points]
+        sd = np.array([nuisances.position_sd_m if s is None else s for s in position_sds_m])
         sd = np.maximum(sd, nuisances.least_position_sd_m)
         moving = [i for i in np.unique(used) if sd[i] > 0.0]
         axes.append(np.array([(i, a) for i in moving for a in range(3)], np.int64).reshape(-1, 2))
@@ -151,8 +151,8 @@ def layout_of(problem: Problem) -> Layout:
     speed = take(1 if nuisances.speed_sd > 0.0 else 0)
     gain = take(2 * len(np.unique(gains)))
     delay = take(len(np.unique(delays)) if nuisances.delay_sd_s > 0.0 else 0)
-    places = axes[0], axes[1], sds[0], sds[1]
-    return Layout(tuple(slices), *places, *moves, speed, gain, delay, gains, delays, at)
+    position_blocks = axes[0], axes[1], sds[0], sds[1]
+    return Layout(tuple(slices), *position_blocks, *moves, speed, gain, delay, gains, delays, at)
 
 
 def start_of(problem: Problem) -> FloatArray:
@@ -225,7 +225,7 @@ class Whitened(NamedTuple):
     normal: FloatArray
 
 
-def evident_model_error(problem: Problem, fit: Whitened) -> float:
+def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
     """Return the factor of the model's own error that makes what was measured most probable.
 
     The restricted likelihood [1]_: unknowns of the fit integrated out, so that what they have taken
@@ -289,7 +289,7 @@ def relative_variance(problem: Problem, factor: float) -> FloatArray:
     return np.tile(ratio, 2) if problem.observed.has_phase else np.asarray(ratio)
 
 
-def honest_covariance(
+def robust_covariance(
     problem: Problem, fit: Whitened, factor: float, effective: float
 ) -> FloatArray:
     """Return the covariance of what a fit found where the model's error is another than weighed.

@@ -440,22 +440,23 @@ def likely_cause(fit: ImpedanceFit, again: Callable[[Problem], ImpedanceFit]) ->
                 f"low frequency: only below {octaves[0][1]:.0f} Hz, where image sources are a "
                 "poor picture of waves"
             )
-    told = fit.problem.nuisances
+    nuisances = fit.problem.nuisances
     before = reduced_chi2(fit)
     for cause, freed in (
-        ("positions or the speed of sound", _free_geometry(told)),
-        ("the gain", _free_gain(told)),
-        ("positions and the gain", _free_gain(_free_geometry(told))),
+        ("positions or the speed of sound", _free_geometry(nuisances)),
+        ("the gain", _free_gain(nuisances)),
+        ("positions and the gain", _free_gain(_free_geometry(nuisances))),
     ):
-        if freed == told:
+        if freed == nuisances:
             continue
         other = again(replace(fit.problem, nuisances=freed))
         after = reduced_chi2(other)
         if fits(other) or after < 0.1 * before:
             return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
-    if not has_free_spectra(told) and _spectra_can_be_told(fit.problem):
+    if not has_free_spectra(nuisances) and _spectra_are_identifiable(fit.problem):
         spectra = replace(
-            _free_geometry(told), gain="pair-spectrum" if told.gain == "pair" else "spectrum"
+            _free_geometry(nuisances),
+            gain="pair-spectrum" if nuisances.gain == "pair" else "spectrum",
         )
         after = reduced_chi2(again(replace(fit.problem, nuisances=spectra)))
         # so many free numbers make any fit better
@@ -471,23 +472,23 @@ def likely_cause(fit: ImpedanceFit, again: Callable[[Problem], ImpedanceFit]) ->
     )
 
 
-def _spectra_can_be_told(problem: Problem) -> bool:
+def _spectra_are_identifiable(problem: Problem) -> bool:
     """Whether each source has been heard at two places and more, phases and all."""
     counts = np.unique(problem.model.scene.pairs[:, 0], return_counts=True)[1]
     return problem.observed.has_phase and bool(counts.min() >= 2)
 
 
-def _free_geometry(told: Nuisances) -> Nuisances:
+def _free_geometry(nuisances: Nuisances) -> Nuisances:
     return replace(
-        told,
-        position_sd_m=max(told.position_sd_m, 0.02),
-        least_position_sd_m=max(told.least_position_sd_m, 0.02),
-        speed_sd=max(told.speed_sd, 0.01),
+        nuisances,
+        position_sd_m=max(nuisances.position_sd_m, 0.02),
+        least_position_sd_m=max(nuisances.least_position_sd_m, 0.02),
+        speed_sd=max(nuisances.speed_sd, 0.01),
     )
 
 
-def _free_gain(told: Nuisances) -> Nuisances:
-    return replace(told, gain="source") if told.gain in ("known", "common") else told
+def _free_gain(nuisances: Nuisances) -> Nuisances:
+    return replace(nuisances, gain="source") if nuisances.gain in ("known", "common") else nuisances
 
 
 def enough_identified(materials: tuple[MaterialAnswer, ...]) -> FloatArray:
@@ -582,22 +583,22 @@ def found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
     """Return every nuisance of a fit with its interval, in the order of the unknowns."""
     problem, layout, x = fit.problem, fit.layout, fit.x
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
-    scene, told = problem.model.scene, problem.nuisances
+    scene, nuisances = problem.model.scene, problem.nuisances
     found: list[FoundNuisance] = []
 
     def add(name: str, unit: str, at: int, scale: float, middle: float = 0.0) -> None:
         value, reach = middle + x[at] * scale, _REACH * sd[at] * scale
         found.append(FoundNuisance(name, unit, value, value - reach, value + reach, scale))
 
-    for moves, places, sds, points in (
+    for moves, axes, sds, points in (
         (layout.moves_source, layout.source, layout.source_sd_m, scene.sources),
         (layout.moves_receiver, layout.receiver, layout.receiver_sd_m, scene.receivers),
     ):
-        for n, (point, axis) in enumerate(places):
+        for n, (point, axis) in enumerate(axes):
             add(f"{_AXES[axis]} of {points[point].name}", "m", moves.start + n, float(sds[n]))
     if layout.speed.stop > layout.speed.start:
         speed = problem.model.speed_m_s
-        add("speed of sound", "m/s", layout.speed.start, told.speed_sd * speed, speed)
+        add("speed of sound", "m/s", layout.speed.start, nuisances.speed_sd * speed, speed)
     n_gains = (layout.gain.stop - layout.gain.start) // 2
     for n in range(n_gains):
         add(f"gain {n + 1}", "dB", layout.gain.start + n, _DB)
@@ -605,9 +606,9 @@ def found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
     for n in range(layout.delay.stop - layout.delay.start):
         source, receiver = scene.pairs[np.flatnonzero(layout.delay_of_pair == n)[0]]
         name = scene.sources[source].name
-        if told.delay == "pair":
+        if nuisances.delay == "pair":
             name += f" to {scene.receivers[receiver].name}"
-        add(f"delay of {name}", "s", layout.delay.start + n, told.delay_sd_s)
+        add(f"delay of {name}", "s", layout.delay.start + n, nuisances.delay_sd_s)
     return tuple(found)
 
 
@@ -632,8 +633,8 @@ def wall_condition(fit: ImpedanceFit) -> float:
     own, other = jacobian[:, :n], jacobian[:, n:]
     if other.shape[1]:
         weak: FloatArray = np.eye(other.shape[1])
-        held = np.linalg.solve(other.T @ other + weak, other.T @ own)
-        own = own - other @ held
+        explained = np.linalg.solve(other.T @ other + weak, other.T @ own)
+        own = own - other @ explained
     singular = np.linalg.svd(own, compute_uv=False)
     return float(singular[0] / max(singular[-1], 1e-300))
 
@@ -688,7 +689,7 @@ def judged_answer(
         problem.observed.pressure,
         predicted_pairs(fit),
         problem.sd,
-        "nothing moved any more" if fit.settled else "the most rounds were used up",
+        "nothing moved any more" if fit.converged else "the most rounds were used up",
         fit.evaluations,
         fit.rounds,
         seconds,

@@ -317,7 +317,7 @@ def _reflect(
 def pressure_gradients(
     pair_first: IntArray,
     vector_m: FloatArray,
-    unfolding: FloatArray,
+    image_transform: FloatArray,
     bounce_first: IntArray,
     material: IntArray,
     normal: FloatArray,
@@ -328,8 +328,8 @@ def pressure_gradients(
 ) -> tuple[ComplexArray, ComplexArray, ComplexArray, ComplexArray, ComplexArray]:
     """Return the pressures with plane waves at the walls, and their exact derivatives.
 
-    Arguments as of `pressures`; `unfolding` of the paths; `with_geometry` false leaves the last
-    three derivatives zero.
+    Arguments as of `pressures`; `image_transform` of the paths; `with_geometry` false leaves the
+    last three derivatives zero.
 
     Returns
     -------
@@ -375,7 +375,7 @@ def pressure_gradients(
             _backward(material[own], slopes, before, back, by_r0[pair])
             if with_geometry:
                 _turned(normal[own], cosines, r, slopes, back)
-                a = unfolding[path]
+                a = image_transform[path]
                 for f in range(n_f):
                     gx, gy, gz = back[2, f], back[3, f], back[4, f]
                     gx, gy, gz = gx + back[1, f] * x, gy + back[1, f] * y, gz + back[1, f] * z
@@ -483,15 +483,15 @@ class UnfoldedPaths:
 
     From its image a path runs straight along `vector_m` to the receiver. When the source moves by
     dS and the receiver by dR, without another wall coming into play, it runs along
-    ``vector_m + dR - unfolding dS``, exactly. A bounce stands for one or several hits at the same
-    angle: its cosine of incidence is that between the path and `normal`.
+    ``vector_m + dR - image_transform dS``, exactly. A bounce stands for one or several hits at the
+    same angle: its cosine of incidence is that between the path and `normal`.
 
     Attributes
     ----------
     pair_first : int64 array, shape (n_pairs + 1,)
         Pair i owns the paths ``pair_first[i]:pair_first[i + 1]``, shortest first.
     vector_m : float array, shape (n_paths, 3)
-    unfolding : float array, shape (n_paths, 3, 3)
+    image_transform : float array, shape (n_paths, 3, 3)
     bounce_first : int64 array, shape (n_paths + 1,)
         Path i owns the bounces ``bounce_first[i]:bounce_first[i + 1]``.
     material : int64 array, shape (n_bounces,)
@@ -503,7 +503,7 @@ class UnfoldedPaths:
 
     pair_first: IntArray
     vector_m: FloatArray
-    unfolding: FloatArray
+    image_transform: FloatArray
     bounce_first: IntArray
     material: IntArray
     normal: FloatArray
@@ -545,7 +545,7 @@ class _Part:
     """The paths of one pair; `path` says to which each bounce belongs, in rising order."""
 
     vector_m: FloatArray
-    unfolding: FloatArray
+    image_transform: FloatArray
     path: IntArray
     material: IntArray
     normal: FloatArray
@@ -571,8 +571,8 @@ def _box_part(room: Room, source_m: FloatArray, receiver_m: FloatArray, longest_
     hits = np.column_stack([wall_hits(index, wall) for wall in range(6)])
     path, wall = np.nonzero(hits)
     material = np.asarray(room.surface_material[wall], dtype=np.int64)
-    unfolding = np.asarray(turned[:, :, None] * np.eye(3))
-    return _Part(vector, unfolding, path, material, np.eye(3)[wall // 2], hits[path, wall])
+    image_transform = np.asarray(turned[:, :, None] * np.eye(3))
+    return _Part(vector, image_transform, path, material, np.eye(3)[wall // 2], hits[path, wall])
 
 
 def _of_a_polyhedron(scene: Scene, longest_m: float) -> list[_Part]:
@@ -584,7 +584,7 @@ def _of_a_polyhedron(scene: Scene, longest_m: float) -> list[_Part]:
         found = polyhedron_images(
             *(scene.room, scene.sources[s].position_m, receivers, _ANY_ORDER, longest_m),
             with_reflections=True,
-            with_unfolding=True,
+            with_image_transforms=True,
             mirrors=mirrors,
         )
         for pair, images in zip(own, found, strict=True):
@@ -593,13 +593,17 @@ def _of_a_polyhedron(scene: Scene, longest_m: float) -> list[_Part]:
 
 
 def _polyhedron_part(images: ImageSet) -> _Part:
-    reflections, unfolding, normals = images.reflections, images.unfolding, images.normals
-    if reflections is None or unfolding is None or normals is None:
+    reflections, image_transform, normals = (
+        images.reflections,
+        images.image_transform,
+        images.normals,
+    )
+    if reflections is None or image_transform is None or normals is None:
         raise ValueError("images without reflections, unfolding or normals")
     counts = np.diff(reflections.offsets)
     return _Part(
         images.length_m[:, None] * images.arrival,
-        unfolding,
+        image_transform,
         np.repeat(np.arange(len(counts)), counts),
         np.asarray(reflections.material, dtype=np.int64),
         normals,
@@ -613,7 +617,7 @@ def _joined(parts: list[_Part]) -> UnfoldedPaths:
     return UnfoldedPaths(
         np.concatenate(([0], np.cumsum(n_paths))),
         np.concatenate([p.vector_m for p in parts]),
-        np.concatenate([p.unfolding for p in parts]),
+        np.concatenate([p.image_transform for p in parts]),
         np.concatenate(([0], np.cumsum(bounces))),
         np.concatenate([p.material for p in parts]),
         np.concatenate([p.normal for p in parts]),
@@ -781,7 +785,7 @@ def shortened(paths: UnfoldedPaths, longest_m: float) -> UnfoldedPaths:
     return UnfoldedPaths(
         np.concatenate(([0], np.cumsum(per_pair))),
         paths.vector_m[kept],
-        paths.unfolding[kept],
+        paths.image_transform[kept],
         np.concatenate(([0], np.cumsum(counts[kept]))),
         paths.material[bounces],
         paths.normal[bounces],
@@ -801,7 +805,7 @@ def moved_vectors_m(model: WaveModel, paths: UnfoldedPaths, state: State) -> Flo
     """Return where every path runs with sources and receivers moved, (n_paths, 3)."""
     pair = np.repeat(np.arange(len(paths.pair_first) - 1), np.diff(paths.pair_first))
     source, receiver = model.scene.pairs[pair].T
-    moved = np.einsum("pij,pj->pi", paths.unfolding, state.source_m[source])
+    moved = np.einsum("pij,pj->pi", paths.image_transform, state.source_m[source])
     return np.asarray(paths.vector_m + state.receiver_m[receiver] - moved)
 
 
@@ -879,7 +883,7 @@ def gradients(
     p, by_r0, by_source, by_receiver, by_k = pressure_gradients(
         paths.pair_first,
         moved_vectors_m(model, paths, state),
-        paths.unfolding,
+        paths.image_transform,
         paths.bounce_first,
         paths.material,
         paths.normal,

@@ -13,7 +13,7 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.certified.certificate import affordable_certificate, certified_fit
 from roomfit.findings import Code, Finding
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import (
     Parameters,
@@ -36,13 +36,13 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
-    Allow,
     BandAnswer,
     Refine,
+    SharedCovariance,
     Starts,
     absorption_intervals,
     band_answer,
-    untold_band,
+    prior_only_band,
 )
 
 N_STARTS = 3
@@ -79,17 +79,17 @@ def from_random_starts(
     # rounding and rounds of weights are no better answer
     best = best if worth[best] > worth[0] + 0.05 else 0
     found = absorption_intervals(
-        problem.parameters, fits[best].vector, fits[best].information, fits[best].phi
+        problem.parameters, fits[best].vector, fits[best].information, fits[best].chi2_reduced
     )
-    places = [physical_values(problem.parameters, f.vector)[0]["absorption"] for f in fits]
-    within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in places]
+    absorptions = [physical_values(problem.parameters, f.vector)[0]["absorption"] for f in fits]
+    within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in absorptions]
     losses = [worth[best] - w for w in worth]
     others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
     nearest = min(others, key=lambda i: losses[i], default=None)
     return fits[best], Starts(
         number,
         sum(within) - 1,
-        None if nearest is None else places[nearest],
+        None if nearest is None else absorptions[nearest],
         0.0 if nearest is None else float(losses[nearest]),
     )
 
@@ -98,27 +98,27 @@ def starts_findings(
     bands: Bands, materials: tuple[str, ...], starts: Sequence[Starts | None]
 ) -> tuple[Finding, ...]:
     """Return a finding where another place explains the energies alike."""
-    told = [
+    lower_minima = [
         (float(f), s)
         for f, s in zip(bands.centres_hz, starts, strict=True)
         if s and s.other is not None
     ]
-    if not told:
+    if not lower_minima:
         return ()
-    where = ", ".join(f"{f:g} Hz (log-likelihood lower by {s.loss:.1f})" for f, s in told)
+    where = ", ".join(f"{f:g} Hz (log-likelihood lower by {s.loss:.1f})" for f, s in lower_minima)
     return (
         Finding(
             Code.MULTIPLE_MINIMA_MULTISTART,
             "Least squares from another start ends in absorptions outside of the intervals that "
             f"explain the energies alike: {where}. Measure more positions, or tell what is known.",
             {
-                "bands_hz": [f for f, _ in told],
+                "bands_hz": [f for f, _ in lower_minima],
                 "other_answer": [
                     {n: round(float(a), 6) for n, a in zip(materials, s.other, strict=True)}
-                    for _, s in told
+                    for _, s in lower_minima
                     if s.other is not None
                 ],
-                "log_likelihood_lower_by": [round(s.loss, 3) for _, s in told],
+                "log_likelihood_lower_by": [round(s.loss, 3) for _, s in lower_minima],
             },
         ),
     )
@@ -150,14 +150,14 @@ def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
 
 def fit_bands(
     problems: Iterable[BandProblem | None],
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
     method: str,
     seed: int,
     progress: Progress | None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
-    allow: Allow | None = None,
+    shared_covariance: SharedCovariance | None = None,
     refine: Refine | None = None,
 ) -> tuple[BandAnswer, ...]:
     """Fit one band after the other; where there is no problem, what was known is the answer.
@@ -172,21 +172,21 @@ def fit_bands(
         "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
-    allow : callable, optional
+    shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
     refine : callable, optional
         Makes better intervals while a band's problem is at hand.
     """
-    n_bands = knowledge[0].prior_logit_mean.size
+    n_bands = priors[0].prior_logit_mean.size
     answers: list[BandAnswer] = []
     for band, problem in enumerate(problems):
         if problem is None:
-            answers.append(untold_band(knowledge, band, areas_m2))
+            answers.append(prior_only_band(priors, band, areas_m2))
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         if method == "certified":
             fit, proof = certified_fit(problem, progress=done)
-            noisy = fit if allow is None else allow(band, problem, fit)
+            noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
             own = band_answer(problem.parameters, noisy, areas_m2, "energy")
             own = own if refine is None else refine(problem, fit, own, None)
             answers.append(replace(own, certificate=proof))
@@ -198,8 +198,8 @@ def fit_bands(
             fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
         if watch is not None:
             watch(band, problem, fit)
-        model = "energy" if problem.are_energies().any() else "values"
-        noisy = fit if allow is None else allow(band, problem, fit)
+        model = "energy" if problem.is_gamma().any() else "values"
+        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
         own = replace(band_answer(problem.parameters, noisy, areas_m2, model), starts=starts)
         if method == "auto":
             own = replace(own, certificate=affordable_certificate(problem, fit.vector))

@@ -26,27 +26,27 @@ from roomfit.bands import Bands
 from roomfit.certified.certificate import affordable_certificate
 from roomfit.findings import Finding
 from roomfit.inversion.directivity import (
-    directivity_doubt,
-    hows_after_others,
+    directivities_under_cavity_priors,
+    directivity_score,
     moved_start,
     source_findings,
 )
-from roomfit.inversion.equalise import MODAL, without_loudspeakers
+from roomfit.inversion.equalise import SCHROEDER_FACTOR, equalise_sources
 from roomfit.inversion.geometry_checks import (
     delay_findings,
+    estimate_position_sd_scale,
     geometry_findings,
-    looser_places,
-    place_findings,
-    places_findings,
-    places_stretch,
+    inflate_position_sds,
+    position_consistency_findings,
+    position_uncertainty_findings,
 )
 from roomfit.inversion.outliers import (
     LEAST_BY_ENERGIES,
     LEAST_BY_PRESSURES,
-    Heard,
-    softened,
-    spoiled_files,
-    spoiled_findings,
+    BandComparison,
+    outlier_files,
+    outlier_findings,
+    variance_inflation,
 )
 from roomfit.inversion.sequential import (
     CoherentBand,
@@ -54,9 +54,9 @@ from roomfit.inversion.sequential import (
     CoherentOptions,
     PartFactory,
     band_likelihoods,
+    forward_pass,
     joined,
-    once_more,
-    upwards,
+    leave_one_out_pass,
 )
 from roomfit.inversion.systematics import (
     air_error,
@@ -65,7 +65,7 @@ from roomfit.inversion.systematics import (
     with_both_intervals,
     with_tracing_noise,
 )
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.coherent import (
     FittedGeometry,
@@ -76,14 +76,14 @@ from roomfit.objective.coherent import (
     moved_scene,
 )
 from roomfit.objective.directivity import (
-    Directed,
-    Directing,
+    BandDirectivities,
+    DirectivityParameters,
     directed_band,
-    made_directed,
+    with_directivity_unknown,
     with_unknown,
 )
 from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import band_problems, tells_of_band
+from roomfit.objective.observation import band_problems, has_data_in_band
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import BandProblem
 from roomfit.response.binned import BinnedPaths, paths_at
@@ -97,7 +97,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandAnswer, Refine, allowing_for, band_answer
+from roomfit.uncertainty.gaussian import BandAnswer, Refine, add_covariance, band_answer
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -107,21 +107,21 @@ _WINDOW_PERIODS = 0.75
 class CoherentTask:
     """What stays the same while paths are traced anew.
 
-    `directing` are the sources whose directivity is fitted, `suspects` those that are taken for
-    omnidirectional. `spoiled` says how many times worse than others pressures explain a file,
-    `refine` makes better intervals of a band's fit.
+    `directivity_parameters` are the sources whose directivity is fitted, `tested_sources` those
+    that are taken for omnidirectional. `outliers` says how many times worse than others pressures
+    explain a file, `refine` makes better intervals of a band's fit.
     """
 
     scene: Scene
     bands: Bands
-    knowledge: tuple[MaterialKnowledge, ...]
+    priors: tuple[MaterialPrior, ...]
     measured: tuple[MeasuredPair, ...]
     start: FloatArray
     settings: CoherentOptions
     parts: Sequence[tuple[PartFactory, ...]]
-    directing: Directing | None = None
-    suspects: Directing | None = None
-    spoiled: Mapping[int, float] = field(default_factory=dict)
+    directivity_parameters: DirectivityParameters | None = None
+    tested_sources: DirectivityParameters | None = None
+    outliers: Mapping[int, float] = field(default_factory=dict)
     refine: Refine | None = None
 
 
@@ -136,24 +136,26 @@ def prepared_bands(
     scene, bands = task.scene, task.bands
     files = [files_of_band(task, b) for b in range(len(bands))]
     energies = _energies_alone(task, paths, binned, files)
-    heard = [
-        Heard(e.problem, e.fit, own, e.factor)
+    comparisons = [
+        BandComparison(e.problem, e.fit, own, e.factor)
         for e, own in zip(energies, files, strict=True)
         if e is not None
     ]
     # what pressures say of a file later knows more
-    spoiled = {**spoiled_files(heard, LEAST_BY_ENERGIES), **task.spoiled}
-    if spoiled:
+    outliers = {**outlier_files(comparisons, LEAST_BY_ENERGIES), **task.outliers}
+    if outliers:
         energies = [
-            e if e is None else _fitted(replace(e, factor=softened(e.problem, own, spoiled)))
+            e
+            if e is None
+            else _fitted(replace(e, factor=variance_inflation(e.problem, own, outliers)))
             for e, own in zip(energies, files, strict=True)
         ]
-    energies = _after_others(task, energies)
+    energies = _under_cavity_priors(task, energies)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
-    told = tuple(m for m in task.measured if m.file.use == "fit")
+    fitted = tuple(m for m in task.measured if m.file.use == "fit")
     whole = campaign_geometry(
-        *(scene, task.knowledge, told),
+        *(scene, task.priors, fitted),
         positions=task.settings.positions == "fit",
         delays=task.settings.delays,
         speed_sd=task.settings.speed_sd,
@@ -164,7 +166,7 @@ def prepared_bands(
         if own is None:
             out.append(None)
             continue
-        rows = [i for i, m in enumerate(told) if m in files[b]]
+        rows = [i for i, m in enumerate(fitted) if m in files[b]]
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
             *(bands, b, own.problem, float(attenuation[b]), paths_at(paths, weights, b)),
@@ -173,7 +175,7 @@ def prepared_bands(
         out.append(
             CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
         )
-    return tuple(out), spoiled_findings(task.measured, spoiled)
+    return tuple(out), outlier_findings(task.measured, outliers)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,16 +185,18 @@ class _Energies:
     problem: EnergyProblem
     factor: FloatArray
     parts: tuple[PartFactory, ...]
-    directed: Directed | None
+    directed: BandDirectivities | None
     fit: BandFit
 
     def whole(self) -> BandProblem:
-        return joined(made_directed(self.problem, self.directed), self.factor, self.parts)
+        return joined(
+            with_directivity_unknown(self.problem, self.directed), self.factor, self.parts
+        )
 
 
 def files_of_band(task: CoherentTask, band: int) -> tuple[MeasuredPair, ...]:
     """Return the measurements of a band's observations, in their order."""
-    return tuple(m for m in task.measured if tells_of_band(m, band))
+    return tuple(m for m in task.measured if has_data_in_band(m, band))
 
 
 def sources_of_band(task: CoherentTask, band: int) -> tuple[int, ...]:
@@ -208,22 +212,24 @@ def _energies_alone(
 ) -> list[_Energies | None]:
     """Fit the energies of every band by themselves, in the windows that pressures need."""
     problems = band_problems(
-        *(task.scene, task.bands, task.knowledge, task.measured, binned, task.start),
+        *(task.scene, task.bands, task.priors, task.measured, binned, task.start),
         periods=_WINDOW_PERIODS,
     )
     out: list[_Energies | None] = []
-    for problem, parts, heard in zip(problems, task.parts, files, strict=True):
+    for problem, parts, observed in zip(problems, task.parts, files, strict=True):
         if problem is None:
             out.append(None)
             continue
-        how = None
-        if task.directing is not None:
-            how = directed_band(task.directing, task.scene, paths, problem, heard)
-            problem = with_unknown(problem, how.unknown)
+        directivity = None
+        if task.directivity_parameters is not None:
+            directivity = directed_band(
+                task.directivity_parameters, task.scene, paths, problem, observed
+            )
+            problem = with_unknown(problem, directivity.unknown)
         factor = np.ones(problem.measured().size)
-        whole = joined(made_directed(problem, how), factor, parts)
+        whole = joined(with_directivity_unknown(problem, directivity), factor, parts)
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
-        out.append(_Energies(problem, factor, parts, how, fit))
+        out.append(_Energies(problem, factor, parts, directivity, fit))
     return out
 
 
@@ -231,30 +237,36 @@ def _fitted(own: _Energies) -> _Energies:
     return replace(own, fit=fit_band(own.whole(), gauss_newton, few_gauss_newton_steps))
 
 
-def _after_others(task: CoherentTask, energies: list[_Energies | None]) -> list[_Energies | None]:
+def _under_cavity_priors(
+    task: CoherentTask, energies: list[_Energies | None]
+) -> list[_Energies | None]:
     """Fit the energies again under what other bands say of the directivity, where it is unknown."""
-    if task.directing is None:
+    if task.directivity_parameters is None:
         return energies
-    hows = hows_after_others(
-        *(task.directing, task.bands, [None if e is None else e.directed for e in energies]),
+    directivities = directivities_under_cavity_priors(
+        *(
+            task.directivity_parameters,
+            task.bands,
+            [None if e is None else e.directed for e in energies],
+        ),
         [None if e is None else e.fit for e in energies],
         [None if e is None else e.problem.parameters for e in energies],
     )
     out: list[_Energies | None] = []
-    for own, how in zip(energies, hows, strict=True):
-        if own is None or own.directed is None or how is None:
+    for own, directivity in zip(energies, directivities, strict=True):
+        if own is None or own.directed is None or directivity is None:
             out.append(own)
             continue
-        start = moved_start(own.fit, own.directed.unknown, how.unknown)
-        problem = with_unknown(own.problem, how.unknown)
-        own = replace(own, problem=problem, directed=how)
+        start = moved_start(own.fit, own.directed.unknown, directivity.unknown)
+        problem = with_unknown(own.problem, directivity.unknown)
+        own = replace(own, problem=problem, directed=directivity)
         out.append(replace(own, fit=score_band(own.whole(), start)))
     return out
 
 
 def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ...]) -> FloatArray:
     """Return absorption by energies alone, or else the start, shape (n_materials, n_bands)."""
-    out = np.tile(task.start, (len(task.knowledge), 1))
+    out = np.tile(task.start, (len(task.priors), 1))
     for i, band in enumerate(prepared):
         if band is not None:
             parameters = band.energies.parameters
@@ -299,19 +311,19 @@ def energy_answers(
             first = np.cumsum([0, *fine[:-1]])
             sizes = [o.energy.size for o in problem.observations]
             factor = np.repeat(band.factor[first], sizes)
-        how = None if band is None else band.directed
-        if how is not None and task.directing is not None:
+        directivity = None if band is None else band.directed
+        if directivity is not None and task.directivity_parameters is not None:
             # other windows may hear other rows
-            heard = files_of_band(task, number)
-            rows = directed_band(task.directing, task.scene, paths, problem, heard)
-            how = replace(rows, unknown=how.unknown)
-            problem = with_unknown(problem, how.unknown)
-        whole = joined(made_directed(problem, how), factor, own)
+            observed = files_of_band(task, number)
+            rows = directed_band(task.directivity_parameters, task.scene, paths, problem, observed)
+            directivity = replace(rows, unknown=directivity.unknown)
+            problem = with_unknown(problem, directivity.unknown)
+        whole = joined(with_directivity_unknown(problem, directivity), factor, own)
         fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
         air = air_error(task.scene.air, task.bands, number, problem)
         steps = shared_steps(whole, fit, problem, air)
-        noisy = allowing_for(noisy, steps)
+        noisy = add_covariance(noisy, steps)
         answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
         out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))
     return tuple(out)
@@ -320,14 +332,14 @@ def energy_answers(
 # Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
 _RETRACE_BELOW_HZ = 1000.0
 # Bands up to here are those of which a loudspeaker's colour is not told by a first guess of walls.
-_MODAL_BELOW_HZ = 250.0
+_RETRACE_ENERGIES_BELOW_HZ = 250.0
 
 Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
 """Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Beginning:
+class SequentialState:
     """A task, its paths, and its bands made ready.
 
     Attributes
@@ -352,13 +364,13 @@ class Beginning:
     findings: tuple[Finding, ...]
 
 
-def begun(
+def initialise(
     task: CoherentTask,
     paths: Paths,
     weights: FloatArray | None,
     binned: BinnedPaths,
     retrace: Retrace | None,
-) -> Beginning:
+) -> SequentialState:
     """Return the bands ready to be fitted.
 
     Parameters
@@ -368,30 +380,30 @@ def begun(
     retrace : callable or None
         Traces a scene with other positions.
     """
-    state = renewed(Beginning(task, paths, weights, binned, None, (), ()))
-    settings, told = task.settings, task.measured
+    state = rebuild(SequentialState(task, paths, weights, binned, None, (), ()))
+    settings, measured = task.settings, task.measured
     if settings.model == "energy":
         return state
     coloured = False
-    if task.directing is None:
-        even = _even(state, told, first_absorption(task, state.bands), MODAL)
-        coloured = any(new is not old for new, old in zip(even, told, strict=True))
+    if task.directivity_parameters is None:
+        even = _even(state, measured, first_absorption(task, state.bands), SCHROEDER_FACTOR)
+        coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
-            state = renewed(replace(state, task=replace(task, measured=even)))
+            state = rebuild(replace(state, task=replace(task, measured=even)))
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured):
         return state
-    fits = _first_fits(state, _RETRACE_BELOW_HZ if moves else _MODAL_BELOW_HZ)
+    fits = _first_fits(state, _RETRACE_BELOW_HZ if moves else _RETRACE_ENERGIES_BELOW_HZ)
     guess = absorption_so_far(first_absorption(state.task, state.bands), fits)
     if retrace is not None and moves:
         state = _moved(state, fits, retrace)
     if coloured:
-        even = _even(state, told, guess, 0.0)
+        even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
-    return renewed(state)
+    return rebuild(state)
 
 
-def renewed(state: Beginning) -> Beginning:
+def rebuild(state: SequentialState) -> SequentialState:
     """Return the same task and paths with bands made anew."""
     bands, findings = prepared_bands(
         state.task, state.paths, state.weights, state.binned, state.origin
@@ -400,22 +412,29 @@ def renewed(state: Beginning) -> Beginning:
 
 
 def _even(
-    state: Beginning, told: tuple[MeasuredPair, ...], absorption: FloatArray, modal: float
+    state: SequentialState,
+    measured: tuple[MeasuredPair, ...],
+    absorption: FloatArray,
+    schroeder_factor: float,
 ) -> tuple[MeasuredPair, ...]:
     task = state.task
-    return without_loudspeakers(task.scene, task.bands, told, state.paths, absorption, modal=modal)
+    return equalise_sources(
+        task.scene, task.bands, measured, state.paths, absorption, schroeder_factor=schroeder_factor
+    )
 
 
-def _first_fits(state: Beginning, highest_hz: float) -> list[CoherentBandFit | None]:
+def _first_fits(state: SequentialState, highest_hz: float) -> list[CoherentBandFit | None]:
     """Return fits of the bands up to a frequency, None for the others."""
     low = tuple(
         band if f <= highest_hz else None
         for band, f in zip(state.bands, state.task.bands.centres_hz, strict=True)
     )
-    return upwards(low, state.task.settings, None)[0]
+    return forward_pass(low, state.task.settings, None)[0]
 
 
-def _moved(state: Beginning, fits: Sequence[CoherentBandFit | None], retrace: Retrace) -> Beginning:
+def _moved(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None], retrace: Retrace
+) -> SequentialState:
     """Return paths traced at the positions that the lower bands tell."""
     known = [f.found for f in fits if f is not None and f.found is not None]
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
@@ -427,14 +446,14 @@ def _moved(state: Beginning, fits: Sequence[CoherentBandFit | None], retrace: Re
     return replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
 
 
-def findings_of_what_is_held(
-    state: Beginning, fits: Sequence[CoherentBandFit | None]
+def fixed_parameter_checks(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None]
 ) -> tuple[Finding, ...]:
     """Return findings where the data are far likelier with what the campaign holds set free.
 
     Parameters
     ----------
-    state : Beginning
+    state : SequentialState
     fits : sequence of CoherentBandFit or None, one a band
         Of its bands, with nothing set free.
     """
@@ -449,25 +468,27 @@ def findings_of_what_is_held(
         freed, freer = _freed(state, replace(settings, positions="fit"))
         n = _n_unknowns(freer) - _n_unknowns(state)
         n_windows = sum(f.fit.expected.size for f in fits if f is not None)
-        findings = (*findings, *place_findings(_gain(fits, freed), n, n_windows))
+        findings = (*findings, *position_consistency_findings(_gain(fits, freed), n, n_windows))
     return findings
 
 
 def _freed(
-    state: Beginning, settings: CoherentOptions
-) -> tuple[Sequence[CoherentBandFit | None], Beginning]:
+    state: SequentialState, settings: CoherentOptions
+) -> tuple[Sequence[CoherentBandFit | None], SequentialState]:
     """Return the fits of all bands with more unknowns, and the bands that were fitted."""
-    freer = renewed(replace(state, task=replace(state.task, settings=settings)))
-    return upwards(freer.bands, settings, None)[0], freer
+    freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
+    return forward_pass(freer.bands, settings, None)[0], freer
 
 
-def _gain(held: Sequence[CoherentBandFit | None], freed: Sequence[CoherentBandFit | None]) -> float:
+def _gain(
+    fixed: Sequence[CoherentBandFit | None], freed: Sequence[CoherentBandFit | None]
+) -> float:
     """Return by how much the data are likelier, over all bands."""
-    pairs = zip(held, freed, strict=True)
+    pairs = zip(fixed, freed, strict=True)
     return sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
 
 
-def _n_unknowns(state: Beginning) -> int:
+def _n_unknowns(state: SequentialState) -> int:
     """Return how many places, times and delays are fitted."""
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
     if geometry is None:
@@ -494,7 +515,7 @@ class CoherentFit:
     geometry : FittedGeometry or None
         None where no band was coherent.
     findings : tuple of Finding
-    directed : tuple of Directed or None, one a band
+    directed : tuple of BandDirectivities or None, one a band
         What the free numbers of an answer's directivity mean; None where there are none.
     """
 
@@ -502,13 +523,13 @@ class CoherentFit:
     log_likelihoods: FloatArray
     geometry: FittedGeometry | None
     findings: tuple[Finding, ...]
-    directed: tuple[Directed | None, ...] = ()
+    directed: tuple[BandDirectivities | None, ...] = ()
 
 
 def fit_coherent(
     scene: Scene,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     measured: tuple[MeasuredPair, ...],
     paths: Paths,
     binned: BinnedPaths,
@@ -518,8 +539,8 @@ def fit_coherent(
     extra_parts: Sequence[tuple[PartFactory, ...]] = (),
     weights: FloatArray | None = None,
     retrace: Retrace | None = None,
-    directing: Directing | None = None,
-    suspects: Directing | None = None,
+    directivity_parameters: DirectivityParameters | None = None,
+    tested_sources: DirectivityParameters | None = None,
     refine: Refine | None = None,
     progress: Progress | None = None,
 ) -> CoherentFit:
@@ -543,9 +564,9 @@ def fit_coherent(
         depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
         images are found anew at the positions they tell, and everything is fitted again from what
         was told.
-    directing : Directing, optional
+    directivity_parameters : DirectivityParameters, optional
         Sources whose directivity is fitted.
-    suspects : Directing, optional
+    tested_sources : DirectivityParameters, optional
         Sources taken for omnidirectional, of which to ask whether the data agree.
     refine : callable, optional
         Makes better intervals of each band's last fit.
@@ -553,55 +574,71 @@ def fit_coherent(
     settings = CoherentOptions() if options is None else options
     parts = tuple(extra_parts) or ((),) * len(bands)
     task = CoherentTask(
-        *(scene, bands, knowledge, measured, start, settings, parts, directing, suspects),
+        *(
+            scene,
+            bands,
+            priors,
+            measured,
+            start,
+            settings,
+            parts,
+            directivity_parameters,
+            tested_sources,
+        ),
         refine=refine,
     )
-    state = begun(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
-    fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.0, 0.8))
-    spoiled = spoiled_files(_heard(state, fits), LEAST_BY_PRESSURES)
-    if spoiled:
-        state = renewed(replace(state, task=replace(state.task, spoiled=spoiled)))
-        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
-    stretch = places_stretch(state.task.scene, state.bands, fits)
-    if stretch > 1.0:
-        place, origin = looser_places(state.task.scene, state.origin, stretch)
-        state = renewed(replace(state, task=replace(state.task, scene=place), origin=origin))
-        fits, chosen_noise = upwards(state.bands, settings, part(progress, 0.8, 1.0))
-    findings = (*state.findings, *places_findings(stretch))
-    findings = (*findings, *findings_of_what_is_held(state, fits))
-    fits, final = once_more(state.bands, fits, chosen_noise, settings)
+    state = initialise(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
+    fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
+    outliers = outlier_files(_band_comparisons(state, fits), LEAST_BY_PRESSURES)
+    if outliers:
+        state = rebuild(replace(state, task=replace(state.task, outliers=outliers)))
+        fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+    position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
+    if position_sd_scale > 1.0:
+        place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
+        state = rebuild(replace(state, task=replace(state.task, scene=place), origin=origin))
+        fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+    findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
+    findings = (*findings, *fixed_parameter_checks(state, fits))
+    fits, final = leave_one_out_pass(state.bands, fits, chosen_noise, settings)
     likelihoods = band_likelihoods(state.bands, fits)
     answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
     findings = (*findings, *_source_findings(state))
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
-    told = None if geometry is None or final is None else fitted_geometry(geometry, final)
-    findings = (*findings, *geometry_findings(told))
+    geometry_estimate = (
+        None if geometry is None or final is None else fitted_geometry(geometry, final)
+    )
+    findings = (*findings, *geometry_findings(geometry_estimate))
     directed = tuple(None if b is None else b.directed for b in state.bands)
-    return CoherentFit(answers, likelihoods, told, findings, directed)
+    return CoherentFit(answers, likelihoods, geometry_estimate, findings, directed)
 
 
-def _heard(state: Beginning, fits: Sequence[CoherentBandFit | None]) -> list[Heard]:
+def _band_comparisons(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None]
+) -> list[BandComparison]:
     """Return what pressures explain, band by band, for the search of spoiled files."""
     return [
-        Heard(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
+        BandComparison(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
         for i, (band, fit) in enumerate(zip(state.bands, fits, strict=True))
         if band is not None and fit is not None
     ]
 
 
-def _source_findings(state: Beginning) -> tuple[Finding, ...]:
+def _source_findings(state: SequentialState) -> tuple[Finding, ...]:
     """Return a finding where a source taken for omnidirectional is none."""
     task, doubts = state.task, {}
     for i, band in enumerate(state.bands):
-        if band is not None and task.suspects is not None:
-            heard = files_of_band(task, i)
-            how = directed_band(task.suspects, task.scene, state.paths, band.energies, heard)
-            doubts[i] = directivity_doubt(band.energies, band.energy_fit, how, band.factor)
-    return source_findings(task.suspects, doubts)
+        if band is not None and task.tested_sources is not None:
+            observed = files_of_band(task, i)
+            directivity = directed_band(
+                task.tested_sources, task.scene, state.paths, band.energies, observed
+            )
+            doubts[i] = directivity_score(band.energies, band.energy_fit, directivity, band.factor)
+    return source_findings(task.tested_sources, doubts)
 
 
 def _answers(
-    state: Beginning,
+    state: SequentialState,
     fits: Sequence[CoherentBandFit | None],
     likelihoods: FloatArray,
     progress: Progress | None,
@@ -615,12 +652,14 @@ def _answers(
     )
     coherent = widened_by_neighbours(coherent, areas)
     energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
-    asked = [_asks_energies(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)]
-    if any(asked):
+    needs_energies = [
+        _needs_energy_fit(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)
+    ]
+    if any(needs_energies):
         coarse = band_problems(
-            *(task.scene, task.bands, task.knowledge, task.measured, state.binned, task.start)
+            *(task.scene, task.bands, task.priors, task.measured, state.binned, task.start)
         )
-        wanted = (p if wants else None for p, wants in zip(coarse, asked, strict=True))
+        wanted = (p if wants else None for p, wants in zip(coarse, needs_energies, strict=True))
         energy = energy_answers(task, state.paths, wanted, state.bands, areas)
     decided = [
         _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
@@ -655,7 +694,7 @@ def _coherent_answer(
     )
     air = air_error(task.scene.air, task.bands, number, band.energies)
     steps = shared_steps(found.problem, found.fit, band.energies, air, band)
-    noisy = allowing_for(noisy, steps)
+    noisy = add_covariance(noisy, steps)
     answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
     beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
     if task.refine is None or beaten:
@@ -663,7 +702,7 @@ def _coherent_answer(
     return task.refine(found.problem, found.fit, answer, progress)
 
 
-def _asks_energies(
+def _needs_energy_fit(
     fit: CoherentBandFit | None, likelihoods: FloatArray, settings: CoherentOptions
 ) -> bool:
     """Whether the energy model's answer of a band may be needed."""

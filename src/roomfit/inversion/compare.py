@@ -8,10 +8,10 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
-from roomfit.inversion.measurements import Gathered
+from roomfit.inversion.measurements import Measurements
 from roomfit.io.campaign import Campaign
 from roomfit.measurement import MeasuredPair, Use
-from roomfit.objective.observation import smeared
+from roomfit.objective.observation import spread_over_time
 from roomfit.objective.room_parameters import predicted_values, values_at
 from roomfit.response.binned import BinnedPaths, pair_energies
 from roomfit.results import Compared, ComparedPair, Decay
@@ -69,7 +69,7 @@ _PICTURE_STEP_S = 2e-3
 
 
 def compare_all(
-    campaign: Campaign, gathered: Gathered, binned: BinnedPaths, absorption: FloatArray
+    campaign: Campaign, measurements: Measurements, binned: BinnedPaths, absorption: FloatArray
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every response, then for every table's pairs.
 
@@ -77,21 +77,21 @@ def compare_all(
     ----------
     absorption : float array, shape (n_materials, n_bands)
     """
-    scene, bands = gathered.scene, campaign.bands
+    scene, bands = measurements.scene, campaign.bands
     attenuation = attenuation_per_m(scene.air, bands)
-    heard = compare_pairs(bands, binned, gathered.responses, absorption, attenuation)
-    tabulated = (*gathered.values, *gathered.kept_values)
+    observed = compare_pairs(bands, binned, measurements.responses, absorption, attenuation)
+    tabulated = (*measurements.values, *measurements.kept_values)
     if not tabulated:
-        return heard
+        return observed
     predicted = predicted_values(scene, bands, binned, absorption)
     pair_of = {
         (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
     }
     rows = [predicted[pair_of[m.source, m.receiver]] for m in tabulated]
-    uses: list[Use] = ["fit" for _ in gathered.values]
-    uses += ["validate" for _ in gathered.kept_values]
-    tables = compared_values(tabulated, rows, gathered.values, bands)
-    return heard + tuple(
+    uses: list[Use] = ["fit" for _ in measurements.values]
+    uses += ["validate" for _ in measurements.kept_values]
+    tables = compared_values(tabulated, rows, measurements.values, bands)
+    return observed + tuple(
         ComparedPair(m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None)
         for m, use, table in zip(tabulated, uses, tables, strict=True)
     )
@@ -126,7 +126,7 @@ def predicted_curve(
 ) -> DecayCurve:
     """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m)
-    return echogram_decay_curve(bands, smeared(bands, energy), binned.edges_s, direct_s)
+    return echogram_decay_curve(bands, spread_over_time(bands, energy), binned.edges_s, direct_s)
 
 
 def _compare(

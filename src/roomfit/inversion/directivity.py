@@ -19,28 +19,28 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
 from roomfit.io.materials import unknown_directivity
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.directivity import (
     CORRELATION_PER_OCTAVE,
+    DEFAULT_B_SD,
     DIRECTIVITY,
-    UNTOLD_B_SD,
-    Directed,
-    Directing,
+    BandDirectivities,
+    DirectivityParameters,
     FittedDirectivity,
     UnknownDirectivities,
-    after_others,
-    before,
     directed,
     directed_band,
-    made_directed,
+    directivity_prior,
     vectors_of,
+    with_cavity_prior,
+    with_directivity_unknown,
     with_unknown,
 )
 from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import band_problems, tells_of_band
+from roomfit.objective.observation import band_problems, has_data_in_band
 from roomfit.objective.parameters import Parameters, position_of
-from roomfit.objective.problem import BandProblem, JointProblem, SoftenedProblem
+from roomfit.objective.problem import BandProblem, InflatedVariance, JointProblem
 from roomfit.response.binned import BinnedPaths
 from roomfit.scene import Scene
 from roomfit.solvers.least_squares import (
@@ -64,7 +64,7 @@ _A_BAND, _CONTRADICTS = 0.5, 6.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DirectivityDoubt:
+class DirectivityScore:
     """What one band says against omnidirectional sources.
 
     Attributes
@@ -80,9 +80,12 @@ class DirectivityDoubt:
     b: FloatArray
 
 
-def directivity_doubt(
-    problem: EnergyProblem, fit: BandFit, how: Directed, factor: FloatArray | None = None
-) -> DirectivityDoubt:
+def directivity_score(
+    problem: EnergyProblem,
+    fit: BandFit,
+    directivity: BandDirectivities,
+    factor: FloatArray | None = None,
+) -> DirectivityScore:
     """Return what a fitted band says against each of its sources.
 
     First by Rao's score test [1]_: one evaluation at the answer, with the derivative by b, tells
@@ -96,7 +99,7 @@ def directivity_doubt(
         Without directivity.
     fit : BandFit
         Of this problem; room parameters that were fitted along stand behind its windows.
-    how : Directed
+    directivity : BandDirectivities
         Of its sources.
     factor : float array, shape (n_windows,), optional
         By which the fit's variances were enlarged.
@@ -107,36 +110,44 @@ def directivity_doubt(
            Proc. Camb. Phil. Soc. 44, 50-57 (1948).
     """
     soft = np.ones(problem.measured().size) if factor is None else factor
-    gains, steps = _second_order_gains(_asked(problem, how, soft), fit)
-    for s, name in enumerate(how.unknown.sources):
+    gains, steps = _second_order_gains(_with_directivity(problem, directivity, soft), fit)
+    for s, name in enumerate(directivity.unknown.sources):
         if gains[s] > _BY_CHANCE:
             own = slice(3 * s, 3 * s + 3)
             unknown = UnknownDirectivities(
-                (name,), how.unknown.mean[own], how.unknown.root[own, own]
+                (name,), directivity.unknown.mean[own], directivity.unknown.root[own, own]
             )
-            alone = replace(how, unknown=unknown, source=np.where(how.source == s, 0, -1))
-            plain = SoftenedProblem(problem, soft)
-            gains[s], steps[s] = _full_gain(_asked(problem, alone, soft), plain, fit, steps[s])
-    return DirectivityDoubt(gains, vectors_of(how.unknown, steps.ravel()))
+            alone = replace(
+                directivity, unknown=unknown, source=np.where(directivity.source == s, 0, -1)
+            )
+            plain = InflatedVariance(problem, soft)
+            gains[s], steps[s] = _full_gain(
+                _with_directivity(problem, alone, soft), plain, fit, steps[s]
+            )
+    return DirectivityScore(gains, vectors_of(directivity.unknown, steps.ravel()))
 
 
-def _asked(problem: EnergyProblem, how: Directed, soft: FloatArray) -> SoftenedProblem:
+def _with_directivity(
+    problem: EnergyProblem, directivity: BandDirectivities, soft: FloatArray
+) -> InflatedVariance:
     """Return the problem with the directivity of some sources unknown."""
-    unknown = with_unknown(problem, how.unknown)
-    return SoftenedProblem(directed(unknown, how.unknown, how.source, how.departure), soft)
+    unknown = with_unknown(problem, directivity.unknown)
+    return InflatedVariance(
+        directed(unknown, directivity.unknown, directivity.source, directivity.departure), soft
+    )
 
 
-def _second_order_gains(asked: SoftenedProblem, fit: BandFit) -> tuple[FloatArray, FloatArray]:
+def _second_order_gains(needed: InflatedVariance, fit: BandFit) -> tuple[FloatArray, FloatArray]:
     """Return half the squared score of each b over its variance, (n,), and a step of it, (n, 3).
 
     Each source by itself, as if the others were omnidirectional.
     """
     n = fit.vector.size
-    size = len(asked.parameters.blocks[-1].labels)
-    found = asked.predict(np.concatenate((fit.vector, np.zeros(size))))
-    heard, misfit = found.expected.size, max(fit.phi, 1.0)
-    spread = asked.counted_as_one() * fit.variance[:heard] * misfit
-    residual = fit.measured[:heard] - found.expected
+    size = len(needed.parameters.blocks[-1].labels)
+    found = needed.predict(np.concatenate((fit.vector, np.zeros(size))))
+    n_data, misfit = found.expected.size, max(fit.chi2_reduced, 1.0)
+    spread = needed.correlation_length() * fit.variance[:n_data] * misfit
+    residual = fit.measured[:n_data] - found.expected
     gains, steps = np.zeros(size // 3), np.zeros((size // 3, 3))
     for s in range(size // 3):
         own = found.jacobian[:, n + 3 * s : n + 3 * s + 3]
@@ -152,35 +163,35 @@ def _second_order_gains(asked: SoftenedProblem, fit: BandFit) -> tuple[FloatArra
 
 
 def _full_gain(
-    asked: SoftenedProblem, plain: SoftenedProblem, fit: BandFit, free: FloatArray
+    needed: InflatedVariance, plain: InflatedVariance, fit: BandFit, free: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return by how much the log-likelihood rises if b is fitted, and its free numbers."""
     alone = fit if fit.measured.size == plain.measured().size else score_band(plain, fit.vector)
-    free_fit = score_band(asked, np.concatenate((fit.vector, free)))
+    free_fit = score_band(needed, np.concatenate((fit.vector, free)))
     found = free_fit.vector[-3:]
-    rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.phi, 1.0)
+    rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.chi2_reduced, 1.0)
     return float(rise - 0.5 * found @ found), np.asarray(found)
 
 
 def source_findings(
-    suspects: Directing | None, doubts: Mapping[int, DirectivityDoubt]
+    tested_sources: DirectivityParameters | None, scores: Mapping[int, DirectivityScore]
 ) -> tuple[Finding, ...]:
     """Return a finding for each source taken for omnidirectional that the data contradict.
 
     Parameters
     ----------
-    suspects : Directing or None
-    doubts : mapping of band to DirectivityDoubt
+    tested_sources : DirectivityParameters or None
+    scores : mapping of band to DirectivityScore
     """
-    if suspects is None or not doubts:
+    if tested_sources is None or not scores:
         return ()
-    needed = _A_BAND * len(doubts) + _CONTRADICTS
-    total = np.sum([d.gain for d in doubts.values()], axis=0)
+    needed = _A_BAND * len(scores) + _CONTRADICTS
+    total = np.sum([d.gain for d in scores.values()], axis=0)
     findings = []
-    for s, name in enumerate(suspects.sources):
+    for s, name in enumerate(tested_sources.sources):
         if total[s] <= needed:
             continue
-        b = np.array([doubts[band].b[s] for band in sorted(doubts)])
+        b = np.array([scores[band].b[s] for band in sorted(scores)])
         strongest = b[int(np.argmax(np.linalg.norm(b, axis=1)))]
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
         findings.append(
@@ -197,7 +208,7 @@ def source_findings(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
+class BandInformation:
     """What the data of one band alone say of some unknowns: a Gaussian likelihood.
 
     Attributes
@@ -212,7 +223,7 @@ class Told:
     weighed: FloatArray
 
 
-def told_by(fit: BandFit, first: int) -> Told:
+def band_information(fit: BandFit, first: int) -> BandInformation:
     """Return what one band's data say of the last entries of its vector, all others unknown.
 
     Those entries have a unit normal prior, which is taken out; what the data say is divided by
@@ -227,12 +238,15 @@ def told_by(fit: BandFit, first: int) -> Told:
     cross = whole[first:, :first]
     schur = whole[first:, first:] - cross @ np.linalg.solve(whole[:first, :first], cross.T)
     data = schur - np.eye(len(schur))
-    misfit = max(fit.phi, 1.0)
-    return Told(0.5 * (data + data.T) / misfit, schur @ fit.vector[first:] / misfit)
+    misfit = max(fit.chi2_reduced, 1.0)
+    return BandInformation(0.5 * (data + data.T) / misfit, schur @ fit.vector[first:] / misfit)
 
 
-def others_say(
-    told: Sequence[Told | None], octaves: FloatArray, correlation: float, n: int
+def cavity_priors(
+    bands_information: Sequence[BandInformation | None],
+    octaves: FloatArray,
+    correlation: float,
+    n: int,
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return mean and covariance of each band's unknowns from all other bands and the prior.
 
@@ -241,7 +255,7 @@ def others_say(
 
     Parameters
     ----------
-    told : sequence of Told or None, one a band
+    bands_information : sequence of BandInformation or None, one a band
         None where a band has no data.
     octaves : float array, shape (n_bands,)
         Log2 of the bands' centres, in any unit.
@@ -258,9 +272,9 @@ def others_say(
     apart = np.abs(octaves[:, None] - octaves[None, :])
     prior = np.linalg.inv(np.kron(correlation**apart, np.eye(n)))
     out = []
-    for band in range(len(told)):
+    for band in range(len(bands_information)):
         information, weighed = prior.copy(), np.zeros(len(prior))
-        for other, one in enumerate(told):
+        for other, one in enumerate(bands_information):
             if other != band and one is not None:
                 own = slice(n * other, n * (other + 1))
                 information[own, own] += one.information
@@ -292,29 +306,33 @@ def first_of_directivity(parameters: Parameters) -> int:
     return position_of(parameters, DIRECTIVITY)
 
 
-def hows_after_others(
-    directing: Directing,
+def directivities_under_cavity_priors(
+    directivity_parameters: DirectivityParameters,
     bands: Bands,
-    hows: Sequence[Directed | None],
+    directivities: Sequence[BandDirectivities | None],
     fits: Sequence[BandFit | None],
     parameters: Sequence[Parameters | None],
-) -> tuple[Directed | None, ...]:
+) -> tuple[BandDirectivities | None, ...]:
     """Return what is known of the sources in each band once the others have been fitted.
 
     Parameters
     ----------
-    hows, fits, parameters : one a band
+    directivities, fits, parameters : one a band
         With nothing known yet but what the campaign says.
     """
-    told: list[Told | None] = [
-        None if f is None or p is None else told_by(f, first_of_directivity(p))
+    information: list[BandInformation | None] = [
+        None if f is None or p is None else band_information(f, first_of_directivity(p))
         for f, p in zip(fits, parameters, strict=True)
     ]
     octaves = np.log2(bands.centres_hz)
-    said = others_say(told, octaves, CORRELATION_PER_OCTAVE, directing.mean.size)
+    said = cavity_priors(
+        information, octaves, CORRELATION_PER_OCTAVE, directivity_parameters.mean.size
+    )
     return tuple(
-        None if how is None else replace(how, unknown=after_others(directing, *other))
-        for how, other in zip(hows, said, strict=True)
+        None
+        if directivity is None
+        else replace(directivity, unknown=with_cavity_prior(directivity_parameters, *other))
+        for directivity, other in zip(directivities, said, strict=True)
     )
 
 
@@ -346,26 +364,26 @@ def fitted_directivities(found: Sequence[FoundDirectivities]) -> tuple[FittedDir
     )
 
 
-def untold_directivities(directing: Directing) -> FoundDirectivities:
+def prior_only_directivities(directivity_parameters: DirectivityParameters) -> FoundDirectivities:
     """Return what was known beforehand, for a band that was not fitted."""
-    unknown = before(directing)
+    unknown = directivity_prior(directivity_parameters)
     n = unknown.mean.size
     return found_directivities(unknown, np.zeros(n), np.eye(n))
 
 
 def band_directivities(
-    directing: Directing | None,
-    hows: Sequence[Directed | None],
+    directivity_parameters: DirectivityParameters | None,
+    directivities: Sequence[BandDirectivities | None],
     answers: Sequence[BandAnswer | None],
 ) -> tuple[FoundDirectivities, ...]:
     """Return the vectors b of every band; what was known beforehand where none was fitted."""
-    if directing is None:
+    if directivity_parameters is None:
         return ()
     return tuple(
-        untold_directivities(directing)
-        if how is None or answer is None or answer.directivity is None
-        else found_directivities(how.unknown, *answer.directivity)
-        for how, answer in zip(hows, answers, strict=True)
+        prior_only_directivities(directivity_parameters)
+        if directivity is None or answer is None or answer.directivity is None
+        else found_directivities(directivity.unknown, *answer.directivity)
+        for directivity, answer in zip(directivities, answers, strict=True)
     )
 
 
@@ -375,71 +393,85 @@ class EnergyTask:
 
     scene: Scene
     bands: Bands
-    knowledge: tuple[MaterialKnowledge, ...]
+    priors: tuple[MaterialPrior, ...]
     measured: tuple[MeasuredPair, ...]
     paths: Paths
     binned: BinnedPaths
     start: FloatArray
 
 
-def directed_energies(task: EnergyTask, directing: Directing | None) -> tuple[Directed | None, ...]:
+def directed_energies(
+    task: EnergyTask, directivity_parameters: DirectivityParameters | None
+) -> tuple[BandDirectivities | None, ...]:
     """Return what is known of the sources in each band once the others have been fitted."""
-    if directing is None:
+    if directivity_parameters is None:
         return (None,) * len(task.bands)
-    hows: list[Directed | None] = []
+    directivities: list[BandDirectivities | None] = []
     fits: list[BandFit | None] = []
     parameters: list[Parameters | None] = []
     for band, problem in enumerate(_problems(task)):
         if problem is None:
-            hows, fits, parameters = [*hows, None], [*fits, None], [*parameters, None]
+            directivities, fits, parameters = (
+                [*directivities, None],
+                [*fits, None],
+                [*parameters, None],
+            )
             continue
-        how = directed_band(directing, task.scene, task.paths, problem, _files(task, band))
-        whole = made_directed(with_unknown(problem, how.unknown), how)
-        hows.append(how)
+        directivity = directed_band(
+            directivity_parameters, task.scene, task.paths, problem, _files(task, band)
+        )
+        whole = with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
+        directivities.append(directivity)
         fits.append(fit_band(whole, gauss_newton, few_gauss_newton_steps))
         parameters.append(whole.parameters)
-    return hows_after_others(directing, task.bands, hows, fits, parameters)
+    return directivities_under_cavity_priors(
+        directivity_parameters, task.bands, directivities, fits, parameters
+    )
 
 
 def energy_problems(
-    task: EnergyTask, hows: tuple[Directed | None, ...]
+    task: EnergyTask, directivities: tuple[BandDirectivities | None, ...]
 ) -> Iterator[BandProblem | None]:
     """Make the problem of one band after the other, with the directivities that are unknown."""
-    for problem, how in zip(_problems(task), hows, strict=True):
-        if problem is None or how is None:
+    for problem, directivity in zip(_problems(task), directivities, strict=True):
+        if problem is None or directivity is None:
             yield problem
         else:
-            yield made_directed(with_unknown(problem, how.unknown), how)
+            yield with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
 
 
-def doubting(
-    task: EnergyTask, suspects: Directing, doubts: dict[int, DirectivityDoubt]
+def score_sources(
+    task: EnergyTask, tested_sources: DirectivityParameters, scores: dict[int, DirectivityScore]
 ) -> Callable[[int, BandProblem, BandFit], None]:
     """Return what writes down, for every fitted band, what it says against its sources."""
 
     def watch(band: int, problem: BandProblem, fit: BandFit) -> None:
         first = problem.parts[0] if isinstance(problem, JointProblem) else problem
         if isinstance(first, EnergyProblem):
-            how = directed_band(suspects, task.scene, task.paths, first, _files(task, band))
-            doubts[band] = directivity_doubt(first, fit, how)
+            directivity = directed_band(
+                tested_sources, task.scene, task.paths, first, _files(task, band)
+            )
+            scores[band] = directivity_score(first, fit, directivity)
 
     return watch
 
 
 def _problems(task: EnergyTask) -> Iterator[EnergyProblem | None]:
     return band_problems(
-        *(task.scene, task.bands, task.knowledge, task.measured, task.binned, task.start)
+        *(task.scene, task.bands, task.priors, task.measured, task.binned, task.start)
     )
 
 
 def _files(task: EnergyTask, band: int) -> tuple[MeasuredPair, ...]:
-    return tuple(m for m in task.measured if tells_of_band(m, band))
+    return tuple(m for m in task.measured if has_data_in_band(m, band))
 
 
 _METHODS = ("auto", "least-squares", "posterior")
 
 
-def campaign_directing(campaign: Campaign, scene: Scene) -> Directing | None:
+def campaign_directivity_parameters(
+    campaign: Campaign, scene: Scene
+) -> DirectivityParameters | None:
     """Return the sources of a scene whose directivity is to be fitted; None where there is none.
 
     Raises
@@ -447,21 +479,21 @@ def campaign_directing(campaign: Campaign, scene: Scene) -> Directing | None:
     InputError
         The campaign asks for a method that cannot, or has no response to fit.
     """
-    told = [
+    specified = [
         (i, s.name, known)
         for i, s in enumerate(scene.sources)
         if (known := unknown_directivity(campaign, s.name)) is not None
     ]
-    if not told:
+    if not specified:
         return None
-    _refuse(campaign, [name for _, name, _ in told])
-    mean = np.array([np.zeros(3) if k.mean is None else k.mean for _, _, k in told])
-    sd = np.array([UNTOLD_B_SD if k.sd is None else k.sd for _, _, k in told])
-    number = np.array([i for i, _, _ in told])
-    return Directing(tuple(name for _, name, _ in told), number, mean, sd)
+    _refuse(campaign, [name for _, name, _ in specified])
+    mean = np.array([np.zeros(3) if k.mean is None else k.mean for _, _, k in specified])
+    sd = np.array([DEFAULT_B_SD if k.sd is None else k.sd for _, _, k in specified])
+    number = np.array([i for i, _, _ in specified])
+    return DirectivityParameters(tuple(name for _, name, _ in specified), number, mean, sd)
 
 
-def omnidirectional(campaign: Campaign, scene: Scene) -> Directing | None:
+def omnidirectional(campaign: Campaign, scene: Scene) -> DirectivityParameters | None:
     """Return the sources that are taken for omnidirectional, to see whether the data agree."""
     own = [
         (i, s.name)
@@ -472,7 +504,7 @@ def omnidirectional(campaign: Campaign, scene: Scene) -> Directing | None:
         return None
     n = len(own)
     names, number = tuple(name for _, name in own), np.array([i for i, _ in own])
-    return Directing(names, number, np.zeros((n, 3)), np.full(n, UNTOLD_B_SD))
+    return DirectivityParameters(names, number, np.zeros((n, 3)), np.full(n, DEFAULT_B_SD))
 
 
 def _refuse(campaign: Campaign, sources: Sequence[str]) -> None:

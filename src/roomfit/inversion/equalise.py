@@ -13,24 +13,24 @@ from roomfit.geometry.mesh import volume_m3
 from roomfit.measurement import MeasuredPair
 from roomfit.response.coherent import image_energies, image_paths
 from roomfit.scene import Scene
-from roomfit.signals.loudspeaker import Colour, power_gain, source_colour, without_colour
+from roomfit.signals.loudspeaker import SourceMagnitude, equalise, power_gain, source_magnitude
 from roomfit.signals.response import ImpulseResponse
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
 # So long after the direct sound a response is compared with its image sources.
-_HEARD_S = 0.1
-MODAL = 2.0
+_DIRECT_SOUND_S = 0.1
+SCHROEDER_FACTOR = 2.0
 
 
-def without_loudspeakers(
+def equalise_sources(
     scene: Scene,
     bands: Bands,
     measured: tuple[MeasuredPair, ...],
     paths: Paths,
     absorption: FloatArray,
     *,
-    modal: float = MODAL,
+    schroeder_factor: float = SCHROEDER_FACTOR,
 ) -> tuple[MeasuredPair, ...]:
     """Return the measurements as sources without colour would have given them.
 
@@ -47,22 +47,22 @@ def without_loudspeakers(
         With image sources.
     absorption : float array, shape (n_materials, n_bands)
         A first guess.
-    modal : float
+    schroeder_factor : float
         Schroeder frequencies up to which the guess is not trusted, since single modes stand out; 0
         where pressures have told the absorption of the lowest bands.
     """
     fitted = [m for m in measured if m.file.use == "fit" and m.file.level != "absolute"]
     # octave filters begin an octave below the centre, others nearer
     lowest_hz = float(bands.lower_hz[0] ** 2 / bands.exact_centres_hz[0])
-    colours: dict[str, Colour] = {}
+    colours: dict[str, SourceMagnitude] = {}
     for source in dict.fromkeys(m.file.source for m in fitted):
         own = [m for m in fitted if m.file.source == source]
-        colours[source] = source_colour(
+        colours[source] = source_magnitude(
             [m.response for m in own],
             [_expected(scene, bands, m, paths, absorption) for m in own],
-            [m.direct_s + _HEARD_S for m in own],
+            [m.direct_s + _DIRECT_SOUND_S for m in own],
             lowest_hz,
-            modal * _schroeder_hz(scene, own),
+            schroeder_factor * _schroeder_hz(scene, own),
         )
     return tuple(
         _without(m, colours[m.file.source], bands)
@@ -92,7 +92,7 @@ def _expected(
     total = np.zeros(n + 1, dtype=np.complex128)
     c = speed_of_sound_m_s(scene.air)
     images = image_paths(paths, np.array([m.pair]), 0.0, c * (n / rate_hz - m.response.time_zero_s))
-    length_m = np.linalg.norm(images.away_m, axis=1)
+    length_m = np.linalg.norm(images.image_to_receiver_m, axis=1)
     at = np.round((length_m / c + m.response.time_zero_s) * rate_hz).astype(np.int64)
     inside = (at >= 0) & (at < n)
     for band, share in enumerate(shares):
@@ -110,7 +110,7 @@ def _band_shares(bands: Bands, frequencies_hz: FloatArray) -> FloatArray:
     return np.stack([np.interp(octaves, centres, row) for row in own])
 
 
-def _without(m: MeasuredPair, colour: Colour, bands: Bands) -> MeasuredPair:
+def _without(m: MeasuredPair, colour: SourceMagnitude, bands: Bands) -> MeasuredPair:
     gain = power_gain(colour, np.asarray(bands.centres_hz))
     noise = replace(m.noise, floor=m.noise.floor * gain, tail_energy=m.noise.tail_energy * gain)
-    return replace(m, response=without_colour(m.response, colour), noise=noise)
+    return replace(m, response=equalise(m.response, colour), noise=noise)

@@ -21,10 +21,10 @@ from roomfit.typing import FloatArray
 _FAR = 3.5
 # Log-likelihood that a delay for each wall must gain: far above what a handful of unknowns that
 # explain nothing would, half a unit each.
-_DELAYS_TELL = 15.0
+_DELAY_GAIN = 15.0
 # Log-likelihood a window that free places must gain. In boxes with 1 mm and 3 us told and right it
 # was .01 to .05, and answers changed by a tenth of their interval; with 1 cm .4 to .9, and a half.
-_PLACES_TELL = 0.1
+_POSITION_GAIN_PER_WINDOW = 0.1
 
 
 def delay_findings(gain: float) -> tuple[Finding, ...]:
@@ -35,7 +35,7 @@ def delay_findings(gain: float) -> tuple[Finding, ...]:
     gain : float
         By how much the data are likelier, over all bands, if each material may delay.
     """
-    if gain <= _DELAYS_TELL:
+    if gain <= _DELAY_GAIN:
         return ()
     return (
         Finding(
@@ -48,7 +48,9 @@ def delay_findings(gain: float) -> tuple[Finding, ...]:
     )
 
 
-def place_findings(gain: float, n_unknowns: int, n_windows: int) -> tuple[Finding, ...]:
+def position_consistency_findings(
+    gain: float, n_unknowns: int, n_windows: int
+) -> tuple[Finding, ...]:
     """Return a finding where places were held that arrival times contradict.
 
     Parameters
@@ -61,7 +63,7 @@ def place_findings(gain: float, n_unknowns: int, n_windows: int) -> tuple[Findin
     n_windows : int
         Of all bands.
     """
-    if gain <= max(n_unknowns + _DELAYS_TELL, _PLACES_TELL * n_windows):
+    if gain <= max(n_unknowns + _DELAY_GAIN, _POSITION_GAIN_PER_WINDOW * n_windows):
         return ()
     return (
         Finding(
@@ -78,8 +80,8 @@ def geometry_findings(geometry: FittedGeometry | None) -> tuple[Finding, ...]:
     """Return a finding where the fit had to move something farther than was told."""
     if geometry is None:
         return ()
-    told = np.where(geometry.told_sd > 0.0, geometry.told_sd, np.inf)
-    far = np.flatnonzero(np.abs(geometry.change) / told > _FAR)
+    prior_sd = np.where(geometry.prior_sd > 0.0, geometry.prior_sd, np.inf)
+    far = np.flatnonzero(np.abs(geometry.change) / prior_sd > _FAR)
     if not far.size:
         return ()
     names = ", ".join(geometry.labels[i] for i in far)
@@ -91,7 +93,7 @@ def geometry_findings(geometry: FittedGeometry | None) -> tuple[Finding, ...]:
             {
                 "labels": [geometry.labels[i] for i in far],
                 "change": [float(geometry.change[i]) for i in far],
-                "told_sd": [float(geometry.told_sd[i]) for i in far],
+                "told_sd": [float(geometry.prior_sd[i]) for i in far],
             },
         ),
     )
@@ -103,7 +105,7 @@ _MOST = 5.0
 _FEWEST = 6
 
 
-def places_stretch(
+def estimate_position_sd_scale(
     scene: Scene,
     prepared: Sequence[CoherentBand | None],
     fits: Sequence[CoherentBandFit | None],
@@ -124,17 +126,17 @@ def places_stretch(
         return 1.0
     geometry, last = band.problem.geometry, found[-1]
     moving = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
-    places = moving < _n_places(scene)
-    n = int(np.count_nonzero(places))
+    is_position = moving < _n_position_coordinates(scene)
+    n = int(np.count_nonzero(is_position))
     if n < _FEWEST:
         return 1.0
     variance = np.diag(np.linalg.inv(last.information))
-    mean = float(np.mean((last.mean**2 + variance)[places]))
+    mean = float(np.mean((last.mean**2 + variance)[is_position]))
     return 1.0 if mean <= chi2.ppf(_LEVEL, n) / n else min(float(np.sqrt(mean)), _MOST)
 
 
-def looser_places(
-    scene: Scene, origin: FloatArray | None, stretch: float
+def inflate_position_sds(
+    scene: Scene, origin: FloatArray | None, position_sd_scale: float
 ) -> tuple[Scene, FloatArray | None]:
     """Return a scene whose places are told less surely, and where paths were traced in its units.
 
@@ -146,35 +148,39 @@ def looser_places(
         Free numbers of the places at which paths were traced.
     """
 
-    def looser(points: tuple[Point, ...]) -> tuple[Point, ...]:
+    def inflated(points: tuple[Point, ...]) -> tuple[Point, ...]:
         return tuple(
-            p if p.position_sd_m is None else replace(p, position_sd_m=stretch * p.position_sd_m)
+            p
+            if p.position_sd_m is None
+            else replace(p, position_sd_m=position_sd_scale * p.position_sd_m)
             for p in points
         )
 
-    changed = replace(scene, sources=looser(scene.sources), receivers=looser(scene.receivers))
+    changed = replace(scene, sources=inflated(scene.sources), receivers=inflated(scene.receivers))
     if origin is None:
         return changed, None
-    told = [p.position_sd_m is not None for p in (*scene.sources, *scene.receivers)]
+    specified = [p.position_sd_m is not None for p in (*scene.sources, *scene.receivers)]
     factor = np.ones(origin.size)
-    factor[: _n_places(scene)] = np.where(np.repeat(told, 3), stretch, 1.0)
+    factor[: _n_position_coordinates(scene)] = np.where(
+        np.repeat(specified, 3), position_sd_scale, 1.0
+    )
     return changed, origin / factor
 
 
-def places_findings(stretch: float) -> tuple[Finding, ...]:
+def position_uncertainty_findings(scale: float) -> tuple[Finding, ...]:
     """Return a finding where places were taken for less sure than told."""
-    if stretch <= 1.0:
+    if scale <= 1.0:
         return ()
     return (
         Finding(
             Code.POSITION_UNCERTAINTY_INFLATED,
             f"Arrival times contradict the stated spread of the positions: taken all together they "
-            f"are off {stretch:.1f} times as far, and were fitted with {stretch:.1f} times that "
+            f"are off {scale:.1f} times as far, and were fitted with {scale:.1f} times that "
             "spread. Measure them again; the drawing of the room may be wrong, too.",
-            {"stretch": stretch},
+            {"stretch": scale},
         ),
     )
 
 
-def _n_places(scene: Scene) -> int:
+def _n_position_coordinates(scene: Scene) -> int:
     return 3 * (len(scene.sources) + len(scene.receivers))

@@ -20,7 +20,7 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.directivity import fitted_directivities
-from roomfit.inversion.measurements import Gathered, gather, median_decay_s
+from roomfit.inversion.measurements import Measurements, collect_measurements, median_decay_s
 from roomfit.inversion.model_checks import (
     check_certifiable,
     description_findings,
@@ -34,16 +34,16 @@ from roomfit.inversion.model_checks import (
     schroeder_findings,
 )
 from roomfit.inversion.paths import TracedCampaign, redirected, trace_campaign
-from roomfit.inversion.solve import Solved, solve
+from roomfit.inversion.solve import BandFits, solve
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.io.campaign import Campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialKnowledge, prior_logits
+from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.objective.observation import (
     left_out_findings,
-    untold_band_findings,
-    untold_position_findings,
+    prior_only_band_findings,
+    unspecified_position_findings,
 )
 from roomfit.results import Answer
 from roomfit.scene import Scene, material_areas_m2
@@ -57,14 +57,14 @@ from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
 
 
-def assembled(
+def combine(
     campaign: Campaign,
-    gathered: Gathered,
+    measurements: Measurements,
     traced: TracedCampaign,
-    solved: Solved,
+    band_fits: BandFits,
     findings: tuple[Finding, ...],
     began: float,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
 ) -> Answer:
     """Put the bands side by side and predict every pair with what they say.
 
@@ -75,33 +75,36 @@ def assembled(
     began : float
         Of `time.perf_counter`.
     """
-    scene, found = gathered.scene, solved.answers
+    scene, found = measurements.scene, band_fits.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
-    told_wrong = any(f.code.voids_identifiability for f in findings)
-    if told_wrong:
-        identifiable &= np.array([[k.known is not None] for k in knowledge])
+    misspecified = any(f.code.voids_identifiability for f in findings)
+    if misspecified:
+        identifiable &= np.array([[k.known is not None] for k in priors])
     lower, upper = (
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
     )
     ambiguous, mirrors = mirror_findings(
-        *(gathered, campaign.bands, knowledge, absorption, lower, upper),
+        *(measurements, campaign.bands, priors, absorption, lower, upper),
         [b.mirrors for b in found],
     )
     identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)
-    covariance = _logit_covariance(found, absorption, knowledge)
-    prior = prior_logits(knowledge)
-    told = determined(
+    covariance = _logit_covariance(found, absorption, priors)
+    prior = prior_logits(priors)
+    determined_groups = determined(
         *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
         [b.samples for b in found],
     )
     models = tuple(b.model for b in found)
     inseparable = (
         ()
-        if told_wrong
+        if misspecified
         else inseparable_findings(
-            scene.room.materials, campaign.bands.centres_hz, identifiable, told.combinations
+            scene.room.materials,
+            campaign.bands.centres_hz,
+            identifiable,
+            determined_groups.combinations,
         )
     )
     return Answer(
@@ -114,13 +117,13 @@ def assembled(
         identifiable=identifiable,
         # the first combination of a band is the mean over the whole room
         mean_absorption=np.array(
-            [(c[0].value, c[0].lower95, c[0].upper95) for c in told.combinations]
+            [(c[0].value, c[0].lower95, c[0].upper95) for c in determined_groups.combinations]
         ).T,
-        phi=np.array([b.phi for b in found]),
+        chi2_reduced=np.array([b.chi2_reduced for b in found]),
         cost=float(sum(b.cost for b in found)),
         evaluations=sum(b.evaluations for b in found),
         converged=np.array([b.converged for b in found]),
-        pairs=compare_all(campaign, gathered, traced.binned, absorption),
+        pairs=compare_all(campaign, measurements, traced.binned, absorption),
         findings=(*findings, *mirrors, *inseparable),
         method=method_chosen(campaign.method),
         model=_model_of(models),
@@ -130,19 +133,19 @@ def assembled(
         seconds=time.perf_counter() - began,
         logit_covariance=covariance,
         logit_prior=prior,
-        combinations=told.combinations,
-        sentences=told.sentences,
-        shares=told.shares,
+        combinations=determined_groups.combinations,
+        sentences=determined_groups.sentences,
+        shares=determined_groups.shares,
         interval_kinds=tuple(b.kinds for b in found),
         profiles=tuple(b.profiles for b in found),
         samples=tuple(b.samples for b in found),
         sampling=tuple(b.sampling for b in found),
-        prior=prior_intervals(knowledge),
+        prior=prior_intervals(priors),
         reasons=reasons(campaign.method, campaign.bands, found),
         models=models,
         scattering=traced.scattering,
-        geometry=solved.geometry,
-        directivities=fitted_directivities(solved.directivities),
+        geometry=band_fits.geometry,
+        directivities=fitted_directivities(band_fits.directivities),
         certificates=tuple(b.certificate for b in found),
     )
 
@@ -153,16 +156,16 @@ def _model_of(models: tuple[str, ...]) -> str:
 
 
 def _logit_covariance(
-    found: tuple[BandAnswer, ...], absorption: FloatArray, knowledge: tuple[MaterialKnowledge, ...]
+    found: tuple[BandAnswer, ...], absorption: FloatArray, priors: tuple[MaterialPrior, ...]
 ) -> FloatArray:
     """Return the covariance of logit absorption in every band, whatever the bounds of the fit."""
-    names = [k.name for k in knowledge]
-    leaders = [names.index(k.tied_to or k.name) for k in knowledge]
+    names = [k.name for k in priors]
+    leaders = [names.index(k.tied_to or k.name) for k in priors]
     return plain_logit_covariance(
         np.stack([b.logit_covariance for b in found]),
         absorption,
-        np.array([k.lower for k in knowledge])[leaders],
-        np.array([k.upper for k in knowledge])[leaders],
+        np.array([k.lower for k in priors])[leaders],
+        np.array([k.upper for k in priors])[leaders],
     )
 
 
@@ -191,50 +194,52 @@ def identify(
     if campaign.method == "posterior":
         check_sampler()
     room, room_findings = read_room(campaign.room)
-    knowledge = material_knowledge(campaign, room.materials)
-    gathered = gather(campaign, room)
-    decay_s = median_decay_s(gathered, campaign.bands.centres_hz)
-    start = _eyring_start(gathered.scene, campaign, decay_s)
-    traced = trace_campaign(campaign, gathered, knowledge, start, cache, part(progress, 0.02, 0.45))
-    solved = solve(
-        *(campaign, gathered, knowledge, traced.paths, traced.factors, traced.binned, start),
+    priors = material_priors(campaign, room.materials)
+    measurements = collect_measurements(campaign, room)
+    decay_s = median_decay_s(measurements, campaign.bands.centres_hz)
+    start = _eyring_start(measurements.scene, campaign, decay_s)
+    traced = trace_campaign(
+        campaign, measurements, priors, start, cache, part(progress, 0.02, 0.45)
+    )
+    band_fits = solve(
+        *(campaign, measurements, priors, traced.paths, traced.factors, traced.binned, start),
         traced.far_images,
         traced.fit_until_s,
         traced.again,
-        _refinement(campaign, gathered, knowledge),
+        _refinement(campaign, measurements, priors),
         part(progress, 0.45, 0.98),
     )
-    if solved.directivities:
-        traced = redirected(campaign, gathered.scene, traced, solved.directivities)
-    answers = solved.answers
+    if band_fits.directivities:
+        traced = redirected(campaign, measurements.scene, traced, band_fits.directivities)
+    answers = band_fits.answers
     if campaign.smoothness_per_octave is not None:
         answers = smoothed(
-            *(answers, knowledge, campaign.bands, campaign.smoothness_per_octave),
+            *(answers, priors, campaign.bands, campaign.smoothness_per_octave),
             areas_m2=material_areas_m2(room),
         )
     findings = (
         *room_findings,
-        *gathered.findings,
-        *left_out_findings(campaign.bands, gathered.responses),
+        *measurements.findings,
+        *left_out_findings(campaign.bands, measurements.responses),
         *traced.findings,
-        *untold_position_findings(gathered.scene),
-        *untold_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
-        *solved.findings,
+        *unspecified_position_findings(measurements.scene),
+        *prior_only_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
+        *band_fits.findings,
         *fit_findings(campaign.bands, answers),
         *description_findings(answers),
         *certificate_findings(campaign.bands, [a.certificate for a in answers]),
         *starts_findings(campaign.bands, room.materials, [a.starts for a in answers]),
         *sampling_findings(campaign.bands, answers),
-        *prior_findings(campaign.bands, knowledge, answers),
+        *prior_findings(campaign.bands, priors, answers),
         *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
     )
-    return assembled(
-        campaign, gathered, traced, replace(solved, answers=answers), findings, began, knowledge
+    return combine(
+        campaign, measurements, traced, replace(band_fits, answers=answers), findings, began, priors
     )
 
 
 def _refinement(
-    campaign: Campaign, gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+    campaign: Campaign, measurements: Measurements, priors: tuple[MaterialPrior, ...]
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
     intervals: Literal["gaussian", "profile", "posterior"] = "profile"
@@ -243,8 +248,8 @@ def _refinement(
     elif campaign.method == "posterior":
         intervals = "posterior"
     return Refinement(
-        *(intervals, material_areas_m2(gathered.scene.room), campaign.seed),
-        tuple(s.exchange for s in mirror_symmetries(gathered, knowledge)),
+        *(intervals, material_areas_m2(measurements.scene.room), campaign.seed),
+        tuple(s.exchange for s in mirror_symmetries(measurements, priors)),
     )
 
 

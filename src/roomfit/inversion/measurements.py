@@ -47,28 +47,28 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
     for one, other in combinations(measured, 2):
         if one.pair != other.pair:
             continue
-        told = [*_differing(one, other), *_levels(one, other)]
-        if not told:
+        ways = [*_differing(one, other), *_levels(one, other)]
+        if not ways:
             continue
         names = f"{one.file.response.path.name} and {other.file.response.path.name}"
         findings.append(
             Finding(
                 Code.REPEATED_RESPONSES_DIFFER,
                 f"{one.file.source} to {one.file.receiver} was measured twice ({names}) with "
-                f"different results: {'; '.join(told)}. One of them may belong to another pair, or "
+                f"different results: {'; '.join(ways)}. One of them may belong to another pair, or "
                 "the room was changed in between.",
                 {
                     "source": one.file.source,
                     "receiver": one.file.receiver,
                     "files": [str(one.file.response.path), str(other.file.response.path)],
-                    "differences": told,
+                    "differences": ways,
                 },
             )
         )
     return tuple(findings)
 
 
-def unmet_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
+def unreached_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
     """Return the materials that no path strikes: nothing measured can tell of them.
 
     Parameters
@@ -82,7 +82,7 @@ def unmet_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
     return tuple(m for m in materials if not met[paths.materials.index(m)])
 
 
-def unmet_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ...]:
+def unreached_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ...]:
     """Return a finding that names the materials to be fitted which no path strikes.
 
     Parameters
@@ -91,21 +91,21 @@ def unmet_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ...]:
     fitted : sequence of str
         Materials whose absorption is not given.
     """
-    unmet = unmet_materials(paths, fitted)
-    if not unmet:
+    names = unreached_materials(paths, fitted)
+    if not names:
         return ()
     return (
         Finding(
             Code.MATERIAL_NOT_REACHED,
-            f"No path between the measured pairs strikes {', '.join(unmet)}: its absorption cannot "
+            f"No path between the measured pairs strikes {', '.join(names)}: its absorption cannot "
             "be told, and what was known beforehand is all that is reported.",
-            {"materials": list(unmet)},
+            {"materials": list(names)},
         ),
     )
 
 
 def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
-    told = []
+    parts = []
     for name in _COMPARED:
         first, second = one.parameters.of(name), other.parameters.of(name)
         # from their mean, so that the order does not matter
@@ -116,11 +116,11 @@ def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
         if known.max() > LARGEST_JND:
             j = int(np.argmax(known))
             symbol, unit = name.split("_")
-            told.append(
+            parts.append(
                 f"{symbol} {first[j]:.2f} and {second[j]:.2f} {unit} "
                 f"at {one.curve.bands.centres_hz[j]:g} Hz"
             )
-    return told
+    return parts
 
 
 def _levels(one: MeasuredPair, other: MeasuredPair) -> list[str]:
@@ -140,7 +140,7 @@ def _level_db(m: MeasuredPair) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gathered:
+class Measurements:
     """What a campaign's files hold.
 
     Attributes
@@ -163,7 +163,7 @@ class Gathered:
     findings: tuple[Finding, ...]
 
 
-def gather(campaign: Campaign, room: Room) -> Gathered:
+def collect_measurements(campaign: Campaign, room: Room) -> Measurements:
     """Read and examine every measured file of a campaign.
 
     Raises
@@ -177,8 +177,8 @@ def gather(campaign: Campaign, room: Room) -> Gathered:
     kept, more_doubts = _values(campaign, "validate")
     scene = _scene(campaign, room, (*fitted, *kept))
     responses, findings = measure(campaign, scene)
-    heard = [(m.pair, m.response) for m in responses if m.file.use == "fit"]
-    return Gathered(
+    observed = [(m.pair, m.response) for m in responses if m.file.use == "fit"]
+    return Measurements(
         scene,
         responses,
         fitted,
@@ -188,7 +188,7 @@ def gather(campaign: Campaign, room: Room) -> Gathered:
             *more_doubts,
             *findings,
             *duplicate_findings(responses),
-            *outline_findings(scene, heard),
+            *outline_findings(scene, observed),
         ),
     )
 
@@ -232,12 +232,12 @@ def _scene(campaign: Campaign, room: Room, tabulated: Sequence[MeasuredValues]) 
     return Scene(room, sources, receivers, indices, campaign.air)
 
 
-def time_scales(gathered: Gathered) -> tuple[float, float]:
+def time_scales(measurements: Measurements) -> tuple[float, float]:
     """Return the longest decay time of any band, and where the last usable window ends, in s.
 
     What is kept for validation has no say, so that it cannot change the answer.
     """
-    fitted = [m for m in gathered.responses if m.file.use == "fit"]
+    fitted = [m for m in measurements.responses if m.file.use == "fit"]
     longest = 0.0
     names: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
     for m in fitted:
@@ -246,7 +246,7 @@ def time_scales(gathered: Gathered) -> tuple[float, float]:
             if known.size:
                 longest = max(longest, float(known.max()))
                 break
-    for v in gathered.values:
+    for v in measurements.values:
         for row in (v.values.get("T30_s"), v.values.get("T20_s"), v.values.get("EDT_s")):
             if row is not None and _known(row).size:
                 longest = max(longest, float(_known(row).max()))
@@ -257,7 +257,7 @@ def time_scales(gathered: Gathered) -> tuple[float, float]:
     return longest, min(latest, longest)
 
 
-def median_decay_s(gathered: Gathered, centres_hz: FloatArray) -> FloatArray:
+def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatArray:
     """Return the median reverberation time over what is fitted, NaN where none is known.
 
     Of T20, or of EDT in a band where no pair has the range for T20; shape (n_bands,).
@@ -265,8 +265,8 @@ def median_decay_s(gathered: Gathered, centres_hz: FloatArray) -> FloatArray:
     found: FloatArray = np.full(centres_hz.size, np.nan)
     names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
     for name in names:
-        rows = [m.parameters.of(name) for m in gathered.responses if m.file.use == "fit"]
-        for v in gathered.values:
+        rows = [m.parameters.of(name) for m in measurements.responses if m.file.use == "fit"]
+        for v in measurements.values:
             if name in v.values:
                 rows.append(_at(v.centres_hz, v.values[name], centres_hz))
         for band, values in enumerate(np.array(rows).reshape(-1, centres_hz.size).T):

@@ -15,35 +15,37 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
-from roomfit.materials.priors import MaterialKnowledge, unknown_material
+from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import LARGEST_PHI, BandAnswer
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
 from roomfit.uncertainty.sampling import Sampled
 
-_FEWEST_BANDS, _LARGEST_MEDIAN_PHI = 3, 1.5
+_FEWEST_BANDS, _LARGEST_MEDIAN_CHI2 = 3, 1.5
 
 
 def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
     """Return every doubt that the fits leave."""
     findings = []
-    bad = [j for j, a in enumerate(answers) if a.phi > LARGEST_PHI]
+    bad = [j for j, a in enumerate(answers) if a.chi2_reduced > LARGEST_CHI2_REDUCED]
     if bad:
-        told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({answers[j].phi:.1f})" for j in bad)
+        listed = ", ".join(
+            f"{bands.centres_hz[j]:g} Hz ({answers[j].chi2_reduced:.1f})" for j in bad
+        )
         findings.append(
             Finding(
                 Code.MODEL_DOES_NOT_FIT,
-                f"The model does not explain the measurement within its noise at {told}: nothing "
+                f"The model does not explain the measurement within its noise at {listed}: nothing "
                 "is called identifiable there, and intervals are widened by the misfit.",
                 {"bands_hz": [float(bands.centres_hz[j]) for j in bad]},
             )
         )
     slow = [j for j, a in enumerate(answers) if not a.converged]
     if slow:
-        told = ", ".join(f"{bands.centres_hz[j]:g} Hz" for j in slow)
+        listed = ", ".join(f"{bands.centres_hz[j]:g} Hz" for j in slow)
         findings.append(
             Finding(
                 Code.FIT_NOT_CONVERGED,
-                f"The fit was still moving by more than a tenth of its interval at {told}.",
+                f"The fit was still moving by more than a tenth of its interval at {listed}.",
                 {"bands_hz": [float(bands.centres_hz[j]) for j in slow]},
             )
         )
@@ -64,10 +66,10 @@ def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
     answers : sequence of BandAnswer, one a band
         Those of which nothing was heard are left out.
     """
-    heard = [a.phi for a in answers if a.model in ("coherent", "energy")]
-    if len(heard) < _FEWEST_BANDS or not np.median(heard) > _LARGEST_MEDIAN_PHI:
+    chi2_of_bands = [a.chi2_reduced for a in answers if a.model in ("coherent", "energy")]
+    if len(chi2_of_bands) < _FEWEST_BANDS or not np.median(chi2_of_bands) > _LARGEST_MEDIAN_CHI2:
         return ()
-    median = float(np.median(heard))
+    median = float(np.median(chi2_of_bands))
     return (
         Finding(
             Code.MODEL_MISFIT_ALL_BANDS,
@@ -102,11 +104,11 @@ def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> t
     low = np.flatnonzero(bands.lower_hz < limit_hz)
     if not low.size:
         return ()
-    told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({limit_hz[j]:.0f} Hz)" for j in low)
+    listed = ", ".join(f"{bands.centres_hz[j]:g} Hz ({limit_hz[j]:.0f} Hz)" for j in low)
     return (
         Finding(
             Code.BELOW_SCHROEDER_FREQUENCY,
-            f"Part of the band lies below the Schroeder frequency at {told}: single modes decide "
+            f"Part of the band lies below the Schroeder frequency at {listed}: single modes decide "
             "there, which the model does not have. Trust these intervals less.",
             {"bands_hz": [float(bands.centres_hz[j]) for j in low]},
         ),
@@ -118,7 +120,7 @@ _Z95 = 1.959963984540054
 NEARLY_THE_PRIOR = 0.9
 
 
-def prior_intervals(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
     """Return absorption as it was known beforehand with its 95 % interval.
 
     Returns
@@ -127,10 +129,10 @@ def prior_intervals(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
         Median, lower and upper bound; of what is held fixed three times its value. What is tied to
         another material has that one's.
     """
-    by_name = {k.name: k for k in knowledge}
+    by_name = {k.name: k for k in priors}
     rows = []
-    for told in knowledge:
-        own = by_name[told.tied_to or told.name]
+    for prior in priors:
+        own = by_name[prior.tied_to or prior.name]
         if own.known is not None:
             rows.append(np.tile(own.known, (3, 1)))
             continue
@@ -140,7 +142,7 @@ def prior_intervals(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
 
 
 def prior_findings(
-    bands: Bands, knowledge: tuple[MaterialKnowledge, ...], answers: Sequence[BandAnswer]
+    bands: Bands, priors: tuple[MaterialPrior, ...], answers: Sequence[BandAnswer]
 ) -> tuple[Finding, ...]:
     """Return a finding for each material whose answer is nearly the prior that was given for it.
 
@@ -148,7 +150,7 @@ def prior_findings(
     prior makes it narrow.
     """
     findings = []
-    for i, own in enumerate(knowledge):
+    for i, own in enumerate(priors):
         if own.known is not None or own.tied_to is not None:
             continue
         plain = unknown_material(own.name, len(bands))
@@ -160,14 +162,14 @@ def prior_findings(
         bad = np.flatnonzero(given & fitted & (left > NEARLY_THE_PRIOR))
         if not bad.size:
             continue
-        told = ", ".join(
+        listed = ", ".join(
             f"{bands.centres_hz[j]:g} Hz ({100 * min(left[j], 1.0):.0f} %)" for j in bad
         )
         findings.append(
             Finding(
                 Code.PRIOR_DOMINATED,
                 f"What is told of {own.name} is nearly the prior that was given for it, with so "
-                f"much of its spread left: {told}. The data add next to nothing.",
+                f"much of its spread left: {listed}. The data add next to nothing.",
                 {
                     "material": own.name,
                     "bands_hz": [float(bands.centres_hz[j]) for j in bad],
@@ -193,16 +195,16 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandAnswer]) -> tuple[s
     bands : Bands
     answers : sequence of BandAnswer, one a band
     """
-    told = []
+    sentences = []
     if method == "auto":
-        told.append(
+        sentences.append(
             "Least squares from the absorption that the decays suggest: it has exact derivatives, "
             "and the other searches compare the same squares."
         )
-    told += [_starts(answers), _certificates(method, answers), _intervals(answers)]
+    sentences += [_starts(answers), _certificates(method, answers), _intervals(answers)]
     if method == "posterior":
-        told.append(_samples(bands, answers))
-    return tuple(t for t in told if t)
+        sentences.append(_samples(bands, answers))
+    return tuple(t for t in sentences if t)
 
 
 def interval_words(answers: Sequence[BandAnswer]) -> str:
@@ -223,12 +225,12 @@ def sampling_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Find
     ]
     if not bad:
         return ()
-    told = ", ".join(f"{f:g} Hz ({_quality(s)})" for f, s in bad)
+    listed = ", ".join(f"{f:g} Hz ({_quality(s)})" for f, s in bad)
     return (
         Finding(
             Code.SAMPLING_NOT_CONVERGED,
             f"The samples of the posterior did not come to rest within the evaluations allowed: "
-            f"{told}. The intervals there are the Gaussian ones.",
+            f"{listed}. The intervals there are the Gaussian ones.",
             {
                 "bands_hz": [f for f, _ in bad],
                 "evaluations": [s.evaluations for _, s in bad],

@@ -23,7 +23,7 @@ _FEWEST = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Heard:
+class BandComparison:
     """One band: what was compared with what.
 
     Attributes
@@ -44,7 +44,7 @@ class Heard:
     factor: FloatArray
 
 
-def spoiled_files(bands: Sequence[Heard], least_misfit: float) -> dict[int, float]:
+def outlier_files(bands: Sequence[BandComparison], least_misfit: float) -> dict[int, float]:
     """Return how many times worse than the others the spoiled files are explained.
 
     A file is spoiled where its mean squared weighted residual is far above the median of all
@@ -52,7 +52,7 @@ def spoiled_files(bands: Sequence[Heard], least_misfit: float) -> dict[int, floa
 
     Parameters
     ----------
-    bands : sequence of Heard
+    bands : sequence of BandComparison
         Those that were fitted.
     least_misfit : float
         A file that is explained better than this counts as good in that band.
@@ -74,22 +74,22 @@ def spoiled_files(bands: Sequence[Heard], least_misfit: float) -> dict[int, floa
     return {i: ratio for i, ratio in medians.items() if ratio > _TIMES_OTHERS}
 
 
-def softened(
-    problem: EnergyProblem, files: Sequence[MeasuredPair], spoiled: Mapping[int, float]
+def variance_inflation(
+    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[int, float]
 ) -> FloatArray:
     """Return by how much the variance of each window is to be enlarged, shape (n_windows,)."""
     sizes = [o.energy.size for o in problem.observations]
-    return np.repeat(np.array([spoiled.get(id(m), 1.0) for m in files]), sizes)
+    return np.repeat(np.array([outliers.get(id(m), 1.0) for m in files]), sizes)
 
 
-def spoiled_findings(
-    measured: Sequence[MeasuredPair], spoiled: Mapping[int, float]
+def outlier_findings(
+    measured: Sequence[MeasuredPair], outliers: Mapping[int, float]
 ) -> tuple[Finding, ...]:
     """Return a finding for each spoiled file, in the order of the campaign."""
-    return tuple(_finding(m, spoiled[id(m)]) for m in measured if id(m) in spoiled)
+    return tuple(_finding(m, outliers[id(m)]) for m in measured if id(m) in outliers)
 
 
-def _misfits(band: Heard) -> FloatArray:
+def _misfits(band: BandComparison) -> FloatArray:
     """Return the mean squared weighted residual of each observation, shape (n_observations,)."""
     n = band.factor.size
     squares = ((band.fit.measured - band.fit.expected) ** 2 / band.fit.variance)[:n]

@@ -11,17 +11,17 @@ from roomfit.cache import Cache
 from roomfit.findings import Finding
 from roomfit.inversion.coherent import Retrace
 from roomfit.inversion.directivity import FoundDirectivities, fitted_directivities
-from roomfit.inversion.measurements import Gathered, time_scales, unmet_findings
+from roomfit.inversion.measurements import Measurements, time_scales, unreached_findings
 from roomfit.inversion.scattering import (
     assumed_scattering,
     band_factors,
     chosen_scattering,
-    scattering_doubts,
-    told_scattering,
+    scattering_checks,
+    specified_scattering,
 )
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
 from roomfit.io.campaign import Campaign
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import FirstOrderBands, directivity_factors
 from roomfit.scene import Room, Scene
@@ -99,7 +99,7 @@ def _finder(
 
     def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
         images = trace_images(
-            *(moved, settings.image_order, until_s, plan.scattering), with_unfolding=True
+            *(moved, settings.image_order, until_s, plan.scattering), with_image_transforms=True
         )
         both = concatenate([images, rays])
         factors, _ = band_factors(campaign, moved, campaign.bands, both, scattering)
@@ -111,8 +111,8 @@ def _finder(
 
 def trace_campaign(
     campaign: Campaign,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
     start: FloatArray,
     cache: Cache | None,
     progress: Progress | None,
@@ -124,32 +124,30 @@ def trace_campaign(
     start : float array, shape (n_bands,)
         Uniform absorption to start from, where scattering has to be chosen first.
     """
-    scene = gathered.scene
-    slowest_s, latest_s = time_scales(gathered)
+    scene = measurements.scene
+    slowest_s, latest_s = time_scales(measurements)
     coherent = is_coherent(campaign)
-    plan = plan_trace(scene, knowledge, slowest_s, latest_s, campaign.seed, coherent=coherent)
-    knowledge, assumed = assumed_scattering(
-        gathered, campaign.bands, knowledge, plan.settings, start
-    )
-    knowledge, chosen = chosen_scattering(
-        *(campaign, gathered, knowledge, plan.settings, start), part(progress, 0.0, 0.5)
+    plan = plan_trace(scene, priors, slowest_s, latest_s, campaign.seed, coherent=coherent)
+    priors, assumed = assumed_scattering(measurements, campaign.bands, priors, plan.settings, start)
+    priors, chosen = chosen_scattering(
+        *(campaign, measurements, priors, plan.settings, start), part(progress, 0.0, 0.5)
     )
     doubts: tuple[Finding, ...] = ()
     if assumed or chosen:
         plan = plan_trace(
-            *(scene, knowledge, slowest_s, latest_s, campaign.seed),
+            *(scene, priors, slowest_s, latest_s, campaign.seed),
             coherent=coherent,
             images_until_s=plan.settings.image_until_s,
         )
     else:
-        doubts = scattering_doubts(gathered, campaign.bands, knowledge, plan.settings, start)
+        doubts = scattering_checks(measurements, campaign.bands, priors, plan.settings, start)
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths
-    scattering = told_scattering(knowledge, plan.scattering.coefficients, len(campaign.bands))
-    factors, worn = band_factors(campaign, scene, campaign.bands, paths, scattering)
+    scattering = specified_scattering(priors, plan.scattering.coefficients, len(campaign.bands))
+    factors, degenerate = band_factors(campaign, scene, campaign.bands, paths, scattering)
     binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s, factors)
-    unknown = [k.name for k in knowledge if k.known is None]
+    unknown = [k.name for k in priors if k.known is None]
     return TracedCampaign(
         paths,
         binned,
@@ -163,8 +161,8 @@ def trace_campaign(
             *plan.findings,
             *found.findings,
             *found.value.findings,
-            *unmet_findings(paths, unknown),
-            *worn,
+            *unreached_findings(paths, unknown),
+            *degenerate,
             *assumed,
             *chosen,
             *doubts,

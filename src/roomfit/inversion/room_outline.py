@@ -166,7 +166,7 @@ def _is_met(wall: _Wall, echo: _Echoes, c: float) -> bool:
     return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
 
 
-def _seen(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> FloatArray:
+def _prominences(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> FloatArray:
     """Return the prominence at the wall's reflection in every response that can tell it."""
     least_m = wall.offset_m + moved_m - _CLEAR_OF_POSITIONS_M
     stated = abs(moved_m) <= _TOLERANCE_M
@@ -186,8 +186,8 @@ def _seen(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> Float
 def _scan(wall: _Wall, echoes: list[_Echoes], c: float) -> FloatArray:
     """Return the mean prominence for every distance that the wall may be moved, NaN if untold."""
     least = max(_LEAST_RESPONSES, len(echoes) // 2)
-    seen = [_seen(wall, float(d), echoes, c) for d in _distances_m()]
-    return np.array([s.mean() if s.size >= least else np.nan for s in seen])
+    prominences = [_prominences(wall, float(d), echoes, c) for d in _distances_m()]
+    return np.array([s.mean() if s.size >= least else np.nan for s in prominences])
 
 
 def _judged(
@@ -201,8 +201,8 @@ def _judged(
     rest = scores[(np.abs(distances_m - moved_m) > 0.15) & np.isfinite(scores)]
     if here.size == 0 or rest.size < 20:
         return []
-    seen = _seen(wall, moved_m, echoes, c)
-    share = float(np.mean(seen > 1.0))
+    peak = _prominences(wall, moved_m, echoes, c)
+    share = float(np.mean(peak > 1.0))
     lead = best - max(float(here.max()), float(rest.max()))
     if best < _LEAST_SCORE or lead < _LEAST_LEAD or share < _LEAST_SHARE:
         return []
@@ -211,8 +211,8 @@ def _judged(
         Finding(
             Code.WALL_POSITION_MISMATCH,
             f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the stated "
-            f"outline has it, in {round(100 * share)} % of {seen.size} responses. Measure the room "
+            f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
             "again, or look for what hangs or stands in front of that wall.",
-            {"surface": wall.name, "metres_outward": round(moved_m, 2), "responses": seen.size},
+            {"surface": wall.name, "metres_outward": round(moved_m, 2), "responses": peak.size},
         )
     ]

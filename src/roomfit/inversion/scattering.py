@@ -18,17 +18,17 @@ from roomfit._checks import read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.inversion.measurements import Gathered
+from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 from roomfit.io.campaign import Campaign
 from roomfit.io.materials import campaign_directivities
-from roomfit.materials.priors import MaterialKnowledge, Scattering, in_bands
+from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import band_problems
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import directivity_factors
 from roomfit.response.scattering import (
-    LEAST_SAMPLE_SHARE,
+    LEAST_EFFECTIVE_FRACTION,
     effective_sample_size,
     rows_for_band,
     scattering_weights,
@@ -60,7 +60,7 @@ class Retracer:
         self,
         trace_at: Callable[[Scattering], TracedRows],
         *,
-        least_share: float = LEAST_SAMPLE_SHARE,
+        least_share: float = LEAST_EFFECTIVE_FRACTION,
         kept: int = 2,
     ) -> None:
         self._trace_at = trace_at
@@ -82,8 +82,8 @@ class Retracer:
             if not _within_reach(traced.paths, scattering):
                 continue
             band = rows_for_band(traced.binned.rows, traced.paths, scattering)
-            if band.sample_share > best_share:
-                best_share, best = band.sample_share, (traced, band.rows)
+            if band.effective_sample_fraction > best_share:
+                best_share, best = band.effective_sample_fraction, (traced, band.rows)
         if best is None or best_share < self._least_share:
             self._traced = [*self._traced, self._trace_at(scattering)][-self._kept :]
             self.n_traces += 1
@@ -101,7 +101,11 @@ def _within_reach(paths: Paths, scattering: Scattering) -> bool:
 
 
 def scene_retracer(
-    scene: Scene, bands: Bands, settings: TraceSettings, *, least_share: float = LEAST_SAMPLE_SHARE
+    scene: Scene,
+    bands: Bands,
+    settings: TraceSettings,
+    *,
+    least_share: float = LEAST_EFFECTIVE_FRACTION,
 ) -> Retracer:
     """Return a `Retracer` that traces a scene with given settings."""
 
@@ -115,7 +119,7 @@ def scene_retracer(
 def energy_fits(
     scene: Scene,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     measured: tuple[MeasuredPair, ...],
     retracer: Retracer,
     start: FloatArray,
@@ -134,7 +138,7 @@ def energy_fits(
     columns, own = np.unique(coefficients, axis=1, return_inverse=True)
     for number, column in enumerate(columns.T):
         binned = retracer.at(Scattering(scene.room.materials, column)).binned
-        problems = band_problems(scene, bands, knowledge, measured, binned, start)
+        problems = band_problems(scene, bands, priors, measured, binned, start)
         for band, problem in enumerate(problems):
             if problem is not None and own.reshape(-1)[band] == number:
                 fits[band] = fit_band(problem, gauss_newton, few_gauss_newton_steps)
@@ -357,12 +361,12 @@ _TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
 
 def chosen_scattering(
     campaign: Campaign,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
     settings: TraceSettings,
     start: FloatArray,
     progress: Progress | None,
-) -> tuple[tuple[MaterialKnowledge, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
     """Return the knowledge with the likeliest value where ``scattering = "fit"`` stands.
 
     Energies alone are compared, in paths that are weighed anew for every trial.
@@ -378,41 +382,41 @@ def chosen_scattering(
     InputError
         The campaign has no response to fit.
     """
-    fitted = np.array([k.fit_scattering for k in knowledge])
+    fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
-        return knowledge, ()
-    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
-    if not heard:
+        return priors, ()
+    observed = tuple(m for m in measurements.responses if m.file.use == "fit")
+    if not observed:
         raise InputError(
             "scattering cannot be fitted without responses",
             where=f"{campaign.path}, materials",
             found='scattering = "fit" and room parameters only',
             needed="impulse responses, or scattering as a number",
         )
-    scene, bands = gathered.scene, campaign.bands
+    scene, bands = measurements.scene, campaign.bands
     retracer = scene_retracer(scene, bands, _quick(settings))
-    told = np.stack(
+    specified = np.stack(
         [
             np.full(len(bands), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
-            for k in knowledge
+            for k in priors
         ]
     )
 
     def fit(coefficients: FloatArray) -> FloatArray:
         return log_likelihoods(
-            energy_fits(scene, bands, knowledge, heard, retracer, start, coefficients)
+            energy_fits(scene, bands, priors, observed, retracer, start, coefficients)
         )
 
     common = int(np.count_nonzero(fitted)) > _MOST_APART
-    choice = choose_scattering(fit, told, fitted, common=common, progress=progress)
+    choice = choose_scattering(fit, specified, fitted, common=common, progress=progress)
     chosen = tuple(
         replace(k, scattering=row) if k.fit_scattering else k
-        for k, row in zip(knowledge, choice.coefficients, strict=True)
+        for k, row in zip(priors, choice.coefficients, strict=True)
     )
-    names = [k.name for k in knowledge if k.fit_scattering]
+    names = [k.name for k in priors if k.fit_scattering]
     ranges = ", ".join(
         f"{k.name} {choice.coefficients[i, 0]:g} ({choice.lower[i, 0]:g} to {choice.upper[i, 0]:g})"
-        for i, k in enumerate(knowledge)
+        for i, k in enumerate(priors)
         if k.fit_scattering
     )
     sentence = f"Scattering that explains the data best, among eight values: {ranges}."
@@ -421,7 +425,7 @@ def chosen_scattering(
 
 def _quick(settings: TraceSettings) -> TraceSettings:
     until_s = min(settings.duration_s, _LONGEST_S)
-    return replace(settings, n_rays=_N_RAYS, duration_s=until_s, keep_unfolding=False)
+    return replace(settings, n_rays=_N_RAYS, duration_s=until_s, keep_image_transforms=False)
 
 
 def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
@@ -429,12 +433,12 @@ def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
 
 
 def assumed_scattering(
-    gathered: Gathered,
+    measurements: Measurements,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     settings: TraceSettings,
     start: FloatArray,
-) -> tuple[tuple[MaterialKnowledge, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
     """Return the knowledge with a scattering for the walls of which none is told.
 
     One coefficient for all of them: the likeliest of five where there are responses; 0.1 where
@@ -444,21 +448,21 @@ def assumed_scattering(
     ----------
     start : float array, shape (n_bands,)
     """
-    untold = np.array([k.scattering is None and not k.fit_scattering for k in knowledge])
-    if not untold.any():
-        return knowledge, ()
-    names = ", ".join(k.name for k in knowledge if k.scattering is None)
+    unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
+    if not unspecified.any():
+        return priors, ()
+    names = ", ".join(k.name for k in priors if k.scattering is None)
     sentence = f"No scattering is told for {names}; {DEFAULT_SCATTERING:g} was assumed."
     value = DEFAULT_SCATTERING
     first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
     middle = slice(first, min(first + _TRIAL_BANDS, len(bands)))
-    trial = _trial(gathered, bands, knowledge, settings, start, middle)
+    trial = _trial(measurements, bands, priors, settings, start, middle)
     if trial is not None:
-        fit, told = trial
+        fit, specified = trial
         grid = (0.0, *sorted({*_ASSUMED, DEFAULT_SCATTERING}))
-        choice = choose_scattering(fit, told, untold, grid=grid)
-        value = float(choice.coefficients[untold][0, 0])
-        low, high = (float(x[untold][0, 0]) for x in (choice.lower, choice.upper))
+        choice = choose_scattering(fit, specified, unspecified, grid=grid)
+        value = float(choice.coefficients[unspecified][0, 0])
+        low, high = (float(x[unspecified][0, 0]) for x in (choice.lower, choice.upper))
         value = DEFAULT_SCATTERING if low <= DEFAULT_SCATTERING <= high else value
         others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
         sentence = (
@@ -467,16 +471,16 @@ def assumed_scattering(
         )
     known = tuple(
         replace(k, scattering=np.full(len(bands), value)) if missing else k
-        for k, missing in zip(knowledge, untold, strict=True)
+        for k, missing in zip(priors, unspecified, strict=True)
     )
     evidence = {"materials": names.split(", "), "scattering": value}
     return known, (Finding(Code.SCATTERING_ASSUMED, sentence, evidence),)
 
 
-def scattering_doubts(
-    gathered: Gathered,
+def scattering_checks(
+    measurements: Measurements,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     settings: TraceSettings,
     start: FloatArray,
 ) -> tuple[Finding, ...]:
@@ -491,22 +495,24 @@ def scattering_doubts(
     ----------
     start : float array, shape (n_bands,)
     """
-    smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in knowledge]
+    smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors]
     if not any(smooth):
         return ()
     last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_DOUBT_HZ)), 1)
     chosen = slice(max(last - _DOUBT_BANDS, 0), last)
-    trial = _trial(gathered, bands, knowledge, settings, start, chosen, n_rays=_N_RAYS)
+    trial = _trial(measurements, bands, priors, settings, start, chosen, n_rays=_N_RAYS)
     if trial is None:
         return ()
-    fit, told = trial
-    return suspected_scattering(fit, gathered.scene.room.materials, told, fit(told), trials=_TRIAL)
+    fit, specified = trial
+    return suspected_scattering(
+        fit, measurements.scene.room.materials, specified, fit(specified), trials=_TRIAL
+    )
 
 
 def _trial(
-    gathered: Gathered,
+    measurements: Measurements,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     settings: TraceSettings,
     start: FloatArray,
     chosen: slice,
@@ -517,17 +523,17 @@ def _trial(
 
     None where there are no responses to fit.
     """
-    heard = tuple(m for m in gathered.responses if m.file.use == "fit")
-    if not heard:
+    observed = tuple(m for m in measurements.responses if m.file.use == "fit")
+    if not observed:
         return None
     own = Bands(bands.kind, bands.centres_hz[chosen])
-    known = in_bands(knowledge, np.arange(chosen.start, chosen.stop))
-    responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in heard)
-    scene = gathered.scene
+    known = in_bands(priors, np.arange(chosen.start, chosen.stop))
+    responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in observed)
+    scene = measurements.scene
     few = replace(_quick(settings), n_rays=n_rays)
     few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
     retracer = scene_retracer(scene, own, few)
-    told = np.stack(
+    specified = np.stack(
         [
             np.full(len(own), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
             for k in known
@@ -539,16 +545,16 @@ def _trial(
             energy_fits(scene, own, known, responses, retracer, start[chosen], coefficients)
         )
 
-    return fit, told
+    return fit, specified
 
 
-def told_scattering(
-    knowledge: tuple[MaterialKnowledge, ...], traced: FloatArray, n_bands: int
+def specified_scattering(
+    priors: tuple[MaterialPrior, ...], traced: FloatArray, n_bands: int
 ) -> FloatArray:
     """Return what each wall scatters in each band; where nothing is told, as it was traced."""
     rows = [
         np.full(n_bands, s0) if k.scattering is None else k.scattering
-        for k, s0 in zip(knowledge, traced, strict=True)
+        for k, s0 in zip(priors, traced, strict=True)
     ]
     return np.stack(rows)
 
@@ -577,7 +583,7 @@ def band_factors(
         for band in range(len(bands)):
             wanted = Scattering(paths.materials, scattering[:, band])
             factors[band] = scattering_weights(paths, wanted)
-        findings = _worn_findings(bands, paths, factors)
+        findings = _degenerate_weight_findings(bands, paths, factors)
     sources = campaign_directivities(campaign, scene, bands)
     if any(s is not None for s in sources):
         for band in range(len(bands)):
@@ -587,23 +593,27 @@ def band_factors(
     return factors, findings
 
 
-def _worn_findings(bands: Bands, paths: Paths, factors: FloatArray) -> tuple[Finding, ...]:
+def _degenerate_weight_findings(
+    bands: Bands, paths: Paths, factors: FloatArray
+) -> tuple[Finding, ...]:
     """Return a finding for bands in which few rays carry nearly all of the weight."""
     rays = paths.batch >= 0
     n = int(np.count_nonzero(rays))
     if n == 0:
         return ()
-    shares = np.array([effective_sample_size(row[rays]) / n for row in factors])
-    worn = np.flatnonzero(shares < LEAST_SAMPLE_SHARE)
-    if not worn.size:
+    fractions = np.array([effective_sample_size(row[rays]) / n for row in factors])
+    degenerate = np.flatnonzero(fractions < LEAST_EFFECTIVE_FRACTION)
+    if not degenerate.size:
         return ()
-    told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({100 * shares[j]:.0f} %)" for j in worn)
+    listed = ", ".join(
+        f"{bands.centres_hz[j]:g} Hz ({100 * fractions[j]:.0f} %)" for j in degenerate
+    )
     return (
         Finding(
             Code.IMPORTANCE_WEIGHTS_DEGENERATE,
             f"Scattering differs so much from its mean over the bands that few rays carry the "
-            f"energy at {told} of them: predictions are noisy there. Fit these bands by "
+            f"energy at {listed} of them: predictions are noisy there. Fit these bands by "
             "themselves.",
-            {"bands_hz": [float(bands.centres_hz[j]) for j in worn]},
+            {"bands_hz": [float(bands.centres_hz[j]) for j in degenerate]},
         ),
     )

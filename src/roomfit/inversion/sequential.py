@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 
 from roomfit.objective.coherent import SPEED_SD, CoherentProblem, with_coherence
-from roomfit.objective.directivity import Directed, made_directed
+from roomfit.objective.directivity import BandDirectivities, with_directivity_unknown
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import (
     GEOMETRY,
@@ -23,7 +23,7 @@ from roomfit.objective.parameters import (
     prior_residuals,
     whole_covariance,
 )
-from roomfit.objective.problem import BandProblem, JointProblem, SoftenedProblem
+from roomfit.objective.problem import BandProblem, InflatedVariance, JointProblem
 from roomfit.solvers.least_squares import BandFit, marginal, score_band
 from roomfit.typing import FloatArray, Progress
 
@@ -88,7 +88,7 @@ def fit_in_rounds(
         if first == vector.size:
             break
         own = np.linalg.inv(fit.information)[first:, first:]
-        covariance = np.asarray(own * max(fit.phi, 1.0))
+        covariance = np.asarray(own * max(fit.chi2_reduced, 1.0))
     each = problem.log_likelihood(fit.expected, fit.variance)
     likelihood = float(each.sum())
     if first == vector.size:
@@ -97,7 +97,7 @@ def fit_in_rounds(
     return CoherentBandFit(fit, likelihood, found, problem)
 
 
-def without_band(final: Marginal, after: Marginal, before: FloatArray) -> JointPrior:
+def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> JointPrior:
     """Return what all bands but one say of the geometry, as a prior for that one.
 
     Parameters
@@ -158,7 +158,7 @@ class CoherentBand:
     factor: FloatArray
     problem: CoherentProblem
     parts: tuple[PartFactory, ...]
-    directed: Directed | None = None
+    directed: BandDirectivities | None = None
 
     def with_noise(self, model: float, ringing: float) -> CoherentBand:
         changed = replace(self.problem.energies, model_error=model, ringing_error=ringing)
@@ -176,20 +176,20 @@ class CoherentBand:
         own = with_coherence(
             self.problem, whole_covariance(self.problem.geometry, covariance), phase_sd
         )
-        return joined(made_directed(own, self.directed), self.factor, self.parts)
+        return joined(with_directivity_unknown(own, self.directed), self.factor, self.parts)
 
 
 def joined(problem: BandProblem, factor: FloatArray, parts: Sequence[PartFactory]) -> BandProblem:
     """Return a problem softened by a factor a datum, with other kinds of data joined to it."""
-    softened: BandProblem = problem
+    inflated: BandProblem = problem
     if np.any(factor != 1.0):
-        softened = SoftenedProblem(problem, factor)
+        inflated = InflatedVariance(problem, factor)
     if not parts:
-        return softened
-    return JointProblem((softened, *(make(problem.parameters) for make in parts)))
+        return inflated
+    return JointProblem((inflated, *(make(problem.parameters) for make in parts)))
 
 
-def upwards(
+def forward_pass(
     prepared: tuple[CoherentBand | None, ...], settings: CoherentOptions, progress: Progress | None
 ) -> tuple[list[CoherentBandFit | None], list[tuple[float, float, float]]]:
     """Fit the bands from low to high, each under what the lower ones say of the geometry."""
@@ -227,7 +227,7 @@ def _with_best_noise(
         if best is not None and fit.log_likelihood <= best[0].log_likelihood:
             break
         best = fit, noise
-        if fit.fit.phi <= 1.0:
+        if fit.fit.chi2_reduced <= 1.0:
             break
     assert best is not None  # noqa: S101 - the loop runs at least once
     return best
@@ -252,7 +252,7 @@ def _start(band: CoherentBand, known: Marginal | None) -> FloatArray:
     return np.concatenate((band.energy_fit.vector, geometry))
 
 
-def once_more(
+def leave_one_out_pass(
     prepared: tuple[CoherentBand | None, ...],
     fits: list[CoherentBandFit | None],
     noises: list[tuple[float, float, float]],
@@ -277,7 +277,7 @@ def once_more(
         band, fit = prepared[i], fits[i]
         if band is None or fit is None or fit.found is None:
             continue
-        prior = without_band(final, fit.found, geometry_information(fit.parameters))
+        prior = cavity_prior(final, fit.found, geometry_information(fit.parameters))
         model, ringing, phase_sd = noises[i]
         own = band.after(prior).with_noise(model, ringing)
         n = fit.fit.vector.size - final.mean.size

@@ -12,27 +12,27 @@ from roomfit.findings import Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import Retrace, fit_coherent
 from roomfit.inversion.directivity import (
-    DirectivityDoubt,
+    DirectivityScore,
     EnergyTask,
     FoundDirectivities,
     band_directivities,
-    campaign_directing,
+    campaign_directivity_parameters,
     directed_energies,
-    doubting,
     energy_problems,
     omnidirectional,
+    score_sources,
     source_findings,
 )
-from roomfit.inversion.measurements import Gathered
+from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import air_error, shared_steps, with_tracing_noise
 from roomfit.inversion.trace_plan import is_coherent
 from roomfit.io.campaign import Campaign
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import SPEED_SD, FittedGeometry
-from roomfit.objective.directivity import DirectedProblem, Directing
+from roomfit.objective.directivity import DirectedProblem, DirectivityParameters
 from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import tells_of_band
+from roomfit.objective.observation import has_data_in_band
 from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import BandProblem, JointProblem
 from roomfit.objective.room_parameters import RoomValuesProblem, value_problems
@@ -41,10 +41,10 @@ from roomfit.scene import material_areas_m2
 from roomfit.solvers.least_squares import BandFit
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import Allow, BandAnswer, Refine, allowing_for
+from roomfit.uncertainty.gaussian import BandAnswer, Refine, SharedCovariance, add_covariance
 
 
-def allowing_for_shared_errors(task: EnergyTask) -> Allow:
+def shared_error_covariance(task: EnergyTask) -> SharedCovariance:
     """Return what makes a band's fit as sure as the errors that its windows share permit.
 
     Room parameters without responses stay as they are.
@@ -54,22 +54,22 @@ def allowing_for_shared_errors(task: EnergyTask) -> Allow:
     task : EnergyTask
     """
 
-    def allow(band: int, problem: BandProblem, fit: BandFit) -> BandFit:
+    def add_shared_errors(band: int, problem: BandProblem, fit: BandFit) -> BandFit:
         first = problem.parts[0] if isinstance(problem, JointProblem) else problem
         energies = first.problem if isinstance(first, DirectedProblem) else first
         if not isinstance(energies, EnergyProblem) or not fit.vector.size:
             return fit
-        heard = [m for m in task.measured if tells_of_band(m, band)]
-        sources = [int(task.scene.pairs[m.pair][0]) for m in heard]
+        observed = [m for m in task.measured if has_data_in_band(m, band)]
+        sources = [int(task.scene.pairs[m.pair][0]) for m in observed]
         noisy = with_tracing_noise(problem, energies, sources, fit)
         air = air_error(task.scene.air, task.bands, band, energies)
-        return allowing_for(noisy, shared_steps(problem, fit, energies, air))
+        return add_covariance(noisy, shared_steps(problem, fit, energies, air))
 
-    return allow
+    return add_shared_errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Solved:
+class BandFits:
     """The answer of every band, and what was found of arrival times and sources on the way.
 
     `directivities`, one a band, are empty where no source's was to be found.
@@ -86,16 +86,16 @@ def relative_speed_sd(campaign: Campaign) -> float:
 
     The speed grows as the root of the absolute temperature.
     """
-    told = campaign.temperature_sd_c
-    if told is None:
+    temperature_sd_c = campaign.temperature_sd_c
+    if temperature_sd_c is None:
         return SPEED_SD
-    return max(0.5 * told / (273.15 + campaign.air.temperature_c), 1e-6)
+    return max(0.5 * temperature_sd_c / (273.15 + campaign.air.temperature_c), 1e-6)
 
 
 def solve(
     campaign: Campaign,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
     paths: Paths,
     weights: FloatArray | None,
     binned: BinnedPaths,
@@ -105,7 +105,7 @@ def solve(
     retrace: Retrace | None,
     refine: Refine | None,
     progress: Progress | None,
-) -> Solved:
+) -> BandFits:
     """Fit every band of a campaign.
 
     Raises
@@ -131,15 +131,32 @@ def solve(
     refine : callable or None
         Makes better intervals of each band's fit.
     """
-    directing = campaign_directing(campaign, gathered.scene)
-    suspects = omnidirectional(campaign, gathered.scene) if directing is None else None
-    values = _value_problems(campaign, gathered, knowledge, binned, start)
+    directivity_parameters = campaign_directivity_parameters(campaign, measurements.scene)
+    tested_sources = (
+        omnidirectional(campaign, measurements.scene) if directivity_parameters is None else None
+    )
+    values = _value_problems(campaign, measurements, priors, binned, start)
     if not is_coherent(campaign) or not (far_images or campaign.model == "coherent"):
         task = EnergyTask(
-            *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start)
+            *(
+                measurements.scene,
+                campaign.bands,
+                priors,
+                measurements.responses,
+                paths,
+                binned,
+                start,
+            )
         )
         return _energies_alone(
-            campaign, gathered, task, values, directing, suspects, refine, progress
+            campaign,
+            measurements,
+            task,
+            values,
+            directivity_parameters,
+            tested_sources,
+            refine,
+            progress,
         )
     options = CoherentOptions(
         positions="fixed" if campaign.positions == "fixed" else "fit",
@@ -149,57 +166,66 @@ def solve(
         speed_sd=relative_speed_sd(campaign),
     )
     fit = fit_coherent(
-        *(gathered.scene, campaign.bands, knowledge, gathered.responses, paths, binned, start),
+        *(measurements.scene, campaign.bands, priors, measurements.responses, paths, binned, start),
         options=options,
         weights=weights,
         retrace=retrace,
         extra_parts=[() if v is None else (_sharing(v),) for v in values],
-        directing=directing,
-        suspects=suspects,
+        directivity_parameters=directivity_parameters,
+        tested_sources=tested_sources,
         refine=refine,
         progress=part(progress, 0.0, 0.95),
     )
-    untold = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
-    rest = _answers(campaign, gathered, knowledge, untold, refine, part(progress, 0.95, 1.0))
+    values_alone = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
+    rest = _answers(campaign, measurements, priors, values_alone, refine, part(progress, 0.95, 1.0))
     answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
-    found = band_directivities(directing, fit.directed, answers)
-    return Solved(answers, fit.geometry, fit.findings, found)
+    found = band_directivities(directivity_parameters, fit.directed, answers)
+    return BandFits(answers, fit.geometry, fit.findings, found)
 
 
 def _energies_alone(
     campaign: Campaign,
-    gathered: Gathered,
+    measurements: Measurements,
     task: EnergyTask,
     values: tuple[RoomValuesProblem | None, ...],
-    directing: Directing | None,
-    suspects: Directing | None,
+    directivity_parameters: DirectivityParameters | None,
+    tested_sources: DirectivityParameters | None,
     refine: Refine | None,
     progress: Progress | None,
-) -> Solved:
+) -> BandFits:
     """Fit window energies and room parameters, no pressures."""
-    hows = directed_energies(task, directing)
-    doubts: dict[int, DirectivityDoubt] = {}
+    directivities = directed_energies(task, directivity_parameters)
+    doubts: dict[int, DirectivityScore] = {}
     answers = _answers(
-        *(campaign, gathered, task.knowledge, _joined(energy_problems(task, hows), values)),
+        *(
+            campaign,
+            measurements,
+            task.priors,
+            _joined(energy_problems(task, directivities), values),
+        ),
         refine,
         progress,
-        None if suspects is None else doubting(task, suspects, doubts),
-        allowing_for_shared_errors(task),
+        None if tested_sources is None else score_sources(task, tested_sources, doubts),
+        shared_error_covariance(task),
     )
-    findings = source_findings(suspects, doubts)
-    return Solved(answers, None, findings, band_directivities(directing, hows, answers))
+    findings = source_findings(tested_sources, doubts)
+    return BandFits(
+        answers, None, findings, band_directivities(directivity_parameters, directivities, answers)
+    )
 
 
 def _value_problems(
     campaign: Campaign,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
     binned: BinnedPaths,
     start: FloatArray,
 ) -> tuple[RoomValuesProblem | None, ...]:
-    if not gathered.values:
+    if not measurements.values:
         return (None,) * len(campaign.bands)
-    return value_problems(gathered.scene, campaign.bands, knowledge, gathered.values, binned, start)
+    return value_problems(
+        measurements.scene, campaign.bands, priors, measurements.values, binned, start
+    )
 
 
 def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:
@@ -211,27 +237,29 @@ def _joined(
     windows: Iterator[BandProblem | None], values: tuple[RoomValuesProblem | None, ...]
 ) -> Iterator[BandProblem | None]:
     """Make one problem after the other from window energies, room parameters, or both."""
-    for heard, told in zip(windows, values, strict=True):
-        if heard is None or told is None:
-            yield heard or told
+    for from_windows, from_values in zip(windows, values, strict=True):
+        if from_windows is None or from_values is None:
+            yield from_windows or from_values
         else:
-            yield JointProblem((heard, replace(told, parameters=heard.parameters)))
+            yield JointProblem(
+                (from_windows, replace(from_values, parameters=from_windows.parameters))
+            )
 
 
 def _answers(
     campaign: Campaign,
-    gathered: Gathered,
-    knowledge: tuple[MaterialKnowledge, ...],
+    measurements: Measurements,
+    priors: tuple[MaterialPrior, ...],
     problems: Iterator[BandProblem | None] | list[RoomValuesProblem | None],
     refine: Refine | None,
     progress: Progress | None,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
-    allow: Allow | None = None,
+    shared_covariance: SharedCovariance | None = None,
 ) -> tuple[BandAnswer, ...]:
-    areas = material_areas_m2(gathered.scene.room)
+    areas = material_areas_m2(measurements.scene.room)
     return fit_bands(
-        *(problems, knowledge, areas, campaign.method, campaign.seed, progress),
+        *(problems, priors, areas, campaign.method, campaign.seed, progress),
         watch=watch,
-        allow=allow,
+        shared_covariance=shared_covariance,
         refine=refine,
     )

@@ -15,9 +15,9 @@ from roomfit.bands import Bands
 from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
-from roomfit.inversion.measurements import Gathered
-from roomfit.materials.priors import MaterialKnowledge
-from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.inversion.measurements import Measurements
+from roomfit.materials.priors import MaterialPrior
+from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Room, Scene, triangle_material
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.gaussian import MirrorTrial
@@ -215,9 +215,9 @@ _UNDECIDED = 2.0
 
 
 def mirror_findings(
-    gathered: Gathered,
+    measurements: Measurements,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     absorption: FloatArray,
     lower95: FloatArray,
     upper95: FloatArray,
@@ -233,9 +233,9 @@ def mirror_findings(
 
     Parameters
     ----------
-    gathered : Gathered
+    measurements : Measurements
     bands : Bands
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
     absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
     trials : sequence of tuples of MirrorTrial, one a band
         Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands are left out
@@ -248,8 +248,8 @@ def mirror_findings(
     """
     ambiguous = np.zeros(absorption.shape, dtype=np.bool_)
     findings = []
-    scene = _fitted_scene(gathered)
-    for number, symmetry in enumerate(mirror_symmetries(gathered, knowledge)):
+    scene = _fitted_scene(measurements)
+    for number, symmetry in enumerate(mirror_symmetries(measurements, priors)):
         other = absorption[symmetry.exchange]
         differs = (other < lower95) | (other > upper95)
         tried = [t[number] if number < len(t) else None for t in trials]
@@ -262,40 +262,38 @@ def mirror_findings(
 
 
 def mirror_symmetries(
-    gathered: Gathered, knowledge: tuple[MaterialKnowledge, ...]
+    measurements: Measurements, priors: tuple[MaterialPrior, ...]
 ) -> tuple[Symmetry, ...]:
     """Return the symmetries of room and fitted pairs that exchange materials known alike."""
-    scene = _fitted_scene(gathered)
+    scene = _fitted_scene(measurements)
     return tuple(
         symmetry
         for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
-        if _unknown_alike(knowledge, symmetry.exchange)
+        if _priors_are_exchangeable(priors, symmetry.exchange)
         and not np.any(deviation_m(symmetry, scene) > _allowed_m(scene))
     )
 
 
-def _fitted_scene(gathered: Gathered) -> Scene:
+def _fitted_scene(measurements: Measurements) -> Scene:
     """Return the scene of the pairs that are fitted."""
-    scene = gathered.scene
-    heard = {m.pair for m in gathered.responses if m.file.use == "fit"}
-    tabulated = {(v.source, v.receiver) for v in gathered.values}
+    scene = measurements.scene
+    fitted_pairs = {m.pair for m in measurements.responses if m.file.use == "fit"}
+    tabulated = {(v.source, v.receiver) for v in measurements.values}
     kept = [
         i
         for i, (s, r) in enumerate(scene.pairs)
-        if i in heard or (scene.sources[s].name, scene.receivers[r].name) in tabulated
+        if i in fitted_pairs or (scene.sources[s].name, scene.receivers[r].name) in tabulated
     ]
     return replace(scene, pairs=scene.pairs[kept])
 
 
-def _unknown_alike(knowledge: tuple[MaterialKnowledge, ...], exchange: IntArray) -> bool:
+def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArray) -> bool:
     """Whether materials are exchanged, and only such of which nothing, or the same, is known."""
     moved = np.flatnonzero(exchange != np.arange(exchange.size))
-    return moved.size > 0 and all(
-        _same_knowledge(knowledge[i], knowledge[exchange[i]]) for i in moved
-    )
+    return moved.size > 0 and all(_same_prior(priors[i], priors[exchange[i]]) for i in moved)
 
 
-def _same_knowledge(one: MaterialKnowledge, other: MaterialKnowledge) -> bool:
+def _same_prior(one: MaterialPrior, other: MaterialPrior) -> bool:
     if one.known is not None or other.known is not None:
         return False
     return np.array_equal(one.prior_logit_mean, other.prior_logit_mean) and (
@@ -308,7 +306,7 @@ def _allowed_m(scene: Scene) -> FloatArray:
     """Return how far from symmetric each pair may be told to stand and yet be so."""
     sources, receivers = (
         np.array(
-            [UNTOLD_POSITION_SD_M if p.position_sd_m is None else p.position_sd_m for p in points]
+            [DEFAULT_POSITION_SD_M if p.position_sd_m is None else p.position_sd_m for p in points]
         )
         for points in (scene.sources, scene.receivers)
     )
@@ -328,7 +326,7 @@ def _finding(
     names = scene.room.materials
     moved = [i for i in range(len(names)) if differs[i].any()]
     columns = np.flatnonzero(differs.any(axis=0))
-    told = "; ".join(
+    listed = "; ".join(
         f"{names[i]} {_row(absorption[symmetry.exchange[i], columns])} instead of "
         f"{_row(absorption[i, columns])}"
         for i in moved
@@ -346,7 +344,7 @@ def _finding(
     return Finding(
         Code.MIRROR_AMBIGUITY,
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
-        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {told}."
+        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {listed}."
         f"{confirmed} Measure a pair off the symmetry, or tell what is known of one of these "
         "walls.",
         {

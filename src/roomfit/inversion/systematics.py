@@ -21,7 +21,7 @@ from roomfit.air import Air, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.objective.coherent import fully_coherent
-from roomfit.objective.directivity import made_directed
+from roomfit.objective.directivity import with_directivity_unknown
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import BandProblem
@@ -29,7 +29,12 @@ from roomfit.objective.windows import in_windows
 from roomfit.response.energy import batch_energies
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE, BandAnswer, allowing_for, answer_steps
+from roomfit.uncertainty.gaussian import (
+    WIDEST_IDENTIFIABLE,
+    BandAnswer,
+    add_covariance,
+    answer_steps,
+)
 
 _Z95 = 1.959963984540054
 _LEAST = 1e-9
@@ -82,7 +87,7 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
     reach = np.maximum(_logit(upper) - middle, middle - _logit(lower)) / _Z95
     sd = np.sqrt(np.diagonal(best.logit_covariance))
     # draws of a prediction must reach as far as the intervals do
-    stretch = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
+    sd_scale = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
     return replace(
         best,
         lower95=lower,
@@ -90,21 +95,21 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
         mean=mean,
         samples=None,
         identifiable=sure,
-        logit_covariance=best.logit_covariance * np.outer(stretch, stretch),
+        logit_covariance=best.logit_covariance * np.outer(sd_scale, sd_scale),
     )
 
 
 def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
-    held = answer.upper95 <= answer.lower95
-    sd = np.where(held, 0.0, sd)
+    fixed = answer.upper95 <= answer.lower95
+    sd = np.where(fixed, 0.0, sd)
     a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
     by_logit = sd / (a * (1.0 - a))
     middle = _logit(a)
     lower = middle - np.hypot(middle - _logit(answer.lower95), _Z95 * by_logit)
     upper = middle + np.hypot(_logit(answer.upper95) - middle, _Z95 * by_logit)
-    lower95 = np.where(held, answer.lower95, np.minimum(_absorption(lower), answer.lower95))
-    upper95 = np.where(held, answer.upper95, np.maximum(_absorption(upper), answer.upper95))
-    narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | held
+    lower95 = np.where(fixed, answer.lower95, np.minimum(_absorption(lower), answer.lower95))
+    upper95 = np.where(fixed, answer.upper95, np.maximum(_absorption(upper), answer.upper95))
+    narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
     more = _Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
     return replace(
@@ -211,14 +216,14 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     """
     energies = band.energies
     noise = np.concatenate([o.noise for o in energies.observations])
-    whole = made_directed(fully_coherent(band.problem), band.directed)
+    whole = with_directivity_unknown(fully_coherent(band.problem), band.directed)
     expected = fit.expected[: noise.size]
     more, signal = whole.predict(fit.vector).expected - expected, expected - noise
     weight = signal / fit.variance[: noise.size]
     early = np.concatenate(
         [
-            np.arange(seen.energy.size) < first.energy.size
-            for seen, first in zip(energies.observations, band.problem.early, strict=True)
+            np.arange(observed.energy.size) < first.energy.size
+            for observed, first in zip(energies.observations, band.problem.early, strict=True)
         ]
     )
     slot = np.floor(_middle_s(energies) / _SLOT_S).astype(np.int64)
@@ -226,8 +231,8 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     top = np.bincount(slot, weight * more, slot.max() + 1)
     bottom = np.bincount(slot, weight * signal, slot.max() + 1)
     share = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
-    told = np.flatnonzero(bottom > 0.0)
-    return np.asarray(share[np.minimum(slot, told[-1])])
+    informative = np.flatnonzero(bottom > 0.0)
+    return np.asarray(share[np.minimum(slot, informative[-1])])
 
 
 def _middle_s(energies: EnergyProblem) -> FloatArray:
@@ -261,7 +266,7 @@ def with_tracing_noise(
     spread = batch_spread(energies, problem.parameters, fit.vector, sources)
     if not spread.size:
         return fit
-    return allowing_for(fit, answer_steps(problem, fit, spread))
+    return add_covariance(fit, answer_steps(problem, fit, spread))
 
 
 def batch_spread(
@@ -283,12 +288,12 @@ def batch_spread(
         return np.zeros((n_windows, 0))
     out: FloatArray = np.zeros((n_windows, len(names), n_batches))
     first = 0
-    for rows, seen, source in zip(energies.rows, energies.observations, sources, strict=True):
+    for rows, observed, source in zip(energies.rows, energies.observations, sources, strict=True):
         batches = batch_energies(
             rows, values["absorption"][:, None], np.array([energies.attenuation_per_m])
         )[:, 0, :]
-        windows = gains[seen.gain] * in_windows(seen.shares, batches)
-        last = first + seen.energy.size
+        windows = gains[observed.gain] * in_windows(observed.spreading, batches)
+        last = first + observed.energy.size
         out[first:last, names.index(source)] = windows - windows.mean(axis=1, keepdims=True)
         first = last
     return np.asarray(out.reshape(n_windows, -1) * np.sqrt(n_batches / (n_batches - 1.0)))

@@ -14,7 +14,7 @@ from roomfit.cache import Cache, Cached, cached
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import Campaign
-from roomfit.materials.priors import MaterialKnowledge, Scattering, sampling_scattering
+from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.scene import Scene
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import Paths, Reflections, TraceSettings
@@ -96,7 +96,7 @@ class TracePlan:
 
 def plan_trace(
     scene: Scene,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     longest_decay_s: float,
     latest_window_s: float,
     seed: int,
@@ -114,7 +114,7 @@ def plan_trace(
     Parameters
     ----------
     scene : Scene
-    knowledge : tuple of MaterialKnowledge, in the order of the room's materials
+    priors : tuple of MaterialPrior, in the order of the room's materials
     longest_decay_s : float
         Longest measured reverberation time of any band.
     latest_window_s : float
@@ -126,18 +126,18 @@ def plan_trace(
         How long image sources of every order can be had, where another plan of the scene told it.
     """
     findings = []
-    untold = [k.name for k in knowledge if k.scattering is None]
-    if untold:
+    unspecified = [k.name for k in priors if k.scattering is None]
+    if unspecified:
         findings.append(
             Finding(
                 Code.SCATTERING_ASSUMED,
-                f"No scattering is told for {', '.join(untold)}; {DEFAULT_SCATTERING:g} was "
+                f"No scattering is told for {', '.join(unspecified)}; {DEFAULT_SCATTERING:g} was "
                 "assumed.",
-                {"materials": untold, "scattering": DEFAULT_SCATTERING},
+                {"materials": unspecified, "scattering": DEFAULT_SCATTERING},
             )
         )
-    told = [sampling_scattering(k) for k in knowledge]
-    s = [DEFAULT_SCATTERING if t is None else t for t in told]
+    specified = [sampling_scattering(k) for k in priors]
+    s = [DEFAULT_SCATTERING if t is None else t for t in specified]
     scattering = Scattering(scene.room.materials, np.array(s))
     duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
@@ -153,7 +153,7 @@ def plan_trace(
         image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
         receiver_radius_m=RECEIVER_RADIUS_M,
         seed=seed,
-        keep_unfolding=coherent,
+        keep_image_transforms=coherent,
     )
     until_s = 0.0
     if coherent and not images_alone:

@@ -414,13 +414,13 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
 
 def _check_pairs(path: Path, campaign: CampaignTable) -> None:
     """Refuse the same data twice, for one pair or for two: they are one measurement."""
-    seen: dict[tuple[object, ...], int] = {}
+    visited: dict[tuple[object, ...], int] = {}
     for number, row in enumerate(campaign.measurements, start=1):
         data = row.file or row.parameters or row.spectrum
         # a table of parameters holds many pairs, a file's channel one
         pair = () if row.file else (row.source, row.receiver)
         key = (data, row.channel, row.variable, row.measurement, row.receiver_index, *pair)
-        earlier = seen.setdefault(key, number)
+        earlier = visited.setdefault(key, number)
         if earlier != number:
             other = campaign.measurements[earlier - 1]
             same = (row.source, row.receiver) == (other.source, other.receiver)
@@ -449,7 +449,7 @@ class Campaign:
     bands : Bands
         Bands to fit.
     materials : mapping of name to MaterialTable
-        What the file says of materials, for `material_knowledge`.
+        What the file says of materials, for `material_priors`.
     method, model : str
     seed : int
     positions : {"auto", "fit", "fixed"}
@@ -578,9 +578,9 @@ def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
 
 
 def _directivity_files(campaign: Campaign) -> list[Path]:
-    told = campaign.directivities.values()
-    named = [t for t in told if isinstance(t, str) and t not in ("omni", "fit")]
-    named += [t.file for t in told if isinstance(t, MeasuredDirectivity)]
+    directivities = campaign.directivities.values()
+    named = [t for t in directivities if isinstance(t, str) and t not in ("omni", "fit")]
+    named += [t.file for t in directivities if isinstance(t, MeasuredDirectivity)]
     return [campaign.path.parent / name for name in named]
 
 
@@ -593,9 +593,9 @@ def _measured_table(path: Path, row: MeasurementTable) -> MeasuredTable:
 
 
 def _measured_spectrum(path: Path, row: MeasurementTable) -> MeasuredSpectrum:
-    told = row.level if "level" in row.model_fields_set else None
+    level = row.level if "level" in row.model_fields_set else None
     spectrum = path.parent / str(row.spectrum)
-    return MeasuredSpectrum(str(row.source), str(row.receiver), spectrum, told, row.use)
+    return MeasuredSpectrum(str(row.source), str(row.receiver), spectrum, level, row.use)
 
 
 def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:

@@ -110,8 +110,8 @@ def _one_measurement(data: FloatArray, where: str) -> FloatArray:
 
 def _directions(sofa: Sofa, n: int, where: str) -> FloatArray:
     """Return directions in the loudspeaker's own frame: x front, y left, z top."""
-    places = _cartesian(sofa, "ReceiverPosition", n, where)
-    if places is None:
+    positions = _cartesian(sofa, "ReceiverPosition", n, where)
+    if positions is None:
         raise InputError(
             "the SOFA file does not say where its receivers stood",
             where=where,
@@ -121,14 +121,14 @@ def _directions(sofa: Sofa, n: int, where: str) -> FloatArray:
     source, listener = (
         _cartesian(sofa, f"{end}Position", 1, where) for end in ("Source", "Listener")
     )
-    places = places + (0.0 if listener is None else listener)
-    places = places - (0.0 if source is None else source)
+    positions = positions + (0.0 if listener is None else listener)
+    positions = positions - (0.0 if source is None else source)
     view, top = (_cartesian(sofa, f"Source{way}", 1, where) for way in ("View", "Up"))
     axes = loudspeaker_axes(
         np.array([1.0, 0.0, 0.0]) if view is None else view[0],
         np.array([0.0, 0.0, 1.0]) if top is None else top[0],
     )
-    return np.asarray(places @ axes.T)
+    return np.asarray(positions @ axes.T)
 
 
 def _cartesian(sofa: Sofa, name: str, n: int, where: str) -> FloatArray | None:

@@ -167,7 +167,7 @@ RAVEN_BANDS = Bands(
 
 
 def raven_text(
-    name: str, notes: str, absorption: FloatArray, scattering: FloatArray, told: BoolArray
+    name: str, notes: str, absorption: FloatArray, scattering: FloatArray, specified: BoolArray
 ) -> str:
     """Return the text of one material file.
 
@@ -181,7 +181,7 @@ def raven_text(
     notes : str
         One line.
     absorption, scattering : float arrays, shape (31,)
-    told : bool array, shape (31,)
+    specified : bool array, shape (31,)
 
     References
     ----------
@@ -193,7 +193,7 @@ def raven_text(
         f"notes={' '.join(notes.split())}",
         f"absorp={_row(absorption)}",
         f"scatter={_row(scattering)}",
-        f"interpol={','.join('0' if t else '1' for t in told)}",
+        f"interpol={','.join('0' if t else '1' for t in specified)}",
     ]
     return "\r\n".join(rows) + "\r\n"
 
@@ -264,9 +264,9 @@ class MaterialTable:
         object.__setattr__(self, "names", unique_names("material", self.names))
         shape = (len(self.names), len(self.bands))
         for name in ("absorption", "lower95", "upper95", "scattering"):
-            told = getattr(self, name)
-            if told is not None:
-                values = float_array(name, told, shape, low=0.0, high=1.0)
+            value = getattr(self, name)
+            if value is not None:
+                values = float_array(name, value, shape, low=0.0, high=1.0)
                 object.__setattr__(self, name, values)
         flags = bool_array("identifiable", self.identifiable, shape)
         object.__setattr__(self, "identifiable", flags)
@@ -315,16 +315,16 @@ def _from_json(text: str) -> MaterialTable:
         )
     try:
         materials: dict[str, Any] = content["materials"]
-        told = list(materials.values())
-        scattering = [m.get("scattering") for m in told]
+        entries = list(materials.values())
+        scattering = [m.get("scattering") for m in entries]
         return MaterialTable(
             tuple(materials),
             _bands(content["bands_hz"]),
-            np.array([m["absorption"] for m in told]),
-            np.array([m["lower95"] for m in told]),
-            np.array([m["upper95"] for m in told]),
-            np.array([m["identifiable"] for m in told]),
-            None if None in scattering or not told else np.array(scattering),
+            np.array([m["absorption"] for m in entries]),
+            np.array([m["lower95"] for m in entries]),
+            np.array([m["upper95"] for m in entries]),
+            np.array([m["identifiable"] for m in entries]),
+            None if None in scattering or not entries else np.array(scattering),
         )
     except (KeyError, AttributeError, TypeError, ValueError) as error:
         raise InputError(
@@ -459,10 +459,10 @@ def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Ex
         raise InputError(
             "scattering coefficient out of range", found=f"{scattering:g}", needed="0 to 1"
         )
-    told = table.scattering
-    scatter = np.full(table.absorption.shape, scattering) if told is None else told
+    specified = table.scattering
+    scatter = np.full(table.absorption.shape, scattering) if specified is None else specified
     findings = [*_not_identifiable(table)]
-    if told is None and wanted not in ("csv", "odeon"):
+    if specified is None and wanted not in ("csv", "odeon"):
         findings.append(_scattering_assumed(scattering))
     if wanted == "pyroomacoustics":
         return Exported({"": pyroomacoustics_text(table, scatter)}, tuple(findings))

@@ -25,7 +25,7 @@ from roomfit.io.campaign import (
 )
 from roomfit.io.directivity import read_directivity
 from roomfit.materials.catalogue import catalogue_prior
-from roomfit.materials.priors import DEFAULT_MEAN, MaterialKnowledge, logit_prior, unknown_material
+from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
 from roomfit.response.directivity import Directivity, FirstOrderBands, aimed
 from roomfit.scene import Scene
 from roomfit.typing import FloatArray
@@ -55,12 +55,12 @@ def unknown_directivity(campaign: Campaign, name: str) -> UnknownDirectivity | N
     InputError
         An aim without length.
     """
-    told = campaign.directivities.get(name, "omni")
-    if told == "fit":
+    specified = campaign.directivities.get(name, "omni")
+    if specified == "fit":
         return UnknownDirectivity()
-    if isinstance(told, FirstOrderTable) and told.b_sd > 0.0:
+    if isinstance(specified, FirstOrderTable) and specified.b_sd > 0.0:
         with located(f"{campaign.path}, sources.{name}.directivity"):
-            return UnknownDirectivity(aimed(told.aim, told.b).b, told.b_sd)
+            return UnknownDirectivity(aimed(specified.aim, specified.b).b, specified.b_sd)
     return None
 
 
@@ -80,24 +80,22 @@ def campaign_directivities(
 
 
 def _directivity(campaign: Campaign, name: str, bands: Bands) -> Directivity | None:
-    told = campaign.directivities.get(name, "omni")
-    if told == "omni" or unknown_directivity(campaign, name) is not None:
+    specified = campaign.directivities.get(name, "omni")
+    if specified == "omni" or unknown_directivity(campaign, name) is not None:
         return None
-    if isinstance(told, FirstOrderBands):
-        return told
+    if isinstance(specified, FirstOrderBands):
+        return specified
     folder = campaign.path.parent
     with located(f"{campaign.path}, sources.{name}.directivity"):
-        if isinstance(told, str):
-            return read_directivity(folder / told, bands)
-        if isinstance(told, FirstOrderTable):
-            return aimed(told.aim, told.b)
-        table: MeasuredTable = told
+        if isinstance(specified, str):
+            return read_directivity(folder / specified, bands)
+        if isinstance(specified, FirstOrderTable):
+            return aimed(specified.aim, specified.b)
+        table: MeasuredTable = specified
         return read_directivity(folder / table.file, bands, table.aim, table.up)
 
 
-def material_knowledge(
-    campaign: Campaign, materials: tuple[str, ...]
-) -> tuple[MaterialKnowledge, ...]:
+def material_priors(campaign: Campaign, materials: tuple[str, ...]) -> tuple[MaterialPrior, ...]:
     """Return what the campaign says of each of the room's materials, in their order.
 
     Raises
@@ -116,12 +114,12 @@ def material_knowledge(
                 hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
             )
     with located(str(campaign.path)):
-        found = tuple(_knowledge(campaign, name) for name in materials)
+        found = tuple(_material_prior(campaign, name) for name in materials)
     _check_ties(campaign, found)
     return found
 
 
-def _check_ties(campaign: Campaign, found: tuple[MaterialKnowledge, ...]) -> None:
+def _check_ties(campaign: Campaign, found: tuple[MaterialPrior, ...]) -> None:
     tied_to = {k.name: k.tied_to for k in found}
     for name, leader in tied_to.items():
         if leader is None:
@@ -146,7 +144,7 @@ def _check_ties(campaign: Campaign, found: tuple[MaterialKnowledge, ...]) -> Non
             )
 
 
-def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
+def _material_prior(campaign: Campaign, name: str) -> MaterialPrior:
     n = len(campaign.bands)
     plain = unknown_material(name, n)
     table = campaign.materials.get(name)
@@ -160,9 +158,9 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
         share = (DEFAULT_MEAN - lower) / (upper - lower)
         share = share if 0.1 <= share <= 0.9 else 0.5
         mean, _ = logit_prior(np.full(n, share), np.ones(n))
-    told = _told_prior(campaign, table, where)
-    if told is not None:
-        alpha, alpha_sd = told
+    prior = _specified_prior(campaign, table, where)
+    if prior is not None:
+        alpha, alpha_sd = prior
         inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
         if not np.all(inside):
             band = int(np.argmin(inside))
@@ -180,7 +178,7 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
     if table.absorption is not None:
         known = _per_band(table.absorption, n, f"{where}.absorption")
         _check_within(known, lower, upper, f"{where}.absorption")
-    return MaterialKnowledge(
+    return MaterialPrior(
         name,
         mean,
         sd,
@@ -194,7 +192,7 @@ def _knowledge(campaign: Campaign, name: str) -> MaterialKnowledge:
     )
 
 
-def _told_prior(
+def _specified_prior(
     campaign: Campaign, table: MaterialTable, where: str
 ) -> tuple[FloatArray, FloatArray] | None:
     """Mean and standard deviation of absorption in every band, from the file or the catalogue."""
@@ -224,21 +222,21 @@ def _check_within(values: FloatArray, lower: float, upper: float, where: str) ->
 
 def _scattering(table: MaterialTable, bands: Bands, where: str) -> FloatArray | None:
     """The told coefficient of every fitted band, shape (n_bands,)."""
-    told = table.scattering
-    if told is None or isinstance(told, str):
+    specified = table.scattering
+    if specified is None or isinstance(specified, str):
         return None
-    if isinstance(told, Spectrum):
-        if len(told.centres_hz) != len(told.values):
+    if isinstance(specified, Spectrum):
+        if len(specified.centres_hz) != len(specified.values):
             raise InputError(
                 "scattering has not as many values as centres",
                 where=f"{where}.scattering",
-                found=f"{len(told.values)} values and {len(told.centres_hz)} centres",
+                found=f"{len(specified.values)} values and {len(specified.centres_hz)} centres",
             )
-        order = np.argsort(told.centres_hz)
-        at = np.log(np.array(told.centres_hz)[order])
-        at_bands = np.interp(np.log(bands.centres_hz), at, np.array(told.values)[order])
+        order = np.argsort(specified.centres_hz)
+        at = np.log(np.array(specified.centres_hz)[order])
+        at_bands = np.interp(np.log(bands.centres_hz), at, np.array(specified.values)[order])
         return np.asarray(at_bands, dtype=np.float64)
-    return _per_band(told, len(bands), f"{where}.scattering")
+    return _per_band(specified, len(bands), f"{where}.scattering")
 
 
 def _per_band(values: float | list[float], n: int, where: str) -> FloatArray:

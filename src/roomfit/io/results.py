@@ -50,7 +50,7 @@ def shares_content(answer: Answer, material: int) -> dict[str, list[float]]:
     return {name: numbers(part[material]) for name, part in zip(names, answer.shares, strict=True)}
 
 
-def beforehand_content(answer: Answer, material: int) -> dict[str, Any]:
+def prior_content(answer: Answer, material: int) -> dict[str, Any]:
     """The prior beside the answer, and how each interval was made."""
     content: dict[str, Any] = {}
     if answer.prior is not None:
@@ -133,18 +133,18 @@ def read_result(path: Path) -> AbsorptionPosterior:
     path = Path(path)
     table = read_material_table(path)
     content = {} if path.suffix.lower() == ".csv" else json.loads(path.read_text(encoding="utf-8"))
-    told = content.get("posterior")
+    posterior_content = content.get("posterior")
     with located(str(path)):
-        if told is None:
+        if posterior_content is None:
             covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
         else:
-            covariance = _table(told, "logit_covariance")
-        knows_prior = told is not None and "prior_logit_mean" in told
+            covariance = _table(posterior_content, "logit_covariance")
+        has_prior = posterior_content is not None and "prior_logit_mean" in posterior_content
         return AbsorptionPosterior(
             *(table.names, table.bands, table.absorption, table.lower95, table.upper95),
             logit_covariance=covariance,
-            prior_logit_mean=_table(told, "prior_logit_mean").T if knows_prior else None,
-            prior_logit_sd=_table(told, "prior_logit_sd").T if knows_prior else None,
+            prior_logit_mean=_table(posterior_content, "prior_logit_mean").T if has_prior else None,
+            prior_logit_sd=_table(posterior_content, "prior_logit_sd").T if has_prior else None,
             scattering=_result_reader_scattering(content, table.names),
             directivities=_directivities(content),
         )
@@ -162,11 +162,11 @@ def read_misfit(path: Path) -> FloatArray | None:
     table = read_material_table(path)
     if path.suffix.lower() == ".csv":
         return None
-    told = json.loads(path.read_text(encoding="utf-8")).get("fit", {}).get("phi")
-    if told is None:
+    misfit = json.loads(path.read_text(encoding="utf-8")).get("fit", {}).get("phi")
+    if misfit is None:
         return None
     with located(str(path)):
-        return float_array("fit.phi", told, (len(table.bands),), low=0.0)
+        return float_array("fit.phi", misfit, (len(table.bands),), low=0.0)
 
 
 def _table(posterior: Any, name: str) -> FloatArray:
@@ -184,8 +184,8 @@ def _table(posterior: Any, name: str) -> FloatArray:
 def _directivities(content: dict[str, Any]) -> dict[str, FloatArray]:
     """Return b of every source whose directivity was fitted."""
     try:
-        told = content.get("directivity", {})
-        return {name: np.array(one["b"], dtype=np.float64) for name, one in told.items()}
+        by_source = content.get("directivity", {})
+        return {name: np.array(one["b"], dtype=np.float64) for name, one in by_source.items()}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "the directivity of the result is no table of numbers",
@@ -242,7 +242,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
                 "area_m2": round(float(answer.areas_m2[i]), 4),
                 **_results_scattering(answer, i),
                 **shares_content(answer, i),
-                **beforehand_content(answer, i),
+                **prior_content(answer, i),
             }
             for i, name in enumerate(answer.materials)
         },
@@ -254,7 +254,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "model": answer.model,
             "cost": answer.cost,
             "models": list(answer.models),
-            "phi": numbers(answer.phi),
+            "phi": numbers(answer.chi2_reduced),
             "evaluations": answer.evaluations,
             "converged": [bool(b) for b in answer.converged],
             "seconds": round(answer.seconds, 3),
@@ -357,7 +357,7 @@ def _geometry(geometry: FittedGeometry) -> dict[str, Any]:
         "labels": list(geometry.labels),
         "change": numbers(geometry.change),
         "sd": numbers(geometry.sd),
-        "told_sd": numbers(geometry.told_sd),
+        "told_sd": numbers(geometry.prior_sd),
     }
 
 
@@ -369,8 +369,8 @@ def absorption_csv(answer: Answer) -> str:
     for i, name in enumerate(answer.materials):
         for j, centre in enumerate(answer.bands.centres_hz):
             values = (answer.absorption[i, j], answer.lower95[i, j], answer.upper95[i, j])
-            told = "true" if answer.identifiable[i, j] else "false"
-            writer.writerow([name, f"{centre:g}", *(f"{v:.5f}" for v in values), told])
+            identifiable = "true" if answer.identifiable[i, j] else "false"
+            writer.writerow([name, f"{centre:g}", *(f"{v:.5f}" for v in values), identifiable])
     return stream.getvalue()
 
 
@@ -423,10 +423,10 @@ def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
         A file cannot be read again.
     """
     folder = inputs[0].parent if inputs else Path()
-    return {_seen_from(folder, path): _sha256(path) for path in inputs}
+    return {_relative_to(folder, path): _sha256(path) for path in inputs}
 
 
-def _seen_from(folder: Path, path: Path) -> str:
+def _relative_to(folder: Path, path: Path) -> str:
     return path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
 
 

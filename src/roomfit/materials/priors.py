@@ -19,7 +19,7 @@ DEFAULT_LOGIT_SD = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MaterialKnowledge:
+class MaterialPrior:
     """Beforehand knowledge of one material in every fitted band.
 
     Attributes
@@ -67,9 +67,9 @@ class MaterialKnowledge:
             values = float_array(f"{where} {name}", getattr(self, name), (n,))
             object.__setattr__(self, name, values)
         for name, key in (("known", "absorption"), ("scattering", "scattering")):
-            told = getattr(self, name)
-            if told is not None:
-                values = float_array(f"{where}.{key}", told, (n,), low=0.0, high=1.0)
+            value = getattr(self, name)
+            if value is not None:
+                values = float_array(f"{where}.{key}", value, (n,), low=0.0, high=1.0)
                 object.__setattr__(self, name, values)
         _check_tie(self)
         if self.wall_delay_sd_s is not None and not 0.0 <= self.wall_delay_sd_s < 0.1:
@@ -82,27 +82,25 @@ class MaterialKnowledge:
             )
 
 
-def sampling_scattering(knowledge: MaterialKnowledge) -> float | None:
+def sampling_scattering(prior: MaterialPrior) -> float | None:
     """Return the one coefficient to trace with, the mean over the bands; None where none is told.
 
     Paths traced with it are weighed for the coefficients of each band afterwards.
     """
-    told = knowledge.scattering
-    if told is None:
+    specified = prior.scattering
+    if specified is None:
         return None
     # the mean of equal numbers is not always that number, to the last bit
-    return float(told[0] if np.all(told == told[0]) else np.mean(told))
+    return float(specified[0] if np.all(specified == specified[0]) else np.mean(specified))
 
 
-def in_bands(
-    knowledge: tuple[MaterialKnowledge, ...], chosen: IntArray
-) -> tuple[MaterialKnowledge, ...]:
+def in_bands(priors: tuple[MaterialPrior, ...], chosen: IntArray) -> tuple[MaterialPrior, ...]:
     """Return what is known in some of the bands only.
 
     Parameters
     ----------
     chosen : int array
-        Places among the bands that `knowledge` is told for.
+        Places among the bands that `priors` is told for.
     """
     return tuple(
         replace(
@@ -112,7 +110,7 @@ def in_bands(
             scattering=None if k.scattering is None else k.scattering[chosen],
             known=None if k.known is None else k.known[chosen],
         )
-        for k in knowledge
+        for k in priors
     )
 
 
@@ -131,31 +129,31 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
     return np.log(mean) - np.log1p(-mean), sd / (mean * (1.0 - mean))
 
 
-def prior_logits(knowledge: tuple[MaterialKnowledge, ...]) -> FloatArray:
+def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
     """Return mean and standard deviation of logit absorption beforehand, side by side.
 
     Those of its leader where a material is tied.
 
     Parameters
     ----------
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
 
     Returns
     -------
     float array, shape (2, n_materials, n_bands)
     """
-    by_name = {k.name: k for k in knowledge}
-    leaders = [by_name[k.tied_to or k.name] for k in knowledge]
+    by_name = {k.name: k for k in priors}
+    leaders = [by_name[k.tied_to or k.name] for k in priors]
     return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
 
 
-def unknown_material(name: str, n_bands: int) -> MaterialKnowledge:
+def unknown_material(name: str, n_bands: int) -> MaterialPrior:
     """Return what is known of a material nobody told anything about: the broad prior."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
-    return MaterialKnowledge(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+    return MaterialPrior(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
 
 
-def is_assumed(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
+def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
     """Return which priors are the broad one, of walls of which nobody told anything.
 
     Parameters
@@ -168,15 +166,15 @@ def is_assumed(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> Bool
     return np.asarray(same & np.isclose(prior_logit_sd, DEFAULT_LOGIT_SD, rtol=1e-4))
 
 
-def _check_tie(knowledge: MaterialKnowledge) -> None:
-    if knowledge.tied_to is None:
+def _check_tie(prior: MaterialPrior) -> None:
+    if prior.tied_to is None:
         return
-    if knowledge.tied_to == knowledge.name or knowledge.known is not None:
-        own = knowledge.tied_to == knowledge.name
+    if prior.tied_to == prior.name or prior.known is not None:
+        own = prior.tied_to == prior.name
         raise InputError(
             "a material is tied to itself" if own else "a tied material has a value of its own",
-            where=f"materials.{knowledge.name}",
-            found=f"tied to {knowledge.tied_to!r}" + ("" if own else " and absorption given"),
+            where=f"materials.{prior.name}",
+            found=f"tied to {prior.tied_to!r}" + ("" if own else " and absorption given"),
             needed="another material's name" if own else "either a tie or a given absorption",
         )
 

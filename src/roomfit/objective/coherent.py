@@ -12,7 +12,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, MeasuredPair
 from roomfit.objective.energy import (
     EnergyProblem,
@@ -24,7 +24,7 @@ from roomfit.objective.energy import (
     predict_windows,
     weighed,
 )
-from roomfit.objective.observation import UNTOLD_POSITION_SD_M
+from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
@@ -64,7 +64,7 @@ _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
 _TIMING_SHARE = 1e-4
 # The same of a place, per coordinate.
-_PLACE_SD_M = 0.5e-3
+_POSITION_SD_M = 0.5e-3
 # Windows share errors that no term of the covariance stands for, as a description that is a little
 # off; see docs/decisions/0022-how-many-windows-count-as-one.md.
 WINDOWS_PER_INDEPENDENT_ONE = 1.35
@@ -122,13 +122,13 @@ class CoherentProblem:
         """Return how far every window may scatter; see `coherent_variance`."""
         return coherent_variance(self, vector)
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return True for every window."""
-        return self.energies.are_energies()
+        return self.energies.is_gamma()
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of every window's energy."""
@@ -151,13 +151,13 @@ def with_coherence(
         Standard deviation of the phase that a reflection adds at random, rad.
     """
     images, c = problem.images, problem.geometry.speed_m_s
-    length = np.linalg.norm(images.away_m, axis=1)
-    toward = images.away_m / length[:, None]
-    departure = np.einsum("nij,ni->nj", images.unfolding.reshape(-1, 3, 3), toward)
+    length = np.linalg.norm(images.image_to_receiver_m, axis=1)
+    toward = images.image_to_receiver_m / length[:, None]
+    departure = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
     spread = np.empty(length.size)
     roots = local_roots(problem.geometry, covariance)
     spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
-    spread += 2.0 * (_PLACE_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
+    spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
     phase = (2.0 * np.pi * problem.centre_hz) ** 2 * spread
     phase += phase_sd**2 * images.hits.sum(axis=1)
     return _with_gamma(problem, np.exp(-phase))
@@ -209,16 +209,16 @@ def _correction(
     n_materials = absorption.size
     energy = image_energies(problem.coherent, absorption) * problem.coherent.coherence
     less, less_by_hits = [], []
-    for o, seen in enumerate(problem.early):
+    for o, observed in enumerate(problem.early):
         own = slice(problem.coherent.offsets[o], problem.coherent.offsets[o + 1])
-        n_bins = seen.shares.shape[1]
+        n_bins = observed.spreading.shape[1]
         total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
         binned_energies(
             *(problem.coherent_bins[own], problem.coherent.hits[own], energy[own]),
             *(total, by_hits),
         )
-        less.append(seen.shares @ total)
-        less_by_hits.append(in_windows(seen.shares, by_hits))
+        less.append(observed.spreading @ total)
+        less_by_hits.append(in_windows(observed.spreading, by_hits))
     by_log = response.by_log_reflected - np.concatenate(less_by_hits)
     # d ln(1 - a) = -da / (1 - a)
     by_absorption = -by_log / np.maximum(1.0 - absorption, 1e-12)
@@ -277,13 +277,13 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
     energy = image_energies(problem.images, values["absorption"])
     variances = []
-    for o, (early, seen) in enumerate(
+    for o, (early, observed) in enumerate(
         zip(problem.early, problem.energies.observations, strict=True)
     ):
-        gain = float(gains[seen.gain])
+        gain = float(gains[observed.gain])
         coherent = intensity[ends[o] : ends[o + 1]]
         own = _early_variance(problem, o, paths[o], energy, coherent, gain)
-        if early.energy.size < seen.energy.size:
+        if early.energy.size < observed.energy.size:
             late = observation_variance(problem.energies, o, paths[o], gain)
             own = np.concatenate((own, late[own.size :]))
         variances.append(own)
@@ -303,30 +303,30 @@ def _early_variance(
     `energy` is that of all `problem.images`, `coherent` that of the coherent pressure in each of
     the windows' pieces.
     """
-    seen, images = problem.early[observation], problem.images
+    observed, images = problem.early[observation], problem.images
     own = slice(images.offsets[observation], images.offsets[observation + 1])
     inside = problem.bins[own] >= 0
     bins, e, g = (x[own][inside] for x in (problem.bins, energy, images.coherence))
-    n_bins = seen.shares.shape[1]
+    n_bins = observed.spreading.shape[1]
     random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
-    lone = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
+    single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
     late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
-    spread = seen.fine_shares @ random
-    pieces = spread**2 + 2.0 * spread * coherent - seen.fine_shares.power(2) @ lone
+    spread = observed.fine_spreading @ random
+    pieces = spread**2 + 2.0 * spread * coherent - observed.fine_spreading.power(2) @ single
     pieces = np.maximum(pieces, 0.0)
-    pieces /= problem.energies.bandwidth_hz * np.diff(seen.fine_edges_s)
-    first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+    pieces /= problem.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
+    first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ late)
-    tracing = paths.tracing[: seen.energy.size]
-    signal = gain * (seen.shares @ random + np.add.reduceat(coherent, first))
-    rest = noise_and_model_variance(problem.energies, seen, signal)
+    timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ late)
+    tracing = paths.tracing[: observed.energy.size]
+    signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
+    rest = noise_and_model_variance(problem.energies, observed, signal)
     return np.asarray(gain**2 * (interference + timing + tracing) + rest)
 
 
-def _windows(seen: tuple[Observation, ...]) -> list[IntArray]:
+def _windows(observed: tuple[Observation, ...]) -> list[IntArray]:
     """Return which windows belong to each observation."""
-    ends = np.cumsum([0, *(o.energy.size for o in seen)])
+    ends = np.cumsum([0, *(o.energy.size for o in observed)])
     return [np.arange(low, high) for low, high in pairwise(ends)]
 
 
@@ -343,8 +343,8 @@ def _plain(problem: CoherentProblem) -> EnergyProblem:
 
 
 def _gain_of_window(problem: CoherentProblem) -> IntArray:
-    seen = problem.energies.observations
-    return np.repeat([o.gain for o in seen], [o.energy.size for o in seen])
+    observed = problem.energies.observations
+    return np.repeat([o.gain for o in observed], [o.energy.size for o in observed])
 
 
 def _leading(parameters: Parameters) -> tuple[Block, ...]:
@@ -367,7 +367,7 @@ class FittedGeometry:
         "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
     change : float array, shape (n,)
         From what was told: m, 1 (of ln c), s, s.
-    sd, told_sd : float arrays, shape (n,)
+    sd, prior_sd : float arrays, shape (n,)
         Afterwards and beforehand, in the same units.
     speed_of_sound_m_s : float
     """
@@ -375,7 +375,7 @@ class FittedGeometry:
     labels: tuple[str, ...]
     change: FloatArray
     sd: FloatArray
-    told_sd: FloatArray
+    prior_sd: FloatArray
     speed_of_sound_m_s: float
 
 
@@ -394,7 +394,7 @@ def cut_at(binned: BinnedPaths, end_s: float) -> BinnedPaths:
 
 def campaign_geometry(
     scene: Scene,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     fitted: tuple[MeasuredPair, ...],
     *,
     positions: bool,
@@ -416,13 +416,13 @@ def campaign_geometry(
     """
     labels: list[str] = []
     sd: list[float] = []
-    places = {}
+    position_columns = {}
     for kind, points in (("source", scene.sources), ("receiver", scene.receivers)):
         for i, point in enumerate(points):
-            places[kind, i] = len(labels)
-            told = point.position_sd_m
+            position_columns[kind, i] = len(labels)
+            position_sd_m = point.position_sd_m
             labels += [f"{kind} {point.name} {axis}" for axis in "xyz"]
-            sd += 3 * [UNTOLD_POSITION_SD_M if told is None else told]
+            sd += 3 * [DEFAULT_POSITION_SD_M if position_sd_m is None else position_sd_m]
     speed = len(labels)
     labels.append("speed of sound")
     sd.append(speed_sd)
@@ -435,21 +435,24 @@ def campaign_geometry(
             assumed = LATENCY_SD_S[m.file.response.time_zero]
             sd.append(assumed if m.file.latency_sd_s is None else m.file.latency_sd_s)
     first_delay = len(labels)
-    labels += [f"delay {k.name}" for k in knowledge]
-    spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in knowledge]
+    labels += [f"delay {k.name}" for k in priors]
+    spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]
     sds = np.array([*sd, *(spreads if delays else np.zeros(len(spreads)))])
     free = np.array([positions] * len(sd) + [delays] * len(spreads))
     columns = []
     for m in fitted:
         s, r = (int(i) for i in scene.pairs[m.pair])
-        places_s, places_r = places["source", s], places["receiver", r]
+        source_positions, receiver_positions = (
+            position_columns["source", s],
+            position_columns["receiver", r],
+        )
         columns.append(
             [
-                *range(places_s, places_s + 3),
-                *range(places_r, places_r + 3),
+                *range(source_positions, source_positions + 3),
+                *range(receiver_positions, receiver_positions + 3),
                 speed,
                 latency[s],
-                *range(first_delay, first_delay + len(knowledge)),
+                *range(first_delay, first_delay + len(priors)),
             ]
         )
     return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
@@ -481,24 +484,24 @@ def coherent_problem(
     end_s : float
         Pressures add in the windows that end by then.
     """
-    seen = tuple(first_windows(o, end_s) for o in energies.observations)
+    observed = tuple(first_windows(o, end_s) for o in energies.observations)
     c = geometry.speed_m_s
     bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
-    first = min(float(o.edges_s[0]) for o in seen)
-    last = max(float(o.edges_s[-1]) for o in seen)
+    first = min(float(o.edges_s[0]) for o in observed)
+    last = max(float(o.edges_s[-1]) for o in observed)
     grid = band_grid(bank, first, last)
-    pairs = np.array([o.pair for o in seen])
+    pairs = np.array([o.pair for o in observed])
     images = image_paths(paths, pairs, attenuation_per_m, c * (last + 4.0 / energies.centre_hz))
-    travel = np.linalg.norm(images.away_m, axis=1) / c
+    travel = np.linalg.norm(images.image_to_receiver_m, axis=1) / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
-    heard = [o.shares.shape[1] for o in seen]
-    bins[bins >= np.repeat(heard, np.diff(images.offsets))] = -1
+    n_bins = [o.spreading.shape[1] for o in observed]
+    bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
     parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)), joint)
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
     return CoherentProblem(
         energies,
-        seen,
+        observed,
         parameters,
         geometry,
         replace(images, coherence=np.zeros(travel.size)),
@@ -520,9 +523,9 @@ def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[S
     """
     values = np.zeros(geometry.sd.size)
     values[geometry.fitted & (geometry.sd > 0.0)] = fitted
-    n_places = 3 * (len(scene.sources) + len(scene.receivers))
-    origin = np.where(np.arange(values.size) < n_places, values, 0.0)
-    steps = (geometry.sd * origin)[:n_places].reshape(-1, 3)
+    n_position_coordinates = 3 * (len(scene.sources) + len(scene.receivers))
+    origin = np.where(np.arange(values.size) < n_position_coordinates, values, 0.0)
+    steps = (geometry.sd * origin)[:n_position_coordinates].reshape(-1, 3)
     points = (*scene.sources, *scene.receivers)
     at = [replace(p, position_m=p.position_m + x) for p, x in zip(points, steps, strict=True)]
     n = len(scene.sources)

@@ -121,7 +121,7 @@ class DirectedProblem:
     def predict(self, vector: FloatArray) -> Prediction:
         """Return what the model expects in every window."""
         b = vectors_b(self, vector)
-        found = _weighed(self, b, lone=False).predict(vector)
+        found = _weighed(self, b, single=False).predict(vector)
         first = position_of(self.parameters, DIRECTIVITY)
         jacobian = np.array(found.jacobian)
         slopes = _slopes(self, b, vector) @ self.unknown.root
@@ -130,15 +130,15 @@ class DirectedProblem:
 
     def variance(self, vector: FloatArray) -> FloatArray:
         """Return how far every window may scatter, shape (n_windows,)."""
-        return _weighed(self, vectors_b(self, vector), lone=True).variance(vector)
+        return _weighed(self, vectors_b(self, vector), single=True).variance(vector)
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""
-        return self.problem.counted_as_one()
+        return self.problem.correlation_length()
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return which data are energies, shape (n_data,)."""
-        return self.problem.are_energies()
+        return self.problem.is_gamma()
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum, shape (n_data,)."""
@@ -171,20 +171,22 @@ def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
 
 
 def _weighed(
-    problem: DirectedProblem, b: FloatArray, *, lone: bool
+    problem: DirectedProblem, b: FloatArray, *, single: bool
 ) -> EnergyProblem | CoherentProblem:
     """Return the problem with the weights that b gives; lone rows only where they are needed."""
     plain = problem.problem
     own = plain.energies if isinstance(plain, CoherentProblem) else plain
-    rows, lones = list(own.rows), list(own.lone_rows)
+    rows, squared_images = list(own.rows), list(own.squared_image_rows)
     for o, s in enumerate(problem.source):
         if s < 0:
             continue
         factor = amplitude_and_slope(b[s], problem.departure[o])[0] ** 2
         rows[o] = directed_rows(own.rows[o], factor)
-        if lone:
-            lones[o] = directed_rows(own.lone_rows[o], factor[own.rows[o].batch < 0] ** 2)
-    own = replace(own, rows=tuple(rows), lone_rows=tuple(lones))
+        if single:
+            squared_images[o] = directed_rows(
+                own.squared_image_rows[o], factor[own.rows[o].batch < 0] ** 2
+            )
+    own = replace(own, rows=tuple(rows), squared_image_rows=tuple(squared_images))
     if not isinstance(plain, CoherentProblem):
         return own
     images = _images(plain.images, problem.source, problem.image_departure, b)
@@ -220,14 +222,14 @@ def _slopes(problem: DirectedProblem, b: FloatArray, vector: FloatArray) -> Floa
     out: FloatArray = np.zeros((plain.measured().size, b.size))
     added = _coherent_slopes(problem, b, values) if isinstance(plain, CoherentProblem) else ()
     first = 0
-    for o, (s, seen) in enumerate(zip(problem.source, own.observations, strict=True)):
-        n = seen.energy.size
+    for o, (s, observed) in enumerate(zip(problem.source, own.observations, strict=True)):
+        n = observed.energy.size
         if s >= 0:
             moved = _row_slopes(own.rows[o], b[s], problem.departure[o], coefficients, air)
-            slopes = seen.shares @ moved.T
+            slopes = observed.spreading @ moved.T
             if added:
                 slopes[: len(added[o])] += added[o]
-            out[first : first + n, 3 * s : 3 * s + 3] = gains[seen.gain] * slopes
+            out[first : first + n, 3 * s : 3 * s + 3] = gains[observed.gain] * slopes
         first += n
     return out
 
@@ -267,25 +269,25 @@ def _coherent_slopes(
     energy = image_energies(images, values["absorption"]) * images.coherence
     less = 2.0 * (energy * amplitude)[:, None] * slope
     out, first = [], 0
-    for o, seen in enumerate(plain.early):
+    for o, observed in enumerate(plain.early):
         own = slice(images.offsets[o], images.offsets[o + 1])
-        bins, n_bins = plain.coherent_bins[own], seen.shares.shape[1]
+        bins, n_bins = plain.coherent_bins[own], observed.spreading.shape[1]
         binned = np.stack([np.bincount(bins, column, n_bins) for column in less[own].T])
-        n = seen.energy.size
-        out.append(np.asarray(pressures[first : first + n] - seen.shares @ binned.T))
+        n = observed.energy.size
+        out.append(np.asarray(pressures[first : first + n] - observed.spreading @ binned.T))
         first += n
     return tuple(out)
 
 
 # Of each component of b, where nothing is told: an omnidirectional source and a cardioid are both
 # within reach.
-UNTOLD_B_SD = 0.5
+DEFAULT_B_SD = 0.5
 # Between bands an octave apart: a loudspeaker keeps its aim, and becomes narrower by and by.
 CORRELATION_PER_OCTAVE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Directing:
+class DirectivityParameters:
     """Sources whose directivity is to be found.
 
     Attributes
@@ -304,7 +306,7 @@ class Directing:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Directed:
+class BandDirectivities:
     """Unknown directivities in one band, and where its rows leave the sources.
 
     Attributes
@@ -320,43 +322,49 @@ class Directed:
     departure: tuple[NDArray[np.float32], ...]
 
 
-def before(directing: Directing) -> UnknownDirectivities:
+def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownDirectivities:
     """Return what is known of every source before any data."""
-    root = np.diag(np.repeat(directing.sd, 3))
-    return UnknownDirectivities(directing.sources, directing.mean.ravel(), root)
+    root = np.diag(np.repeat(directivity_parameters.sd, 3))
+    return UnknownDirectivities(
+        directivity_parameters.sources, directivity_parameters.mean.ravel(), root
+    )
 
 
-def after_others(
-    directing: Directing, mean: FloatArray, covariance: FloatArray
+def with_cavity_prior(
+    directivity_parameters: DirectivityParameters, mean: FloatArray, covariance: FloatArray
 ) -> UnknownDirectivities:
     """Return what is known when other bands have said what they say of the free numbers."""
-    start = before(directing)
+    start = directivity_prior(directivity_parameters)
     root = start.root @ np.linalg.cholesky(covariance)
-    return UnknownDirectivities(directing.sources, start.mean + start.root @ mean, root)
+    return UnknownDirectivities(
+        directivity_parameters.sources, start.mean + start.root @ mean, root
+    )
 
 
 def directed_band(
-    directing: Directing,
+    directivity_parameters: DirectivityParameters,
     scene: Scene,
     paths: Paths,
     problem: EnergyProblem,
     files: Sequence[MeasuredPair],
-) -> Directed:
+) -> BandDirectivities:
     """Return where the rows of a band's problem leave the sources, nothing known of these yet."""
-    unknown_of = {int(n): i for i, n in enumerate(directing.number)}
+    unknown_of = {int(n): i for i, n in enumerate(directivity_parameters.number)}
     source = np.array([unknown_of.get(int(scene.pairs[m.pair][0]), -1) for m in files])
     departure = tuple(
         paths.departure[rows.path] if s >= 0 else np.zeros((0, 3), dtype=np.float32)
         for s, rows in zip(source, problem.rows, strict=True)
     )
-    return Directed(before(directing), source, departure)
+    return BandDirectivities(directivity_prior(directivity_parameters), source, departure)
 
 
-def made_directed(problem: EnergyProblem | CoherentProblem, how: Directed | None) -> BandProblem:
+def with_directivity_unknown(
+    problem: EnergyProblem | CoherentProblem, directivity: BandDirectivities | None
+) -> BandProblem:
     """Return the problem with directivity unknown, or as it is where there is none."""
-    if how is None:
+    if directivity is None:
         return problem
-    return directed(problem, how.unknown, how.source, how.departure)
+    return directed(problem, directivity.unknown, directivity.source, directivity.departure)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

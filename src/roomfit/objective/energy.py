@@ -38,11 +38,11 @@ class Observation:
         Measured energy of each window, noise included; unit of the record squared times s.
     noise : float array, shape (n_windows,)
         Expected noise energy of each window.
-    shares : sparse array, shape (n_windows, n_bins)
+    spreading : sparse array, shape (n_windows, n_bins)
         Share of the energy of each fine time bin that the band filter carries into each window.
     fine_edges_s : float array, shape (n_fine + 1,)
         The same windows cut into pieces that the band filter just resolves; see `fine_edges_s`.
-    fine_shares : sparse array, shape (n_fine, n_bins)
+    fine_spreading : sparse array, shape (n_fine, n_bins)
         As `shares`, for the pieces.
     slopes : sparse array, shape (n_windows, n_bins)
         Derivative of `shares` by the arrival time of each bin, 1/s.
@@ -56,9 +56,9 @@ class Observation:
     edges_s: FloatArray
     energy: FloatArray
     noise: FloatArray
-    shares: csr_array
+    spreading: csr_array
     fine_edges_s: FloatArray
-    fine_shares: csr_array
+    fine_spreading: csr_array
     slopes: csr_array
     timing_sd_s: float
     gain: int
@@ -70,10 +70,10 @@ class Observation:
         for name in ("energy", "noise"):
             values = float_array(f"window {name}", getattr(self, name), (n,), low=0.0)
             object.__setattr__(self, name, values)
-        if self.shares.shape[0] != n:
+        if self.spreading.shape[0] != n:
             raise InputError(
                 "shares and windows differ in number",
-                found=f"{self.shares.shape[0]} and {n}",
+                found=f"{self.spreading.shape[0]} and {n}",
             )
 
 
@@ -92,8 +92,8 @@ class EnergyProblem:
         Energy attenuation of the air.
     rows : tuple of EnergyRows
         Paths of each observation's pair in fine time bins.
-    lone_rows : tuple of EnergyRows
-        What `lone_rows` makes of each of them.
+    squared_image_rows : tuple of EnergyRows
+        What `squared_image_rows` makes of each of them.
     observations : tuple of Observation
     parameters : Parameters
         Blocks "absorption" (one entry a material) and "gain" (one an unknown level).
@@ -108,7 +108,7 @@ class EnergyProblem:
     bandwidth_hz: float
     attenuation_per_m: float
     rows: tuple[EnergyRows, ...]
-    lone_rows: tuple[EnergyRows, ...]
+    squared_image_rows: tuple[EnergyRows, ...]
     observations: tuple[Observation, ...]
     parameters: Parameters
     model_error: float = 0.2
@@ -126,11 +126,11 @@ class EnergyProblem:
         """Return how far every window may scatter; see `window_variance`."""
         return window_variance(self, vector)
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return True for every window."""
         return np.ones(self.measured().size, dtype=np.bool_)
 
@@ -148,24 +148,24 @@ def in_air(problem: EnergyProblem) -> EnergyProblem:
     return replace(
         problem,
         rows=tuple(rows_in_air(rows, m) for rows in problem.rows),
-        lone_rows=tuple(rows_in_air(rows, m) for rows in problem.lone_rows),
+        squared_image_rows=tuple(rows_in_air(rows, m) for rows in problem.squared_image_rows),
         attenuation_per_m=0.0,
     )
 
 
-def first_windows(seen: Observation, end_s: float) -> Observation:
+def first_windows(observed: Observation, end_s: float) -> Observation:
     """Return an observation of the windows that end by a time, one at least."""
-    n = max(int(np.searchsorted(seen.edges_s, end_s + 1e-9, side="right")) - 1, 1)
-    n_fine = int(np.searchsorted(seen.fine_edges_s, seen.edges_s[n]))
+    n = max(int(np.searchsorted(observed.edges_s, end_s + 1e-9, side="right")) - 1, 1)
+    n_fine = int(np.searchsorted(observed.fine_edges_s, observed.edges_s[n]))
     return replace(
-        seen,
-        edges_s=seen.edges_s[: n + 1],
-        energy=seen.energy[:n],
-        noise=seen.noise[:n],
-        shares=seen.shares[:n],
-        fine_edges_s=seen.fine_edges_s[: n_fine + 1],
-        fine_shares=seen.fine_shares[:n_fine],
-        slopes=seen.slopes[:n],
+        observed,
+        edges_s=observed.edges_s[: n + 1],
+        energy=observed.energy[:n],
+        noise=observed.noise[:n],
+        spreading=observed.spreading[:n],
+        fine_edges_s=observed.fine_edges_s[: n_fine + 1],
+        fine_spreading=observed.fine_spreading[:n_fine],
+        slopes=observed.slopes[:n],
     )
 
 
@@ -179,11 +179,11 @@ def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
     for rows, observation in zip(problem.rows, problem.observations, strict=True):
         response = weigh(rows, coefficients, attenuation)
         gain = gains[observation.gain]
-        signal = gain * (observation.shares @ response.energy[0])
+        signal = gain * (observation.spreading @ response.energy[0])
         signals.append(signal)
         noises.append(observation.noise)
         derivative = cast(FloatArray, response.derivative)
-        by_absorption.append(gain * in_windows(observation.shares, derivative[:, 0, :]))
+        by_absorption.append(gain * in_windows(observation.spreading, derivative[:, 0, :]))
         columns = np.zeros((signal.size, values["gain"].size))
         if observation.gain >= 0:
             columns[:, observation.gain] = signal / gain
@@ -216,8 +216,8 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
     gains = np.append(values["gain"], 1.0)
     return np.concatenate(
         [
-            observation_variance(problem, o, w, float(gains[seen.gain]))
-            for o, (w, seen) in enumerate(
+            observation_variance(problem, o, w, float(gains[observed.gain]))
+            for o, (w, observed) in enumerate(
                 zip(weighed(problem, values["absorption"]), problem.observations, strict=True)
             )
         ]
@@ -248,11 +248,11 @@ def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ..
     return tuple(
         Weighed(
             weigh(rows, coefficients, attenuation, derivative=False).energy[0],
-            weigh(lone, coefficients, attenuation, derivative=False).energy[0],
-            tracing_variance(rows, seen, coefficients, attenuation),
+            weigh(squared_rows, coefficients, attenuation, derivative=False).energy[0],
+            tracing_variance(rows, observed, coefficients, attenuation),
         )
-        for rows, lone, seen in zip(
-            problem.rows, problem.lone_rows, problem.observations, strict=True
+        for rows, squared_rows, observed in zip(
+            problem.rows, problem.squared_image_rows, problem.observations, strict=True
         )
     )
 
@@ -261,15 +261,15 @@ def observation_variance(
     problem: EnergyProblem, observation: int, paths: Weighed, gain: float
 ) -> FloatArray:
     """Return `window_variance` of one observation, shape (n_windows,)."""
-    seen = problem.observations[observation]
-    timing = seen.timing_sd_s**2 * (seen.slopes.power(2) @ paths.squares)
-    interference = _interference(problem.bandwidth_hz, seen, paths.energy, paths.squares)
-    rest = noise_and_model_variance(problem, seen, gain * (seen.shares @ paths.energy))
+    observed = problem.observations[observation]
+    timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
+    interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
+    rest = noise_and_model_variance(problem, observed, gain * (observed.spreading @ paths.energy))
     return np.asarray(gain**2 * (interference + timing + paths.tracing) + rest)
 
 
 def noise_and_model_variance(
-    problem: EnergyProblem, seen: Observation, signal: FloatArray
+    problem: EnergyProblem, observed: Observation, signal: FloatArray
 ) -> FloatArray:
     """Return the variance of each window by background noise and by the errors of the model.
 
@@ -278,17 +278,17 @@ def noise_and_model_variance(
     signal : float array, shape (n_windows,)
         Expected energy without noise.
     """
-    noise = seen.noise * (seen.noise + 2.0 * signal)
-    noise /= problem.bandwidth_hz * np.diff(seen.edges_s)
+    noise = observed.noise * (observed.noise + 2.0 * signal)
+    noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
     # where the measurement is far above, its own size bounds the certainty: a window that a
     # trial absorption leaves empty must not outweigh all others
-    scale = np.maximum(signal, 0.5 * (seen.energy - seen.noise))
+    scale = np.maximum(signal, 0.5 * (observed.energy - observed.noise))
     model = (problem.model_error * scale) ** 2
-    model += (problem.ringing_error * _ringing(seen.edges_s, signal)) ** 2
+    model += (problem.ringing_error * _ringing(observed.edges_s, signal)) ** 2
     return np.asarray(noise + model)
 
 
-def lone_rows(rows: EnergyRows) -> EnergyRows:
+def squared_image_rows(rows: EnergyRows) -> EnergyRows:
     """Return rows whose weighed energies are the squared energies of the single image paths.
 
     ``(w exp(-m d) x**h)**2`` is the energy of a path with the weight squared and length and hits
@@ -319,13 +319,15 @@ def fine_edges_s(edges_s: FloatArray, bandwidth_hz: float) -> FloatArray:
 
 
 def _interference(
-    bandwidth_hz: float, seen: Observation, energy: FloatArray, squares: FloatArray
+    bandwidth_hz: float, observed: Observation, energy: FloatArray, squares: FloatArray
 ) -> FloatArray:
     """Return the variance of each window by interference, for a gain of 1."""
-    overlapping = (seen.fine_shares @ energy) ** 2 - seen.fine_shares.power(2) @ squares
-    widths_s = np.diff(seen.fine_edges_s)
+    overlapping = (observed.fine_spreading @ energy) ** 2 - observed.fine_spreading.power(
+        2
+    ) @ squares
+    widths_s = np.diff(observed.fine_edges_s)
     pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
-    first = np.searchsorted(seen.fine_edges_s, seen.edges_s[:-1])
+    first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     return np.asarray(np.add.reduceat(pieces, first))
 
 
@@ -341,11 +343,11 @@ def _ringing(edges_s: FloatArray, signal: FloatArray) -> FloatArray:
 
 
 def tracing_variance(
-    rows: EnergyRows, seen: Observation, coefficients: FloatArray, attenuation: FloatArray
+    rows: EnergyRows, observed: Observation, coefficients: FloatArray, attenuation: FloatArray
 ) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, from independent batches."""
     if rows.n_batches < 2:
-        return np.zeros(seen.energy.size)
+        return np.zeros(observed.energy.size)
     batches = batch_energies(rows, coefficients, attenuation)[:, 0, :]
-    windows = in_windows(seen.shares, batches)
+    windows = in_windows(observed.spreading, batches)
     return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))

@@ -11,9 +11,15 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
 from roomfit.findings import Code, Finding
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
-from roomfit.objective.energy import EnergyProblem, Observation, fine_edges_s, in_air, lone_rows
+from roomfit.objective.energy import (
+    EnergyProblem,
+    Observation,
+    fine_edges_s,
+    in_air,
+    squared_image_rows,
+)
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BIN_S, BinnedPaths, in_band
@@ -21,20 +27,20 @@ from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene
 from roomfit.signals.filters import (
     FilterBank,
-    SmearingKernel,
+    SpreadingKernel,
     energy_bandwidth_hz,
     energy_share,
-    share_matrix,
-    share_reach_s,
-    share_slopes_per_s,
-    smearing_kernel,
+    spreading_kernel,
+    spreading_matrix,
+    spreading_reach_s,
+    spreading_slopes_per_s,
     statistical_bandwidth_hz,
     window_energies,
 )
 from roomfit.typing import FloatArray
 
 # Positions are taken with a tape, unless the campaign says how well they are known.
-UNTOLD_POSITION_SD_M = 0.02
+DEFAULT_POSITION_SD_M = 0.02
 # A window is used down to where the decay stands 4 dB above the noise.
 _CLEAR_OF_NOISE = 2.5
 # Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
@@ -44,7 +50,7 @@ _ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
 def band_problems(
     scene: Scene,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     measured: tuple[MeasuredPair, ...],
     binned: BinnedPaths,
     start: FloatArray,
@@ -69,9 +75,9 @@ def band_problems(
     noise would say nothing of the walls, and its gain nothing at all.
     """
     attenuation = attenuation_per_m(scene.air, bands)
-    kernel = smearing_kernel(FilterBank(bands))
+    kernel = spreading_kernel(FilterBank(bands))
     for band in range(len(bands)):
-        fitted = tuple(m for m in measured if tells_of_band(m, band))
+        fitted = tuple(m for m in measured if has_data_in_band(m, band))
         coarse = in_band(binned, float(bands.centres_hz[band]))
         gain_labels = _gain_labels(fitted)
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
@@ -87,14 +93,14 @@ def band_problems(
             )
             for m in fitted
         )
-        if sum(o.energy.size for o in observations) <= len(knowledge) + len(gain_labels):
+        if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
             yield None
             continue
-        absorption = absorption_block(knowledge, band, float(start[band]))
+        absorption = absorption_block(priors, band, float(start[band]))
         # what no window hears would be weighed for nothing
         rows = tuple(
-            first_rows(coarse.rows[m.pair], seen.shares.shape[1])
-            for m, seen in zip(fitted, observations, strict=True)
+            first_rows(coarse.rows[m.pair], observed.spreading.shape[1])
+            for m, observed in zip(fitted, observations, strict=True)
         )
         gain = _gain_block(gain_labels, observations, rows, absorption, float(attenuation[band]))
         problem = EnergyProblem(
@@ -102,14 +108,14 @@ def band_problems(
             float(statistical_bandwidth_hz(bank)[0]),
             float(attenuation[band]),
             rows,
-            tuple(lone_rows(r) for r in rows),
+            tuple(squared_image_rows(r) for r in rows),
             observations,
             Parameters((absorption, gain)),
         )
         yield in_air(problem)
 
 
-def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
+def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
     """Return a finding for the bands in which nothing could be fitted.
 
     Parameters
@@ -122,10 +128,10 @@ def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding,
     CannotTell
         There is no other band.
     """
-    untold = [float(f) for f, told in zip(bands.centres_hz, fitted, strict=True) if not told]
-    if not untold:
+    empty = [float(f) for f, has_data in zip(bands.centres_hz, fitted, strict=True) if not has_data]
+    if not empty:
         return ()
-    if len(untold) == len(bands):
+    if len(empty) == len(bands):
         raise CannotTell(
             "no band has enough windows above the noise",
             needed="in some band, more windows than unknown absorptions and gains",
@@ -134,14 +140,14 @@ def untold_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding,
     return (
         Finding(
             Code.BAND_NOT_FITTED,
-            f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in untold)} Hz: "
+            f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
             "absorption there is what was known beforehand, with the interval 0 to 1.",
-            {"bands_hz": untold},
+            {"bands_hz": empty},
         ),
     )
 
 
-def tells_of_band(m: MeasuredPair, band: int) -> bool:
+def has_data_in_band(m: MeasuredPair, band: int) -> bool:
     """Whether a measurement is to be fitted and a decay rises above its noise in a band."""
     return m.file.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
 
@@ -150,10 +156,10 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
     """Return which measurements `band_problems` leaves out of which bands."""
     findings = []
     for m in measured:
-        told = [tells_of_band(m, band) for band in range(len(bands))]
-        if m.file.use != "fit" or all(told):
+        has_data = [has_data_in_band(m, band) for band in range(len(bands))]
+        if m.file.use != "fit" or all(has_data):
             continue
-        missing = [float(f) for f, t in zip(bands.centres_hz, told, strict=True) if not t]
+        missing = [float(f) for f, t in zip(bands.centres_hz, has_data, strict=True) if not t]
         name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
         findings.append(
             Finding(
@@ -166,9 +172,9 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
     return tuple(findings)
 
 
-def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
+def spread_over_time(bands: Bands, energies: FloatArray) -> FloatArray:
     """Return bin energies as the band filters would show them, shape (n_bands, n_bins)."""
-    kernel = smearing_kernel(FilterBank(bands))
+    kernel = spreading_kernel(FilterBank(bands))
     n = energies.shape[1]
     lags_s = BIN_S * (np.arange(-n, n + 1) - 0.5)
     out = np.empty_like(energies)
@@ -180,7 +186,7 @@ def smeared(bands: Bands, energies: FloatArray) -> FloatArray:
 
 
 def _observation(
-    reduction: tuple[FilterBank, SmearingKernel],
+    reduction: tuple[FilterBank, SpreadingKernel],
     band: int,
     m: MeasuredPair,
     bin_edges_s: FloatArray,
@@ -201,32 +207,34 @@ def _observation(
     rate_hz = m.response.sampling_rate_hz
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
-    heard = centres[: int(np.searchsorted(centres, edges[-1] + share_reach_s(kernel, band)))]
+    bin_centres_s = centres[
+        : int(np.searchsorted(centres, edges[-1] + spreading_reach_s(kernel, band)))
+    ]
     return Observation(
         m.pair,
         edges,
         unit * window_energies(bank, m.response, edges)[0],
         unit * per_second * np.diff(edges),
-        share_matrix(kernel, band, heard, edges),
+        spreading_matrix(kernel, band, bin_centres_s, edges),
         fine,
-        share_matrix(kernel, band, heard, fine),
-        share_slopes_per_s(kernel, band, heard, edges),
+        spreading_matrix(kernel, band, bin_centres_s, fine),
+        spreading_slopes_per_s(kernel, band, bin_centres_s, edges),
         timing_sd_s,
         gain,
     )
 
 
-def untold_position_findings(scene: Scene) -> tuple[Finding, ...]:
+def unspecified_position_findings(scene: Scene) -> tuple[Finding, ...]:
     """Return a finding that names the positions whose spread was assumed."""
-    untold = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
-    if not untold:
+    names = [p.name for p in (*scene.sources, *scene.receivers) if p.position_sd_m is None]
+    if not names:
         return ()
     return (
         Finding(
             Code.POSITION_UNCERTAINTY_ASSUMED,
-            f"No position_sd is told for {', '.join(untold)}; {100 * UNTOLD_POSITION_SD_M:g} cm a "
+            f"No position_sd is told for {', '.join(names)}; {100 * DEFAULT_POSITION_SD_M:g} cm a "
             "coordinate was assumed.",
-            {"points": untold, "position_sd_m": UNTOLD_POSITION_SD_M},
+            {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},
         ),
     )
 
@@ -234,8 +242,8 @@ def untold_position_findings(scene: Scene) -> tuple[Finding, ...]:
 def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
     """Return how uncertain arrival times are, from both ends' positions along the path."""
     source, receiver = scene.pairs[m.pair]
-    told = (scene.sources[source].position_sd_m, scene.receivers[receiver].position_sd_m)
-    sd_m = [UNTOLD_POSITION_SD_M if sd is None else sd for sd in told]
+    position_sds_m = (scene.sources[source].position_sd_m, scene.receivers[receiver].position_sd_m)
+    sd_m = [DEFAULT_POSITION_SD_M if sd is None else sd for sd in position_sds_m]
     return float(np.linalg.norm(sd_m) / speed_of_sound_m_s(scene.air))
 
 
@@ -260,25 +268,25 @@ def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
     return labels.index(label) if label else -1
 
 
-def absorption_block(knowledge: tuple[MaterialKnowledge, ...], band: int, start: float) -> Block:
+def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float) -> Block:
     """Return the unknown absorptions of one band, those that are not known starting alike."""
-    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
-    names = [k.name for k in knowledge]
-    leader = np.array([names.index(k.tied_to or k.name) for k in knowledge])
+    known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
+    names = [k.name for k in priors]
+    leader = np.array([names.index(k.tied_to or k.name) for k in priors])
     follows = leader != np.arange(len(names))
     known = known[leader]
     fitted = np.isnan(known) & ~follows
-    lower = np.array([k.lower for k in knowledge])[leader]
-    upper = np.array([k.upper for k in knowledge])[leader]
+    lower = np.array([k.lower for k in priors])[leader]
+    upper = np.array([k.upper for k in priors])[leader]
     inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
     return Block(
         "absorption",
-        tuple(k.name for k in knowledge),
+        tuple(k.name for k in priors),
         "logit",
         np.where(np.isnan(known), inside, known),
         fitted,
-        np.array([k.prior_logit_mean[band] for k in knowledge]),
-        np.array([k.prior_logit_sd[band] for k in knowledge]),
+        np.array([k.prior_logit_mean[band] for k in priors]),
+        np.array([k.prior_logit_sd[band] for k in priors]),
         lower,
         upper,
         leader if follows.any() else None,
@@ -294,8 +302,8 @@ def _gain_block(
 ) -> Block:
     """Unknown levels, starting where measured and predicted energy agree as a whole."""
     sums = np.zeros((2, len(labels)))
-    for own, seen in zip(rows, observations, strict=True):
-        if seen.gain < 0:
+    for own, observed in zip(rows, observations, strict=True):
+        if observed.gain < 0:
             continue
         energy = weigh(
             own,
@@ -303,8 +311,8 @@ def _gain_block(
             np.array([attenuation]),
             derivative=False,
         ).energy[0]
-        sums[0, seen.gain] += float(np.maximum(seen.energy - seen.noise, 0.0).sum())
-        sums[1, seen.gain] += float((seen.shares @ energy).sum())
+        sums[0, observed.gain] += float(np.maximum(observed.energy - observed.noise, 0.0).sum())
+        sums[1, observed.gain] += float((observed.spreading @ energy).sum())
     for label, (found, expected) in zip(labels, sums.T, strict=True):
         if not (found > 0.0 and expected > 0.0):
             raise CannotTell(

@@ -291,9 +291,9 @@ def times_of(geometry: Geometry, values: FloatArray) -> Times:
     """Return places, speed, latency and delays of the free numbers, shape (n,)."""
     own = (geometry.sd * values)[geometry.columns]
     traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
-    places = (geometry.sd * values - traced)[geometry.columns[:, :6]]
+    shifts_m = (geometry.sd * values - traced)[geometry.columns[:, :6]]
     return Times(
-        np.ascontiguousarray(places),
+        np.ascontiguousarray(shifts_m),
         float(geometry.speed_m_s * np.exp(own[0, 6])),
         np.ascontiguousarray(own[:, 7]),
         np.ascontiguousarray(own[0, 8:]),

@@ -62,11 +62,11 @@ class BandProblem(Protocol):
         """Return the variance of each datum about its expectation, shape (n_data,)."""
         ...
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""
         ...
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return which data are energies, never negative and spread over decades, (n_data,)."""
         ...
 
@@ -116,13 +116,13 @@ class JointProblem:
         """Return the variances of all parts, shape (n_data,)."""
         return np.concatenate([p.variance(vector) for p in self.parts])
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return every part's count of neighbours, shape (n_data,)."""
-        return np.concatenate([p.counted_as_one() for p in self.parts])
+        return np.concatenate([p.correlation_length() for p in self.parts])
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return which data of any part are energies, shape (n_data,)."""
-        return np.concatenate([p.are_energies() for p in self.parts])
+        return np.concatenate([p.is_gamma() for p in self.parts])
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum of all parts, shape (n_data,)."""
@@ -155,14 +155,14 @@ def gamma_log_likelihood(
     variance = np.maximum(variance, (1e-3 * expected) ** 2)
     shape = expected**2 / variance
     scale = variance / expected
-    seen = np.maximum(measured, 1e-6 * expected)
+    floored = np.maximum(measured, 1e-6 * expected)
     return np.asarray(
-        (shape - 1.0) * np.log(seen / scale) - seen / scale - gammaln(shape) - np.log(scale)
+        (shape - 1.0) * np.log(floored / scale) - floored / scale - gammaln(shape) - np.log(scale)
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SoftenedProblem:
+class InflatedVariance:
     """The same problem with variances enlarged.
 
     Attributes
@@ -192,13 +192,13 @@ class SoftenedProblem:
         """Return the enlarged variances, shape (n_data,)."""
         return self.factor * self.problem.variance(vector)
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""
-        return self.problem.counted_as_one()
+        return self.problem.correlation_length()
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return which data are energies, shape (n_data,)."""
-        return self.problem.are_energies()
+        return self.problem.is_gamma()
 
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum, shape (n_data,)."""

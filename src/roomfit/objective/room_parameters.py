@@ -16,12 +16,18 @@ from roomfit._checks import read_only
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.materials.priors import MaterialKnowledge
-from roomfit.objective.energy import lone_rows
+from roomfit.materials.priors import MaterialPrior
+from roomfit.objective.energy import squared_image_rows
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters, fitted_columns, physical_values, start_vector
 from roomfit.objective.problem import Prediction
-from roomfit.objective.windows import Smearing, band_smearing, before_smearing, smear, smear_squares
+from roomfit.objective.windows import (
+    Spreading,
+    band_spreading,
+    before_spreading,
+    spread_energy,
+    spread_squared_energy,
+)
 from roomfit.response.binned import BinnedPaths, regrouped, rows_at
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
 from roomfit.scene import Scene, distances_m
@@ -74,11 +80,11 @@ class RoomValuesProblem:
         Energy attenuation of the air.
     edges_s : float array, shape (n_bins + 1,)
         Uniform bins of the rows.
-    rows, lone_rows : tuples of EnergyRows
+    rows, squared_image_rows : tuples of EnergyRows
         Paths of each observation's pair, and what
-        `roomfit.objective.energy.lone_rows` makes of them.
+        `roomfit.objective.energy.squared_image_rows` makes of them.
     observations : tuple of ValueObservation
-    smearing : Smearing
+    spreading : Spreading
     parameters : Parameters
         Only the block "absorption" acts: room parameters know no unknown gain or delay.
     model_error_jnd : float
@@ -90,9 +96,9 @@ class RoomValuesProblem:
     attenuation_per_m: float
     edges_s: FloatArray
     rows: tuple[EnergyRows, ...]
-    lone_rows: tuple[EnergyRows, ...]
+    squared_image_rows: tuple[EnergyRows, ...]
     observations: tuple[ValueObservation, ...]
-    smearing: Smearing
+    spreading: Spreading
     parameters: Parameters
     model_error_jnd: float = 0.3
 
@@ -121,7 +127,7 @@ class RoomValuesProblem:
             predicted, gradients, _ = _values(self, i, response.energy)
             derivative = cast(FloatArray, response.derivative)[:, 0, :]
             found.append(predicted)
-            by_absorption.append(before_smearing(self.smearing, gradients) @ derivative.T)
+            by_absorption.append(before_spreading(self.spreading, gradients) @ derivative.T)
         signal = np.concatenate(found)
         jacobians = {name: np.zeros((signal.size, v.size)) for name, v in values.items()}
         jacobians["absorption"] = np.concatenate(by_absorption) * slopes["absorption"]
@@ -131,23 +137,23 @@ class RoomValuesProblem:
         """Return the variance of every value about its prediction, shape (n_values,)."""
         return np.concatenate([np.diag(c) for c in value_covariances(self, vector)])
 
-    def counted_as_one(self) -> FloatArray:
+    def correlation_length(self) -> FloatArray:
         """Return how many values of the same pair tell the same, shape (n_values,).
 
         T20 and T30 are read from one decay: the sum of the squared correlations of each value with
         all values of its pair, 1 where it stands alone. From where the fit starts.
         """
-        return self._counted_as_one
+        return self._correlation_length
 
     @cached_property
-    def _counted_as_one(self) -> FloatArray:
+    def _correlation_length(self) -> FloatArray:
         counts = []
         for covariance in value_covariances(self, start_vector(self.parameters)):
             sd = np.sqrt(np.diag(covariance))
             counts.append(np.sum((covariance / np.outer(sd, sd)) ** 2, axis=1))
         return read_only(np.concatenate(counts))
 
-    def are_energies(self) -> BoolArray:
+    def is_gamma(self) -> BoolArray:
         """Return False for every value."""
         return np.zeros(self.measured().size, dtype=np.bool_)
 
@@ -182,18 +188,18 @@ def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[F
     """
     values, _ = physical_values(problem.parameters, vector)
     covariances = []
-    for i, seen in enumerate(problem.observations):
+    for i, observed in enumerate(problem.observations):
         energy = weigh(
             problem.rows[i],
             values["absorption"][:, None],
             np.array([problem.attenuation_per_m]),
             derivative=False,
         ).energy
-        predicted, gradients, smeared = _values(problem, i, energy)
-        spread = np.diag(seen.spread**2)
-        interference = _interference(problem, i, values["absorption"], gradients, smeared)
+        predicted, gradients, spread_over_time = _values(problem, i, energy)
+        spread = np.diag(observed.spread**2)
+        interference = _interference(problem, i, values["absorption"], gradients, spread_over_time)
         tracing = _tracing(problem, i, values["absorption"], gradients)
-        covariances.append(spread + interference + tracing + _model(problem, seen, predicted))
+        covariances.append(spread + interference + tracing + _model(problem, observed, predicted))
     return tuple(covariances)
 
 
@@ -201,10 +207,12 @@ def _values(
     problem: RoomValuesProblem, i: int, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return predicted values, derivatives by smeared energies, and these energies."""
-    seen = problem.observations[i]
-    smeared = smear(problem.smearing, energy)
-    curve = echogram_decay_curve(problem.bands, smeared, problem.edges_s, seen.direct_s)
-    return *value_gradients(curve, 0, seen.names), smeared[0]
+    observed = problem.observations[i]
+    spread_over_time = spread_energy(problem.spreading, energy)
+    curve = echogram_decay_curve(
+        problem.bands, spread_over_time, problem.edges_s, observed.direct_s
+    )
+    return *value_gradients(curve, 0, observed.names), spread_over_time[0]
 
 
 def _interference(
@@ -212,11 +220,15 @@ def _interference(
     i: int,
     absorption: FloatArray,
     gradients: FloatArray,
-    smeared: FloatArray,
+    spread_over_time: FloatArray,
 ) -> FloatArray:
     attenuation = np.array([problem.attenuation_per_m])
-    lone = weigh(problem.lone_rows[i], absorption[:, None], attenuation, derivative=False).energy[0]
-    overlapping = np.maximum(smeared**2 - smear_squares(problem.smearing, lone), 0.0)
+    single = weigh(
+        problem.squared_image_rows[i], absorption[:, None], attenuation, derivative=False
+    ).energy[0]
+    overlapping = np.maximum(
+        spread_over_time**2 - spread_squared_energy(problem.spreading, single), 0.0
+    )
     variance = overlapping / (problem.bandwidth_hz * np.diff(problem.edges_s))
     return np.asarray((gradients * variance) @ gradients.T)
 
@@ -230,18 +242,20 @@ def _tracing(
     if rows.n_batches < 2:
         return np.zeros((n, n))
     batches = batch_energies(rows, absorption[:, None], np.array([problem.attenuation_per_m]))
-    parts = batches[:, 0, :] @ before_smearing(problem.smearing, gradients).T
+    parts = batches[:, 0, :] @ before_spreading(problem.spreading, gradients).T
     return np.asarray(len(parts) * np.cov(parts.T, ddof=1).reshape(n, n))
 
 
-def _model(problem: RoomValuesProblem, seen: ValueObservation, predicted: FloatArray) -> FloatArray:
+def _model(
+    problem: RoomValuesProblem, observed: ValueObservation, predicted: FloatArray
+) -> FloatArray:
     # the larger of both, so that a trial far off does not pass for a precise one
     units = [
         float(jnd_of(name, np.maximum(m, p)))
-        for name, m, p in zip(seen.names, seen.measured, predicted, strict=True)
+        for name, m, p in zip(observed.names, observed.measured, predicted, strict=True)
     ]
     sd = problem.model_error_jnd * np.array(units)
-    family = np.array([_FAMILY.get(name, _EARLY_TO_LATE) for name in seen.names])
+    family = np.array([_FAMILY.get(name, _EARLY_TO_LATE) for name in observed.names])
     return np.asarray(np.outer(sd, sd) * (family[:, None] == family[None, :]))
 
 
@@ -254,7 +268,7 @@ _BINS_AS_ONE = 5
 def value_problems(
     scene: Scene,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     measured: Sequence[MeasuredValues],
     binned: BinnedPaths,
     start: FloatArray,
@@ -292,21 +306,21 @@ def value_problems(
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
     problems: list[RoomValuesProblem | None] = []
     for band, centre_hz in enumerate(bands.centres_hz):
-        seen = [
+        observed = [
             _observation(pair, float(direct_s[pair]), m, float(centre_hz), names)
             for pair, m in zip(pairs, measured, strict=True)
         ]
-        observations = tuple(o for o in seen if o.names)
+        observations = tuple(o for o in observed if o.names)
         if not observations:
             problems.append(None)
             continue
         shared = None if parameters is None else parameters[band]
-        own = Parameters((absorption_block(knowledge, band, float(start[band])),))
+        own = Parameters((absorption_block(priors, band, float(start[band])),))
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         bank = FilterBank(one)
         m = float(attenuation[band])
-        heard = rows_at(coarse, centre_hz)
-        rows = {o.pair: rows_in_air(heard[o.pair], m) for o in observations}
+        fine_rows = rows_at(coarse, centre_hz)
+        rows = {o.pair: rows_in_air(fine_rows[o.pair], m) for o in observations}
         problems.append(
             RoomValuesProblem(
                 one,
@@ -314,9 +328,9 @@ def value_problems(
                 0.0,
                 coarse.edges_s,
                 tuple(rows[o.pair] for o in observations),
-                tuple(lone_rows(rows[o.pair]) for o in observations),
+                tuple(squared_image_rows(rows[o.pair]) for o in observations),
                 observations,
-                bin_smearing(bank, coarse),
+                bin_spreading(bank, coarse),
                 own if shared is None else shared,
                 model_error_jnd,
             )
@@ -345,10 +359,10 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
     return regrouped(binned, binned.edges_s[: n * kept + 1 : n], joined)
 
 
-def bin_smearing(bank: FilterBank, binned: BinnedPaths) -> Smearing:
+def bin_spreading(bank: FilterBank, binned: BinnedPaths) -> Spreading:
     """Return how the first band of a bank smears the bins of binned paths."""
     width_s = float(binned.edges_s[1] - binned.edges_s[0])
-    return band_smearing(bank, binned.edges_s.size - 1, width_s)
+    return band_spreading(bank, binned.edges_s.size - 1, width_s)
 
 
 def predicted_values(
@@ -370,12 +384,12 @@ def predicted_values(
     found = np.empty((len(binned.rows), len(names), len(bands)))
     for band in range(len(bands)):
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
-        smearing = bin_smearing(FilterBank(one), coarse)
+        spreading = bin_spreading(FilterBank(one), coarse)
         chosen = slice(band, band + 1)
         for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
             energy = _energy(rows, absorption[:, chosen], attenuation[chosen])
             curve = echogram_decay_curve(
-                one, smear(smearing, energy), coarse.edges_s, float(direct_s[pair])
+                one, spread_energy(spreading, energy), coarse.edges_s, float(direct_s[pair])
             )
             found[pair, :, band] = value_gradients(curve, 0, names)[0]
     return found

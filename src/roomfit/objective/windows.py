@@ -14,12 +14,12 @@ from scipy import fft
 from scipy.sparse import csr_array
 
 from roomfit._numba import kernel
-from roomfit.signals.filters import FilterBank, energy_share, ringing_s, smearing_kernel
+from roomfit.signals.filters import FilterBank, energy_share, ringing_s, spreading_kernel
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Smearing:
+class Spreading:
     """The filter of one band on uniform bins.
 
     Attributes
@@ -38,75 +38,75 @@ class Smearing:
     squares: ComplexArray
 
 
-def band_smearing(bank: FilterBank, n_bins: int, bin_s: float) -> Smearing:
+def band_spreading(bank: FilterBank, n_bins: int, bin_s: float) -> Spreading:
     """Return the smearing of the first band of a bank on so many bins of one width."""
     reach = min(n_bins, int(np.ceil(float(ringing_s(bank)[0]) / bin_s)))
     lags = np.arange(-reach, reach + 1)
     edges_s = bin_s * (np.arange(-reach, reach + 2) - 0.5)
-    share = energy_share(smearing_kernel(bank), 0, [0.0], edges_s)[0]
+    share = energy_share(spreading_kernel(bank), 0, [0.0], edges_s)[0]
     length = fft.next_fast_len(n_bins + reach, real=True)
     kernels = np.zeros((2, length))
     np.add.at(kernels[0], lags % length, share)
     np.add.at(kernels[1], lags % length, share**2)
     spectra = fft.rfft(kernels, axis=1)
-    return Smearing(n_bins, length, spectra[0], spectra[1])
+    return Spreading(n_bins, length, spectra[0], spectra[1])
 
 
-def smear(smearing: Smearing, energies: FloatArray) -> FloatArray:
+def spread_energy(spreading: Spreading, energies: FloatArray) -> FloatArray:
     """Return energies as the filter would show them, shape (..., n_bins); never negative.
 
     What the filter carries beyond the first or the last bin is lost.
     """
     # the transform's rounding, 1e-16 of the largest, must not make an energy negative
-    return np.maximum(_through(smearing, smearing.spectrum, energies), 0.0)
+    return np.maximum(_through(spreading, spreading.spectrum, energies), 0.0)
 
 
-def smear_squares(smearing: Smearing, squares: FloatArray) -> FloatArray:
+def spread_squared_energy(spreading: Spreading, squares: FloatArray) -> FloatArray:
     """Return sums of squared shares times squared energies of lone impulses, (..., n_bins)."""
-    return np.maximum(_through(smearing, smearing.squares, squares), 0.0)
+    return np.maximum(_through(spreading, spreading.squares, squares), 0.0)
 
 
-def before_smearing(smearing: Smearing, gradients: FloatArray) -> FloatArray:
+def before_spreading(spreading: Spreading, gradients: FloatArray) -> FloatArray:
     """Return derivatives by the energies before the filter from those by the energies after it.
 
     The transpose of `smear`; shapes (..., n_bins).
     """
-    return _through(smearing, np.conj(smearing.spectrum), gradients)
+    return _through(spreading, np.conj(spreading.spectrum), gradients)
 
 
-def _through(smearing: Smearing, spectrum: ComplexArray, rows: FloatArray) -> FloatArray:
-    transformed = fft.rfft(rows, smearing.length, axis=-1)
+def _through(spreading: Spreading, spectrum: ComplexArray, rows: FloatArray) -> FloatArray:
+    transformed = fft.rfft(rows, spreading.length, axis=-1)
     return np.asarray(
-        fft.irfft(transformed * spectrum, smearing.length, axis=-1)[..., : smearing.n_bins]
+        fft.irfft(transformed * spectrum, spreading.length, axis=-1)[..., : spreading.n_bins]
     )
 
 
-def in_windows(shares: csr_array, rows: FloatArray) -> FloatArray:
+def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
     """Return ``shares @ rows.T`` without turning the rows round in memory.
 
     Parameters
     ----------
-    shares : sparse array, shape (n_windows, n_bins)
+    spreading : sparse array, shape (n_windows, n_bins)
     rows : float array, shape (n_rows, n_bins)
 
     Returns
     -------
     float array, shape (n_windows, n_rows)
     """
-    out = np.zeros((shares.shape[0], len(rows)))
-    _add_up(shares.indptr, shares.indices, shares.data, np.ascontiguousarray(rows), out)
+    out = np.zeros((spreading.shape[0], len(rows)))
+    _add_up(spreading.indptr, spreading.indices, spreading.data, np.ascontiguousarray(rows), out)
     return out
 
 
 @kernel()
 def _add_up(
-    pointers: IntArray, bins: IntArray, shares: FloatArray, rows: FloatArray, out: FloatArray
+    pointers: IntArray, bins: IntArray, spreading: FloatArray, rows: FloatArray, out: FloatArray
 ) -> None:
     for w in range(len(pointers) - 1):
         for r in range(len(rows)):
             total = 0.0
             for e in range(pointers[w], pointers[w + 1]):
-                total += shares[e] * rows[r, bins[e]]
+                total += spreading[e] * rows[r, bins[e]]
             out[w, r] = total
 
 

@@ -95,11 +95,11 @@ def predicted_csv(predicted: Predicted) -> str:
 def _row(
     pair: PredictedPair, name: ValueName, value: PredictedValue, band: int, centre_hz: float
 ) -> list[str]:
-    told = (
+    columns = (
         *(value.predicted, value.lower95, value.upper95),
         *(value.measured, value.jnd, value.null),
     )
-    cells = [f"{v[band]:.4f}" if np.isfinite(v[band]) else "" for v in told]
+    cells = [f"{v[band]:.4f}" if np.isfinite(v[band]) else "" for v in columns]
     return [pair.source, pair.receiver, pair.use or "", name, f"{centre_hz:g}", *cells]
 
 
@@ -204,6 +204,6 @@ def _measured_line(value: PredictedValue, form: str) -> str:
     """Measured values; in brackets how far the prediction is above, in just noticeable steps."""
     cells = []
     for m, steps in zip(value.measured, value.jnd, strict=True):
-        told = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
-        cells.append(f"{form.format(m)}{told}" if np.isfinite(m) else "-")
+        steps_text = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
+        cells.append(f"{form.format(m)}{steps_text}" if np.isfinite(m) else "-")
     return f"{'  measured':<10}  " + "  ".join(f"{c:>20}" for c in cells)

@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.inversion.compare import predicted_curve
-from roomfit.materials.priors import MaterialKnowledge, unknown_material
+from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.room_parameters import predicted_values, value_covariances, value_problems
 from roomfit.response.binned import BinnedPaths, pair_energies, regrouped
@@ -146,7 +146,7 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
         (problem,) = value_problems(
             alone,
             one,
-            _held(alone.room.materials, chosen),
+            _fixed_materials(alone.room.materials, chosen),
             (as_measured,),
             own,
             np.array([0.5]),
@@ -160,7 +160,9 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
     return sd
 
 
-def _held(materials: tuple[str, ...], absorption: FloatArray) -> tuple[MaterialKnowledge, ...]:
+def _fixed_materials(
+    materials: tuple[str, ...], absorption: FloatArray
+) -> tuple[MaterialPrior, ...]:
     return tuple(
         replace(unknown_material(name, 1), known=row)
         for name, row in zip(materials, absorption, strict=True)

@@ -17,7 +17,7 @@ from roomfit.bands import Bands
 from roomfit.cache import Cache, cached
 from roomfit.findings import Code, Finding
 from roomfit.io.campaign import Campaign
-from roomfit.io.materials import material_knowledge
+from roomfit.io.materials import material_priors
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import in_bands
 from roomfit.objective.room_parameters import MODEL_ERROR_JND
@@ -25,17 +25,17 @@ from roomfit.prediction.pair import RELATIVE, PairNumbers, pair_numbers
 from roomfit.prediction.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
 from roomfit.prediction.setup import (
     Change,
+    ObservedPair,
     PairChoice,
-    Seen,
     change_text,
     changed_draws,
     directed_as_found,
     follow_decay,
+    observed_pairs,
     predicted_bands,
     prediction_scene,
     room_posterior,
-    scattering_known,
-    seen_pairs,
+    with_fitted_scattering,
 )
 from roomfit.scene import Scene
 from roomfit.signals.decay import DecayCurve, decay_curve_db, in_jnd, jnd_of
@@ -58,18 +58,21 @@ class _Spread:
 
 
 def predicted_pairs(
-    scene: Scene, bands: Bands, numbers: Sequence[PairNumbers], seen: Sequence[Seen]
+    scene: Scene,
+    bands: Bands,
+    numbers: Sequence[PairNumbers],
+    observed_pairs: Sequence[ObservedPair],
 ) -> tuple[PredictedPair, ...]:
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
     for (s, r), own in zip(scene.pairs, numbers, strict=True):
         names = (scene.sources[s].name, scene.receivers[r].name)
-        measured = [m for m in seen if (m.source, m.receiver) == names]
-        rows: list[Seen | None] = [*measured] or [None]
+        measured = [m for m in observed_pairs if (m.source, m.receiver) == names]
+        rows: list[ObservedPair | None] = [*measured] or [None]
         for m in rows:
             table: dict[ValueName, PredictedValue] = {}
             for row, name in enumerate(VALUE_NAMES):
-                others = [o.values[row] for o in seen if o.use == "fit" and o is not m]
+                others = [o.values[row] for o in observed_pairs if o.use == "fit" and o is not m]
                 nothing = np.full(len(bands), np.nan)
                 values = nothing if m is None else m.values[row]
                 null = nothing if m is None else _mean(others, len(bands))
@@ -80,7 +83,10 @@ def predicted_pairs(
 
 
 def predicted_means(
-    scene: Scene, bands: Bands, numbers: Sequence[PairNumbers], seen: Sequence[Seen]
+    scene: Scene,
+    bands: Bands,
+    numbers: Sequence[PairNumbers],
+    observed_pairs: Sequence[ObservedPair],
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     index = {
@@ -90,7 +96,7 @@ def predicted_means(
     for row, name in enumerate(VALUE_NAMES):
         measured = np.full((len(numbers), len(bands)), np.nan)
         for i in range(len(numbers)):
-            own = [m.values[row] for m in seen if index[m.source, m.receiver] == i]
+            own = [m.values[row] for m in observed_pairs if index[m.source, m.receiver] == i]
             measured[i] = _mean(own, len(bands))
         spreads = [_spread(n, row, name) for n in numbers]
         chosen = np.isfinite(measured) & np.isfinite([s.values for s in spreads])
@@ -149,7 +155,7 @@ def _mean(rows: Sequence[FloatArray], n_bands: int) -> FloatArray:
     return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
 
 
-def _decay(own: PairNumbers, m: Seen | None) -> PredictedDecay:
+def _decay(own: PairNumbers, m: ObservedPair | None) -> PredictedDecay:
     measured = None if m is None or m.curve is None else _at(own.time_s, m.curve)
     return PredictedDecay(own.time_s, own.decay_db, own.lower_db, own.upper_db, measured)
 
@@ -211,18 +217,18 @@ def predict_campaign(
     room, findings = read_room(campaign.room)
     bands, doubts = predicted_bands(campaign, absorption.bands)
     campaign, sources = directed_as_found(campaign, bands, absorption)
-    places = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
-    told = in_bands(material_knowledge(campaign, room.materials), places)
-    knowledge = scattering_known(told, bands, absorption)
+    band_indices = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
+    specified_priors = in_bands(material_priors(campaign, room.materials), band_indices)
+    priors = with_fitted_scattering(specified_priors, bands, absorption)
     replaced = [c.material for c in changes if c.kind != "factor"]
-    posterior = room_posterior(campaign, knowledge, bands, absorption, replaced)
+    posterior = room_posterior(campaign, priors, bands, absorption, replaced)
     rng = np.random.default_rng(campaign.seed)
     drawn = draw_absorption(posterior, n_draws, rng)
     expected, drawn, clipped = changed_draws(posterior, drawn, changes, rng)
     scene = prediction_scene(campaign, room, pairs)
-    seen, measured_findings = seen_pairs(campaign, bands, scene)
+    observed, measured_findings = observed_pairs(campaign, bands, scene)
     followed = follow_decay(
-        *(campaign, scene, bands, knowledge, expected, _longest_s(seen)),
+        *(campaign, scene, bands, priors, expected, _longest_s(observed)),
         *(cache, part(progress, 0.02, 0.5)),
     )
     numbers: list[PairNumbers] = []
@@ -248,11 +254,11 @@ def predict_campaign(
         lower,
         upper,
         tuple(change_text(c) for c in changes),
-        predicted_pairs(scene, bands, numbers, seen),
-        predicted_means(scene, bands, numbers, seen),
+        predicted_pairs(scene, bands, numbers, observed),
+        predicted_means(scene, bands, numbers, observed),
         (
             *(*findings, *doubts, *sources, *clipped, *measured_findings, *followed.findings),
-            *(*cache_findings, *_what_if(changes, seen)),
+            *(*cache_findings, *_what_if(changes, observed)),
         ),
         len(drawn),
         campaign.seed,
@@ -260,10 +266,10 @@ def predict_campaign(
     )
 
 
-def _longest_s(seen: Sequence[Seen]) -> float:
+def _longest_s(observed: Sequence[ObservedPair]) -> float:
     """Return the longest measured decay time, T20 or T30, 0 where none is known."""
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
-    known = [s.values[rows][np.isfinite(s.values[rows])] for s in seen]
+    known = [s.values[rows][np.isfinite(s.values[rows])] for s in observed]
     return max((float(k.max()) for k in known if k.size), default=0.0)
 
 
@@ -276,15 +282,17 @@ def _absorption_interval(
     return lower, upper
 
 
-def _what_if(changes: Sequence[Change], seen: Sequence[Seen]) -> tuple[Finding, ...]:
+def _what_if(changes: Sequence[Change], observed: Sequence[ObservedPair]) -> tuple[Finding, ...]:
     if not changes:
         return ()
-    told = ", ".join(change_text(c) for c in changes)
-    beside = " Measured values beside it are those of the room as it was measured." if seen else ""
+    listed = ", ".join(change_text(c) for c in changes)
+    beside = (
+        " Measured values beside it are those of the room as it was measured." if observed else ""
+    )
     return (
         Finding(
             Code.MATERIALS_CHANGED,
-            f"Predicted with {told}.{beside}",
+            f"Predicted with {listed}.{beside}",
             {"changes": [change_text(c) for c in changes]},
         ),
     )

@@ -24,14 +24,14 @@ from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse, surface_area_m2, volume_m3
 from roomfit.inversion.compare import predicted_curve
-from roomfit.inversion.scattering import band_factors, told_scattering
+from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.trace_plan import cached_trace, plan_trace
 from roomfit.io.campaign import Campaign
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.materials import campaign_directivities, unknown_directivity
 from roomfit.io.measurements import measure
 from roomfit.materials.catalogue import catalogue_prior
-from roomfit.materials.priors import MaterialKnowledge, logit_prior
+from roomfit.materials.priors import MaterialPrior, logit_prior
 from roomfit.objective.room_parameters import values_at
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import Directivity, FirstOrderBands
@@ -82,13 +82,13 @@ def read_change(text: str) -> Change:
     InputError
         It is not written so.
     """
-    material, sign, told = (part.strip() for part in text.partition("="))
-    if not (material and sign and told):
+    material, sign, specified = (part.strip() for part in text.partition("="))
+    if not (material and sign and specified):
         raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
-    found = [_VALUE.match(part.replace(" ", "")) for part in told.split(",")]
+    found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
     matches = [m for m in found if m is not None]
     if not matches:
-        return Change(material, "catalogue", entry=told)
+        return Change(material, "catalogue", entry=specified)
     factors = {m[1] for m in matches}
     if len(matches) != len(found) or len(factors) != 1:
         raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
@@ -102,11 +102,11 @@ def change_text(change: Change) -> str:
     if change.kind == "catalogue":
         return f"{change.material}={change.entry}"
     mark = "x" if change.kind == "factor" else ""
-    told = [
+    values = [
         f"{mark}{v:g}" + (f"+-{sd:g}" if sd else "")
         for v, sd in zip(change.values, change.sds, strict=True)
     ]
-    return f"{change.material}={','.join(told)}"
+    return f"{change.material}={','.join(values)}"
 
 
 def changed_draws(
@@ -139,13 +139,13 @@ def changed_draws(
     """
     absorption, drawn = posterior.absorption.copy(), draws.copy()
     findings: list[Finding] = []
-    seen: set[str] = set()
+    visited: set[str] = set()
     for change in changes:
         where = change_text(change)
         index = _index_of(change.material, posterior.materials, where)
-        if change.material in seen:
+        if change.material in visited:
             raise InputError("a material is changed twice", where=where)
-        seen.add(change.material)
+        visited.add(change.material)
         # one number a draw for all bands: a material is thicker, or hung closer, at all frequencies
         z = rng.standard_normal(len(draws))
         with located(where):
@@ -157,7 +157,7 @@ def changed_draws(
                 drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
                 findings += _clipped(change, wanted, posterior.bands)
             else:
-                mean, sd = _told(change, posterior.bands)
+                mean, sd = _specified_absorption(change, posterior.bands)
                 absorption[index] = mean
                 drawn[:, index] = _logit_normal(mean, sd, z)
     return absorption, drawn, tuple(findings)
@@ -176,7 +176,7 @@ def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
     return materials.index(material)
 
 
-def _told(change: Change, bands: Bands) -> tuple[FloatArray, FloatArray]:
+def _specified_absorption(change: Change, bands: Bands) -> tuple[FloatArray, FloatArray]:
     if change.kind == "catalogue":
         return catalogue_prior(change.entry, bands)
     return _per_band(change, bands, high=1.0)
@@ -212,11 +212,11 @@ def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding,
     over = np.flatnonzero(wanted > 1.0)
     if not over.size:
         return ()
-    told = ", ".join(f"{bands.centres_hz[j]:g} Hz ({wanted[j]:.2f})" for j in over)
+    where = ", ".join(f"{bands.centres_hz[j]:g} Hz ({wanted[j]:.2f})" for j in over)
     return (
         Finding(
             Code.ABSORPTION_CLIPPED,
-            f"The change {change_text(change)} would make the absorption larger than 1 at {told}; "
+            f"The change {change_text(change)} would make the absorption larger than 1 at {where}; "
             "1 was taken.",
             {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
         ),
@@ -227,7 +227,7 @@ PairChoice = Literal["all", "campaign"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Seen:
+class ObservedPair:
     """What was measured of a pair: values (n_names, n_bands), and a decay where there was one."""
 
     source: str
@@ -292,20 +292,22 @@ def predicted_bands(campaign: Campaign, known: Bands) -> tuple[Bands, tuple[Find
     InputError
         There is none.
     """
-    told = campaign.bands
-    common = [f for f in told.centres_hz if f in known.centres_hz and told.kind == known.kind]
+    specified = campaign.bands
+    common = [
+        f for f in specified.centres_hz if f in known.centres_hz and specified.kind == known.kind
+    ]
     if not common:
         raise InputError(
             "the absorption is known in other bands than the campaign asks for",
             where=f"{campaign.path}, identify",
             found=", ".join(f"{f:g}" for f in known.centres_hz),
-            needed=", ".join(f"{f:g}" for f in told.centres_hz) + f" Hz ({told.kind})",
+            needed=", ".join(f"{f:g}" for f in specified.centres_hz) + f" Hz ({specified.kind})",
             hint="change bands, from_hz and to_hz of the campaign",
         )
-    left_out = [float(f) for f in told.centres_hz if f not in common]
+    left_out = [float(f) for f in specified.centres_hz if f not in common]
     if not left_out:
-        return told, ()
-    return Bands(told.kind, np.array(common)), (
+        return specified, ()
+    return Bands(specified.kind, np.array(common)), (
         Finding(
             Code.BAND_NOT_PREDICTED,
             f"The absorption is not known at {', '.join(f'{f:g}' for f in left_out)} Hz: nothing "
@@ -317,7 +319,7 @@ def predicted_bands(campaign: Campaign, known: Bands) -> tuple[Bands, tuple[Find
 
 def room_posterior(
     campaign: Campaign,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     bands: Bands,
     absorption: AbsorptionPosterior,
     replaced: Sequence[str] = (),
@@ -337,10 +339,10 @@ def room_posterior(
     InputError
         The absorption of some materials is nowhere told.
     """
-    names = [k.name for k in knowledge]
+    names = [k.name for k in priors]
     missing = [
         k.name
-        for k in knowledge
+        for k in priors
         if k.name not in absorption.materials and k.known is None and k.name not in replaced
     ]
     if missing:
@@ -355,10 +357,10 @@ def room_posterior(
     theirs = [i for i, n in enumerate(absorption.materials) if n in names]
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     shape = (len(names), len(bands))
-    told = np.full(shape, 0.5)
-    for i, k in enumerate(knowledge):
+    absorption_of_room = np.full(shape, 0.5)
+    for i, k in enumerate(priors):
         if k.known is not None:
-            told[i] = k.known
+            absorption_of_room[i] = k.known
 
     def matched(theirs_: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         values = otherwise.copy()
@@ -373,44 +375,44 @@ def room_posterior(
     return AbsorptionPosterior(
         tuple(names),
         bands,
-        matched(absorption.absorption, told),
-        matched(absorption.lower95, told),
-        matched(absorption.upper95, told),
+        matched(absorption.absorption, absorption_of_room),
+        matched(absorption.lower95, absorption_of_room),
+        matched(absorption.upper95, absorption_of_room),
         covariance,
         None if plain else matched(absorption.prior_logit_mean, np.zeros(shape)),
         None if plain else matched(absorption.prior_logit_sd, np.ones(shape)),
     )
 
 
-def scattering_known(
-    knowledge: tuple[MaterialKnowledge, ...], bands: Bands, absorption: AbsorptionPosterior
-) -> tuple[MaterialKnowledge, ...]:
+def with_fitted_scattering(
+    priors: tuple[MaterialPrior, ...], bands: Bands, absorption: AbsorptionPosterior
+) -> tuple[MaterialPrior, ...]:
     """Return what is known of each material, with the scattering of the fit where none is told.
 
     What a fit found or assumed of scattering belongs to the absorption it found.
 
     Parameters
     ----------
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
         In these bands.
     bands : Bands
     absorption : AbsorptionPosterior
     """
     if absorption.scattering is None:
-        return knowledge
+        return priors
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     found = dict(zip(absorption.materials, absorption.scattering[:, at], strict=True))
     return tuple(
         replace(k, scattering=found[k.name])
         if k.name in found and (k.scattering is None or k.fit_scattering)
         else k
-        for k in knowledge
+        for k in priors
     )
 
 
-def seen_pairs(
+def observed_pairs(
     campaign: Campaign, bands: Bands, scene: Scene
-) -> tuple[tuple[Seen, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[ObservedPair, ...], tuple[Finding, ...]]:
     """Return what was measured, responses before tables of values.
 
     Raises
@@ -423,7 +425,7 @@ def seen_pairs(
     for m in measured:
         # the level of a measurement is a question of its calibration: G is not read from responses
         values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
-        found.append(Seen(m.file.source, m.file.receiver, m.file.use, values, m.curve))
+        found.append(ObservedPair(m.file.source, m.file.receiver, m.file.use, values, m.curve))
     pairs = {(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs}
     for table in campaign.tables:
         tabulated, doubts = read_parameters(table.path, table.source, table.receiver)
@@ -436,7 +438,7 @@ def seen_pairs(
                     found=f"{t.source} to {t.receiver}",
                 )
             values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
-            found.append(Seen(t.source, t.receiver, table.use, values, None))
+            found.append(ObservedPair(t.source, t.receiver, table.use, values, None))
     return tuple(found), findings
 
 
@@ -462,7 +464,7 @@ def directed_as_found(
     """
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     found = absorption.directivities or {}
-    known, untold = dict(campaign.directivities), []
+    known, unfitted = dict(campaign.directivities), []
     for name in campaign.directivities:
         asked = unknown_directivity(campaign, name)
         if asked is None:
@@ -473,19 +475,19 @@ def directed_as_found(
             known[name] = FirstOrderBands(np.tile(asked.mean, (len(bands), 1)))
         else:
             known[name] = "omni"
-            untold.append(name)
-    return replace(campaign, directivities=known), _findings(untold)
+            unfitted.append(name)
+    return replace(campaign, directivities=known), _findings(unfitted)
 
 
-def _findings(untold: list[str]) -> tuple[Finding, ...]:
-    if not untold:
+def _findings(unfitted: list[str]) -> tuple[Finding, ...]:
+    if not unfitted:
         return ()
     return (
         Finding(
             Code.DIRECTIVITY_NOT_KNOWN,
-            f"The directivity of {', '.join(untold)} was to be fitted, and the absorption comes "
+            f"The directivity of {', '.join(unfitted)} was to be fitted, and the absorption comes "
             "without it: predicted as omnidirectional.",
-            {"sources": untold},
+            {"sources": unfitted},
         ),
     )
 
@@ -520,7 +522,7 @@ def follow_decay(
     campaign: Campaign,
     scene: Scene,
     bands: Bands,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     absorption: FloatArray,
     measured_decay_s: float,
     cache: Cache | None,
@@ -535,7 +537,7 @@ def follow_decay(
     ----------
     campaign : Campaign
         Tells the directivity of sources, and the seed.
-    knowledge : tuple of MaterialKnowledge
+    priors : tuple of MaterialPrior
         In these bands; tells how walls scatter.
     absorption : float array, shape (n_materials, n_bands)
     measured_decay_s : float
@@ -544,13 +546,13 @@ def follow_decay(
     longest_s = max(measured_decay_s, float(eyring_time_s(scene, bands, absorption).max()))
     found: list[Finding] = []
     for attempt in range(_ATTEMPTS):
-        plan = plan_trace(scene, knowledge, min(longest_s, _LONGEST_S), 0.0, campaign.seed)
+        plan = plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, campaign.seed)
         done = part(progress, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
         traced = cached_trace(scene, plan.settings, plan.scattering, cache, done)
         found += traced.findings
         paths = traced.value.paths
-        scattering = told_scattering(knowledge, plan.scattering.coefficients, len(bands))
-        factors, worn = band_factors(campaign, scene, bands, paths, scattering)
+        scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+        factors, degenerate = band_factors(campaign, scene, bands, paths, scattering)
         binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
         short = _not_followed(scene, bands, binned, absorption)
         if not short or longest_s >= _LONGEST_S:
@@ -562,7 +564,13 @@ def follow_decay(
         binned,
         plan.settings,
         (scattering, campaign_directivities(campaign, scene, bands)),
-        (*plan.findings, *traced.value.findings, *found, *worn, *_short_finding(bands, short)),
+        (
+            *plan.findings,
+            *traced.value.findings,
+            *found,
+            *degenerate,
+            *_short_finding(bands, short),
+        ),
     )
 
 

@@ -61,8 +61,8 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
         write_bytes_atomically(folder / "profiles.png", png(bent))
     if corner is not None:
         write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
-    heard = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
-    for i, pair in heard[:MOST_DECAY_PICTURES]:
+    with_decay = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
+    for i, pair in with_decay[:MOST_DECAY_PICTURES]:
         name = f"decay_{i:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
         write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
         if progress is not None:
@@ -517,12 +517,12 @@ def _decay_curves(
         ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
     )
     for label, level_db, look in looks:
-        seen = np.where(level_db > _LOWEST_DB - 15.0, level_db, np.nan)
-        known = np.flatnonzero(np.isfinite(seen))
+        observed = np.where(level_db > _LOWEST_DB - 15.0, level_db, np.nan)
+        known = np.flatnonzero(np.isfinite(observed))
         kept = known
         if n_points is not None and known.size > n_points:
             kept = known[np.linspace(0, known.size - 1, n_points).round().astype(int)]
-        axes.plot(decay.time_s[kept], seen[kept], label=label, gid=group, **look)
+        axes.plot(decay.time_s[kept], observed[kept], label=label, gid=group, **look)
 
 
 def decay_times(pair: ComparedPair, band: int) -> str:
@@ -574,7 +574,7 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
 def boxes_figure(
     covers: Mapping[str, FloatArray],
     names: tuple[str, ...],
-    truth: FloatArray,
+    true_absorption: FloatArray,
     grids: tuple[FloatArray, FloatArray, FloatArray],
     levels: Sequence[float],
 ) -> Figure:
@@ -586,7 +586,7 @@ def boxes_figure(
         Lower and upper absorption of each box. Every point whose error is below what the label
         says lies in one of them.
     names : tuple of two str
-    truth : float array, shape (2,)
+    true_absorption : float array, shape (2,)
     grids : three float arrays, shape (n, n)
         Both absorptions and the error over a grid, for its contours.
     levels : sequence of float
@@ -603,7 +603,7 @@ def boxes_figure(
         axes.plot([], [], "s", color=OKABE_ITO[colour], label=f"{label}: {len(boxes)} {noun}")
     axes.contour(*grids, levels=list(levels), colors="black", linewidths=1.0)
     axes.plot([], [], "-", color="black", lw=1.0, label="where the error has just these values")
-    axes.plot(*truth, "+", color="black", ms=12, mew=1.5, label="truth")
+    axes.plot(*true_absorption, "+", color="black", ms=12, mew=1.5, label="truth")
     widest = next(iter(covers.values()))
     low, high = widest[:, 0].min(axis=0), widest[:, 1].max(axis=0)
     margin = 0.08 * float((high - low).max())

@@ -104,10 +104,10 @@ def drawn_faces(room: Room) -> tuple[IntArray, int]:
     towards = _projection()[2]
     away = area_vectors_m2(room.mesh) @ towards
     sheet = np.array([s.double_sided for s in room.mesh.surfaces])[room.mesh.triangle_surface]
-    seen = np.flatnonzero((away < 0.0) | (sheet & (away != 0.0)))
-    largest = seen[np.argsort(-np.abs(away[seen]), kind="stable")[:MOST_FACES]]
+    observed = np.flatnonzero((away < 0.0) | (sheet & (away != 0.0)))
+    largest = observed[np.argsort(-np.abs(away[observed]), kind="stable")[:MOST_FACES]]
     depth = corners_m(room.mesh)[largest].mean(axis=1) @ towards
-    return largest[np.argsort(depth, kind="stable")], len(seen)
+    return largest[np.argsort(depth, kind="stable")], len(observed)
 
 
 def _projection() -> FloatArray:

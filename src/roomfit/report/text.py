@@ -66,16 +66,20 @@ def absorption_table(answer: Answer) -> str:
 
 def separable_text(answer: Answer) -> str:
     """Return in words which materials the data tell apart, band by band."""
-    told = any(answer.sentences)
-    lines = ["What the data tell" + (" (+-: half of the 95 % interval)" if told else "")]
+    has_sentences = any(answer.sentences)
+    lines = ["What the data tell" + (" (+-: half of the 95 % interval)" if has_sentences else "")]
     for j, centre in enumerate(answer.bands.centres_hz):
-        held = answer.lower95[:, j] == answer.upper95[:, j]
-        sure = _names(answer.materials, answer.identifiable[:, j] & ~held)
+        fixed = answer.lower95[:, j] == answer.upper95[:, j]
+        sure = _names(answer.materials, answer.identifiable[:, j] & ~fixed)
         mean, lower, upper = answer.mean_absorption[:, j]
         known = sure if sure else "no single material"
-        if held.any():
-            known += f"; given: {_names(answer.materials, held)}"
-        fit = "" if answer.phi[j] <= 2.0 else f"; the model does not fit (phi {answer.phi[j]:.1f})"
+        if fixed.any():
+            known += f"; given: {_names(answer.materials, fixed)}"
+        fit = (
+            ""
+            if answer.chi2_reduced[j] <= 2.0
+            else f"; the model does not fit (phi {answer.chi2_reduced[j]:.1f})"
+        )
         lines.append(
             f"{centre:>6g} Hz  identified: {known}; mean of the room {mean:.2f} "
             f"({lower:.2f} to {upper:.2f}){fit}"
@@ -234,10 +238,10 @@ def _short(value: float) -> str:
 
 
 def _pair_cell(ours: float, null: float) -> str:
-    def told(value: float) -> str:
+    def formatted(value: float) -> str:
         return f"{value:.1f}" if np.isfinite(value) else "-"
 
-    return f"{told(ours):>5} | {told(null):>5}"
+    return f"{formatted(ours):>5} | {formatted(null):>5}"
 
 
 def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:

@@ -47,10 +47,10 @@ def root_energies(weight: FloatArray, hits: IntArray, powers: FloatArray) -> Flo
 
 
 @kernel(parallel=True)
-def lay_trains(
+def grid_impulses(
     offsets: IntArray,
     away: FloatArray,
-    unfolding: FloatArray,
+    image_transform: FloatArray,
     hits: IntArray,
     root: FloatArray,
     shifts: FloatArray,
@@ -60,7 +60,7 @@ def lay_trains(
     first_s: float,
     rate_hz: float,
     table: FloatArray,
-    trains: FloatArray,
+    impulses: FloatArray,
 ) -> None:
     """Lay every path's spike, times its derivatives, upon the grids of its observation.
 
@@ -70,22 +70,22 @@ def lay_trains(
         Which paths belong to each observation.
     away : shape (n_paths, 3)
         From image to receiver, m.
-    unfolding : shape (n_paths, 9)
+    image_transform : shape (n_paths, 9)
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
         By how much source and receiver stand elsewhere, m.
-    trains : shape (n_observations, n_grid, 8 + n_materials), or (n_observations, n_grid, 1)
+    impulses : shape (n_observations, n_grid, 8 + n_materials), or (n_observations, n_grid, 1)
         Zeros; filled with spikes of height s; hits s of every material; -dt/dsource s (3),
         dt/dreceiver s (3), and -dt/dln c s (1). A single column holds the first of them.
     """
     n_materials = hits.shape[1]
-    n_grid, n_columns = trains.shape[1], trains.shape[2]
+    n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     half = TAPS // 2
     for o in numba.prange(len(offsets) - 1):
         values = np.empty(8 + n_materials)
-        own = trains[o]
+        own = impulses[o]
         for i in range(offsets[o], offsets[o + 1]):
-            a = unfolding[i]
+            a = image_transform[i]
             v0 = away[i, 0] + shifts[o, 3]
             v1 = away[i, 1] + shifts[o, 4]
             v2 = away[i, 2] + shifts[o, 5]
@@ -247,9 +247,9 @@ class ImagePaths:
     weight : float array, shape (n_paths,)
         Energy of each path if no wall absorbed: spreading, scattering and air.
     hits : uint16 array, shape (n_paths, n_materials)
-    away_m : float array, shape (n_paths, 3)
+    image_to_receiver_m : float array, shape (n_paths, 3)
         From the image to the receiver.
-    unfolding : float array, shape (n_paths, 9)
+    image_transform : float array, shape (n_paths, 9)
         The orthogonal matrix A of each path, row by row: a source that moves by x moves its image
         by A x.
     coherence : float array, shape (n_paths,)
@@ -262,8 +262,8 @@ class ImagePaths:
     offsets: IntArray
     weight: FloatArray
     hits: IntArray
-    away_m: FloatArray
-    unfolding: FloatArray
+    image_to_receiver_m: FloatArray
+    image_transform: FloatArray
     coherence: FloatArray
     sign: FloatArray | None = None
 
@@ -346,8 +346,8 @@ def image_paths(
 
     Notes
     -----
-    Paths without `unfolding` get the reflection that turns the departure into the arrival in its
-    place: right to first order in a source's displacement, and exact in a box.
+    Paths without `image_transform` get the reflection that turns the departure into the arrival in
+    its place: right to first order in a source's displacement, and exact in a box.
     """
     image = (paths.batch < 0) & (paths.length_m <= longest_m)
     own = [np.flatnonzero(image & (paths.pair == pair)) for pair in pairs]
@@ -358,8 +358,8 @@ def image_paths(
     departure = paths.departure[chosen].astype(np.float64)
     matrices = (
         _stand_in(departure, arrival)
-        if paths.unfolding is None
-        else paths.unfolding[chosen].astype(np.float64)
+        if paths.image_transform is None
+        else paths.image_transform[chosen].astype(np.float64)
     )
     return ImagePaths(
         paths.materials,
@@ -380,8 +380,8 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
         offsets=before[paths.offsets].astype(np.int64),
         weight=paths.weight[keep],
         hits=np.ascontiguousarray(paths.hits[keep]),
-        away_m=paths.away_m[keep],
-        unfolding=paths.unfolding[keep],
+        image_to_receiver_m=paths.image_to_receiver_m[keep],
+        image_transform=paths.image_transform[keep],
         coherence=paths.coherence[keep],
         sign=None if paths.sign is None else paths.sign[keep],
     )
@@ -448,11 +448,11 @@ def coherent_response(
         False leaves the derivatives zero.
     """
     n_columns = 8 + len(paths.materials) if derivative else 1
-    trains = np.zeros((len(edges_s), grid.n, n_columns))
-    lay_trains(
+    impulses = np.zeros((len(edges_s), grid.n, n_columns))
+    grid_impulses(
         paths.offsets,
-        paths.away_m,
-        paths.unfolding,
+        paths.image_to_receiver_m,
+        paths.image_transform,
         paths.hits,
         _roots(paths, absorption),
         times.shifts_m,
@@ -462,14 +462,14 @@ def coherent_response(
         grid.first_s,
         grid.rate_hz,
         grid.table,
-        trains,
+        impulses,
     )
-    spikes = np.ascontiguousarray(np.swapaxes(trains, 1, 2))
-    return _filtered(spikes, len(paths.materials), grid, edges_s, derivative=derivative)
+    columns_first = np.ascontiguousarray(np.swapaxes(impulses, 1, 2))
+    return _filtered(columns_first, len(paths.materials), grid, edges_s, derivative=derivative)
 
 
 def _filtered(
-    trains: FloatArray,
+    impulses: FloatArray,
     n_materials: int,
     grid: BandGrid,
     edges_s: tuple[FloatArray, ...],
@@ -477,7 +477,7 @@ def _filtered(
     derivative: bool,
 ) -> CoherentResponse:
     """Put spike trains through the filter and integrate their products over windows."""
-    spectra = fft.rfft(trains, axis=-1, workers=2)
+    spectra = fft.rfft(impulses, axis=-1, workers=2)
     pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
     if derivative:
         level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)

@@ -59,8 +59,10 @@ def amplitude_and_slope(
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
     """Return where every image path leaves its source, unit vectors, shape (n_paths, 3)."""
-    toward = images.away_m / np.linalg.norm(images.away_m, axis=1)[:, None]
-    u = np.einsum("nij,ni->nj", images.unfolding.reshape(-1, 3, 3), toward)
+    toward = (
+        images.image_to_receiver_m / np.linalg.norm(images.image_to_receiver_m, axis=1)[:, None]
+    )
+    u = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
     return np.asarray(u, dtype=np.float32)
 
 
@@ -102,10 +104,12 @@ def coherent_slopes(
     """
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
-    trains = np.zeros((len(edges_s), 4, grid.n))
+    impulses = np.zeros((len(edges_s), 4, grid.n))
     arrivals = arrival_times_s(images, times)
-    lay_spikes(images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, trains)
-    pressure = fft.irfft(fft.rfft(trains, axis=-1, workers=2) * grid.filter, grid.n, workers=2)
+    grid_directed_impulses(
+        images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
+    )
+    pressure = fft.irfft(fft.rfft(impulses, axis=-1, workers=2) * grid.filter, grid.n, workers=2)
     starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
     edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
     n_windows = int(starts[-1]) - len(edges_s)
@@ -119,21 +123,21 @@ def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
     """Return when every image path arrives, shape (n_paths,)."""
     counts = np.diff(images.offsets)
     shift = np.repeat(times.shifts_m, counts, axis=0)
-    turned = np.einsum("nij,nj->ni", images.unfolding.reshape(-1, 3, 3), shift[:, :3])
-    length = np.linalg.norm(images.away_m + shift[:, 3:] - turned, axis=1)
+    turned = np.einsum("nij,nj->ni", images.image_transform.reshape(-1, 3, 3), shift[:, :3])
+    length = np.linalg.norm(images.image_to_receiver_m + shift[:, 3:] - turned, axis=1)
     late = np.repeat(times.latency_s, counts) + images.hits @ times.delays_s
     return np.asarray(length / times.speed_m_s + late)
 
 
 @kernel(parallel=True)
-def lay_spikes(
+def grid_directed_impulses(
     offsets: IntArray,
     time_s: FloatArray,
     heights: FloatArray,
     first_s: float,
     rate_hz: float,
     table: FloatArray,
-    trains: FloatArray,
+    impulses: FloatArray,
 ) -> None:
     """Lay spikes of several heights at each path's time upon the grids of its observation.
 
@@ -142,12 +146,12 @@ def lay_spikes(
     offsets : shape (n_observations + 1,)
     time_s : shape (n_paths,)
     heights : shape (n_paths, n_columns)
-    trains : shape (n_observations, n_columns, n_grid)
+    impulses : shape (n_observations, n_columns, n_grid)
         Zeros; filled.
     """
-    n_grid = trains.shape[2]
+    n_grid = impulses.shape[2]
     for o in numba.prange(len(offsets) - 1):
-        own = trains[o]
+        own = impulses[o]
         for i in range(offsets[o], offsets[o + 1]):
             place = (time_s[i] - first_s) * rate_hz
             low = int(np.floor(place)) - TAPS // 2 + 1

@@ -297,8 +297,8 @@ def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
     step = -(-(len(rows) - whole) // (most - whole))
     kept = np.concatenate((np.arange(whole), np.arange(whole, len(rows), step)))
     counts = np.bincount(window_of_rows(rows)[kept], minlength=rows.n_windows)
-    told = {f.name: getattr(rows, f.name) for f in fields(rows) if f.init and f.name != "offsets"}
-    columns = {name: c[kept] for name, c in told.items() if isinstance(c, np.ndarray)}
+    arrays = {f.name: getattr(rows, f.name) for f in fields(rows) if f.init and f.name != "offsets"}
+    columns = {name: c[kept] for name, c in arrays.items() if isinstance(c, np.ndarray)}
     columns["weight_per_m2"][whole:] *= step
     return replace(rows, offsets=np.concatenate(([0], np.cumsum(counts))), **cast(Any, columns))
 

@@ -16,7 +16,7 @@ from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
 # Below it a few paths carry all the weight, and the trace is to be made again.
-LEAST_SAMPLE_SHARE = 0.1
+LEAST_EFFECTIVE_FRACTION = 0.1
 _SLICES = 8
 _FEWEST_IN_SLICE = 32
 
@@ -126,13 +126,13 @@ class BandRows:
     Attributes
     ----------
     rows : tuple of EnergyRows
-    sample_share : float
-        Effective share of the sample where it is least; see `sample_share`. Below
-        `LEAST_SAMPLE_SHARE` trace again with coefficients near those that are wanted.
+    effective_sample_fraction : float
+        Effective share of the sample where it is least; see `effective_sample_fraction`. Below
+        `LEAST_EFFECTIVE_FRACTION` trace again with coefficients near those that are wanted.
     """
 
     rows: tuple[EnergyRows, ...]
-    sample_share: float
+    effective_sample_fraction: float
 
 
 def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scattering) -> BandRows:
@@ -157,11 +157,13 @@ def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scatteri
         return BandRows(tuple(rows), 1.0)
     factors = scattering_weights(paths, scattering)
     weighed = tuple(reweighed_rows(r, factors) for r in rows)
-    share = min((sample_share(r, w) for r, w in zip(rows, weighed, strict=True)), default=1.0)
+    share = min(
+        (effective_sample_fraction(r, w) for r, w in zip(rows, weighed, strict=True)), default=1.0
+    )
     return BandRows(weighed, share)
 
 
-def sample_share(rows: EnergyRows, weighed: EnergyRows) -> float:
+def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
     """Return which share of its rays a pair's sample is still worth after weighing anew.
 
     Kish's effective number by the new weights over that by the old ones, in eighths of the rays by

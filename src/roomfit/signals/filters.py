@@ -36,7 +36,7 @@ from roomfit.typing import FloatArray, IntArray
 
 
 @kernel()
-def _looked_up(table: FloatArray, place: float) -> float:
+def _interpolated(table: FloatArray, place: float) -> float:
     """Return the table between two entries by a straight line; beyond its ends, its ends."""
     last = len(table) - 1
     if place <= 0.0:
@@ -85,7 +85,7 @@ def differences_over_windows(
         for e in range(pointers[w], pointers[w + 1]):
             d = first[w] + e - pointers[w]
             late = delays_s[d] * steps_per_s
-            values[e] = _looked_up(table, end - late) - _looked_up(table, begin - late)
+            values[e] = _interpolated(table, end - late) - _interpolated(table, begin - late)
             columns[e] = d
 
 
@@ -122,7 +122,7 @@ class FilterBank:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SmearingKernel:
+class SpreadingKernel:
     """How a filter bank spreads the energy of an impulse over time.
 
     All bands of a bank have the same shape, stretched by their centre frequency.
@@ -274,7 +274,7 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayL
     return energies
 
 
-def smearing_kernel(bank: FilterBank) -> SmearingKernel:
+def spreading_kernel(bank: FilterBank) -> SpreadingKernel:
     """Return how the bank spreads an impulse over time: the second front end's table."""
     # The table is made for a bank with one band at the reference frequency of 1 kHz, whose exact
     # centre is its nominal one, and long enough that what wraps is far below the cut-off share.
@@ -291,17 +291,17 @@ def smearing_kernel(bank: FilterBank) -> SmearingKernel:
     periods = np.arange(-span, span + 1) / _STEPS_PER_PERIOD
     for array in (periods, density, cumulative):
         array.setflags(write=False)
-    return SmearingKernel(bank.bands.exact_centres_hz, periods, density, cumulative)
+    return SpreadingKernel(bank.bands.exact_centres_hz, periods, density, cumulative)
 
 
 def energy_share(
-    kernel: SmearingKernel, band: int, delays_s: ArrayLike, edges_s: ArrayLike
+    kernel: SpreadingKernel, band: int, delays_s: ArrayLike, edges_s: ArrayLike
 ) -> FloatArray:
     """Return which share of an impulse's energy falls into each window (the second front end).
 
     Parameters
     ----------
-    kernel : SmearingKernel
+    kernel : SpreadingKernel
     band : int
     delays_s : array_like, shape (n_impulses,)
         When each impulse arrives.
@@ -319,14 +319,14 @@ def energy_share(
     return np.diff(np.interp(periods, kernel.periods, kernel.cumulative), axis=1)
 
 
-def share_reach_s(kernel: SmearingKernel, band: int) -> float:
-    """Return how far from a window's edges `share_matrix` looks for impulses that reach it."""
+def spreading_reach_s(kernel: SpreadingKernel, band: int) -> float:
+    """Return how far from a window's edges `spreading_matrix` looks for impulses that reach it."""
     reached = kernel.periods[np.searchsorted(kernel.cumulative, _LEAST_SHARE)]
     return -float(reached) / float(kernel.centres_hz[band])
 
 
-def share_matrix(
-    kernel: SmearingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+def spreading_matrix(
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
 ) -> csr_array:
     """Return `energy_share` of many impulses as a sparse matrix.
 
@@ -343,16 +343,16 @@ def share_matrix(
     return _banded(kernel, band, delays_s, edges_s, kernel.cumulative)
 
 
-def share_slopes_per_s(
-    kernel: SmearingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
+def spreading_slopes_per_s(
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike
 ) -> csr_array:
-    """Return the derivative of `share_matrix` by the delays, 1/s."""
+    """Return the derivative of `spreading_matrix` by the delays, 1/s."""
     rate = -kernel.centres_hz[band] * kernel.density
     return _banded(kernel, band, delays_s, edges_s, rate)
 
 
 def _banded(
-    kernel: SmearingKernel,
+    kernel: SpreadingKernel,
     band: int,
     delays_s: FloatArray,
     edges_s: ArrayLike,
@@ -361,7 +361,7 @@ def _banded(
     """Return the difference of a tabulated function between both edges of every window."""
     edges = _rising(edges_s)
     centre = float(kernel.centres_hz[band])
-    span_s = share_reach_s(kernel, band)
+    span_s = spreading_reach_s(kernel, band)
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))

@@ -309,7 +309,7 @@ def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Findin
     for band, centre_hz in enumerate(measured.centres_hz):
         at = f"{where}, {measured.source} to {measured.receiver} at {centre_hz:g} Hz"
         known = {k: float(v[band]) for k, v in measured.values.items() if np.isfinite(v[band])}
-        for sentence in (*_energy_doubts(known, at), *_decay_doubts(known, at)):
+        for sentence in (*_energy_contradictions(known, at), *_decay_contradictions(known, at)):
             doubts.append((float(centre_hz), sentence))
     if not doubts:
         return ()
@@ -350,10 +350,10 @@ def joined_values(
         stated = np.array([m.spread.get(name, empty) for m in repeated])
         values[name], half = empty.copy(), empty.copy()
         for band in np.flatnonzero(np.isfinite(rows).any(axis=0)):
-            seen = rows[np.isfinite(rows[:, band]), band]
-            values[name][band] = seen.mean()
-            half[band] = 0.5 * np.ptp(seen) if seen.size > 1 else np.nan
-            apart = float(np.ptp(seen) / jnd_of(name, np.abs(seen.mean())))
+            observed = rows[np.isfinite(rows[:, band]), band]
+            values[name][band] = observed.mean()
+            half[band] = 0.5 * np.ptp(observed) if observed.size > 1 else np.nan
+            apart = float(np.ptp(observed) / jnd_of(name, np.abs(observed.mean())))
             if apart > worst[0]:
                 worst = (apart, name, float(first.centres_hz[band]))
         candidates = np.vstack((stated, half[None]))
@@ -372,7 +372,7 @@ def joined_values(
     return joined, (Finding(Code.REPEATED_VALUES_DIFFER, sentence, evidence, graded=graded),)
 
 
-def _energy_doubts(known: dict[ValueName, float], at: str) -> list[str]:
+def _energy_contradictions(known: dict[ValueName, float], at: str) -> list[str]:
     if "C80_dB" in known and "C50_dB" in known and known["C80_dB"] < known["C50_dB"]:
         raise _contradiction(
             at,
@@ -382,14 +382,14 @@ def _energy_doubts(known: dict[ValueName, float], at: str) -> list[str]:
     if "C50_dB" not in known or "D50_percent" not in known:
         return []
     expected = 100.0 / (1.0 + 10.0 ** (-0.1 * known["C50_dB"]))
-    told = f"D50 of {known['D50_percent']:g} % beside C50 of {known['C50_dB']:g} dB"
+    comparison = f"D50 of {known['D50_percent']:g} % beside C50 of {known['C50_dB']:g} dB"
     off = abs(expected - known["D50_percent"])
     if off > _ERROR_PERCENT:
-        raise _contradiction(at, told, f"D50 near {expected:.0f} %, which is that C50")
-    return [told] if off > _DOUBT_PERCENT else []
+        raise _contradiction(at, comparison, f"D50 near {expected:.0f} %, which is that C50")
+    return [comparison] if off > _DOUBT_PERCENT else []
 
 
-def _decay_doubts(known: dict[ValueName, float], at: str) -> list[str]:
+def _decay_contradictions(known: dict[ValueName, float], at: str) -> list[str]:
     times: tuple[ValueName, ...] = ("T20_s", "T30_s")
     reference = next((n for n in times if n in known), None)
     doubts: list[str] = []
@@ -399,12 +399,14 @@ def _decay_doubts(known: dict[ValueName, float], at: str) -> list[str]:
         value = known.get(name)
         if value is None or name == reference:
             continue
-        told = f"{_short(name)} of {value:g} s beside {_short(reference)} of {known[reference]:g} s"
+        comparison = (
+            f"{_short(name)} of {value:g} s beside {_short(reference)} of {known[reference]:g} s"
+        )
         ratio = max(value / known[reference], known[reference] / value)
         if ratio > error:
-            raise _contradiction(at, told, f"times that differ by less than {error:g} times")
+            raise _contradiction(at, comparison, f"times that differ by less than {error:g} times")
         if ratio > doubt:
-            doubts.append(told)
+            doubts.append(comparison)
     return doubts
 
 

@@ -30,7 +30,7 @@ _PADDING = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Colour:
+class SourceMagnitude:
     """Level of a source over frequency, about its own mean.
 
     Attributes
@@ -50,13 +50,13 @@ class Colour:
         object.__setattr__(self, "level_db", level)
 
 
-def source_colour(
+def source_magnitude(
     measured: Sequence[ImpulseResponse],
-    colourless: Sequence[ImpulseResponse],
+    reference: Sequence[ImpulseResponse],
     until_s: Sequence[float],
     lowest_hz: float,
-    modal_hz: float,
-) -> Colour:
+    schroeder_hz: float,
+) -> SourceMagnitude:
     """Return the level of one source: its responses beside those of a source without colour.
 
     Power is summed over the responses and over an octave about each frequency, half an octave
@@ -68,13 +68,13 @@ def source_colour(
     ----------
     measured : sequence of ImpulseResponse
         Of one sampling rate.
-    colourless : sequence of ImpulseResponse
+    reference : sequence of ImpulseResponse
         What a model says of the same pairs, up to one factor for all.
     until_s : sequence of float
         How long after emission each pair is to be compared.
     lowest_hz : float
         Where the lowest band begins.
-    modal_hz : float
+    schroeder_hz : float
         About here and below, single modes of the room decide, which no first guess of its walls
         predicts: less and less colour is told.
 
@@ -83,7 +83,7 @@ def source_colour(
     InputError
         No response, or different sampling rates.
     """
-    rates = {r.sampling_rate_hz for r in (*measured, *colourless)}
+    rates = {r.sampling_rate_hz for r in (*measured, *reference)}
     if len(rates) != 1:
         raise InputError(
             "responses of a source differ in sampling rate, or there is none",
@@ -93,28 +93,28 @@ def source_colour(
     octaves = float(np.log2(_HIGHEST * rates.pop() / lowest_hz))
     nodes = lowest_hz * 2.0 ** np.arange(0.0, max(octaves, 0.0) + 1e-9, _STEP_OCTAVES)
     if len(measured) < _FEWEST:
-        return Colour(nodes, np.zeros(nodes.size))
-    heard, expected = (_powers(all_of, until_s, nodes) for all_of in (measured, colourless))
-    level = _decibel(heard.sum(axis=0) / expected.sum(axis=0))
+        return SourceMagnitude(nodes, np.zeros(nodes.size))
+    observed, expected = (_powers(all_of, until_s, nodes) for all_of in (measured, reference))
+    level = _decibel(observed.sum(axis=0) / expected.sum(axis=0))
     level = np.maximum(level, level.max() - _MOST_DB)
-    spread = np.var(_decibel(heard / expected), axis=0, ddof=1) / len(measured)
+    spread = np.var(_decibel(observed / expected), axis=0, ddof=1) / len(measured)
     level -= np.average(level, weights=1.0 / np.maximum(spread, 1e-6))
     # colour is what exceeds chance: where responses contradict each other, there is less of it
     colour = max(float(np.mean(level**2 - _DOUBT * spread)), 0.0)
-    trust = 1.0 / (1.0 + (modal_hz / nodes) ** 4)
+    trust = 1.0 / (1.0 + (schroeder_hz / nodes) ** 4)
     level = level * trust * colour / np.maximum(colour + spread, 1e-6)
-    heard_db = float(np.sqrt(np.mean(level**2)))
-    return Colour(nodes, level if heard_db >= _LEAST_DB else np.zeros(nodes.size))
+    observed_db = float(np.sqrt(np.mean(level**2)))
+    return SourceMagnitude(nodes, level if observed_db >= _LEAST_DB else np.zeros(nodes.size))
 
 
 def _powers(
     responses: Sequence[ImpulseResponse], until_s: Sequence[float], nodes_hz: FloatArray
 ) -> FloatArray:
     """Return each response's power about each of some frequencies, (n_responses, n_nodes)."""
-    heard = [_first_sound(r, t) for r, t in zip(responses, until_s, strict=True)]
-    n = fft.next_fast_len(2 * max(h.size for h in heard), real=True)
+    observed = [_first_sound(r, t) for r, t in zip(responses, until_s, strict=True)]
+    n = fft.next_fast_len(2 * max(h.size for h in observed), real=True)
     f = fft.rfftfreq(n, 1.0 / responses[0].sampling_rate_hz)[1:]
-    power = np.stack([np.abs(fft.rfft(h, n)[1:]) ** 2 for h in heard])
+    power = np.stack([np.abs(fft.rfft(h, n)[1:]) ** 2 for h in observed])
     away = np.log2(f[None, :] / nodes_hz[:, None]) / _REACH_OCTAVES
     # equal weight to equal shares of an octave
     weight = np.where(np.abs(away) < 1.0, np.cos(0.5 * np.pi * away) ** 2, 0.0) / f
@@ -132,7 +132,7 @@ def _first_sound(response: ImpulseResponse, until_s: float) -> FloatArray:
     return np.asarray(response.pressure * left)[left > 0.0]
 
 
-def without_colour(response: ImpulseResponse, colour: Colour) -> ImpulseResponse:
+def equalise(response: ImpulseResponse, magnitude: SourceMagnitude) -> ImpulseResponse:
     """Return a response as a source of the same mean level without colour would have given it.
 
     Loudspeakers are nearly of least phase, so the inverse is, too: its phase is the Hilbert
@@ -147,16 +147,16 @@ def without_colour(response: ImpulseResponse, colour: Colour) -> ImpulseResponse
     n = fft.next_fast_len(_PADDING * response.pressure.size, real=True)
     n += n % 2
     f = fft.rfftfreq(n, 1.0 / response.sampling_rate_hz)
-    spectrum = fft.rfft(response.pressure, n) * _least_phase(-_level_at(colour, f))
+    spectrum = fft.rfft(response.pressure, n) * _least_phase(-_level_at(magnitude, f))
     return replace(response, pressure=fft.irfft(spectrum, n)[: response.pressure.size])
 
 
-def power_gain(colour: Colour, frequency_hz: FloatArray) -> FloatArray:
-    """Return by how much `without_colour` multiplies power at some frequencies."""
+def power_gain(colour: SourceMagnitude, frequency_hz: FloatArray) -> FloatArray:
+    """Return by how much `equalise` multiplies power at some frequencies."""
     return np.asarray(10.0 ** (-0.1 * _level_at(colour, np.asarray(frequency_hz))))
 
 
-def _level_at(colour: Colour, frequency_hz: FloatArray) -> FloatArray:
+def _level_at(colour: SourceMagnitude, frequency_hz: FloatArray) -> FloatArray:
     octaves = np.log2(np.maximum(frequency_hz, 1.0))
     return np.interp(octaves, np.log2(colour.frequencies_hz), colour.level_db)
 

@@ -89,8 +89,8 @@ def estimate_noise(
     start = max(0, round((onset_s + response.time_zero_s) * rate_hz))
     sounding = np.flatnonzero(response.pressure)  # a file padded with zeros ends before them
     end = int(sounding[-1]) + 1 if sounding.size else 0
-    heard = [
-        _heard(
+    decays = [
+        _band_decay(
             pressure[start:end] ** 2,
             rate_hz,
             bandwidth,
@@ -99,8 +99,8 @@ def estimate_noise(
         for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bank), strict=True)
     ]
     # bands that cannot tell follow the others: one file is cut in all of them, or in none
-    evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in heard)
-    found = [_judged(h, evidence) for h in heard]
+    evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in decays)
+    found = [_judged(h, evidence) for h in decays]
     start_s = start / rate_hz - response.time_zero_s
     return NoiseEstimate(
         floor=np.array([band.floor for band in found]),
@@ -125,7 +125,7 @@ class _BandNoise:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Heard:
+class _BandDecay:
     """What one band of a response shows before it is judged.
 
     `line` holds height and time constant of the decay; None where none stands above the floor.
@@ -133,7 +133,7 @@ class _Heard:
 
     floor: float
     before: float
-    smear_s: float = 0.0
+    spreading_s: float = 0.0
     length_s: float = 0.0
     times: FloatArray = field(default_factory=lambda: np.zeros(0))
     blocks: FloatArray = field(default_factory=lambda: np.zeros(0))
@@ -143,14 +143,16 @@ class _Heard:
     evidence: float = 0.0
 
 
-def _heard(energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: float) -> _Heard:
+def _band_decay(
+    energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: float
+) -> _BandDecay:
     energy = before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
     # a block holds four independent values, so that its level scatters by 2 dB; in a short file
     # down to one and a half, for a line through less than eight blocks says nothing
     block_s = max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
     if block_s < 1.5 / bandwidth_hz or length_s < 8.0 * block_s:
-        return _Heard(0.0, before)
+        return _BandDecay(0.0, before)
     times, blocks = _blocks(energy, rate_hz, block_s)
     floor, line = _settled(energy, rate_hz, times, blocks)
     if line is None and _goes_on_falling(energy):
@@ -158,11 +160,11 @@ def _heard(energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: floa
     elif line is None:
         line = _short_decay(times, blocks, floor)
     if line is None:
-        return _Heard(floor, before, length_s=length_s)
+        return _BandDecay(floor, before, length_s=length_s)
     crossing_s = _crossing_s(*line, floor, length_s)
     # noise alone begins where the decay lies 10 dB below it
     rest = energy[round((crossing_s + np.log(10.0) * line[1]) * rate_hz) :]
-    return _Heard(
+    return _BandDecay(
         floor,
         before,
         2.0 / bandwidth_hz,  # the filter smears the end of the file over two of its own lengths
@@ -176,26 +178,26 @@ def _heard(energy: FloatArray, rate_hz: float, bandwidth_hz: float, before: floa
     )
 
 
-def _judged(heard: _Heard, evidence: float) -> _BandNoise:
+def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
     """Return noise and decay of a band under the evidence that the file's end is noise."""
-    line, floor, end_s = heard.line, heard.floor, heard.crossing_s
+    line, floor, end_s = decay.line, decay.floor, decay.crossing_s
     if line is None:
-        return _BandNoise(floor, reached=heard.length_s > 0.0)
-    crosses = end_s < (1.0 - TAIL_SHARE) * heard.length_s
-    clear = abs(heard.evidence) > _CLEAR_ALONE
-    reached = crosses and (heard.evidence > 0.0 if clear else evidence > _CLEAR)
-    if not crosses and heard.levels_out:
+        return _BandNoise(floor, reached=decay.length_s > 0.0)
+    crosses = end_s < (1.0 - TAIL_SHARE) * decay.length_s
+    clear = abs(decay.evidence) > _CLEAR_ALONE
+    reached = crosses and (decay.evidence > 0.0 if clear else evidence > _CLEAR)
+    if not crosses and decay.levels_out:
         # a flutter that outlasts the diffuse decay bends the line: the noise itself says more
-        reached, end_s = True, _drowned_s(heard.times, heard.blocks, floor)
+        reached, end_s = True, _drowned_s(decay.times, decay.blocks, floor)
     elif crosses and not reached:
-        line, end_s = _cut(heard.times, heard.blocks, line, end_s)
+        line, end_s = _cut(decay.times, decay.blocks, line, end_s)
     elif not crosses:
-        end_s = heard.length_s - heard.smear_s
+        end_s = decay.length_s - decay.spreading_s
     height, constant_s = line
     tail = float(height * constant_s * np.exp(-end_s / constant_s))
-    peak_to_noise_db = float(10.0 * np.log10(heard.blocks.max() / floor))
+    peak_to_noise_db = float(10.0 * np.log10(decay.blocks.max() / floor))
     if not reached:
-        floor = min(floor, heard.before)
+        floor = min(floor, decay.before)
     return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
 
 

@@ -270,9 +270,13 @@ def before_rise(energy: FloatArray, independent: float) -> FloatArray:
     if size == 0:
         return energy
     cumulative = np.concatenate(([0.0], np.cumsum(energy)))
-    held = cumulative[size:] - cumulative[:-size]
-    quietest = int(np.argmin(held))
-    return energy[: quietest + size] if held[-1] > _RISE * held[quietest] else energy
+    energy_of_span = cumulative[size:] - cumulative[:-size]
+    quietest = int(np.argmin(energy_of_span))
+    return (
+        energy[: quietest + size]
+        if energy_of_span[-1] > _RISE * energy_of_span[quietest]
+        else energy
+    )
 
 
 def level_before(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> float:

@@ -252,7 +252,7 @@ class BandFit:
     vector : float array, shape (n_free,)
     cost : float
         Half the sum of squared weighted residuals and prior residuals.
-    phi : float
+    chi2_reduced : float
         Pearson's chi-square over the degrees of freedom: 1 where the noise model holds, above 2
         where the model does not explain the data.
     information : float array, shape (n_free, n_free)
@@ -269,7 +269,7 @@ class BandFit:
 
     vector: FloatArray
     cost: float
-    phi: float
+    chi2_reduced: float
     information: FloatArray
     expected: FloatArray
     variance: FloatArray
@@ -305,7 +305,7 @@ def fit_band(
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
     measured = problem.measured()
-    neighbours = problem.counted_as_one()
+    neighbours = problem.correlation_length()
     counter = _Counter(problem)
     vector = solver(_first_squares(counter, measured), start_vector(problem.parameters))
     variance = problem.variance(vector)
@@ -318,8 +318,8 @@ def fit_band(
         vector = refiner(_weighted_squares(counter, measured, spread), vector)
         sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, spread, vector))))
         converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
-        renewed = problem.variance(vector)
-        variance = np.sqrt(variance * renewed) if number >= _HALF_WAY_FROM else renewed
+        new_variance = problem.variance(vector)
+        variance = np.sqrt(variance * new_variance) if number >= _HALF_WAY_FROM else new_variance
         if progress is not None:
             progress((number + 1) / MOST_ROUNDS)
     variance = problem.variance(vector)
@@ -374,7 +374,7 @@ def _first_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
     """
     problem = counter.problem
     start = start_vector(problem.parameters)
-    logs = problem.are_energies()
+    logs = problem.is_gamma()
     expected = counter.predict(start).expected
     variance = problem.variance(start)
     # a window that neither a path nor noise reaches has no logarithm
@@ -383,8 +383,8 @@ def _first_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
     shape = np.clip(expected**2 / variance, 0.5, 100.0)
     sd = np.where(logs, np.sqrt(polygamma(1, shape)), np.sqrt(variance))
     # an empty window says "low", not minus infinity
-    seen = np.where(logs, np.maximum(measured, 1e-3 * expected), 1.0)
-    target = np.where(logs, np.log(seen) - digamma(shape) + np.log(shape), measured)
+    floored = np.where(logs, np.maximum(measured, 1e-3 * expected), 1.0)
+    target = np.where(logs, np.log(floored) - digamma(shape) + np.log(shape), measured)
 
     def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         prediction = counter.predict(vector)
@@ -453,20 +453,20 @@ def score_band(
            J. Soc. Indust. Appl. Math. 11, 431-441 (1963).
     """
     state = _State(problem, np.array(start))
-    settled = False
+    converged = False
     for _ in range(rounds):
         state.renew()
         first = True
         for _ in range(steps):
             moved = state.step()
             if moved <= _SETTLED:
-                settled = first
+                converged = first
                 break
             first = False
-        if settled:
+        if converged:
             break
     state.renew()
-    return _band_fit(state, converged=settled)
+    return _band_fit(state, converged=converged)
 
 
 class _State:
@@ -476,7 +476,7 @@ class _State:
         self.problem = problem
         self.vector = vector
         self.measured = problem.measured()
-        self.neighbours = problem.counted_as_one()
+        self.neighbours = problem.correlation_length()
         self.prediction: Prediction = problem.predict(vector)
         self.variance = problem.variance(vector)
         self.damping = 1e-3
@@ -558,5 +558,5 @@ def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:
     whole = fit.information
     cross = whole[first:, :first]
     schur = whole[first:, first:] - cross @ np.linalg.solve(whole[:first, :first], cross.T)
-    told = prior + (schur - prior) / max(fit.phi, 1.0)
-    return Marginal(np.array(fit.vector[first:]), 0.5 * (told + told.T))
+    information = prior + (schur - prior) / max(fit.chi2_reduced, 1.0)
+    return Marginal(np.array(fit.vector[first:]), 0.5 * (information + information.T))

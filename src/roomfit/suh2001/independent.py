@@ -115,7 +115,9 @@ def measurement_part(n_rays: int, seed: int) -> dict[Key, FloatArray]:
     """Return the window energies at the true absorption from rays of one seed."""
     paths = trace_paper_room(paper_scene(), n_rays, "sobol", seed)
     return {
-        (materials, pairs): window_energies(_rows(paths, division, pairs), np.array(division.truth))
+        (materials, pairs): window_energies(
+            _rows(paths, division, pairs), np.array(division.true_absorption)
+        )
         for materials, division in DIVISIONS.items()
         for pairs in PAIRS
     }
@@ -138,7 +140,9 @@ def fit_with_other_rays(
         rows = _rows(paths, division, pairs)
         found = _fit(squares_problem(rows, measured), pairs, rng)
         fits.append(
-            IndependentFit(n_rays, materials, pairs, len(rows), found - np.array(division.truth))
+            IndependentFit(
+                n_rays, materials, pairs, len(rows), found - np.array(division.true_absorption)
+            )
         )
     return tuple(fits)
 

@@ -117,7 +117,7 @@ def _json_content_identified(record: Record) -> dict[str, Any]:
         "in_paper": wanted.in_paper,
         "method": record.method,
         "materials": list(wanted.division.materials),
-        "truth": record.truth.tolist(),
+        "truth": record.true_absorption.tolist(),
         "worst_found": record.worst_found.tolist(),
         "largest_error": record.largest_error,
         "found_within": FOUND_WITHIN,
@@ -133,7 +133,7 @@ def _json_content_walls_apart(result: PaperResult) -> dict[str, Any]:
     return {
         "problem": "case1",
         "materials": list(walls.materials),
-        "truth": walls.truth.tolist(),
+        "truth": walls.true_absorption.tolist(),
         "answers": [
             {"absorption": x, "error": e, "descents": n}
             for x, e, n in zip(
@@ -159,7 +159,7 @@ def _json_content_independent_rays(result: PaperResult) -> dict[str, Any]:
         "method": "least-squares",
         "sentence": "Measurement and model have different rays. With the same rays the error is "
         "exactly 0 at the truth, which says nothing about a real room.",
-        "truth": {str(n): list(division.truth) for n, division in DIVISIONS.items()},
+        "truth": {str(n): list(division.true_absorption) for n, division in DIVISIONS.items()},
         "rows": [asdict(row) for row in result.independent],
     }
 
@@ -252,7 +252,7 @@ def _search_paths(result: PaperResult) -> str:
 def _tables_identified(result: PaperResult) -> str:
     rows = [
         (
-            *(r.problem, r.method, len(r.truth), r.successes, r.seeds, r.largest_error),
+            *(r.problem, r.method, len(r.true_absorption), r.successes, r.seeds, r.largest_error),
             *(r.median_evaluations, r.median_seconds),
         )
         for r in result.records
@@ -390,11 +390,11 @@ def _text_certified(result: PaperResult) -> str:
     ]
     for name, c in result.certificates.items():
         single = sum(cluster.unique for cluster in c.clusters)
-        told = "all" if single == len(c.clusters) else f"{single} of {len(c.clusters)}"
+        outcome = "all" if single == len(c.clusters) else f"{single} of {len(c.clusters)}"
         if c.status != "certified":
-            told = f"{c.status}: at best {c.value - c.lower_bound:.1e} better"
+            outcome = f"{c.status}: at best {c.value - c.lower_bound:.1e} better"
         lines.append(
-            f"  {name:<29}{len(c.coordinates):>10}{len(c.clusters):>8}{c.boxes:>8}   {told}"
+            f"  {name:<29}{len(c.coordinates):>10}{len(c.clusters):>8}{c.boxes:>8}   {outcome}"
         )
     lines.append("  (of these rays: what other rays would change is not in it)")
     return "\n".join(lines)
@@ -500,7 +500,7 @@ def ill_defined_figure(shape: Landscape, fine_errors: FloatArray, note: str) -> 
 
 
 def search_paths_figure(
-    shape: Landscape, fits: Mapping[str, Fit], truth: tuple[float, float], note: str
+    shape: Landscape, fits: Mapping[str, Fit], true_absorption: tuple[float, float], note: str
 ) -> Figure:
     """Return the way of each search over the contours of its problem, one panel a method."""
     columns = min(len(fits), 2)
@@ -515,7 +515,9 @@ def search_paths_figure(
         style: dict[str, Any] = {"ls": "none", "clip_on": False}
         axes.plot(*fit.trail[0], marker="s", color=_RED, mfc="none", mew=2, ms=10, label="start",
                   **style)  # fmt: skip
-        axes.plot(*truth, marker="x", color=_RED, mew=2, ms=11, label="true absorption", **style)
+        axes.plot(
+            *true_absorption, marker="x", color=_RED, mew=2, ms=11, label="true absorption", **style
+        )
         axes.set_title(f"{method}: {fit.evaluations} evaluations", fontsize=10)
         axes.set_aspect("equal")
     for axes in panels[-columns:]:

@@ -22,7 +22,7 @@ import numpy as np
 from roomfit._checks import int_array
 from roomfit._numba import in_pool, worker_pool
 from roomfit.certified.certificate import Certificate, certify
-from roomfit.certified.question import Misfit, Question
+from roomfit.certified.question import GlobalProblem, Misfit
 from roomfit.certified.search import SearchSettings
 from roomfit.errors import InputError
 from roomfit.solvers.least_squares import starts
@@ -126,7 +126,7 @@ class WallsApart:
     Attributes
     ----------
     materials : tuple of str
-    truth : float array, shape (n_materials,)
+    true_absorption : float array, shape (n_materials,)
     answers : Minima
         With the room's mirror symmetry made exact.
     mirrored_error_of_trace : float
@@ -137,7 +137,7 @@ class WallsApart:
     """
 
     materials: tuple[str, ...]
-    truth: FloatArray
+    true_absorption: FloatArray
     answers: Minima
     mirrored_error_of_trace: float
     error_of_silence: float
@@ -155,7 +155,7 @@ def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
 
 
 def _case_response(paths: Paths, case: int, name: str) -> CaseResponse:
-    truth = np.array(TRUE_ABSORPTION)
+    true_absorption = np.array(TRUE_ABSORPTION)
     direct_ms, first_reflection_ms = arrivals_ms(paths, case)
     edges_s = paper_edges_s(first_reflection_ms)
     fine = division_rows(paths, case, response_edges_s(), DIVISIONS[2])
@@ -164,9 +164,9 @@ def _case_response(paths: Paths, case: int, name: str) -> CaseResponse:
         name,
         direct_ms,
         first_reflection_ms,
-        window_energies(fine, truth),
+        window_energies(fine, true_absorption),
         edges_s,
-        window_energies(windows, truth),
+        window_energies(windows, true_absorption),
     )
 
 
@@ -206,12 +206,12 @@ def walls_apart(paths: Paths, rng: np.random.Generator) -> WallsApart:
     exact = walls_apart_problem(paths, mirrored=True)
     as_traced = walls_apart_problem(paths, mirrored=False)
     materials = exact.squares.rows.materials
-    starts = rng.random((_WALLS_APART_STARTS, exact.truth.size))
+    starts = rng.random((_WALLS_APART_STARTS, exact.true_absorption.size))
     return WallsApart(
         materials,
-        exact.truth,
+        exact.true_absorption,
         minima_of_descents(partial(residuals, exact.squares), starts),
-        error(as_traced.squares, exact.truth[exchanged_walls(materials)]),
+        error(as_traced.squares, exact.true_absorption[exchanged_walls(materials)]),
         float(exact.squares.measured @ exact.squares.measured),
     )
 
@@ -248,7 +248,7 @@ class Record:
     Attributes
     ----------
     problem, method : str
-    truth : float array, shape (n_materials,)
+    true_absorption : float array, shape (n_materials,)
     worst_found : float array, shape (n_materials,)
         Of the seed with the largest error in any absorption.
     largest_error : float
@@ -259,7 +259,7 @@ class Record:
 
     problem: str
     method: str
-    truth: FloatArray
+    true_absorption: FloatArray
     worst_found: FloatArray
     largest_error: float
     successes: int
@@ -269,16 +269,16 @@ class Record:
 
 
 def _annealing_and_simplex(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    return anneal(partial(error, problem.squares), problem.truth.size, rng)
+    return anneal(partial(error, problem.squares), problem.true_absorption.size, rng)
 
 
 def _simplex(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    first = random_simplex(problem.truth.size, rng)
+    first = random_simplex(problem.true_absorption.size, rng)
     return downhill_simplex(partial(error, problem.squares), first)
 
 
 def _simplex_as_printed(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    first = random_simplex(problem.truth.size, rng)
+    first = random_simplex(problem.true_absorption.size, rng)
     settings = SimplexSettings(order="as-printed")
     return downhill_simplex(partial(error, problem.squares), first, settings)
 
@@ -286,13 +286,13 @@ def _simplex_as_printed(problem: PaperProblem, rng: np.random.Generator) -> Fit:
 def _least_squares(problem: PaperProblem, rng: np.random.Generator) -> Fit:
     return fit_least_squares(
         partial(residuals, problem.squares),
-        starts(problem.uniform_start, problem.truth.size, _RANDOM_STARTS, rng),
+        starts(problem.uniform_start, problem.true_absorption.size, _RANDOM_STARTS, rng),
         good_enough=_EXACT * float(problem.squares.measured @ problem.squares.measured),
     )
 
 
 def _least_squares_once(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    start = rng.random((1, problem.truth.size))
+    start = rng.random((1, problem.true_absorption.size))
     return fit_least_squares(partial(residuals, problem.squares), start)
 
 
@@ -340,19 +340,19 @@ def search_seeds(problem: PaperProblem, method: str, seeds: range) -> tuple[Run,
 
 
 def _timed(problem: PaperProblem, method: str, seed: int) -> Run:
-    begun = time.perf_counter()
+    started_s = time.perf_counter()
     fit = METHODS[method](problem, np.random.default_rng(seed))
-    return Run(fit.x, fit.evaluations, time.perf_counter() - begun)
+    return Run(fit.x, fit.evaluations, time.perf_counter() - started_s)
 
 
 def record(problem: PaperProblem, method: str, runs: Sequence[Run]) -> Record:
     """Return the summary of all runs of a method on a problem."""
-    off = np.array([np.max(np.abs(run.found - problem.truth)) for run in runs])
+    off = np.array([np.max(np.abs(run.found - problem.true_absorption)) for run in runs])
     worst = int(np.argmax(off))
     return Record(
         problem.name,
         method,
-        problem.truth,
+        problem.true_absorption,
         runs[worst].found,
         float(off[worst]),
         int(np.count_nonzero(off <= FOUND_WITHIN)),
@@ -362,13 +362,13 @@ def record(problem: PaperProblem, method: str, runs: Sequence[Run]) -> Record:
     )
 
 
-def squares_question(
+def squares_global_problem(
     problem: SquaresProblem,
     misfit: Misfit = "squares",
     *,
     precision: FloatArray | None = None,
     upper: float = 1.0,
-) -> Question:
+) -> GlobalProblem:
     """Return the misfit of a problem without air and noise over all absorptions.
 
     Parameters
@@ -383,13 +383,13 @@ def squares_question(
     Raises
     ------
     InputError
-        See `Question`.
+        See `GlobalProblem`.
     """
     if not 0.0 < upper <= 1.0:
         raise InputError("largest absorption out of range", found=f"{upper:g}", needed="0 to 1")
     rows = problem.rows
     n = len(rows.materials)
-    return Question(
+    return GlobalProblem(
         rows.materials,
         np.ones(n, dtype=np.bool_),
         misfit,
@@ -426,7 +426,7 @@ def certificates_of(
     found = {}
     for number, (name, problem) in enumerate(asked.items(), start=1):
         settings = SearchSettings(DELTA, max_seconds=_MAX_SECONDS)
-        found[name] = certify(squares_question(problem.squares), settings)
+        found[name] = certify(squares_global_problem(problem.squares), settings)
         if progress is not None:
             progress(number / len(asked))
     return found
@@ -549,7 +549,7 @@ def _independent(
 def _landscapes(
     pool: Executor, problems: Mapping[str, PaperProblem], progress: Progress | None
 ) -> dict[str, Landscape]:
-    flat = [problem for problem in problems.values() if problem.truth.size == 2]
+    flat = [problem for problem in problems.values() if problem.true_absorption.size == 2]
     found = in_pool(pool, [partial(problem_landscape, problem) for problem in flat], progress)
     return {problem.name: shape for problem, shape in zip(flat, found, strict=True)}
 

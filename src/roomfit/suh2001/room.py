@@ -197,13 +197,13 @@ class Division:
     materials : tuple of str
     group : tuple of int
         Material of each of `PLANES`.
-    truth : tuple of float
+    true_absorption : tuple of float
         Absorption of each material in the test problems.
     """
 
     materials: tuple[str, ...]
     group: tuple[int, ...]
-    truth: tuple[float, ...]
+    true_absorption: tuple[float, ...]
 
 
 DIVISIONS = {
@@ -361,7 +361,7 @@ class Specification:
     case : int
         Pair of the scene, 0 to 2.
     division : Division
-    truth : tuple of float
+    true_absorption : tuple of float
     shape : {"paper", "disproportionate"}
     windows : {"reflections", "direct", "emission"}
         5 ms from the first reflection on, or 50 ms from the direct sound or from emission on.
@@ -371,7 +371,7 @@ class Specification:
 
     case: int
     division: Division
-    truth: tuple[float, ...]
+    true_absorption: tuple[float, ...]
     shape: Shape = "paper"
     windows: Windows = "reflections"
     in_paper: bool = True
@@ -384,7 +384,7 @@ class PaperProblem:
     Attributes
     ----------
     name : str
-    truth : float array, shape (n_materials,)
+    true_absorption : float array, shape (n_materials,)
     squares : SquaresProblem
         Energies in the paper's unit; measured by the same rays that the model has.
     uniform_start : float
@@ -392,7 +392,7 @@ class PaperProblem:
     """
 
     name: str
-    truth: FloatArray
+    true_absorption: FloatArray
     squares: SquaresProblem
     uniform_start: float
 
@@ -400,23 +400,23 @@ class PaperProblem:
 def _specifications() -> dict[str, Specification]:
     two, extreme = DIVISIONS[2], EXTREME_ABSORPTION
     named = {
-        "case1": Specification(0, two, two.truth),
-        "case2": Specification(1, two, two.truth),
-        "case3": Specification(2, two, two.truth),
-        "ill_defined": Specification(0, two, two.truth, windows="direct"),
+        "case1": Specification(0, two, two.true_absorption),
+        "case2": Specification(1, two, two.true_absorption),
+        "case3": Specification(2, two, two.true_absorption),
+        "ill_defined": Specification(0, two, two.true_absorption, windows="direct"),
         "ill_defined_from_emission": Specification(
-            0, two, two.truth, windows="emission", in_paper=False
+            0, two, two.true_absorption, windows="emission", in_paper=False
         ),
         "extreme": Specification(0, two, extreme),
-        "disproportionate": Specification(0, two, two.truth, "disproportionate"),
+        "disproportionate": Specification(0, two, two.true_absorption, "disproportionate"),
         "extreme_and_disproportionate": Specification(0, two, extreme, "disproportionate"),
-        "three_materials": Specification(0, DIVISIONS[3], DIVISIONS[3].truth),
+        "three_materials": Specification(0, DIVISIONS[3], DIVISIONS[3].true_absorption),
     }
     # case 3 is the only one off the room's plane of symmetry, where every wall can be told apart
     for number in (4, 5, 6, 7):
         division = DIVISIONS[number]
         named[MATERIAL_PROBLEMS[number]] = Specification(
-            2, division, division.truth, in_paper=False
+            2, division, division.true_absorption, in_paper=False
         )
     return named
 
@@ -454,7 +454,7 @@ def walls_apart_problem(paths: Paths, *, mirrored: bool) -> PaperProblem:
         Every traced path and its mirror image count half each, so that the two walls are
         exchangeable to the last digit, as they are in the room.
     """
-    wanted = Specification(0, WALLS_APART, WALLS_APART.truth, in_paper=False)
+    wanted = Specification(0, WALLS_APART, WALLS_APART.true_absorption, in_paper=False)
     edges_s = problem_edges_s(paths, wanted)
     rows = division_rows(paths, 0, edges_s, WALLS_APART)
     if mirrored:
@@ -497,10 +497,10 @@ def uniform_absorption(energy: FloatArray, edges_s: FloatArray, shape: Shape = "
 def _prepared(
     name: str, rows: EnergyRows, edges_s: FloatArray, wanted: Specification
 ) -> PaperProblem:
-    truth = np.array(wanted.truth)
-    squares = squares_problem(rows, window_energies(rows, truth))
+    true_absorption = np.array(wanted.true_absorption)
+    squares = squares_problem(rows, window_energies(rows, true_absorption))
     start = uniform_absorption(squares.measured, edges_s, wanted.shape)
-    return PaperProblem(name, truth, squares, start)
+    return PaperProblem(name, true_absorption, squares, start)
 
 
 def _with_mirror_images(rows: EnergyRows) -> EnergyRows:

@@ -62,11 +62,11 @@ def fit_least_squares(
 
 
 def _descend(residuals: ResidualFunction, start: FloatArray, max_evaluations: int) -> Fit:
-    seen = _Remembered(residuals)
-    solved = least_squares(
-        seen.residuals,
+    remembered = _Remembered(residuals)
+    solution = least_squares(
+        remembered.residuals,
         np.clip(start, _INSIDE, 1.0 - _INSIDE),
-        seen.derivative,
+        remembered.derivative,
         bounds=(0.0, 1.0),
         x_scale="jac",
         xtol=1e-12,
@@ -75,13 +75,13 @@ def _descend(residuals: ResidualFunction, start: FloatArray, max_evaluations: in
         max_nfev=max_evaluations,
     )
     return Fit(
-        solved.x,
-        2.0 * float(solved.cost),
-        len(seen.points),
-        len(seen.points),
-        _ending(int(solved.status), len(seen.points)),
-        np.array(seen.points),
-        np.array(seen.costs),
+        solution.x,
+        2.0 * float(solution.cost),
+        len(remembered.points),
+        len(remembered.points),
+        _ending(int(solution.status), len(remembered.points)),
+        np.array(remembered.points),
+        np.array(remembered.costs),
     )
 
 

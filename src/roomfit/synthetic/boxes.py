@@ -45,7 +45,7 @@ _NOTHING = 1e-30  # of energy
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BoxTruth:
+class SyntheticBox:
     """A box whose walls are known.
 
     Attributes
@@ -73,7 +73,7 @@ class BoxTruth:
 
 
 def pressure_response(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     source_m: FloatArray,
     receiver_m: FloatArray,
     duration_s: float,
@@ -89,7 +89,7 @@ def pressure_response(
 
     Parameters
     ----------
-    truth : BoxTruth
+    synthetic : SyntheticBox
     source_m, receiver_m : float arrays, shape (3,)
     duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
@@ -102,15 +102,15 @@ def pressure_response(
     float array, shape (n_samples,)
         In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
     """
-    images = box_images(truth, source_m, receiver_m, duration_s)
+    images = box_images(synthetic, source_m, receiver_m, duration_s)
     sent = None
     if b is not None:
-        sent = 1.0 + box_departures(truth, source_m, receiver_m, duration_s) @ b
-    return pressure_of_images(images, truth, duration_s, sampling_rate_hz, level_db, sent)
+        sent = 1.0 + box_departures(synthetic, source_m, receiver_m, duration_s) @ b
+    return pressure_of_images(images, synthetic, duration_s, sampling_rate_hz, level_db, sent)
 
 
-class WallTruth(Protocol):
-    """What is true of walls and air, whatever the shape of the room; see `BoxTruth`."""
+class SyntheticWalls(Protocol):
+    """What is true of walls and air, whatever the shape of the room; see `SyntheticBox`."""
 
     @property
     def centres_hz(self) -> FloatArray: ...
@@ -126,7 +126,7 @@ class WallTruth(Protocol):
 
 def pressure_of_images(
     images: tuple[FloatArray, FloatArray],
-    truth: WallTruth,
+    synthetic: SyntheticWalls,
     duration_s: float,
     sampling_rate_hz: float,
     level_db: FloatArray,
@@ -138,7 +138,7 @@ def pressure_of_images(
     ----------
     images : tuple of float arrays
         Length (n_images,), and hits (n_images, n_walls) in the order of the truth's absorption.
-    truth : WallTruth
+    synthetic : SyntheticWalls
     duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
     sent : float array, shape (n_images,), optional
@@ -150,23 +150,23 @@ def pressure_of_images(
     fine_rate_hz = sampling_rate_hz * _OVERSAMPLING
     # padded to twice the length, so that the tails of the band-limited impulses do not wrap around
     n_fine = 2 * n_samples * _OVERSAMPLING
-    times = lengths / truth.speed_of_sound_m_s + hits @ np.array(truth.delays_s)
+    times = lengths / synthetic.speed_of_sound_m_s + hits @ np.array(synthetic.delays_s)
     index = np.round(times * fine_rate_hz).astype(np.int64)
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
-    for band, share in enumerate(octave_shares(truth.centres_hz, frequencies)):
+    for band, share in enumerate(octave_shares(synthetic.centres_hz, frequencies)):
         # a wall of absorption 1 still lets a path pass that never strikes it: 0 times log 0 is 0
-        left = np.log(np.maximum(1.0 - truth.absorption[:, band], _NOTHING))
-        lost = hits @ left - truth.attenuation_per_m[band] * lengths
+        left = np.log(np.maximum(1.0 - synthetic.absorption[:, band], _NOTHING))
+        lost = hits @ left - synthetic.attenuation_per_m[band] * lengths
         amplitude = factor * np.exp(0.5 * lost) / (4.0 * np.pi * lengths)
-        train = np.bincount(index, amplitude, n_fine)
-        spectrum += share * np.fft.rfft(train)[: frequencies.size]
-    spectrum *= loudspeaker(truth.centres_hz, level_db, frequencies)
+        impulse_grid = np.bincount(index, amplitude, n_fine)
+        spectrum += share * np.fft.rfft(impulse_grid)[: frequencies.size]
+    spectrum *= loudspeaker(synthetic.centres_hz, level_db, frequencies)
     return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
 
 
 def box_images(
-    truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
+    synthetic: SyntheticBox, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
 ) -> tuple[FloatArray, FloatArray]:
     """Return length (n_images,) and hits per wall (n_images, 6) of all images in time.
 
@@ -174,32 +174,32 @@ def box_images(
     J. Acoust. Soc. Am. 65, 943-950 (1979): along each axis the images lie at 2 n L + s with |n|
     hits on either wall, and at 2 n L - s with |n - 1| on the wall at 0 and |n| on the other.
     """
-    steps, hits, _ = box_lattice(truth, source_m, receiver_m, duration_s)
+    steps, hits, _ = box_lattice(synthetic, source_m, receiver_m, duration_s)
     return np.asarray(np.linalg.norm(steps, axis=0)), hits
 
 
 def box_departures(
-    truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
+    synthetic: SyntheticBox, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
 ) -> FloatArray:
     """Return where the sound of each of `box_images` leaves the source, unit vectors (n_images, 3).
 
     From image to receiver, mirrored along the axes along which the image is.
     """
-    steps, _, mirrored = box_lattice(truth, source_m, receiver_m, duration_s)
+    steps, _, mirrored = box_lattice(synthetic, source_m, receiver_m, duration_s)
     away = -steps / np.linalg.norm(steps, axis=0)
     return np.asarray(np.where(mirrored, -away, away).T)
 
 
 def box_lattice(
-    truth: BoxTruth, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
+    synthetic: SyntheticBox, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Return steps from receiver to all images in time (3, n), hits (n, 6), where mirrored (3, n).
 
     Hits count west, east, south, north, floor, ceiling.
     """
-    reach_m = truth.speed_of_sound_m_s * duration_s
+    reach_m = synthetic.speed_of_sound_m_s * duration_s
     offsets, low_hits, high_hits, turned = [], [], [], []
-    for length, s, r in zip(truth.lengths_m, source_m, receiver_m, strict=True):
+    for length, s, r in zip(synthetic.lengths_m, source_m, receiver_m, strict=True):
         n = np.arange(-int(reach_m / (2 * length)) - 2, int(reach_m / (2 * length)) + 3)
         offsets.append(np.concatenate((2 * n * length + s - r, 2 * n * length - s - r)))
         low_hits.append(np.concatenate((np.abs(n), np.abs(n - 1))))
@@ -286,7 +286,7 @@ def patch_area_m2(patch: Patch) -> float:
 
 
 def patched_response(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     patch: Patch,
     source_m: FloatArray,
     receiver_m: FloatArray,
@@ -298,15 +298,15 @@ def patched_response(
 
     The patch takes part of its wall's hits and adds no delay.
     """
-    steps, hits, _ = box_lattice(truth, source_m, receiver_m, duration_s)
-    on_patch = patch_hits(truth.lengths_m, patch, receiver_m, steps)
+    steps, hits, _ = box_lattice(synthetic, source_m, receiver_m, duration_s)
+    on_patch = patch_hits(synthetic.lengths_m, patch, receiver_m, steps)
     wall = WALLS.index(patch.wall)
     parted = np.column_stack((hits, on_patch)).astype(np.float64)
     parted[:, wall] -= on_patch
     both = replace(
-        truth,
-        absorption=np.vstack((truth.absorption, patch.absorption)),
-        delays_s=(*truth.delays_s, 0.0),
+        synthetic,
+        absorption=np.vstack((synthetic.absorption, patch.absorption)),
+        delays_s=(*synthetic.delays_s, 0.0),
     )
     lengths = np.asarray(np.linalg.norm(steps, axis=0), dtype=np.float64)
     return pressure_of_images((lengths, parted), both, duration_s, sampling_rate_hz, level_db)
@@ -487,7 +487,7 @@ def write_measured_box(
 
     bands = bands_between("octave", 63, 8000)
     air = Air()
-    truth = BoxTruth(
+    synthetic = SyntheticBox(
         plan.lengths_m,
         bands.centres_hz,
         plan.absorption,
@@ -495,17 +495,17 @@ def write_measured_box(
         speed_of_sound_m_s(air),
     )
     true_at = {
-        name: np.array(told) + position_error_m * rng.standard_normal(3)
-        for name, told in (*plan.sources_m.items(), *plan.receivers_m.items())
+        name: np.array(position_m) + position_error_m * rng.standard_normal(3)
+        for name, position_m in (*plan.sources_m.items(), *plan.receivers_m.items())
     }
     levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in plan.sources_m}
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
     for number, (s, r) in enumerate(pairs):
         ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
         pressure = (
-            pressure_response(truth, *ends)
+            pressure_response(synthetic, *ends)
             if patch is None
-            else patched_response(truth, patch, *ends)
+            else patched_response(synthetic, patch, *ends)
         )
         soundfile.write(
             folder / f"{s}_{r}.wav",
@@ -574,7 +574,7 @@ class DiffuseEchogram:
 
 
 def diffuse_echogram(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     scattering: FloatArray,
     source_m: FloatArray,
     receivers_m: FloatArray,
@@ -596,16 +596,16 @@ def diffuse_echogram(
         0.3 m or more from every wall.
     """
     n_bins = round(duration_s / _BIN_S)
-    energy = np.zeros((len(receivers_m), truth.absorption.shape[1], n_bins))
+    energy = np.zeros((len(receivers_m), synthetic.absorption.shape[1], n_bins))
     for start in range(0, n_rays, _RAYS_AT_ONCE):
         n = min(_RAYS_AT_ONCE, n_rays - start)
-        _add_rays(truth, scattering, source_m, receivers_m, n, rng, energy)
+        _add_rays(synthetic, scattering, source_m, receivers_m, n, rng, energy)
     volume = 4.0 / 3.0 * np.pi * _RADIUS_M**3
     return DiffuseEchogram(energy / (n_rays * volume), _BIN_S)
 
 
 def _add_rays(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     scattering: FloatArray,
     source_m: FloatArray,
     receivers_m: FloatArray,
@@ -614,24 +614,24 @@ def _add_rays(
     energy: FloatArray,
 ) -> None:
     """Add the chords of some rays, times what is left of their energy."""
-    lengths = np.array(truth.lengths_m)
+    lengths = np.array(synthetic.lengths_m)
     place = np.tile(np.asarray(source_m, dtype=np.float64), (n, 1))
     course = _unit(rng.standard_normal((n, 3)))
-    left = np.ones((n, truth.absorption.shape[1]))
+    left = np.ones((n, synthetic.absorption.shape[1]))
     travelled, diffuse = np.zeros(n), np.zeros(n, dtype=np.bool_)
-    reach = truth.speed_of_sound_m_s * energy.shape[2] * _BIN_S
+    reach = synthetic.speed_of_sound_m_s * energy.shape[2] * _BIN_S
     while len(place):
         with np.errstate(divide="ignore"):
             gap = np.where(course > 0.0, lengths - place, place) / np.abs(course)
         axis = np.argmin(gap, axis=1)
         every = np.arange(len(place))
         flight = np.maximum(gap[every, axis], 0.0)
-        _catch(truth, receivers_m, place, course, flight, travelled, left, diffuse, energy)
+        _catch(synthetic, receivers_m, place, course, flight, travelled, left, diffuse, energy)
         travelled = travelled + flight
         place = np.clip(place + flight[:, None] * course, 0.0, lengths)
         high = course[every, axis] > 0.0
         wall = 2 * axis + high
-        left = left * (1.0 - truth.absorption[wall])
+        left = left * (1.0 - synthetic.absorption[wall])
         course[every, axis] *= -1.0
         drawn = rng.random(len(place)) < scattering[wall]
         course[drawn] = _lambert(axis[drawn], high[drawn], rng)
@@ -642,7 +642,7 @@ def _add_rays(
 
 
 def _catch(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     receivers_m: FloatArray,
     place: FloatArray,
     course: FloatArray,
@@ -660,10 +660,10 @@ def _catch(
         square = _RADIUS_M**2 - (np.einsum("ij,ij->i", way, way) - nearest**2)
         met = np.flatnonzero(diffuse & (square > 0.0) & (nearest > 0.0) & (nearest < flight))
         arrived = travelled[met] + nearest[met]
-        index = (arrived / truth.speed_of_sound_m_s / _BIN_S).astype(np.int64)
+        index = (arrived / synthetic.speed_of_sound_m_s / _BIN_S).astype(np.int64)
         met, index, arrived = (x[index < n_bins] for x in (met, index, arrived))
         chord = 2.0 * np.sqrt(square[met])
-        for band, attenuation in enumerate(truth.attenuation_per_m):
+        for band, attenuation in enumerate(synthetic.attenuation_per_m):
             weight = chord * left[met, band] * np.exp(-attenuation * arrived)
             energy[receiver, band] += np.bincount(index, weight, n_bins)
 
@@ -680,7 +680,7 @@ def _unit(vectors: FloatArray) -> FloatArray:
 
 
 def scattered_response(
-    truth: BoxTruth,
+    synthetic: SyntheticBox,
     scattering: FloatArray,
     source_m: FloatArray,
     receiver_m: FloatArray,
@@ -703,13 +703,13 @@ def scattered_response(
     duration_s, sampling_rate_hz, level_db
         As for `pressure_response`.
     """
-    kept = (1.0 - truth.absorption) * (1.0 - scattering)[:, None]
+    kept = (1.0 - synthetic.absorption) * (1.0 - scattering)[:, None]
     specular = pressure_response(
-        *(replace(truth, absorption=1.0 - kept), source_m, receiver_m),
+        *(replace(synthetic, absorption=1.0 - kept), source_m, receiver_m),
         *(duration_s, sampling_rate_hz, level_db),
     )
     noise = modulated_noise(
-        *(echogram, _BIN_S, specular.size, sampling_rate_hz, truth.centres_hz, level_db, rng)
+        *(echogram, _BIN_S, specular.size, sampling_rate_hz, synthetic.centres_hz, level_db, rng)
     )
     return np.asarray(specular + noise)
 
@@ -751,7 +751,7 @@ def write_scattering_box(
     folder: Path,
     rng: np.random.Generator,
     *,
-    told: str = "0.0",
+    specified_scattering: str = "0.0",
     position_error_m: float = 0.01,
     noise_db: float = -60.0,
     n_rays: int = _N_RAYS,
@@ -763,7 +763,7 @@ def write_scattering_box(
     ----------
     scattering : float array, shape (6,)
         Of west, east, south, north, floor and ceiling, the same in every octave.
-    told : str
+    specified_scattering : str
         What the campaign says of every wall's scattering, as written there.
     folder, rng, position_error_m, noise_db
         As for `write_measured_box`.
@@ -774,7 +774,7 @@ def write_scattering_box(
 
     bands, air = bands_between("octave", 63, 8000), Air()
     attenuation, c = attenuation_per_m(air, bands), speed_of_sound_m_s(air)
-    truth = BoxTruth(plan.lengths_m, bands.centres_hz, plan.absorption, attenuation, c)
+    synthetic = SyntheticBox(plan.lengths_m, bands.centres_hz, plan.absorption, attenuation, c)
     true_at = {
         name: np.array(place) + position_error_m * rng.standard_normal(3)
         for name, place in (*plan.sources_m.items(), *plan.receivers_m.items())
@@ -783,11 +783,11 @@ def write_scattering_box(
     for number, s in enumerate(plan.sources_m):
         level_db = rng.normal(0.0, 3.0, len(bands))
         echogram = diffuse_echogram(
-            *(truth, scattering, true_at[s], receivers, _DURATION_S, rng), n_rays=n_rays
+            *(synthetic, scattering, true_at[s], receivers, _DURATION_S, rng), n_rays=n_rays
         )
         for receiver, r in enumerate(plan.receivers_m):
             pressure = scattered_response(
-                *(truth, scattering, true_at[s], true_at[r], echogram.energy[receiver]),
+                *(synthetic, scattering, true_at[s], true_at[r], echogram.energy[receiver]),
                 *(_DURATION_S, SAMPLING_RATE_HZ, level_db, rng),
             )
             samples = add_noise(pressure, noise_db, rng).astype(np.float32)
@@ -796,6 +796,6 @@ def write_scattering_box(
         if progress is not None:
             progress((number + 1) / len(plan.sources_m))
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
-    text = campaign_text(plan, pairs, position_error_m, scattering=told)
+    text = campaign_text(plan, pairs, position_error_m, scattering=specified_scattering)
     campaign = write_text_atomically(folder / "campaign.toml", text)
     return MeasuredBox(campaign, plan.materials, bands.centres_hz, plan.absorption)

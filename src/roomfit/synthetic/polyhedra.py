@@ -508,7 +508,7 @@ def _balls(
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PolyhedronTruth:
+class SyntheticPolyhedron:
     """A room whose walls are known.
 
     Attributes
@@ -534,7 +534,7 @@ class PolyhedronTruth:
 
 
 def pressure_responses(
-    truth: PolyhedronTruth,
+    synthetic: SyntheticPolyhedron,
     source_m: FloatArray,
     receivers_m: FloatArray,
     duration_s: float,
@@ -548,7 +548,7 @@ def pressure_responses(
 
     Parameters
     ----------
-    truth : PolyhedronTruth
+    synthetic : SyntheticPolyhedron
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     duration_s, sampling_rate_hz : float
@@ -560,14 +560,14 @@ def pressure_responses(
     list of float arrays, shape (n_samples,)
         In the unit in which a unit source's direct sound is ``1 / (4 pi r)``, band-limited.
     """
-    reach_m = truth.speed_of_sound_m_s * duration_s
+    reach_m = synthetic.speed_of_sound_m_s * duration_s
     return [
         pressure_of_images(
             (lengths, hits.astype(np.float64)),
-            truth,
+            synthetic,
             duration_s,
             sampling_rate_hz,
             level_db,
         )
-        for lengths, hits in cell_images(truth.cells, source_m, receivers_m, reach_m)
+        for lengths, hits in cell_images(synthetic.cells, source_m, receivers_m, reach_m)
     ]

@@ -406,7 +406,9 @@ def beam_tree(
     order, n_planes, n_corners = 0, 0, 0
     while True:
         for r in range(len(receivers_m)):
-            if not _hears(walls, blockers, chain, order, n_planes, receivers_m[r], limits):
+            if not _reaches_receiver(
+                walls, blockers, chain, order, n_planes, receivers_m[r], limits
+            ):
                 continue
             found = with_room(found, n_images + 1, n_hits + order)
             _note(found, chain, r, order, n_images, n_hits)
@@ -488,7 +490,7 @@ def _enter(walls: Walls, chain: _Chain, waiting: _Waiting, i: int) -> int:
 
 
 @kernel(allocates=False)
-def _hears(
+def _reaches_receiver(
     walls: Walls,
     blockers: Blockers,
     chain: _Chain,

@@ -48,7 +48,7 @@ def polyhedron_images(
     max_length_m: float,
     *,
     with_reflections: bool = False,
-    with_unfolding: bool = False,
+    with_image_transforms: bool = False,
     mirrors: tuple[Walls, Blockers] | None = None,
     memory_limit_bytes: float = 4 * 2**30,
     work_limit: float = WORK_LIMIT,
@@ -68,7 +68,7 @@ def polyhedron_images(
     order : int
         Most hits of a path, 0 or more.
     max_length_m : float
-    with_reflections, with_unfolding : bool
+    with_reflections, with_image_transforms : bool
         Return the ordered hits with the normals of their walls, and the product of the
         reflections, as well.
     mirrors : tuple of Walls and Blockers, optional
@@ -105,7 +105,9 @@ def polyhedron_images(
     for number, receiver in enumerate(receivers):
         own = _one_of_each(np.flatnonzero(found.receiver == number), found, walls.tolerance_m)
         sets.append(
-            _image_set(room, found, first, own, receiver, owner, with_reflections, with_unfolding)
+            _image_set(
+                room, found, first, own, receiver, owner, with_reflections, with_image_transforms
+            )
         )
     return sets
 
@@ -160,7 +162,7 @@ def _image_set(
     receiver: FloatArray,
     owner: IntArray,
     with_reflections: bool,
-    with_unfolding: bool,
+    with_image_transforms: bool,
 ) -> ImageSet:
     to_receiver = receiver - found.position_m[own]
     length = np.linalg.norm(to_receiver, axis=1)
@@ -193,7 +195,7 @@ def _image_set(
         departure,
         arrival,
         reflections,
-        matrix if with_unfolding else None,
+        matrix if with_image_transforms else None,
         normals,
     )
 
@@ -317,7 +319,7 @@ def shoebox_images(
     max_length_m: float,
     *,
     with_reflections: bool = False,
-    with_unfolding: bool = False,
+    with_image_transforms: bool = False,
 ) -> ImageSet:
     """Return all images up to an order and a distance.
 
@@ -333,7 +335,7 @@ def shoebox_images(
     order : int
         Most hits of a path, 0 or more.
     max_length_m : float
-    with_reflections, with_unfolding : bool
+    with_reflections, with_image_transforms : bool
         Return the ordered hits, and the product of the reflections, as well.
 
     References
@@ -355,8 +357,8 @@ def shoebox_images(
     for wall in range(6):
         hits[:, room.surface_material[wall]] += wall_hits(index, wall).astype(np.uint16)
     reflections = _reflections(room, index, receiver_m, to_receiver) if with_reflections else None
-    unfolding = turned[:, :, None] * np.eye(3) if with_unfolding else None
-    return ImageSet(distance, hits, departure, arrival, reflections, unfolding)
+    image_transform = turned[:, :, None] * np.eye(3) if with_image_transforms else None
+    return ImageSet(distance, hits, departure, arrival, reflections, image_transform)
 
 
 def count_of_shoebox_images(
@@ -432,7 +434,7 @@ def trace_images(
     scattering: Scattering,
     *,
     with_reflections: bool = False,
-    with_unfolding: bool = False,
+    with_image_transforms: bool = False,
     memory_limit_bytes: float = 4 * 2**30,
     work_limit: float = WORK_LIMIT,
     progress: Progress | None = None,
@@ -451,7 +453,7 @@ def trace_images(
         Thins a path by ``1 - s`` a hit; materials in any order.
     with_reflections : bool
         Keep the ordered hits with their angles.
-    with_unfolding : bool
+    with_image_transforms : bool
         Keep the product of each path's reflections, with which the paths of moved sources and
         receivers are known without another search, see `Paths`.
     memory_limit_bytes : float
@@ -477,7 +479,7 @@ def trace_images(
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
     mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
-    wanted = _Wanted(order, max_length_m, with_reflections, with_unfolding)
+    wanted = _Wanted(order, max_length_m, with_reflections, with_image_transforms)
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
     if mirrors is None:
         _check_lattice(scene, wanted, memory_limit_bytes)
@@ -507,7 +509,7 @@ class _Wanted(NamedTuple):
     order: int
     max_length_m: float
     with_reflections: bool
-    with_unfolding: bool
+    with_image_transforms: bool
 
 
 def _images_of_source(
@@ -526,7 +528,7 @@ def _images_of_source(
         return polyhedron_images(
             *(room, start, np.array(receivers), wanted.order, wanted.max_length_m),
             with_reflections=wanted.with_reflections,
-            with_unfolding=wanted.with_unfolding,
+            with_image_transforms=wanted.with_image_transforms,
             mirrors=mirrors,
             memory_limit_bytes=memory_limit_bytes,
             work_limit=work_limit,
@@ -535,7 +537,7 @@ def _images_of_source(
         shoebox_images(
             *(room, start, r, wanted.order, wanted.max_length_m),
             with_reflections=wanted.with_reflections,
-            with_unfolding=wanted.with_unfolding,
+            with_image_transforms=wanted.with_image_transforms,
         )
         for r in receivers
     ]
@@ -547,7 +549,7 @@ def _check_lattice(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> 
         return
     count = count_of_shoebox_images(lengths_m, wanted.order, wanted.max_length_m)
     # columns of the paths, of the set that they are made from and of the lattice
-    per_image = 150.0 + 6.0 * len(scene.room.materials) + 108.0 * wanted.with_unfolding
+    per_image = 150.0 + 6.0 * len(scene.room.materials) + 108.0 * wanted.with_image_transforms
     _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
 
 
@@ -595,11 +597,13 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         0,
         scattering,
         _joined_reflections([s.reflections for s in sets if s.reflections is not None]),
-        _joined_unfolding([s.unfolding for s in sets if s.unfolding is not None]),
+        _joined_image_transforms(
+            [s.image_transform for s in sets if s.image_transform is not None]
+        ),
     )
 
 
-def _joined_unfolding(parts: list[FloatArray]) -> NDArray[np.float32] | None:
+def _joined_image_transforms(parts: list[FloatArray]) -> NDArray[np.float32] | None:
     return np.concatenate(parts).astype(np.float32) if parts else None
 
 

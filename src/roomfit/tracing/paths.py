@@ -78,7 +78,7 @@ class Paths:
         Scattering coefficient with which each material was traced.
     reflections : Reflections or None
         Ordered reflections with angles, for image paths on request; rays have none.
-    unfolding : float32 array, shape (n_paths, 3, 3), or None
+    image_transform : float32 array, shape (n_paths, 3, 3), or None
         Product A of a path's reflections (the last hit's leftmost), for image paths on request;
         zeros for rays.
 
@@ -104,7 +104,7 @@ class Paths:
     n_batches: int
     sampling_scattering: FloatArray
     reflections: Reflections | None = None
-    unfolding: NDArray[np.float32] | None = None
+    image_transform: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
         n = len(self.length_m)
@@ -129,14 +129,14 @@ class Paths:
                     f"paths: {name} has the wrong shape", found=f"{array.shape}", needed=f"{shape}"
                 )
             array.setflags(write=False)
-        if self.unfolding is not None:
-            if self.unfolding.shape != (n, 3, 3):
+        if self.image_transform is not None:
+            if self.image_transform.shape != (n, 3, 3):
                 raise InputError(
                     "paths: unfolding has the wrong shape",
-                    found=f"{self.unfolding.shape}",
+                    found=f"{self.image_transform.shape}",
                     needed=f"{(n, 3, 3)}",
                 )
-            self.unfolding.setflags(write=False)
+            self.image_transform.setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.length_m)
@@ -172,7 +172,7 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
         paths.n_batches,
         paths.sampling_scattering.copy(),
         reflections,
-        None if paths.unfolding is None else paths.unfolding[keep],
+        None if paths.image_transform is None else paths.image_transform[keep],
     )
 
 
@@ -216,7 +216,7 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
         max(p.n_batches for p in parts),
         first.sampling_scattering.copy(),
         _joined_reflections(parts),
-        _joined_unfolding(parts),
+        _joined_image_transforms(parts),
     )
 
 
@@ -238,11 +238,13 @@ def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
     )
 
 
-def _joined_unfolding(parts: Sequence[Paths]) -> NDArray[np.float32] | None:
-    if all(p.unfolding is None for p in parts):
+def _joined_image_transforms(parts: Sequence[Paths]) -> NDArray[np.float32] | None:
+    if all(p.image_transform is None for p in parts):
         return None
     blank = [
-        np.zeros((len(p), 3, 3), dtype=np.float32) if p.unfolding is None else p.unfolding
+        np.zeros((len(p), 3, 3), dtype=np.float32)
+        if p.image_transform is None
+        else p.image_transform
         for p in parts
     ]
     return np.concatenate(blank)
@@ -260,7 +262,7 @@ class ImageSet:
         Unit vectors: away from the source, and the direction in which sound travels on arrival.
     reflections : Reflections or None
         Every path's hits in order, where they were asked for.
-    unfolding : float array, shape (n_paths, 3, 3), or None
+    image_transform : float array, shape (n_paths, 3, 3), or None
         Product of the reflections, see `Paths`, where it was asked for.
     normals : float array, shape (n_hits, 3), or None
         Normal of the wall of each hit as the receiver sees it, mirrored by all later hits, in the
@@ -273,7 +275,7 @@ class ImageSet:
     departure: FloatArray
     arrival: FloatArray
     reflections: Reflections | None = None
-    unfolding: FloatArray | None = None
+    image_transform: FloatArray | None = None
     normals: FloatArray | None = None
 
 
@@ -353,7 +355,7 @@ class TraceSettings:
         Independent parts whose spread measures the Monte-Carlo noise.
     seed : int
         Same seed, same paths, bit by bit, for any number of threads.
-    keep_unfolding : bool
+    keep_image_transforms : bool
         Image paths keep what moves their images with the source.
     estimator : {"spheres", "rain"}
         "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
@@ -372,7 +374,7 @@ class TraceSettings:
     seed: int = 1
     estimator: Estimator = "spheres"
     image_until_s: float | None = None
-    keep_unfolding: bool = False
+    keep_image_transforms: bool = False
 
     def __post_init__(self) -> None:
         limits: tuple[tuple[str, float, float, float], ...] = (

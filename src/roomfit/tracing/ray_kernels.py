@@ -415,14 +415,14 @@ def _trace_ray(
         if job.rain:
             caught_by_spheres = not is_diffuse
             if is_diffuse:
-                _rain(
+                _diffuse_rain(
                     *(walls, spheres, job, o, before, normal, wall, travelled),
                     *(ray, hit, chunk, specular, diffuse, caught),
                 )
 
 
 @kernel(allocates=False)
-def _rain(
+def _diffuse_rain(
     walls: Walls,
     spheres: Spheres,
     job: Job,

@@ -224,7 +224,7 @@ def _new_caught(n_chunks: int, capacity: int, n_materials: int) -> Caught:
     )
 
 
-_ESCAPES_TOLD = 8
+_ESCAPES_REPORTED = 8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -244,7 +244,7 @@ class RayStatistics:
     relative_variance : float
         Variance of the free paths over their squared mean, gamma squared in Kuttruff's formula; 0
         where there is no free path.
-    escapes_from_m, escape_directions : float arrays, shape (n_told, 3)
+    escapes_from_m, escape_directions : float arrays, shape (n_specified, 3)
         Where the first escaped rays began their last flight, and in which direction.
     """
 
@@ -280,8 +280,8 @@ def ray_statistics(n_rays: int, tallies: Sequence[Tally]) -> RayStatistics:
         n,
         mean,
         max(square / mean**2 - 1.0, 0.0) if mean > 0.0 else 0.0,
-        read_only(np.concatenate([np.empty((0, 3)), *starts])[:_ESCAPES_TOLD].copy()),
-        read_only(np.concatenate([np.empty((0, 3)), *directions])[:_ESCAPES_TOLD].copy()),
+        read_only(np.concatenate([np.empty((0, 3)), *starts])[:_ESCAPES_REPORTED].copy()),
+        read_only(np.concatenate([np.empty((0, 3)), *directions])[:_ESCAPES_REPORTED].copy()),
     )
 
 

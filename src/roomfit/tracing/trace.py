@@ -93,7 +93,7 @@ def trace(
         parts.append(
             trace_images(
                 *(scene, order, duration_s, scattering),
-                with_unfolding=settings.keep_unfolding,
+                with_image_transforms=settings.keep_image_transforms,
                 progress=shown,
             )
         )

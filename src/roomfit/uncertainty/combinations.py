@@ -96,7 +96,7 @@ class Undetermined:
     against: bool
 
     @property
-    def nothing_known(self) -> bool:
+    def all_undetermined(self) -> bool:
         """Whether the data say nothing of any of these materials."""
         return self.directions >= len(self.materials)
 
@@ -171,8 +171,8 @@ def undetermined_groups(
         See `information_directions`.
     """
     left, directions, own = information_directions(covariance_logit, prior_logit_sd)
-    unseen = directions[:, left >= OPEN_SHARE]
-    projector = unseen @ unseen.T
+    undetermined = directions[:, left >= OPEN_SHARE]
+    projector = undetermined @ undetermined.T
     found = []
     for members in _connected(np.abs(projector) > _TAKES_PART):
         part = projector[np.ix_(members, members)]
@@ -302,14 +302,14 @@ def find_combinations(
     prior_sd = float_array("prior sd of logit absorption", prior_logit_sd, (n,), low=0.0)
     if not (within > 0.0 and areas.sum() > 0.0):
         raise InputError("combinations need areas and a width above zero", found=f"{within:g}")
-    held = np.diag(covariance) <= 0.0
+    fixed = np.diag(covariance) <= 0.0
     posterior = (a, covariance, prior_mean, prior_sd, N_DRAWS, rng)
     drawn = band_draws(*posterior) if draws is None else draws
-    beforehand = prior_draws(*posterior)
+    prior_draws_of_group = prior_draws(*posterior)
 
     # the same pairs of groups come up again while others are put together
     @functools.cache
-    def told(group: tuple[int, ...]) -> tuple[Combination, bool]:
+    def combination_of(group: tuple[int, ...]) -> tuple[Combination, bool]:
         weights = np.zeros(n)
         weights[list(group)] = areas[list(group)] / areas[list(group)].sum()
         mean = drawn @ weights
@@ -318,20 +318,21 @@ def find_combinations(
         value = float(weights @ a)
         # a mode may lie outside of the quantiles of a skew law
         found = Combination(weights, value, min(float(low), value), max(float(high), value), sd)
-        sharper = sd <= _SHARE_OF_PRIOR * float(np.std(beforehand @ weights))
+        sharper = sd <= _SHARE_OF_PRIOR * float(np.std(prior_draws_of_group @ weights))
         known = found.relative <= within and sharper
         return replace(found, determined=known), known
 
     loose: list[tuple[int, ...]] = [(i,) for i in range(n) if areas[i] > 0.0]
-    room = told(tuple(g[0] for g in loose))[0]
-    loose = [g for g in loose if not (held[g[0]] or told(g)[1])]
+    room = combination_of(tuple(g[0] for g in loose))[0]
+    loose = [g for g in loose if not (fixed[g[0]] or combination_of(g)[1])]
     groups: list[Combination] = []
     while len(loose) > 1:
         one, other = min(
-            combinations(loose, 2), key=lambda pair: told((*pair[0], *pair[1]))[0].relative
+            combinations(loose, 2),
+            key=lambda pair: combination_of((*pair[0], *pair[1]))[0].relative,
         )
         loose = [g for g in loose if g not in (one, other)]
-        found, determined = told((*one, *other))
+        found, determined = combination_of((*one, *other))
         if determined:
             groups.append(found)
         else:
@@ -339,14 +340,14 @@ def find_combinations(
     # a group that is nearly the whole room says the same a second time
     kept = (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
     left_open = undetermined_groups(covariance, prior_sd)
-    return _with_differences(kept, _differences(left_open, a, drawn, beforehand, within))
+    return _with_differences(kept, _differences(left_open, a, drawn, prior_draws_of_group, within))
 
 
 def _differences(
     left_open: Sequence[Undetermined],
     a: FloatArray,
     draws: FloatArray,
-    beforehand: FloatArray,
+    prior_draws_of_group: FloatArray,
     within: float,
 ) -> list[Difference]:
     """Return the differences of materials that are left open together, the larger less the other.
@@ -362,7 +363,7 @@ def _differences(
         for one, other in pairs if group.against else ():
             apart = draws[:, one] - draws[:, other]
             low, high = np.quantile(apart, (0.025, 0.975))
-            before = float(np.std(beforehand[:, one] - beforehand[:, other]))
+            before = float(np.std(prior_draws_of_group[:, one] - prior_draws_of_group[:, other]))
             weights = np.zeros(a.size)
             weights[[one, other]] = 1.0, -1.0
             sharper = float(np.std(apart)) <= _SHARE_OF_PRIOR * before
@@ -410,19 +411,19 @@ def band_sentence(
     str
         Empty where every material is determined by itself.
     """
-    parts, told = [], set()
+    parts, mentioned = [], set()
     for group in combinations[1:]:
         members = {int(i) for i in np.flatnonzero(group.weights > 0.0)}
         own = [u for u in left_open if set(u.materials) <= members]
-        told |= set(own)
+        mentioned |= set(own)
         words = f"{_names(materials, sorted(members))} together {_value(group)}"
-        words_open = [_open_in(materials, u, members) for u in own if not u.nothing_known]
-        alone = sorted(i for u in own if u.nothing_known for i in u.materials)
+        words_open = [_open_in(materials, u, members) for u in own if not u.all_undetermined]
+        alone = sorted(i for u in own if u.all_undetermined for i in u.materials)
         words_alone = [_not_in_the_data(materials, alone)] if alone else []
         parts.append("; ".join([words, *words_open, *words_alone]))
-    rest = [u for u in left_open if u not in told]
-    parts += [_open_words(materials, u) for u in rest if not u.nothing_known]
-    unknown = sorted(i for u in rest if u.nothing_known for i in u.materials)
+    rest = [u for u in left_open if u not in mentioned]
+    parts += [_open_words(materials, u) for u in rest if not u.all_undetermined]
+    unknown = sorted(i for u in rest if u.all_undetermined for i in u.materials)
     if unknown:
         parts.append(_not_in_the_data(materials, unknown))
     return "; ".join(parts)
@@ -430,7 +431,7 @@ def band_sentence(
 
 def _open_in(materials: tuple[str, ...], left_open: Undetermined, members: set[int]) -> str:
     """Say what is open among materials that the sentence has just named."""
-    if set(left_open.materials) != members or left_open.nothing_known or not left_open.against:
+    if set(left_open.materials) != members or left_open.all_undetermined or not left_open.against:
         return _open_words(materials, left_open)
     if len(members) == 2:
         return "their difference is not in the data"
@@ -441,7 +442,7 @@ def _open_in(materials: tuple[str, ...], left_open: Undetermined, members: set[i
 
 def _open_words(materials: tuple[str, ...], left_open: Undetermined) -> str:
     names, n = _names(materials, left_open.materials), len(left_open.materials)
-    if left_open.nothing_known:
+    if left_open.all_undetermined:
         return _not_in_the_data(materials, left_open.materials)
     if n == 2:
         what = "difference" if left_open.against else "sum"
@@ -578,12 +579,12 @@ def inseparable_findings(
     ]
     if not bands or len(materials) < 2:
         return ()
-    told = ", ".join(f"{centres_hz[b]:g} Hz ({100 * found[b][0].relative:.0f} %)" for b in bands)
+    listed = ", ".join(f"{centres_hz[b]:g} Hz ({100 * found[b][0].relative:.0f} %)" for b in bands)
     return (
         Finding(
             Code.MATERIALS_NOT_SEPARABLE,
             f"The data do not tell the {len(materials)} materials apart, only their mean "
-            f"absorption by area, with its 95 % interval to either side, at {told}.",
+            f"absorption by area, with its 95 % interval to either side, at {listed}.",
             {"bands_hz": [float(centres_hz[b]) for b in bands], "materials": list(materials)},
         ),
     )

@@ -16,7 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.certified.certificate import Certificate
-from roomfit.materials.priors import MaterialKnowledge
+from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
     Block,
@@ -35,9 +35,9 @@ from roomfit.uncertainty.sampling import Sampled
 
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
 WIDEST_IDENTIFIABLE = 0.2
-LARGEST_PHI = 2.0
+LARGEST_CHI2_REDUCED = 2.0
 # Data whose information is below this share of the prior's narrow its interval by less than 5 %.
-_TOLD_SHARE = 0.1
+_INFORMATION_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,7 +62,7 @@ class AbsorptionIntervals:
 
 
 def absorption_intervals(
-    parameters: Parameters, vector: FloatArray, information: FloatArray, phi: float
+    parameters: Parameters, vector: FloatArray, information: FloatArray, chi2_reduced: float
 ) -> AbsorptionIntervals:
     """Return symmetric intervals of logit absorption, mapped to absorption.
 
@@ -71,7 +71,7 @@ def absorption_intervals(
     0 or 1 their true coverage is not 95 %. A material of which the data tell nothing, even if all
     others were known, has the interval 0 to 1.
     """
-    covariance = np.linalg.inv(information) * max(phi, 1.0)
+    covariance = np.linalg.inv(information) * max(chi2_reduced, 1.0)
     block = next(b for b in parameters.blocks if b.name == "absorption")
     n = int(np.count_nonzero(block.fitted))
     first = position_of(parameters, "absorption")
@@ -84,10 +84,12 @@ def absorption_intervals(
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
         for z in (-_Z95, _Z95)
     )
-    untold = _told_nothing(block, np.diag(information)[first : first + n])
-    lower, upper = np.where(untold, 0.0, lower), np.where(untold, 1.0, upper)
+    uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
+    lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
     sure = (
-        (phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE) & (sd <= 0.5 * block.prior_sd)
+        (chi2_reduced <= LARGEST_CHI2_REDUCED)
+        & (upper - lower <= WIDEST_IDENTIFIABLE)
+        & (sd <= 0.5 * block.prior_sd)
     )
     leader = leaders(block)
     return AbsorptionIntervals(
@@ -125,12 +127,12 @@ def weighted_mean_interval(
     return mean, max(mean - _Z95 * sd, 0.0), min(mean + _Z95 * sd, 1.0)
 
 
-def _told_nothing(block: Block, information: FloatArray) -> BoolArray:
+def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
     """Whether nearly all information about an absorption, given the others, is the prior's."""
-    told = np.full(len(block.labels), np.inf)
+    excess_information = np.full(len(block.labels), np.inf)
     prior = 1.0 / block.prior_sd[block.fitted] ** 2
-    told[block.fitted] = information - prior - _TOLD_SHARE * prior
-    return np.asarray(told <= 0.0)
+    excess_information[block.fitted] = information - prior - _INFORMATION_SHARE * prior
+    return np.asarray(excess_information <= 0.0)
 
 
 def _free_values(block: Block, fitted: FloatArray) -> FloatArray:
@@ -158,12 +160,12 @@ def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> Floa
     float array, shape (n_free, n_errors)
     """
     n = errors.shape[0]
-    weight = 1.0 / (problem.counted_as_one()[:n] * fit.variance[:n])
+    weight = 1.0 / (problem.correlation_length()[:n] * fit.variance[:n])
     jacobian = problem.predict(fit.vector).jacobian[:n]
     return np.asarray(np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * errors)))
 
 
-def allowing_for(fit: BandFit, steps: FloatArray) -> BandFit:
+def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
     """Return a fit whose covariance has the outer products of steps of its answer added.
 
     Parameters
@@ -175,7 +177,7 @@ def allowing_for(fit: BandFit, steps: FloatArray) -> BandFit:
     if not np.any(steps):
         return fit
     # misfit multiplies the covariance later on; these errors are as large as they are
-    more = steps @ steps.T / max(fit.phi, 1.0)
+    more = steps @ steps.T / max(fit.chi2_reduced, 1.0)
     information = np.linalg.inv(np.linalg.inv(fit.information) + more)
     return replace(fit, information=0.5 * (information + information.T))
 
@@ -231,7 +233,7 @@ class BandAnswer:
         Its posterior covariance, misfit included; zeros where an absorption is held.
     mean : tuple of three floats
         Area-weighted mean absorption, its lower and its upper 95 % bound.
-    phi, cost : float
+    chi2_reduced, cost : float
         Zeros where nothing was fitted.
     evaluations : int
     converged : bool
@@ -260,7 +262,7 @@ class BandAnswer:
     logit_mean: FloatArray
     logit_covariance: FloatArray
     mean: tuple[float, float, float]
-    phi: float
+    chi2_reduced: float
     cost: float
     evaluations: int
     converged: bool
@@ -277,14 +279,14 @@ class BandAnswer:
 
 Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
 
-Allow: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
+SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
 
 
 def band_answer(
     parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
 ) -> BandAnswer:
     """Return what one band's fit says of each material and of the room as a whole."""
-    found = absorption_intervals(parameters, fit.vector, fit.information, fit.phi)
+    found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
     mean = weighted_mean_interval(
         parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
     )
@@ -304,7 +306,7 @@ def band_answer(
         to_free(block, found.absorption),
         covariance,
         mean,
-        fit.phi,
+        fit.chi2_reduced,
         fit.cost,
         fit.evaluations,
         fit.converged,
@@ -315,10 +317,10 @@ def band_answer(
 
 
 def _kinds(lower: FloatArray, upper: FloatArray, fitted: BoolArray) -> tuple[str, ...]:
-    untold = (lower == 0.0) & (upper == 1.0)
+    unspecified = (lower == 0.0) & (upper == 1.0)
     return tuple(
         "given" if not own else "none" if nothing else "gaussian"
-        for own, nothing in zip(fitted, untold, strict=True)
+        for own, nothing in zip(fitted, unspecified, strict=True)
     )
 
 
@@ -333,25 +335,25 @@ def _directivity(
     return vector[own], covariance[own, own]
 
 
-def untold_band(
-    knowledge: tuple[MaterialKnowledge, ...], band: int, areas_m2: FloatArray
+def prior_only_band(
+    priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
 ) -> BandAnswer:
     """Return what is left of a band without data: what was known beforehand, and no more."""
-    held = np.array([k.known is not None for k in knowledge])
-    known = np.array([np.nan if k.known is None else k.known[band] for k in knowledge])
-    logit = np.array([k.prior_logit_mean[band] for k in knowledge])
-    lower = np.array([k.lower for k in knowledge])
-    upper = np.array([k.upper for k in knowledge])
+    fixed = np.array([k.known is not None for k in priors])
+    known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
+    logit = np.array([k.prior_logit_mean[band] for k in priors])
+    lower = np.array([k.lower for k in priors])
+    upper = np.array([k.upper for k in priors])
     expected = lower + (upper - lower) / (1.0 + np.exp(-logit))
-    absorption = np.where(held, known, expected)
-    least, most = np.where(held, known, 0.0), np.where(held, known, 1.0)
+    absorption = np.where(fixed, known, expected)
+    least, most = np.where(fixed, known, 0.0), np.where(fixed, known, 1.0)
     share = areas_m2 / areas_m2.sum()
-    sd = np.where(held, 0.0, [k.prior_logit_sd[band] for k in knowledge])
+    sd = np.where(fixed, 0.0, [k.prior_logit_sd[band] for k in priors])
     return BandAnswer(
         absorption,
         least,
         most,
-        held,
+        fixed,
         logit,
         np.diag(sd**2),
         (float(share @ absorption), float(share @ least), float(share @ most)),
@@ -360,5 +362,5 @@ def untold_band(
         0,
         True,
         "prior",
-        kinds=_kinds(least, most, ~held),
+        kinds=_kinds(least, most, ~fixed),
     )

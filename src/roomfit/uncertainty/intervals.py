@@ -19,7 +19,12 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
-from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE, BandAnswer, MirrorTrial
+from roomfit.uncertainty.gaussian import (
+    LARGEST_CHI2_REDUCED,
+    WIDEST_IDENTIFIABLE,
+    BandAnswer,
+    MirrorTrial,
+)
 from roomfit.uncertainty.posterior import logit
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
@@ -91,8 +96,8 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
     kinds, found = list(answer.kinds), []
     more = np.sqrt(np.diag(_beyond_fit(fit, answer, first, fitted)))
     for number, own in enumerate(fitted):
-        untold = (lower[own], upper[own]) == (0.0, 1.0)
-        if untold or not may_be_bent(fit, first + number):
+        unspecified = (lower[own], upper[own]) == (0.0, 1.0)
+        if unspecified or not may_be_bent(fit, first + number):
             continue
         line = profile(problem, fit, first + number)
         found.append(replace(line, entry=int(own)))
@@ -106,14 +111,14 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
         kinds[own] = "profile"
     leader = leaders(block)
     lower, upper = lower[leader], upper[leader]
-    held = ~block.fitted[leader]
-    sure = (answer.phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE)
+    fixed = ~block.fitted[leader]
+    sure = (answer.chi2_reduced <= LARGEST_CHI2_REDUCED) & (upper - lower <= WIDEST_IDENTIFIABLE)
     sure &= sd <= 0.5 * block.prior_sd[leader]
     return replace(
         answer,
         lower95=lower,
         upper95=upper,
-        identifiable=sure | held,
+        identifiable=sure | fixed,
         kinds=tuple(kinds[i] for i in leader),
         profiles=tuple(found),
     )
@@ -125,7 +130,7 @@ def _beyond_fit(fit: BandFit, answer: BandAnswer, first: int, fitted: IntArray) 
     Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
     """
     own = slice(first, first + fitted.size)
-    plain = np.linalg.inv(fit.information)[own, own] * max(fit.phi, 1.0)
+    plain = np.linalg.inv(fit.information)[own, own] * max(fit.chi2_reduced, 1.0)
     more = answer.logit_covariance[np.ix_(fitted, fitted)] - plain
     size, directions = np.linalg.eigh(0.5 * (more + more.T))
     # what is left by rounding is no noise
@@ -167,21 +172,21 @@ def sampled(
     own = np.zeros((areas_m2.size, areas_m2.size))
     own[np.ix_(fitted, fitted)] = np.cov(free.T).reshape(fitted.size, fitted.size)
     leader = leaders(block)
-    held = ~block.fitted[leader]
-    untold = (answer.lower95 == 0.0) & (answer.upper95 == 1.0) & ~held
-    lower, upper = np.where(untold, 0.0, lower), np.where(untold, 1.0, upper)
+    fixed = ~block.fitted[leader]
+    unspecified = (answer.lower95 == 0.0) & (answer.upper95 == 1.0) & ~fixed
+    lower, upper = np.where(unspecified, 0.0, lower), np.where(unspecified, 1.0, upper)
     covariance = own[np.ix_(leader, leader)]
-    sure = (answer.phi <= LARGEST_PHI) & (upper - lower <= WIDEST_IDENTIFIABLE)
+    sure = (answer.chi2_reduced <= LARGEST_CHI2_REDUCED) & (upper - lower <= WIDEST_IDENTIFIABLE)
     sure &= np.sqrt(np.diag(covariance)) <= 0.5 * block.prior_sd[leader]
     means = draws @ (areas_m2 / areas_m2.sum())
     middle = (float(np.quantile(means, q)) for q in (0.5, 0.025, 0.975))
     return replace(
         answer,
-        absorption=np.where(held, answer.absorption, median),
-        lower95=np.where(held, answer.absorption, lower),
-        upper95=np.where(held, answer.absorption, upper),
-        identifiable=sure | held,
-        logit_mean=np.where(held, answer.logit_mean, logit(median)),
+        absorption=np.where(fixed, answer.absorption, median),
+        lower95=np.where(fixed, answer.absorption, lower),
+        upper95=np.where(fixed, answer.absorption, upper),
+        identifiable=sure | fixed,
+        logit_mean=np.where(fixed, answer.logit_mean, logit(median)),
         logit_covariance=covariance,
         mean=(next(middle), next(middle), next(middle)),
         kinds=tuple(k if k in ("given", "none") else "sampled" for k in answer.kinds),

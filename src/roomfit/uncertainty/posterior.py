@@ -16,7 +16,7 @@ import numpy as np
 from roomfit._checks import float_array, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_assumed
+from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _Z95 = 1.959963984540054  # standard normal, 97.5 %
@@ -63,10 +63,10 @@ class AbsorptionPosterior:
             object.__setattr__(self, name, values)
         limits = {"prior_logit_mean": -50.0, "prior_logit_sd": 0.0, "scattering": 0.0}
         for name, low in limits.items():
-            told = getattr(self, name)
-            if told is not None:
+            value = getattr(self, name)
+            if value is not None:
                 high = 1.0 if name == "scattering" else 50.0
-                object.__setattr__(self, name, float_array(name, told, (n, m), low=low, high=high))
+                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -107,9 +107,9 @@ def covariance_from_intervals(
     middle = logit(absorption)
     sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / _Z95
     # five digits in a table: what is written as 0.00000 may have been a small interval's end
-    told = np.array([lower95 > 0.0, upper95 < 1.0])
-    count = told.sum(axis=0)
-    mean = np.where(told, sides, 0.0).sum(axis=0) / np.maximum(count, 1)
+    is_bounded = np.array([lower95 > 0.0, upper95 < 1.0])
+    count = is_bounded.sum(axis=0)
+    mean = np.where(is_bounded, sides, 0.0).sum(axis=0) / np.maximum(count, 1)
     sd = np.where(count > 0, np.maximum(mean, 0.0), DEFAULT_LOGIT_SD)
     sd = np.where(lower95 == upper95, 0.0, sd)
     return np.asarray(np.stack([np.diag(column**2) for column in sd.T]))
@@ -148,7 +148,7 @@ _STEPS = 30
 _LONGEST_STEP = 2.0
 
 
-def draw_along_data(
+def rto_draws(
     absorption: FloatArray,
     covariance_logit: FloatArray,
     prior_logit_mean: FloatArray,
@@ -156,7 +156,7 @@ def draw_along_data(
     n_draws: int,
     rng: np.random.Generator,
     *,
-    looser: FloatArray | float = 1.0,
+    prior_sd_scale: FloatArray | float = 1.0,
 ) -> FloatArray:
     """Return draws of absorption from a fit's answer and covariance, shape (n_draws, n_materials).
 
@@ -175,7 +175,7 @@ def draw_along_data(
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
     n_draws : int
     rng : numpy.random.Generator
-    looser : float or float array, shape (n_materials,)
+    prior_sd_scale : float or float array, shape (n_materials,)
         How many times as wide the prior of the draws is as that of the answer: what the data say
         stays as it is.
 
@@ -196,18 +196,18 @@ def draw_along_data(
     prior = 1.0 / prior_logit_sd**2
     information = (np.linalg.inv(covariance_logit) - np.diag(prior)) / np.outer(slope, slope)
     size, direction = np.linalg.eigh(0.5 * (information + information.T))
-    told = size > 1e-9 * max(float(size.max()), 1e-300)
-    R = np.sqrt(size[told])[:, None] * direction[:, told].T
+    is_determined = size > 1e-9 * max(float(size.max()), 1e-300)
+    R = np.sqrt(size[is_determined])[:, None] * direction[:, is_determined].T
     # at the maximum the data pull as much as the prior does
     pull = prior * (x - prior_logit_mean) / slope
-    seen = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
-    seen = seen + mirrored_noise(n_draws, seen.size, rng)
-    prior_sd = looser * prior_logit_sd
-    centres = prior_logit_mean + prior_sd * mirrored_noise(n_draws, n, rng)
-    return _absorption(_most_likely(x, R, seen, centres, 1.0 / prior_sd))
+    perturbed = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
+    perturbed = perturbed + antithetic_normals(n_draws, perturbed.size, rng)
+    prior_sd = prior_sd_scale * prior_logit_sd
+    centres = prior_logit_mean + prior_sd * antithetic_normals(n_draws, n, rng)
+    return _absorption(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
 
 
-def mirrored_noise(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
+def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers, shape (n_draws, n), the second half minus the first.
 
     Mirrored draws take the linear part of their scatter out of every mean over them.
@@ -217,7 +217,7 @@ def mirrored_noise(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray
 
 
 def _most_likely(
-    start: FloatArray, R: FloatArray, seen: FloatArray, centres: FloatArray, weight: FloatArray
+    start: FloatArray, R: FloatArray, perturbed: FloatArray, centres: FloatArray, weight: FloatArray
 ) -> FloatArray:
     """Minimise ``|R e(x) - seen|^2 + |weight (x - centre)|^2`` for all draws at once.
 
@@ -230,7 +230,7 @@ def _most_likely(
     diagonal = np.arange(n)
 
     def residuals(x: FloatArray) -> FloatArray:
-        return np.concatenate((_exponent(x) @ R.T - seen, weight * (x - centres)), axis=1)
+        return np.concatenate((_exponent(x) @ R.T - perturbed, weight * (x - centres)), axis=1)
 
     r = residuals(x)
     cost = np.sum(r**2, axis=1)
@@ -259,7 +259,7 @@ def _absorption(x: FloatArray) -> FloatArray:
 
 
 # A prior that nobody told may as well be so many times as wide.
-LOOSER = 2.0
+DEFAULT_PRIOR_SD_SCALE = 2.0
 
 
 def draw_absorption(
@@ -320,19 +320,23 @@ def band_draws(
 
     See Also
     --------
-    roomfit.uncertainty.posterior.draw_along_data : what is done for materials that vary.
+    roomfit.uncertainty.posterior.rto_draws : what is done for materials that vary.
     """
-    held = np.diag(covariance_logit) <= 0.0
+    fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, held)
+    own, twin = _own(absorption, covariance_logit, fixed)
     if own.size:
         mean, sd = prior_logit_mean[own], prior_logit_sd[own]
         answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
         # where the data say little a wider prior would let other walls go wherever they like
-        told = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
-        looser = np.where(is_assumed(mean, sd), 1.0 + (LOOSER - 1.0) * told, 1.0)
-        drawn = draw_along_data(*answer, n_draws, rng, looser=looser)
-        draws[:, ~held] = drawn[:, twin]
+        information_fraction = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
+        prior_sd_scale = np.where(
+            is_default_prior(mean, sd),
+            1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction,
+            1.0,
+        )
+        drawn = rto_draws(*answer, n_draws, rng, prior_sd_scale=prior_sd_scale)
+        draws[:, ~fixed] = drawn[:, twin]
     return draws
 
 
@@ -345,13 +349,13 @@ def prior_draws(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return draws from the prior alone, held and tied as in `band_draws`."""
-    held = np.diag(covariance_logit) <= 0.0
+    fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, held)
+    own, twin = _own(absorption, covariance_logit, fixed)
     if own.size:
-        noise = mirrored_noise(n_draws, own.size, rng)
+        noise = antithetic_normals(n_draws, own.size, rng)
         drawn = _share(prior_logit_mean[own] + prior_logit_sd[own] * noise)
-        draws[:, ~held] = drawn[:, twin]
+        draws[:, ~fixed] = drawn[:, twin]
     return draws
 
 
@@ -359,7 +363,7 @@ def _gaussian_draws(
     absorption: FloatArray, covariance: FloatArray, n_draws: int, rng: np.random.Generator
 ) -> FloatArray:
     size, direction = np.linalg.eigh(covariance)
-    step = mirrored_noise(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
+    step = antithetic_normals(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
     share = _share(logit(absorption) + step @ direction.T)
     return np.asarray(np.where(np.diag(covariance) == 0.0, absorption, share))
 
@@ -369,10 +373,10 @@ def _share(x: FloatArray) -> FloatArray:
 
 
 def _own(
-    absorption: FloatArray, covariance: FloatArray, held: BoolArray
+    absorption: FloatArray, covariance: FloatArray, fixed: BoolArray
 ) -> tuple[IntArray, IntArray]:
     """Return which materials vary by themselves, and for each that varies which of them it is."""
-    varying = np.flatnonzero(~held)
+    varying = np.flatnonzero(~fixed)
     own: list[int] = []
     twin: list[int] = []
     for i in varying:

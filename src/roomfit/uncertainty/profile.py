@@ -109,7 +109,7 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
 
 def may_be_bent(fit: BandFit, entry: int) -> bool:
     """Whether a free number's posterior is so wide that it need not be Gaussian."""
-    variance = np.linalg.inv(fit.information)[entry, entry] * max(fit.phi, 1.0)
+    variance = np.linalg.inv(fit.information)[entry, entry] * max(fit.chi2_reduced, 1.0)
     return bool(np.sqrt(variance) > _NARROW)
 
 
@@ -119,15 +119,15 @@ class _Line:
     def __init__(self, problem: BandProblem, fit: BandFit, entry: int) -> None:
         self.problem, self.fit, self.entry = problem, fit, entry
         self.others = np.flatnonzero(np.arange(fit.vector.size) != entry)
-        self.weight = 1.0 / (problem.counted_as_one() * fit.variance)
-        self.flattening = max(fit.phi, 1.0)
+        self.weight = 1.0 / (problem.correlation_length() * fit.variance)
+        self.flattening = max(fit.chi2_reduced, 1.0)
         information = fit.information
         self.inner = information[np.ix_(self.others, self.others)]
         self.follow = -np.linalg.solve(self.inner, information[self.others, entry])
         schur = information[entry, entry] + information[entry, self.others] @ self.follow
         self.sd = float(np.sqrt(self.flattening / schur))
         self.moves, self.rises = [0.0], [0.0]
-        self.places: list[FloatArray] = [np.array(fit.vector)]
+        self.vectors: list[FloatArray] = [np.array(fit.vector)]
         self.evaluations = 0
 
     def rise(self, move: float) -> float:
@@ -143,7 +143,7 @@ class _Line:
         rise = (cost - gain - self.fit.cost) / self.flattening
         self.moves.append(move)
         self.rises.append(rise)
-        self.places.append(vector)
+        self.vectors.append(vector)
         return rise
 
     def end(self, sign: float, first: float) -> float:
@@ -197,7 +197,7 @@ class _Line:
     def _guess(self, move: float) -> FloatArray:
         """Return the point from the nearest one that was fitted, others following from there."""
         nearest = int(np.argmin([abs(m - move) for m in self.moves]))
-        vector = np.array(self.places[nearest])
+        vector = np.array(self.vectors[nearest])
         by = move - self.moves[nearest]
         vector[self.entry] += by
         vector[self.others] += _no_farther(by * self.follow)

@@ -53,9 +53,9 @@ def split_r_hat(chains: FloatArray) -> FloatArray:
     ----------
     .. [1] A. Gelman et al., Bayesian Data Analysis, 3rd ed., 2013, section 11.4.
     """
-    told = float_array("chains", chains, (None, None, None))
-    half = len(told) // 2
-    parts = np.concatenate((told[:half], told[-half:]), axis=1)
+    checked = float_array("chains", chains, (None, None, None))
+    half = len(checked) // 2
+    parts = np.concatenate((checked[:half], checked[-half:]), axis=1)
     within = parts.var(axis=0, ddof=1).mean(axis=0)
     between = parts.mean(axis=0).var(axis=0, ddof=1)
     pooled = (half - 1) / half * within + between
@@ -81,9 +81,9 @@ def autocorrelation_steps(chains: FloatArray) -> FloatArray:
     .. [1] A. Sokal, "Monte Carlo methods in statistical mechanics", in: Functional Integration,
            1997, section 3; as in emcee.
     """
-    told = float_array("chains", chains, (None, None, None))
-    n = len(told)
-    away = told - told.mean(axis=(0, 1))
+    checked = float_array("chains", chains, (None, None, None))
+    n = len(checked)
+    away = checked - checked.mean(axis=(0, 1))
     spectrum = np.abs(np.fft.rfft(away, 2 * n, axis=0)) ** 2
     # dividing by n at every lag, as usual, keeps far lags quiet
     correlation = np.fft.irfft(spectrum, axis=0)[:n].mean(axis=1)
@@ -143,7 +143,7 @@ class LogPosterior:
         vector = np.concatenate((kept, self.ridge(kept)))
         prediction = self.problem.predict(vector)
         variance = self.problem.variance(vector)
-        neighbours = self.problem.counted_as_one()
+        neighbours = self.problem.correlation_length()
         each = self.problem.log_likelihood(prediction.expected, variance)
         prior, rows = prior_residuals(self.problem.parameters, vector)
         found = float(np.sum(each / neighbours)) / self.flattening - 0.5 * float(prior @ prior)
@@ -170,7 +170,7 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
     fit : BandFit
         Its answer.
     """
-    parameters, flattening = problem.parameters, max(fit.phi, 1.0)
+    parameters, flattening = problem.parameters, max(fit.chi2_reduced, 1.0)
     n = fit.vector.size
     timed = any(b.name == GEOMETRY for b in parameters.blocks)
     kept = position_of(parameters, GEOMETRY) if timed else n
@@ -530,8 +530,8 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
 
 def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
     problem = posterior.problem
-    found, energies = problem.predict(fit.vector), problem.are_energies()
-    count = problem.counted_as_one() * posterior.flattening
+    found, energies = problem.predict(fit.vector), problem.is_gamma()
+    count = problem.correlation_length() * posterior.flattening
     variance = np.maximum(fit.variance, np.where(energies, (1e-3 * fit.expected) ** 2, 0.0))
     slopes = _signal_slopes(problem, found, fit.vector)
     weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
@@ -545,7 +545,7 @@ def _signal_slopes(problem: BandProblem, found: Prediction, vector: FloatArray) 
     """Return the slopes of `Windows` at a point."""
     by_exponent = found.jacobian / exponent_slopes(problem.parameters, vector)
     least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
-    scale = np.where(problem.are_energies(), np.maximum(found.signal, least), 1.0)
+    scale = np.where(problem.is_gamma(), np.maximum(found.signal, least), 1.0)
     return np.asarray(by_exponent / scale[:, None])
 
 
@@ -665,7 +665,7 @@ def sample(
         ],
     )
     legacy = np.random.RandomState(rng.integers(2**31))
-    start = emcee.State(_first_places(near, walkers, rng), random_state=legacy.get_state())
+    start = emcee.State(_initial_positions(near, walkers, rng), random_state=legacy.get_state())
     steps = max(settings.most_evaluations // walkers - 1, _LOOK_EVERY)
     found: Sampled | None = None
     for number, _ in enumerate(sampler.sample(start, iterations=steps), start=1):
@@ -719,11 +719,11 @@ def _judged(
     )
 
 
-def _first_places(near: Surrogate, walkers: int, rng: np.random.Generator) -> FloatArray:
+def _initial_positions(near: Surrogate, walkers: int, rng: np.random.Generator) -> FloatArray:
     """Return where the walkers begin: all over the surrogate."""
     root = np.linalg.cholesky(near.covariance)
-    places = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
-    return near.walk(places, 400, rng)[0]
+    positions = near.centre + 0.5 * rng.standard_normal((walkers, near.centre.size)) @ root.T
+    return near.walk(positions, 400, rng)[0]
 
 
 def _surrogate_move(
@@ -731,8 +731,10 @@ def _surrogate_move(
 ) -> Any:
     """Return a move that walks under the surrogate; its class needs the lazily imported emcee."""
 
-    def proposal(places: FloatArray, _others: Any, _random: Any) -> tuple[FloatArray, FloatArray]:
-        there, gain = near.walk(np.asarray(places), int(rng.choice(steps)), rng)
+    def proposal(
+        positions: FloatArray, _others: Any, _random: Any
+    ) -> tuple[FloatArray, FloatArray]:
+        there, gain = near.walk(np.asarray(positions), int(rng.choice(steps)), rng)
         # the walk is reversible under the surrogate: to be undone as likely as it is less likely
         return there, -gain
 

@@ -12,14 +12,14 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.materials.priors import MaterialKnowledge, prior_logits
+from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import LARGEST_PHI, WIDEST_IDENTIFIABLE, BandAnswer
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE, BandAnswer
 from roomfit.uncertainty.intervals import LEAST_SIDE
 from roomfit.uncertainty.profile import profile_under
 
 # In units of the prior's variance: what is held is known this well.
-_HELD = 1e-12
+_FIXED_VARIANCE = 1e-12
 _STIFFEST = 1.0 - 1e-9
 
 
@@ -88,29 +88,29 @@ def smooth_over_bands(
     n_bands, n = _checked_shape((means, prior_mean, prior_sd), covariances, len(bands))
     precision = np.zeros((n_bands, n, n_bands, n))
     pull = np.zeros((n_bands, n))
-    held = np.zeros((n_bands, n), dtype=np.bool_)
+    fixed = np.zeros((n_bands, n), dtype=np.bool_)
     for b in range(n_bands):
-        held[b] = np.diag(covariances[b]) <= 0.0
+        fixed[b] = np.diag(covariances[b]) <= 0.0
         scale = np.outer(prior_sd[b], prior_sd[b])
-        own = covariances[b] / scale + np.diag(np.where(held[b], _HELD, 0.0))
+        own = covariances[b] / scale + np.diag(np.where(fixed[b], _FIXED_VARIANCE, 0.0))
         size, direction = np.linalg.eigh(np.linalg.inv(own))
-        told = size > 1.0
-        precision[b, :, b, :] = (direction * np.where(told, size - 1.0, 0.0)) @ direction.T
+        is_determined = size > 1.0
+        precision[b, :, b, :] = (direction * np.where(is_determined, size - 1.0, 0.0)) @ direction.T
         off = (means[b] - prior_mean[b]) / prior_sd[b]
-        pull[b] = (direction * np.where(told, size, 0.0)) @ (direction.T @ off)
+        pull[b] = (direction * np.where(is_determined, size, 0.0)) @ (direction.T @ off)
     for i in range(n):
         precision[:, i, :, i] += _walk_precision(prior_sd[:, i], sd_per_octave, bands)
     joint = np.linalg.inv(precision.reshape(n_bands * n, n_bands * n))
     off = (joint @ pull.ravel()).reshape(n_bands, n)
     blocks = joint.reshape(n_bands, n, n_bands, n)
-    free = ~held
+    free = ~fixed
     within = np.array(
         [
             blocks[b, :, b, :] * np.outer(prior_sd[b], prior_sd[b]) * np.outer(free[b], free[b])
             for b in range(n_bands)
         ]
     )
-    smoothed = np.where(held, means, prior_mean + prior_sd * off)
+    smoothed = np.where(fixed, means, prior_mean + prior_sd * off)
     return smoothed, 0.5 * (within + np.swapaxes(within, 1, 2))
 
 
@@ -150,7 +150,7 @@ _Z95 = 1.959963984540054
 
 def smoothed(
     answers: Sequence[BandAnswer],
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     bands: Bands,
     sd_per_octave: float,
     areas_m2: FloatArray,
@@ -163,10 +163,10 @@ def smoothed(
         Standard deviation of the step over one octave; intervals hold only as far as it is true.
     areas_m2 : float array, shape (n_materials,)
     """
-    names = [k.name for k in knowledge]
-    owner = np.array([names.index(k.tied_to or k.name) for k in knowledge])
+    names = [k.name for k in priors]
+    owner = np.array([names.index(k.tied_to or k.name) for k in priors])
     own, leader = np.unique(owner, return_inverse=True)
-    prior_mean, prior_sd = prior_logits(knowledge)
+    prior_mean, prior_sd = prior_logits(priors)
     means, covariances = smooth_over_bands(
         np.stack([a.logit_mean[own] for a in answers]),
         np.stack([a.logit_covariance[np.ix_(own, own)] for a in answers]),
@@ -177,7 +177,7 @@ def smoothed(
     )
     means, covariances = means[:, leader], covariances[:, leader][:, :, leader]
     return tuple(
-        _redrawn(answer, mean, covariance, knowledge, band, areas_m2)
+        _redrawn(answer, mean, covariance, priors, band, areas_m2)
         for band, (answer, mean, covariance) in enumerate(
             zip(answers, means, covariances, strict=True)
         )
@@ -188,26 +188,26 @@ def _redrawn(
     answer: BandAnswer,
     mean: FloatArray,
     covariance: FloatArray,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
     band: int,
     areas_m2: FloatArray,
 ) -> BandAnswer:
     """Return one band's answer with another mean and covariance of logit absorption."""
-    low = np.array([k.lower for k in knowledge])
-    width = np.array([k.upper for k in knowledge]) - low
+    low = np.array([k.lower for k in priors])
+    width = np.array([k.upper for k in priors]) - low
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    held = np.array([k.known is not None for k in knowledge])
+    fixed = np.array([k.known is not None for k in priors])
 
     def physical(logit: FloatArray) -> FloatArray:
         return np.asarray(low + width / (1.0 + np.exp(-logit)))
 
-    ends = _profile_ends(answer, mean, sd, knowledge)
-    absorption = np.where(held, answer.absorption, physical(mean))
-    lower = np.where(held, answer.lower95, physical(ends[0]))
-    upper = np.where(held, answer.upper95, physical(ends[1]))
-    prior_sd = np.array([k.prior_logit_sd[band] for k in knowledge])
+    ends = _profile_ends(answer, mean, sd, priors)
+    absorption = np.where(fixed, answer.absorption, physical(mean))
+    lower = np.where(fixed, answer.lower95, physical(ends[0]))
+    upper = np.where(fixed, answer.upper95, physical(ends[1]))
+    prior_sd = np.array([k.prior_logit_sd[band] for k in priors])
     sure = (
-        (answer.phi <= LARGEST_PHI)
+        (answer.chi2_reduced <= LARGEST_CHI2_REDUCED)
         & (upper - lower <= WIDEST_IDENTIFIABLE)
         & (sd <= 0.5 * prior_sd)
         & (answer.model != "prior")
@@ -221,7 +221,7 @@ def _redrawn(
         absorption=absorption,
         lower95=lower,
         upper95=upper,
-        identifiable=sure | held,
+        identifiable=sure | fixed,
         # what was sampled holds without that belief only
         kinds=tuple("gaussian" if k == "sampled" else k for k in answer.kinds),
         samples=None,
@@ -235,7 +235,7 @@ def _profile_ends(
     answer: BandAnswer,
     mean: FloatArray,
     sd: FloatArray,
-    knowledge: tuple[MaterialKnowledge, ...],
+    priors: tuple[MaterialPrior, ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the ends of every interval as free numbers: Gaussian, by profiles where there are.
 
@@ -243,15 +243,15 @@ def _profile_ends(
     the old ones; it is put to the profile of the band itself.
     """
     lower, upper = mean - _Z95 * sd, mean + _Z95 * sd
-    names = [k.name for k in knowledge]
+    names = [k.name for k in priors]
     found = {p.entry: p for p in answer.profiles if not p.gaussian}
-    for i, own in enumerate(knowledge):
+    for i, own in enumerate(priors):
         leader = names.index(own.tied_to or own.name)
         before = float(answer.logit_covariance[i, i])
         bent = i < len(answer.kinds) and answer.kinds[i] == "profile" and leader in found
         if not bent or before <= 0.0 or sd[i] <= 0.0:
             continue
-        free = _free(np.array([answer.lower95[i], answer.upper95[i]]), knowledge[leader])
+        free = _free(np.array([answer.lower95[i], answer.upper95[i]]), priors[leader])
         at = float(answer.logit_mean[i])
         others = max(1.0 / sd[i] ** 2 - 1.0 / before, 0.0)
         weighed = mean[i] / sd[i] ** 2 - at / before
@@ -264,7 +264,7 @@ def _profile_ends(
     return lower, upper
 
 
-def _free(absorption: FloatArray, own: MaterialKnowledge) -> FloatArray:
+def _free(absorption: FloatArray, own: MaterialPrior) -> FloatArray:
     """Return the free numbers of absorption between a material's bounds."""
     share = np.clip((absorption - own.lower) / (own.upper - own.lower), 1e-9, 1.0 - 1e-9)
     return np.asarray(np.log(share) - np.log1p(-share))

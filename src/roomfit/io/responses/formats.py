@@ -318,8 +318,8 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     pressure = _samples(lines[header.n_lines :], header, where)
     findings: list[Finding] = []
     if "ir is normalised" in header.notes:
-        pressure, told = _with_its_level(pressure, header, spec)
-        findings += told
+        pressure, level_findings = _with_its_level(pressure, header, spec)
+        findings += level_findings
     findings += _window_findings(header, spec)
     findings += _clock_findings(pressure, rate_hz, header, spec)
     return Recording(pressure, rate_hz, header.numbers["start_s"], tuple(findings))
@@ -539,14 +539,14 @@ def _data_chunk(content: bytes, where: str) -> _DataChunk:
     form = content[:4]
     if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
         raise _not_wav(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
-    position, long_size, format_seen = 12, None, False
+    position, long_size, format_found = 12, None, False
     while position + 8 <= len(content):
         name, size = struct.unpack_from("<4sI", content, position)
         if name == b"ds64" and position + 24 <= len(content):
             long_size = struct.unpack_from("<Q", content, position + 16)[0]
-        format_seen = format_seen or name == b"fmt "
+        format_found = format_found or name == b"fmt "
         if name == b"data":
-            if not format_seen:
+            if not format_found:
                 raise _not_wav(where, "samples without a format before them")
             if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
                 size = long_size

@@ -97,8 +97,8 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
                 name = name.removeprefix(_BESIDE_A_DIMENSION)
                 variables[name] = Hdf5Variable(_real_numbers(member), _axes(member), own)
     except _UNREADABLE as error:
-        told = f"{place}: {type(error).__name__}: {error}"
-        raise ValueError(" ".join(told.split())) from error
+        specified = f"{place}: {type(error).__name__}: {error}"
+        raise ValueError(" ".join(specified.split())) from error
     return variables, attributes
 
 

@@ -83,9 +83,9 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
     """
     refuse_useless(recording, where)
     pressure = recording.pressure
-    offset, told = _offset(pressure, where)
+    offset, offset_findings = _offset(pressure, where)
     clipped = clipping(pressure, where, "Early energy is wrong") or _equal_peaks(pressure, where)
-    return pressure - offset, (*recording.findings, *clipped, *told)
+    return pressure - offset, (*recording.findings, *clipped, *offset_findings)
 
 
 def refuse_useless(recording: Recording, where: Path) -> None:
@@ -293,9 +293,9 @@ def deconvolved(
         f"{low_hz:.3g} to {high_hz:.4g} Hz; {n_kept / rate_hz:.2f} s of response are left."
     )
     evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
-    told = Finding(Code.DECONVOLVED, text, evidence)
+    finding = Finding(Code.DECONVOLVED, text, evidence)
     clipped = clipping(recording.pressure, path, "The response deconvolved from it is distorted")
-    findings = (*recording.findings, *excitation.findings, *clipped, told)
+    findings = (*recording.findings, *excitation.findings, *clipped, finding)
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
 
 

@@ -655,17 +655,17 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
                 stands_for[name.lower()] = rest.strip('"').strip()
     followed: dict[str, str] = {}
     for name in stands_for:
-        seen, end = {name}, stands_for[name]
+        visited, end = {name}, stands_for[name]
         while end.lower() in stands_for:
-            if end.lower() in seen:
+            if end.lower() in visited:
                 raise InputError("materials that stand for each other", found=f"{name}, {end}")
-            seen.add(end.lower())
+            visited.add(end.lower())
             end = stands_for[end.lower()]
         followed[name] = spelling.get(end.lower(), end)
     if not followed:
         return spelling, ()
-    told = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
-    text = f"The file says that one material stands for another: {told}."
+    listed = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
+    text = f"The file says that one material stands for another: {listed}."
     evidence = {spelling[name]: end for name, end in followed.items()}
     return spelling | followed, (Finding(Code.MATERIALS_JOINED, text, evidence),)
 

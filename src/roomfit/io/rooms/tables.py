@@ -327,10 +327,10 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
     }
     if not wrong:
         return []
-    told = [
+    listed = [
         f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
     ]
-    text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(told)}."
+    text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(listed)}."
     return [Finding(Code.STATED_AREA_MISMATCH, text, {"planes": wrong})]
 
 

@@ -33,7 +33,7 @@ from roomfit.report.html.tables import (
     error_tables,
     errors_of,
     fit_tables,
-    given,
+    fixed_coefficients,
     known_mean,
     material_table,
     mean_abs_jnd,
@@ -50,11 +50,11 @@ from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
-from roomfit.uncertainty.gaussian import LARGEST_PHI
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
 _MOST_ENDS, _MOST_NAMES = 3, 8
-_TOLD = ("T20_s", "T30_s", "EDT_s", "C80_dB")
+_REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +73,7 @@ def summary_sentences(answer: Answer) -> tuple[str, ...]:
         sentence
         for sentence in (
             _what_was_done(answer),
-            *_what_is_told(answer),
+            *_what_is_determined(answer),
             _where_it_does_not_fit(answer),
             _how_well_it_predicts(answer),
             _how_many_findings(answer),
@@ -82,12 +82,12 @@ def summary_sentences(answer: Answer) -> tuple[str, ...]:
     )
 
 
-def told_in_words(answer: Answer) -> tuple[tuple[str, str], ...]:
+def determined_in_words(answer: Answer) -> tuple[tuple[str, str], ...]:
     """Return band and sentence where the data know groups of materials, or leave some open."""
-    told = zip(answer.bands.centres_hz, answer.sentences, strict=False)
+    sentences = zip(answer.bands.centres_hz, answer.sentences, strict=False)
     return tuple(
         (hertz(float(centre)), sentence.replace("+-", "\N{PLUS-MINUS SIGN}"))
-        for centre, sentence in told
+        for centre, sentence in sentences
         if sentence
     )
 
@@ -118,16 +118,16 @@ def _what_was_done(answer: Answer) -> str:
     )
 
 
-def _what_is_told(answer: Answer) -> list[str]:
-    held = given(answer)
-    sure = answer.identifiable & ~held
-    wanted = int(np.sum(~held))
+def _what_is_determined(answer: Answer) -> list[str]:
+    is_fixed = fixed_coefficients(answer)
+    sure = answer.identifiable & ~is_fixed
+    wanted = int(np.sum(~is_fixed))
     if not wanted:
         return ["Every coefficient was given; nothing was looked for."]
-    told = [f"The data determine {int(sure.sum())} of {wanted} coefficients."]
+    sentences = [f"The data determine {int(sure.sum())} of {wanted} coefficients."]
     names, whole, never = answer.materials, [], []
     some = []
-    for name, found, fixed in zip(names, sure, held, strict=True):
+    for name, found, fixed in zip(names, sure, is_fixed, strict=True):
         if fixed.all():
             continue
         if (found | fixed).all():
@@ -137,15 +137,15 @@ def _what_is_told(answer: Answer) -> list[str]:
         else:
             some.append(f"{name} ({_where(answer, found)})")
     if whole:
-        told.append(f"Identified in every band: {_first(whole)}.")
+        sentences.append(f"Identified in every band: {_first(whole)}.")
     if some:
-        told.append(f"Identified in some bands: {_first(some)}.")
+        sentences.append(f"Identified in some bands: {_first(some)}.")
     if never:
-        told.append(f"Not identifiable in any band: {_first(never)}.")
-    fixed_names = [name for name, fixed in zip(names, held, strict=True) if fixed.all()]
+        sentences.append(f"Not identifiable in any band: {_first(never)}.")
+    fixed_names = [name for name, fixed in zip(names, is_fixed, strict=True) if fixed.all()]
     if fixed_names:
-        told.append(f"Given beforehand and held fixed: {_first(fixed_names)}.")
-    return told
+        sentences.append(f"Given beforehand and held fixed: {_first(fixed_names)}.")
+    return sentences
 
 
 def _where(answer: Answer, found: BoolArray) -> str:
@@ -162,21 +162,21 @@ def _first(names: list[str]) -> str:
 
 
 def _where_it_does_not_fit(answer: Answer) -> str:
-    misfit = answer.phi > LARGEST_PHI
+    misfit = answer.chi2_reduced > LARGEST_CHI2_REDUCED
     if not misfit.any():
         return ""
     return (
         f"The model does not explain the data at {band_ranges(answer.bands.centres_hz, misfit)} "
-        f"(φ above {LARGEST_PHI:g}); no coefficient counts as identifiable there."
+        f"(φ above {LARGEST_CHI2_REDUCED:g}); no coefficient counts as identifiable there."
     )
 
 
 def _how_well_it_predicts(answer: Answer) -> str:
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)
-    told = []
+    sentences = []
     known = parameter_keys(pairs)
-    for key in [key for key in _TOLD if key in known] or known:
+    for key in [key for key in _REPORTED if key in known] or known:
         errors = errors_of(pairs, key)
         model, null = known_mean(errors.model), known_mean(errors.null)
         if not np.isfinite(model):
@@ -185,13 +185,13 @@ def _how_well_it_predicts(answer: Answer) -> str:
         words = f"{how.symbol} {number(model, how.error_decimals)} {how.error_unit}"
         if np.isfinite(null):
             words += f" ({number(null, how.error_decimals)})"
-        told.append(words)
-    if not told:
+        sentences.append(words)
+    if not sentences:
         return ""
     which = "measurements kept for validation" if kept else "fitted measurements"
     return (
         f"Mean error of the {which}, in brackets that of guessing the mean of the others: "
-        f"{listing(told)}."
+        f"{listing(sentences)}."
     )
 
 
@@ -200,8 +200,8 @@ def _how_many_findings(answer: Answer) -> str:
         (sum(f.severity == severity for f in answer.findings), severity) for severity in _SEVERITIES
     ]
     words = {"serious": "serious finding", "warning": "warning", "info": "note"}
-    told = [count(n, words[severity]) for n, severity in counts if n]
-    return f"Read first: {listing(told)} below." if told else ""
+    counted = [count(n, words[severity]) for n, severity in counts if n]
+    return f"Read first: {listing(counted)} below." if counted else ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -259,7 +259,7 @@ def report_html(
         absorption_tables=absorption_tables(answer),
         fit_tables=(*fit_tables(answer), *source_tables(answer), *certificate_tables(answer)),
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),
-        told=told_in_words(answer),
+        determined=determined_in_words(answer),
         error_tables=error_tables(answer),
         overview=overview_table(answer),
         decay=_decays(answer, choices) if choices else None,
@@ -292,9 +292,9 @@ def _room(scene: Scene) -> Drawing:
         "materials; dotted lines lead down to the floor. Below: plan and two side views, all "
         "to one scale."
     )
-    _, n_seen = drawn_faces(scene.room)
-    if n_seen > MOST_FACES:
-        caption += f" Of {n_seen} faces in view only the largest {MOST_FACES} are drawn."
+    _, n_observed = drawn_faces(scene.room)
+    if n_observed > MOST_FACES:
+        caption += f" Of {n_observed} faces in view only the largest {MOST_FACES} are drawn."
     title = (
         f"The room with {count(len(scene.room.materials), 'material')}, "
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "

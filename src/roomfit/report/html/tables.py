@@ -43,12 +43,12 @@ from roomfit.results import Answer, Compared, ComparedPair, Use, certificate_dis
 from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
 from roomfit.typing import BoolArray, FloatArray, IntArray
-from roomfit.uncertainty.gaussian import LARGEST_PHI
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 
 NOT_IDENTIFIABLE = "not identif."
 
 
-def given(answer: Answer) -> BoolArray:
+def fixed_coefficients(answer: Answer) -> BoolArray:
     """Return which coefficients were held fixed, shape (n_materials, n_bands)."""
     return np.asarray(answer.lower95 == answer.upper95)
 
@@ -70,7 +70,7 @@ def absorption_tables(answer: Answer) -> tuple[Table, ...]:
 
 
 def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
-    held = given(answer)
+    fixed = fixed_coefficients(answer)
     return [
         Row(
             name,
@@ -80,7 +80,7 @@ def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
                     answer.lower95[i, j],
                     answer.upper95[i, j],
                     sure=bool(answer.identifiable[i, j]),
-                    held=bool(held[i, j]),
+                    fixed=bool(fixed[i, j]),
                 )
                 for j in block
             ),
@@ -93,16 +93,16 @@ def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
 def _mean_row(answer: Answer, block: IntArray) -> Row:
     total = float(np.sum(answer.areas_m2))
     cells = tuple(
-        coefficient_cell(*answer.mean_absorption[:, j], sure=True, held=False) for j in block
+        coefficient_cell(*answer.mean_absorption[:, j], sure=True, fixed=False) for j in block
     )
     return Row("mean of the room", cells, small=f"by area, {area(total)} m²", style="total")
 
 
-def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, held: bool) -> Cell:
+def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fixed: bool) -> Cell:
     """Return an absorption with its interval; doubt and given values are told in words."""
     if not np.isfinite(value):
         return Cell(DASH, ("not determined",), "unsure")
-    if held:
+    if fixed:
         return Cell(coefficient(value, upper), ("given",), "given")
     text = coefficient(value, upper)
     interval = f"{coefficient(lower, upper)}{DASH}{coefficient(upper, upper)}"
@@ -120,7 +120,11 @@ def fit_tables(answer: Answer) -> tuple[Table, ...]:
             "",
             band_heads(centres, block),
             (
-                Row("φ", tuple(_phi_cell(float(answer.phi[j])) for j in block), "1: as expected"),
+                Row(
+                    "φ",
+                    tuple(_chi2_cell(float(answer.chi2_reduced[j])) for j in block),
+                    "1: as expected",
+                ),
                 Row("the fit came to rest", tuple(_rest_cell(answer, j) for j in block)),
             ),
         )
@@ -128,12 +132,12 @@ def fit_tables(answer: Answer) -> tuple[Table, ...]:
     )
 
 
-def _phi_cell(phi: float) -> Cell:
-    if not np.isfinite(phi):
+def _chi2_cell(chi2_reduced: float) -> Cell:
+    if not np.isfinite(chi2_reduced):
         return Cell(DASH, ("too few data",), "unsure")
-    if phi > LARGEST_PHI:
-        return Cell(number(phi, 1), ("does not fit",), "far")
-    return Cell(number(phi, 1), ("fits",), "near")
+    if chi2_reduced > LARGEST_CHI2_REDUCED:
+        return Cell(number(chi2_reduced, 1), ("does not fit",), "far")
+    return Cell(number(chi2_reduced, 1), ("fits",), "near")
 
 
 def _rest_cell(answer: Answer, band: int) -> Cell:
@@ -222,7 +226,7 @@ def prior_tables(answer: Answer) -> tuple[Table, ...]:
     """Return what was known beforehand, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
-    centres, prior, held = answer.bands.centres_hz, answer.prior, given(answer)
+    centres, prior, fixed = answer.bands.centres_hz, answer.prior, fixed_coefficients(answer)
     return tuple(
         Table(
             block_caption("Known or assumed beforehand, 95 % interval", centres, block),
@@ -232,7 +236,7 @@ def prior_tables(answer: Answer) -> tuple[Table, ...]:
                 Row(
                     name,
                     tuple(
-                        coefficient_cell(*prior[:, i, j], sure=True, held=bool(held[i, j]))
+                        coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
                         for j in block
                     ),
                 )
@@ -244,8 +248,8 @@ def prior_tables(answer: Answer) -> tuple[Table, ...]:
 
 
 def _share_cell(value: float, lower: float, upper: float) -> Cell:
-    told = [number(100.0 * x, 0) for x in (value, lower, upper)]
-    return Cell(told[0], (f"{told[1]}{DASH}{told[2]}",))
+    texts = [number(100.0 * x, 0) for x in (value, lower, upper)]
+    return Cell(texts[0], (f"{texts[1]}{DASH}{texts[2]}",))
 
 
 def _area_cell(value_m2: float, interval: str = "") -> Cell:
@@ -263,7 +267,7 @@ def certificate_tables(answer: Answer) -> tuple[Table, ...]:
     for band, proof in enumerate(answer.certificates):
         if proof is None:
             continue
-        places = [
+        minimisers = [
             ", ".join(
                 f"{name} {number(float(value), 2)}"
                 for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
@@ -277,7 +281,7 @@ def certificate_tables(answer: Answer) -> tuple[Table, ...]:
                     Cell(_STATUS[proof.status]),
                     Cell(number(proof.value, 3)),
                     Cell(number(proof.lower_bound, 3)),
-                    Cell(str(len(places)), tuple(places)),
+                    Cell(str(len(minimisers)), tuple(minimisers)),
                     Cell(number(certificate_distance(answer, band), 3)),
                 ),
             )
@@ -382,8 +386,8 @@ def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell
         guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
         return Cell(DASH, ("not measured", *guess), "missing")
     if not np.isfinite(predicted):
-        told = number(measured, decimals)
-        return Cell(DASH, ("not predicted", f"measured {told}"), "missing")
+        text = number(measured, decimals)
+        return Cell(DASH, ("not predicted", f"measured {text}"), "missing")
     values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
     beside = f"others {number(null, 1, signed=True)}" if np.isfinite(null) else "no others"
     jnd = float(compared.jnd[band])
