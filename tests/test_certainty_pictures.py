@@ -14,7 +14,7 @@ from roomfit.report.figures import (
     profiles_figure,
     shown_profiles,
 )
-from roomfit.report.html.tables import prior_tables
+from roomfit.report.html_tables import prior_tables
 from roomfit.uncertainty.profile import Profile
 
 

@@ -45,7 +45,7 @@ from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.prediction.setup import directed_as_found
-from roomfit.report.html.tables import source_tables
+from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import FirstOrderBands

@@ -26,8 +26,8 @@ from roomfit.air import attenuation_per_m
 from roomfit.report.figures import absorption_figure, decay_figure, svg
 from roomfit.report.html import parts as wording
 from roomfit.report.html import report_html
-from roomfit.report.html.parts import DASH
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, outline_m, room_figure
+from roomfit.report.wording import DASH
 from roomfit.results import Compared
 from roomfit.signals.decay import in_jnd
 

@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from report_cases import answer_of, read_page, scene_of
-from roomfit.prediction.output import predict_text
+from roomfit.prediction.output import predict_text, predicted_decay_figure
 from roomfit.prediction.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
-from roomfit.report.figures import decay_figure, predicted_decay_figure
+from roomfit.report.figures import decay_figure
 from roomfit.report.html import report_html, summary_sentences
-from roomfit.report.html.tables import error_tables, overview_table, pair_sections
+from roomfit.report.html_tables import error_tables, overview_table, pair_sections
 from roomfit.report.text import answer_text, pairs_table
 from roomfit.results import Compared
 from small_campaign import run_command, write_campaign

@@ -11,9 +11,9 @@ from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
 from roomfit.io.results import result_content
-from roomfit.report.html.parts import DASH
-from roomfit.report.html.tables import share_tables
+from roomfit.report.html_tables import share_tables
 from roomfit.report.text import separable_text, shares_table
+from roomfit.report.wording import DASH
 from roomfit.uncertainty.combinations import (
     Combination,
     Difference,

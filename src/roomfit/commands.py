@@ -251,7 +251,8 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.report.figures import png, predicted_decay_figure
+    from roomfit.prediction.output import predicted_decay_figure
+    from roomfit.report.figures import png
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)

@@ -13,11 +13,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
+from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
 from roomfit.report.text import findings_text
+from roomfit.report.wording import decay_time_key, parameter
 from roomfit.signals.iso3382 import ValueName
 
 _COLUMNS = (
@@ -207,3 +210,37 @@ def _measured_line(value: PredictedValue, form: str) -> str:
         steps_text = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
         cells.append(f"{form.format(m)}{steps_text}" if np.isfinite(m) else "-")
     return f"{'  measured':<10}  " + "  ".join(f"{c:>20}" for c in cells)
+
+
+def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
+    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
+    figure, panels = band_panels(len(predicted.bands), 2.3)
+    decay = pair.decay
+    times = {str(name): value for name, value in pair.parameters.items()}
+    key = decay_time_key(times)
+    shown_s = 1e-3
+    for j, axes in enumerate(panels):
+        axes.fill_between(
+            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
+            lw=0.0, label="95 % of the absorptions that are possible",
+        )  # fmt: skip
+        axes.plot(
+            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
+        )
+        if decay.measured_db is not None:
+            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
+        known = decay.predicted_db[j] > LOWEST_DB
+        shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
+        label = f"{predicted.bands.centres_hz[j]:g} Hz"
+        if key is not None and np.isfinite(times[key].predicted[j]):
+            label += f": {parameter(key).symbol} {times[key].predicted[j]:.2f} s"
+        axes.set_title(label, fontsize=9)
+    panels[0].set_ylim(LOWEST_DB, 2.0)
+    panels[0].set_xlim(0.0, shown_s)
+    figure.supxlabel("time after emission (s)", fontsize=10)
+    figure.supylabel("energy decay curve (dB)", fontsize=10)
+    title = f"{literal(pair.source)} to {literal(pair.receiver)}"
+    if predicted.changes:
+        title += " with " + literal("; ".join(predicted.changes), 80)
+    figure_legend(figure, panels[0], 3, title)
+    return figure

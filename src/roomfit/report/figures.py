@@ -27,8 +27,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
-from roomfit.prediction.prediction import Predicted, PredictedPair
-from roomfit.report.html.parts import decay_time_key, number, parameter, shortened
+from roomfit.report.wording import decay_time_key, number, parameter, shortened
 from roomfit.results import Answer, ComparedPair, Decay
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
@@ -125,7 +124,7 @@ OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "
 _WIDTH_IN = 10.2
 _MANY_PANELS = 12
 """More than so many panels are drawn smaller, four in a row."""
-_LOWEST_DB = -45.0
+LOWEST_DB = -45.0
 # Curves of many pairs in one figure: about ten characters a point keep them below a megabyte.
 _POINTS_IN_ALL, _FEWEST_POINTS, _MOST_POINTS = 60_000, 16, 120
 _MOST_MATERIALS, _MOST_DRAWS, _DRAWS_IN_ALL = 6, 800, 6000
@@ -240,7 +239,7 @@ def short_hertz(frequency: float) -> str:
     return f"{frequency / 1000:g}k" if frequency >= 1000 else f"{frequency:g}"
 
 
-def _panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
+def band_panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
     """Return a figure with n panels in rows that share their scales, and the panels."""
     columns = min(n, 3) if n <= _MANY_PANELS else 4
     rows = -(-n // columns)
@@ -259,7 +258,7 @@ def _panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
     return figure, panels[:n]
 
 
-def _legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> None:
+def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> None:
     handles, labels = axes.get_legend_handles_labels()
     once = dict(zip(labels, handles, strict=True))
     figure.legend(
@@ -284,7 +283,7 @@ def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None)
         Drawn as crosses where the truth is known.
     """
     n = len(answer.materials)
-    figure, panels = _panels(n + 1, 2.45)
+    figure, panels = band_panels(n + 1, 2.45)
     centres = answer.bands.centres_hz
     given = answer.lower95 == answer.upper95
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
@@ -323,7 +322,7 @@ def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None)
     panels[0].set_ylim(-0.03, 1.03)
     figure.supxlabel(f"{answer.bands.kind} band centre (Hz)", fontsize=10)
     figure.supylabel("absorption coefficient", fontsize=10)
-    _legend(figure, panels[0], 4)
+    figure_legend(figure, panels[0], 4)
     return figure
 
 
@@ -414,7 +413,7 @@ def profiles_figure(answer: Answer) -> Figure | None:
         axes.set_visible(False)
     figure.supxlabel("absorption coefficient", fontsize=10)
     figure.supylabel("rise of the cost, all else fitted again", fontsize=10)
-    _legend(figure, panels[0, 0], 4)
+    figure_legend(figure, panels[0, 0], 4)
     return figure
 
 
@@ -482,7 +481,7 @@ def decay_figure(answer: Answer, *pairs: ComparedPair) -> Figure:
     decays = [pair.decay for pair in pairs if pair.decay is not None]
     if len(decays) < len(pairs):
         raise ValueError("room parameters without a response have no decay curve")
-    figure, panels = _panels(len(answer.bands), 2.3)
+    figure, panels = band_panels(len(answer.bands), 2.3)
     share = _POINTS_IN_ALL // (2 * len(pairs) * len(panels))
     n_points = int(np.clip(share, _FEWEST_POINTS, _MOST_POINTS)) if len(pairs) > 1 else None
     shown_s = 1e-3
@@ -495,9 +494,9 @@ def decay_figure(answer: Answer, *pairs: ComparedPair) -> Figure:
                 1.0, 1.03, decay_times(pair, j), transform=axes.transAxes, ha="right", va="bottom",
                 fontsize=8, color="0.2", gid=group,
             ).set_in_layout(False)  # fmt: skip
-            known = np.isfinite(decay.measured_db[j]) & (decay.measured_db[j] > _LOWEST_DB)
+            known = np.isfinite(decay.measured_db[j]) & (decay.measured_db[j] > LOWEST_DB)
             shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
-    panels[0].set_ylim(_LOWEST_DB, 2.0)
+    panels[0].set_ylim(LOWEST_DB, 2.0)
     panels[0].set_xlim(0.0, shown_s)
     figure.supxlabel("time after emission (s)", fontsize=10)
     figure.supylabel("energy decay curve (dB)", fontsize=10)
@@ -505,7 +504,7 @@ def decay_figure(answer: Answer, *pairs: ComparedPair) -> Figure:
     if len(pairs) == 1:
         title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"
         title += "" if pairs[0].use == "fit" else ", not fitted"
-    _legend(figure, panels[0], 2, title)
+    figure_legend(figure, panels[0], 2, title)
     return figure
 
 
@@ -517,7 +516,7 @@ def _decay_curves(
         ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
     )
     for label, level_db, look in looks:
-        observed = np.where(level_db > _LOWEST_DB - 15.0, level_db, np.nan)
+        observed = np.where(level_db > LOWEST_DB - 15.0, level_db, np.nan)
         known = np.flatnonzero(np.isfinite(observed))
         kept = known
         if n_points is not None and known.size > n_points:
@@ -535,40 +534,6 @@ def decay_times(pair: ComparedPair, band: int) -> str:
         return ""
     measured, predicted = number(t.measured[band], 2), number(t.predicted[band], 2)
     return f"{parameter(key).symbol} {measured} → {predicted} s"
-
-
-def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
-    """Return predicted energy decay curves of one pair, one panel a band, measured ones beside."""
-    figure, panels = _panels(len(predicted.bands), 2.3)
-    decay = pair.decay
-    times = {str(name): value for name, value in pair.parameters.items()}
-    key = decay_time_key(times)
-    shown_s = 1e-3
-    for j, axes in enumerate(panels):
-        axes.fill_between(
-            decay.time_s, decay.lower_db[j], decay.upper_db[j], color=OKABE_ITO[1], alpha=0.25,
-            lw=0.0, label="95 % of the absorptions that are possible",
-        )  # fmt: skip
-        axes.plot(
-            decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
-        )
-        if decay.measured_db is not None:
-            axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
-        known = decay.predicted_db[j] > _LOWEST_DB
-        shown_s = max(shown_s, float(decay.time_s[known].max(initial=0.0)))
-        label = f"{predicted.bands.centres_hz[j]:g} Hz"
-        if key is not None and np.isfinite(times[key].predicted[j]):
-            label += f": {parameter(key).symbol} {times[key].predicted[j]:.2f} s"
-        axes.set_title(label, fontsize=9)
-    panels[0].set_ylim(_LOWEST_DB, 2.0)
-    panels[0].set_xlim(0.0, shown_s)
-    figure.supxlabel("time after emission (s)", fontsize=10)
-    figure.supylabel("energy decay curve (dB)", fontsize=10)
-    title = f"{literal(pair.source)} to {literal(pair.receiver)}"
-    if predicted.changes:
-        title += " with " + literal("; ".join(predicted.changes), 80)
-    _legend(figure, panels[0], 3, title)
-    return figure
 
 
 def boxes_figure(

@@ -14,7 +14,7 @@ import numpy as np
 
 from roomfit.findings import Code, Finding
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
-from roomfit.report.html.parts import PARAMETERS, decay_time_key, parameter
+from roomfit.report.wording import PARAMETERS, decay_time_key, parameter
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray

@@ -21,7 +21,8 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.geometry.mesh import volume_m3
 from roomfit.objective.directivity import FittedDirectivity
-from roomfit.report.html.parts import (
+from roomfit.report.room_figure import material_colour
+from roomfit.report.wording import (
     DASH,
     PARAMETERS,
     Cell,
@@ -38,7 +39,6 @@ from roomfit.report.html.parts import (
     parameter,
     shortened,
 )
-from roomfit.report.room_figure import material_colour
 from roomfit.results import Answer, Compared, ComparedPair, Use, certificate_distance
 from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd

@@ -25,8 +25,7 @@ from roomfit.report.figures import (
     profiles_figure,
     svg,
 )
-from roomfit.report.html.parts import area, band_ranges, count, hertz, listing, number, parameter
-from roomfit.report.html.tables import (
+from roomfit.report.html_tables import (
     absorption_tables,
     area_tables,
     certificate_tables,
@@ -47,6 +46,7 @@ from roomfit.report.html.tables import (
     source_tables,
 )
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
+from roomfit.report.wording import area, band_ranges, count, hertz, listing, number, parameter
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
@@ -403,7 +403,7 @@ def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tup
 
 def _template() -> Any:
     environment = Environment(
-        loader=PackageLoader("roomfit.report.html"),
+        loader=PackageLoader("roomfit.report"),
         autoescape=True,
         undefined=StrictUndefined,
         trim_blocks=True,
