@@ -247,7 +247,9 @@ def delft_null(data: Path, ending: str) -> None:
         campaign = read_campaign(path)
         responses = collect_measurements(campaign, read_room(campaign.room)[0]).responses
     of = {
-        n: np.array([m.parameters.of("T20_s") for m in responses if m.file.source == f"L{n}"])
+        n: np.array(
+            [m.parameters.of("T20_s") for m in responses if m.measurement.source == f"L{n}"]
+        )
         for n in DELFT_LOUDSPEAKERS
     }
     judged = campaign.bands.centres_hz > 400.0

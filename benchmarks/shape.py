@@ -175,7 +175,8 @@ def deepest_stack() -> list[str]:
 
     import numpy as np
 
-    import roomfit
+    from roomfit.inversion.identify import identify
+    from roomfit.io.inputs import load_campaign
     from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
     deepest: list[str] = []
@@ -196,11 +197,11 @@ def deepest_stack() -> list[str]:
 
     with TemporaryDirectory() as folder:
         box = write_measured_box(demo_plan(), Path(folder), np.random.default_rng(1))
-        arguments = roomfit.load_campaign(box.campaign)
-        roomfit.identify(**arguments)  # compiles: frames of numba's typing are no frames of ours
+        arguments = load_campaign(box.campaign)
+        identify(**arguments)  # compiles: frames of numba's typing are no frames of ours
         sys.setprofile(watch)
         try:
-            roomfit.identify(**arguments)
+            identify(**arguments)
         finally:
             sys.setprofile(None)
     return deepest

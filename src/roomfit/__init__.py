@@ -36,12 +36,12 @@ if TYPE_CHECKING:
     from roomfit.io.campaign import Campaign, read_campaign
     from roomfit.io.iso3382 import read_parameters
     from roomfit.io.responses import read_response
+    from roomfit.io.responses.spec import ResponseSpec
     from roomfit.io.results import read_result, write_result
     from roomfit.io.rooms import read_room
     from roomfit.io.rooms.model import PolygonSpec, RoomSpec
     from roomfit.materials.catalogue import catalogue, find_material
     from roomfit.materials.priors import Scattering, uniform_scattering
-    from roomfit.measurement import ResponseSpec
     from roomfit.prediction.predict import predict_campaign
     from roomfit.prediction.prediction import Predicted
     from roomfit.prediction.setup import Change, read_change

@@ -59,6 +59,7 @@ class Room:
     materials: tuple[str, ...]
     surface_material: IntArray
     shoebox_m: tuple[float, float, float] | None = None
+    findings: tuple[Finding, ...] = ()  # what was repaired or doubtful in making it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))

@@ -26,9 +26,9 @@ from roomfit.coverage.truth import CoveragePlan, SyntheticRoom, TabulatedPair
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import N_RAYS, plan_trace
-from roomfit.io.campaign import Campaign, Directivity
+from roomfit.io.campaign import Campaign, Directivity, MeasuredTable
 from roomfit.io.iso3382 import NAMES
-from roomfit.measurement import MeasuredTable, ResponseSpec
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.response.directivity import FirstOrderBands, aimed
 from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.signals.decay import decay_curve, room_parameters

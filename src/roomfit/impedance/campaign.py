@@ -35,11 +35,18 @@ from roomfit.impedance.laws import LAWS, Parameter
 from roomfit.impedance.output import write_impedance
 from roomfit.impedance.result import ImpedanceAnswer
 from roomfit.impedance.wave_model import GainMode, Nuisances
-from roomfit.io.campaign import Campaign, MaterialTable, input_files, read_campaign
+from roomfit.io.campaign import (
+    Campaign,
+    MaterialTable,
+    MeasuredFile,
+    MeasuredSpectrum,
+    input_files,
+    read_campaign,
+)
 from roomfit.io.measurements import from_emission
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
-from roomfit.measurement import LATENCY_SD_S, MeasuredFile, MeasuredSpectrum
+from roomfit.measurement import LATENCY_SD_S
 from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part

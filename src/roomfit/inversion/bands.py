@@ -23,6 +23,7 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import BandProblem
+from roomfit.settings import Settings
 from roomfit.solvers.least_squares import (
     BandFit,
     ResidualFunction,
@@ -152,8 +153,7 @@ def fit_bands(
     problems: Iterable[BandProblem | None],
     priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
-    method: str,
-    seed: int,
+    settings: Settings,
     progress: Progress | None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
@@ -166,10 +166,10 @@ def fit_bands(
     ----------
     problems : iterable of BandProblem or None
         Taken one at a time, so that they may be made when they are needed.
-    method : {"auto", "least-squares", "simplex", "annealing", "certified", "posterior"}
-        "auto" is least squares, with a proof where one is affordable. The paper's two methods
-        search with the same squares; after annealing's first round the simplex refines.
-        "certified" is least squares with a proof.
+    settings : Settings
+        Method and seed. "auto" is least squares, with a proof where one is affordable. The
+        paper's two methods search with the same squares; after annealing's first round the simplex
+        refines. "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
     shared_covariance : callable, optional
@@ -177,6 +177,7 @@ def fit_bands(
     refine : callable, optional
         Makes better intervals while a band's problem is at hand.
     """
+    method, seed = settings.method, settings.seed
     n_bands = priors[0].prior_logit_mean.size
     answers: list[BandAnswer] = []
     for band, problem in enumerate(problems):

@@ -16,7 +16,7 @@ What every band needs before it is fitted: energies, spoiled files, and its cohe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -48,6 +48,7 @@ from roomfit.inversion.outliers import (
     outlier_findings,
     variance_inflation,
 )
+from roomfit.inversion.paths import Retrace, TracedPaths
 from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
@@ -153,9 +154,11 @@ def prepared_bands(
     energies = _under_cavity_priors(task, energies)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
-    fitted = tuple(m for m in task.measured if m.file.use == "fit")
+    fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
     whole = campaign_geometry(
-        *(scene, task.priors, fitted),
+        scene,
+        task.priors,
+        fitted,
         positions=task.settings.positions == "fit",
         delays=task.settings.delays,
         speed_sd=task.settings.speed_sd,
@@ -333,9 +336,6 @@ def energy_answers(
 _RETRACE_BELOW_HZ = 1000.0
 # Bands up to here are those of which a loudspeaker's colour is not told by a first guess of walls.
 _RETRACE_ENERGIES_BELOW_HZ = 250.0
-
-Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
-"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -527,67 +527,28 @@ class CoherentFit:
 
 
 def fit_coherent(
-    scene: Scene,
-    bands: Bands,
-    priors: tuple[MaterialPrior, ...],
-    measured: tuple[MeasuredPair, ...],
-    paths: Paths,
-    binned: BinnedPaths,
-    start: FloatArray,
-    *,
-    options: CoherentOptions | None = None,
-    extra_parts: Sequence[tuple[PartFactory, ...]] = (),
-    weights: FloatArray | None = None,
-    retrace: Retrace | None = None,
-    directivity_parameters: DirectivityParameters | None = None,
-    tested_sources: DirectivityParameters | None = None,
-    refine: Refine | None = None,
-    progress: Progress | None = None,
+    task: CoherentTask, traced: TracedPaths, progress: Progress | None = None
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
 
+    Which images a receiver sees depends on where it stands, except in a box: elsewhere the bands
+    up to 1 kHz are fitted first, images are found anew at the positions they tell, and everything
+    is fitted again from the specified prior.
+
     Parameters
     ----------
-    paths : Paths
+    task : CoherentTask
+    traced : TracedPaths
         Of all pairs: image sources, the further the better, and rays for what they leave.
-    binned : BinnedPaths
-        The same paths in bins (`bin_paths`).
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    options : CoherentOptions, optional
-    extra_parts : sequence of tuples, one a band; optional
-        Other kinds of data of each band, made from the unknowns that all kinds share.
-    weights : float array, shape (n_bands, n_paths), optional
-        Factor of every path's weight in each band, as in `binned`.
-    retrace : callable, optional
-        Traces a scene with other positions, as `paths` were. Which images a receiver sees
-        depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
-        images are found anew at the positions they tell, and everything is fitted again from what
-        was told.
-    directivity_parameters : DirectivityParameters, optional
-        Sources whose directivity is fitted.
-    tested_sources : DirectivityParameters, optional
-        Sources taken for omnidirectional, of which to ask whether the data agree.
-    refine : callable, optional
-        Makes better intervals of each band's last fit.
     """
-    settings = CoherentOptions() if options is None else options
-    parts = tuple(extra_parts) or ((),) * len(bands)
-    task = CoherentTask(
-        *(
-            scene,
-            bands,
-            priors,
-            measured,
-            start,
-            settings,
-            parts,
-            directivity_parameters,
-            tested_sources,
-        ),
-        refine=refine,
+    settings = task.settings
+    state = initialise(
+        task,
+        traced.paths,
+        traced.factors,
+        cut_at(traced.binned, settings.late_end_s),
+        traced.again,
     )
-    state = initialise(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
     fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
     outliers = outlier_files(_band_comparisons(state, fits), LEAST_BY_PRESSURES)
     if outliers:

@@ -14,8 +14,9 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.campaign import Campaign
+from roomfit.inversion.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.settings import Settings
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
 from roomfit.uncertainty.sampling import Sampled
@@ -297,7 +298,7 @@ def _samples(bands: Bands, answers: Sequence[BandAnswer]) -> str:
     )
 
 
-def check_certifiable(campaign: Campaign) -> None:
+def check_certifiable(measurements: Measurements, settings: Settings) -> None:
     """Refuse a certificate of what has no bounds over boxes: pressures and room parameters.
 
     Raises
@@ -305,17 +306,17 @@ def check_certifiable(campaign: Campaign) -> None:
     InputError
         A certificate is asked for, and not of energies alone.
     """
-    if campaign.method != "certified":
+    if settings.method != "certified":
         return
     found = []
-    if campaign.model == "coherent":
+    if settings.model == "coherent":
         found.append('model = "coherent"')
-    if any(t.use == "fit" for t in campaign.tables):
+    if measurements.values:
         found.append("room parameters that are to be fitted")
     if found:
         raise InputError(
             "there is no certificate but for energies",
-            where=f"{campaign.path}, identify.method",
+            where="identify.method",
             found=" and ".join(found),
             needed='impulse responses alone, and model = "energy" or "auto"',
             hint="pressures and room parameters may rise and fall with an absorption, so that "

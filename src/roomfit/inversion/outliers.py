@@ -99,7 +99,7 @@ def _misfits(band: BandComparison) -> FloatArray:
 
 
 def _finding(m: MeasuredPair, ratio: float) -> Finding:
-    name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
+    name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
     return Finding(
         Code.MEASUREMENT_OUTLIER,
         f"{name} fits the room {ratio:.0f} times worse than the other measurements do: it was "

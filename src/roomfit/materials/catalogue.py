@@ -14,13 +14,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
+from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
 from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -322,3 +324,125 @@ def _eight(values: list[float]) -> FloatArray:
     eight = np.full(8, np.nan)
     eight[7 - len(values) : 7] = values
     return eight
+
+
+def material_prior(
+    name: str,
+    bands: Bands,
+    *,
+    absorption: ArrayLike | None = None,
+    prior: str | tuple[ArrayLike, ArrayLike] | None = None,
+    bounds: tuple[float, float] | None = None,
+    scattering: ArrayLike | Literal["fit"] | None = None,
+    same_absorption_as: str | None = None,
+    delay_sd_s: float | None = None,
+) -> MaterialPrior:
+    """Return what is known of a material before the measurement.
+
+    Parameters
+    ----------
+    name : str
+        Of a material of the room.
+    bands : Bands
+        Those to be fitted; arrays have one value per band, or one for all.
+    absorption : array, optional
+        Energy absorption coefficient that is fixed, 0 to 1.
+    prior : str or (mean, standard deviation), optional
+        Of the absorption coefficient, both dimensionless; or the name of an entry of the
+        catalogue. Left out: a broad prior, 95 % of it from 0.01 to 0.77.
+    bounds : two floats, optional
+        The absorption lies strictly between them.
+    scattering : array or "fit", optional
+        Scattering coefficient (ISO 17497-1), 0 to 1; "fit": determined with the absorption. Left
+        out: one value for all such materials, chosen by the data where there are responses.
+    same_absorption_as : str, optional
+        Another material that has the same absorption.
+    delay_sd_s : float, optional
+        Prior standard deviation of the delay at a reflection, 0 to 0.1 s.
+
+    Raises
+    ------
+    InputError
+        A value is out of range or has not one number per band, or a prior lies outside its bounds.
+
+    Examples
+    --------
+    >>> from roomfit.bands import bands_between
+    >>> glass = material_prior("glass", bands_between("octave", 250, 500), absorption=0.04)
+    >>> glass.known
+    array([0.04, 0.04])
+    """
+    n, where = len(bands), f"materials.{name}"
+    plain = unknown_material(name, n)
+    mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
+    lower, upper = bounds if bounds is not None else (0.0, 1.0)
+    if bounds is not None:
+        # the broad prior's middle where it lies well between the bounds, else theirs
+        share = (DEFAULT_MEAN - lower) / (upper - lower)
+        share = share if 0.1 <= share <= 0.9 else 0.5
+        mean, _ = logit_prior(np.full(n, share), np.ones(n))
+    if prior is not None:
+        if isinstance(prior, str):
+            with located(f"{where}.prior"):
+                alpha, alpha_sd = catalogue_prior(prior, bands)
+        else:
+            alpha = _per_band(prior[0], n, f"{where}.prior.mean")
+            alpha_sd = _per_band(prior[1], n, f"{where}.prior.sd")
+        inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
+        if not np.all(inside):
+            band = int(np.argmin(inside))
+            raise InputError(
+                "a prior lies outside of its bounds or has no spread",
+                where=f"{where}.prior",
+                found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} "
+                f"at {bands.centres_hz[band]:g} Hz",
+                needed=f"{lower:g} < mean < {upper:g} and sd > 0",
+                hint="to fix an absorption, write absorption = [...] instead",
+            )
+        between = (alpha - lower) / (upper - lower)
+        mean, sd = logit_prior(between, alpha_sd / (upper - lower))
+    known = None
+    if absorption is not None:
+        known = _per_band(absorption, n, f"{where}.absorption")
+        _check_within(known, lower, upper, f"{where}.absorption")
+    specified = None
+    if scattering is not None and not isinstance(scattering, str):
+        specified = _per_band(scattering, n, f"{where}.scattering")
+    return MaterialPrior(
+        name,
+        mean,
+        sd,
+        scattering=specified,
+        known=known,
+        lower=lower,
+        upper=upper,
+        fit_scattering=isinstance(scattering, str),
+        tied_to=same_absorption_as,
+        wall_delay_sd_s=delay_sd_s,
+    )
+
+
+def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
+    bad = np.flatnonzero((values < lower) | (values > upper))
+    if bad.size:
+        raise InputError(
+            "a given absorption lies outside of its own bounds",
+            where=where,
+            found=f"{values[bad[0]]:g}",
+            needed=f"{lower:g} to {upper:g}",
+            hint="remove bounds: an absorption that is given is fixed",
+        )
+
+
+def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:
+    array = np.atleast_1d(np.array(values, dtype=np.float64))
+    if array.size == 1:
+        return np.full(n, array[0])
+    if array.size != n:
+        raise InputError(
+            "a list has not one value per fitted band",
+            where=where,
+            found=f"{array.size} values",
+            needed=f"{n} values, or a single number for all bands",
+        )
+    return array

@@ -5,11 +5,13 @@ The scattering coefficient of walls: what a trace must know, apart from absorpti
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import float_array, unique_names
+from roomfit._checks import float_array, nearest, unique_names
+from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -151,6 +153,75 @@ def unknown_material(name: str, n_bands: int) -> MaterialPrior:
     """Return what is known of a material nobody told anything about: the broad prior."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
     return MaterialPrior(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+
+
+def complete_priors(
+    materials: Sequence[str], priors: Sequence[MaterialPrior], bands: Bands
+) -> tuple[MaterialPrior, ...]:
+    """Return a prior for each material of a room, in their order: by default the broad one.
+
+    Parameters
+    ----------
+    materials : sequence of str
+        Of the room.
+    priors : sequence of MaterialPrior
+        In any order, in these bands.
+
+    Raises
+    ------
+    InputError
+        A prior of a material that the room does not have, two of one material, priors of another
+        number of bands, or a tie to a material that is tied itself or not there.
+    """
+    by_name = {k.name: k for k in priors}
+    if len(by_name) != len(priors):
+        names = [k.name for k in priors]
+        twice = next(n for n in names if names.count(n) > 1)
+        raise InputError("two priors of one material", found=repr(twice), needed="one each")
+    for k in priors:
+        if k.name not in materials:
+            guess = nearest(k.name, materials)
+            raise InputError(
+                "a prior of a material that the room does not have",
+                where=f"materials.{k.name}",
+                needed=f"one of {', '.join(materials)}",
+                hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
+            )
+        if k.prior_logit_mean.size != len(bands):
+            raise InputError(
+                "a prior has not one value per band",
+                where=f"materials.{k.name}",
+                found=f"{k.prior_logit_mean.size} values",
+                needed=f"{len(bands)}, of the bands that are fitted",
+            )
+    found = tuple(by_name.get(m, unknown_material(m, len(bands))) for m in materials)
+    _check_ties(found)
+    return found
+
+
+def _check_ties(found: tuple[MaterialPrior, ...]) -> None:
+    tied_to = {k.name: k.tied_to for k in found}
+    for name, leader in tied_to.items():
+        if leader is None:
+            continue
+        where = f"materials.{name}.same_absorption_as"
+        if leader not in tied_to:
+            guess = nearest(leader, tuple(tied_to))
+            raise InputError(
+                "a material is tied to one that the room does not have",
+                where=where,
+                found=repr(leader),
+                needed=f"one of {', '.join(tied_to)}",
+                hint=f"did you mean {guess!r}?" if guess else None,
+            )
+        if tied_to[leader] is not None:
+            raise InputError(
+                "a material is tied to one that is tied itself",
+                where=where,
+                found=f"{leader!r}, tied to {tied_to[leader]!r}",
+                needed="a material with an absorption of its own",
+                hint=f"write same_absorption_as = {tied_to[leader]!r}",
+            )
 
 
 def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:

@@ -432,8 +432,8 @@ def campaign_geometry(
         if source not in latency:
             latency[source] = len(labels)
             labels.append(f"latency {scene.sources[source].name}")
-            assumed = LATENCY_SD_S[m.file.response.time_zero]
-            sd.append(assumed if m.file.latency_sd_s is None else m.file.latency_sd_s)
+            assumed = LATENCY_SD_S[m.measurement.time_zero]
+            sd.append(assumed if m.measurement.latency_sd_s is None else m.measurement.latency_sd_s)
     first_delay = len(labels)
     labels += [f"delay {k.name}" for k in priors]
     spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]

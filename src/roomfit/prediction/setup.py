@@ -425,7 +425,11 @@ def observed_pairs(
     for m in measured:
         # the level of a measurement is a question of its calibration: G is not read from responses
         values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
-        found.append(ObservedPair(m.file.source, m.file.receiver, m.file.use, values, m.curve))
+        found.append(
+            ObservedPair(
+                m.measurement.source, m.measurement.receiver, m.measurement.use, values, m.curve
+            )
+        )
     pairs = {(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs}
     for table in campaign.tables:
         tabulated, doubts = read_parameters(table.path, table.source, table.receiver)

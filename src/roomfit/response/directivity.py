@@ -14,7 +14,7 @@ axis of the loudspeaker.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numba
@@ -36,6 +36,7 @@ from roomfit.response.coherent import (
     window_products,
 )
 from roomfit.response.energy import EnergyRows, reweighed_rows, weigh
+from roomfit.scene import Point
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
@@ -461,3 +462,23 @@ def directivity_derivative(
             for slope in slopes
         ]
     )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownDirectivity:
+    """A first-order directivity that is to be fitted, with the prior of its vector b."""
+
+    mean: FloatArray | None = None  # shape (3,); None: unspecified
+    sd: float | None = None  # of each component of b; None: unspecified
+
+
+# By source; a source that is not among them is omnidirectional.
+Directivities = Mapping[str, Directivity | UnknownDirectivity]
+
+
+def known_directivities(
+    directivities: Directivities, sources: Sequence[Point]
+) -> tuple[Directivity | None, ...]:
+    """Return the directivity of every source; None is omnidirectional, or still to be fitted."""
+    found = [directivities.get(s.name) for s in sources]
+    return tuple(None if isinstance(d, UnknownDirectivity) else d for d in found)

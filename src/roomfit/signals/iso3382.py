@@ -10,7 +10,7 @@ from batch to batch of a trace, the scatter of the parameter.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -248,7 +248,9 @@ class MeasuredValues:
     receiver: str
     centres_hz: FloatArray
     values: Mapping[ValueName, FloatArray]
-    spread: Mapping[ValueName, FloatArray]
+    spread: Mapping[ValueName, FloatArray] = field(default_factory=dict)
+    use: Literal["fit", "validate"] = "fit"
+    findings: tuple[Finding, ...] = ()  # what reading the table raised
 
     def __post_init__(self) -> None:
         centres = float_array("band centres", self.centres_hz, (None,), low=1.0, unit="Hz")
@@ -358,7 +360,7 @@ def joined_values(
                 worst = (apart, name, float(first.centres_hz[band]))
         candidates = np.vstack((stated, half[None]))
         spread[name] = np.fmax.reduce(candidates, axis=0)
-    joined = MeasuredValues(first.source, first.receiver, first.centres_hz, values, spread)
+    joined = replace(first, values=values, spread=spread)
     apart, worst_name, centre_hz = worst
     if apart == 0.0:
         return joined, ()

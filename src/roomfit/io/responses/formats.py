@@ -36,8 +36,8 @@ from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, pick
-from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
 
 Variables = Mapping[str, FloatArray | str]  # what it is instead, where it is no real numbers

@@ -19,8 +19,8 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, pick
-from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
 
 _LARGEST_BYTES = 1 << 31
