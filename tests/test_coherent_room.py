@@ -8,14 +8,17 @@ import numpy as np
 import pytest
 
 from roomfit.findings import Code
-from roomfit.inversion.coherent import CoherentFit, fit_coherent
+from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.geometry_checks import delay_findings, position_consistency_findings
+from roomfit.inversion.measurements import observe
+from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import read_campaign
 from roomfit.io.materials import material_priors
-from roomfit.io.measurements import measure
+from roomfit.io.measurements import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
+from roomfit.measurement import Measurement
 from roomfit.response.binned import bin_paths
 from roomfit.scene import Scene
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
@@ -46,12 +49,22 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
         [(s, r) for s in range(len(campaign.sources)) for r in range(len(campaign.receivers))]
     )
     scene = Scene(room, campaign.sources, campaign.receivers, every, campaign.air)
-    measured, _ = measure(campaign, scene)
+    responses = [m for m in read_measurements(campaign) if isinstance(m, Measurement)]
+    measured, _ = observe(scene, responses, campaign.bands)
     paths = trace_images(scene, 1000, END_S, uniform_scattering(room.materials, 0.0))
+    binned = bin_paths(scene, campaign.bands, paths, END_S)
+    task = CoherentTask(
+        scene,
+        campaign.bands,
+        material_priors(campaign, room.materials),
+        measured,
+        np.full(2, 0.2),
+        CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
+        ((), ()),
+    )
+    still = np.zeros((len(room.materials), 2))
     return fit_coherent(
-        *(scene, campaign.bands, material_priors(campaign, room.materials), measured),
-        *(paths, bin_paths(scene, campaign.bands, paths, END_S), np.full(2, 0.2)),
-        options=CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
+        task, TracedPaths(paths, binned, END_S, None, still, True, np.inf, None, ())
     )
 
 

@@ -22,34 +22,38 @@ from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.bands import fit_bands
-from roomfit.inversion.coherent import CoherentFit, fit_coherent
+from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.directivity import (
     DirectivityScore,
     EnergyTask,
     FoundDirectivities,
     band_directivities,
-    campaign_directivity_parameters,
     directed_energies,
+    directivity_parameters,
     energy_problems,
     omnidirectional,
     score_sources,
     source_findings,
 )
 from roomfit.inversion.identify import identify
+from roomfit.inversion.measurements import Measurements, collect_measurements
+from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.materials import material_priors
-from roomfit.io.measurements import measure
+from roomfit.io.inputs import load_campaign
+from roomfit.io.materials import material_priors, source_directivities
+from roomfit.io.measurements import read_measurements
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.directivity import FittedDirectivity
+from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.prediction.setup import directed_as_found
 from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
 from roomfit.response.directivity import FirstOrderBands
 from roomfit.scene import Scene, material_areas_m2
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import (
     SyntheticBox,
     add_noise,
@@ -127,9 +131,20 @@ class Case:
         asked, scene = self.asked, self.scene
         return EnergyTask(
             *(scene, asked.bands, material_priors(asked, scene.room.materials)),
-            *(measure(asked, scene)[0], self.paths),
+            *(measured(asked, scene).responses, self.paths),
             *(bin_paths(scene, asked.bands, self.paths, END_S), np.full(len(asked.bands), 0.2)),
         )
+
+
+def measured(asked: Campaign, scene: Scene) -> Measurements:
+    """Return what the campaign measured on a scene."""
+    directivities = source_directivities(asked, asked.bands)
+    return collect_measurements(scene, read_measurements(asked), asked.bands, directivities)
+
+
+def unknown_directivities(asked: Campaign, scene: Scene) -> DirectivityParameters | None:
+    """Return the sources whose directivity the campaign leaves to the fit."""
+    return directivity_parameters(measured(asked, scene), asked.settings)
 
 
 def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
@@ -144,39 +159,39 @@ def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
 
 def coherent_answer(case: Case) -> tuple[CoherentFit, tuple[FoundDirectivities, ...]]:
     """Return what pressures and energies say of it."""
-    task, directivity_parameters = (
-        case.task,
-        campaign_directivity_parameters(case.asked, case.scene),
-    )
-    fit = fit_coherent(
-        *(task.scene, task.bands, task.priors, task.measured, task.paths, task.binned),
+    task, unknown = case.task, unknown_directivities(case.asked, case.scene)
+    coherent = CoherentTask(
+        task.scene,
+        task.bands,
+        task.priors,
+        task.measured,
         task.start,
-        options=CoherentOptions(end_s=END_S, late_end_s=END_S),
-        directivity_parameters=directivity_parameters,
-        tested_sources=omnidirectional(case.asked, case.scene)
-        if directivity_parameters is None
-        else None,
+        CoherentOptions(end_s=END_S, late_end_s=END_S),
+        ((),) * len(task.bands),
+        unknown,
+        omnidirectional(measured(case.asked, case.scene)) if unknown is None else None,
     )
-    return fit, band_directivities(directivity_parameters, fit.directed, fit.answers)
+    still = np.zeros((len(task.priors), len(task.bands)))
+    fit = fit_coherent(
+        coherent, TracedPaths(task.paths, task.binned, END_S, None, still, True, END_S, None, ())
+    )
+    return fit, band_directivities(unknown, fit.directed, fit.answers)
 
 
 def energy_answer(
     case: Case,
 ) -> tuple[tuple[BandAnswer, ...], tuple[FoundDirectivities, ...], tuple[Finding, ...]]:
     """Return what energies alone say of it."""
-    task, directivity_parameters = (
-        case.task,
-        campaign_directivity_parameters(case.asked, case.scene),
-    )
-    suspects = omnidirectional(case.asked, case.scene)
-    directivities = directed_energies(task, directivity_parameters)
+    task, unknown = case.task, unknown_directivities(case.asked, case.scene)
+    suspects = omnidirectional(measured(case.asked, case.scene))
+    directivities = directed_energies(task, unknown)
     doubts: dict[int, DirectivityScore] = {}
     answers = fit_bands(
         *(energy_problems(task, directivities), task.priors, material_areas_m2(task.scene.room)),
-        *("auto", 1, None),
+        *(Settings(), None),
         watch=None if suspects is None else score_sources(task, suspects, doubts),
     )
-    found = band_directivities(directivity_parameters, directivities, answers)
+    found = band_directivities(unknown, directivities, answers)
     return answers, found, source_findings(suspects, doubts)
 
 
@@ -290,25 +305,25 @@ def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
         case = case_of(tmp_path, specified, directional=False)
         path = campaign(tmp_path, specified, directional=False, more=more)
         with pytest.raises(InputError, match=words):
-            campaign_directivity_parameters(read_campaign(path), case.scene)
+            unknown_directivities(read_campaign(path), case.scene)
     nowhere = "directivity = {aim = [0, 0, 0], b = 0.5, b_sd = 0.1}"
     case = case_of(tmp_path, 'directivity = "omni"', directional=False)
     path = campaign(tmp_path, nowhere, directional=False)
     with pytest.raises(InputError, match="aims nowhere"):
-        campaign_directivity_parameters(read_campaign(path), case.scene)
+        unknown_directivities(read_campaign(path), case.scene)
 
 
 def test_a_known_source_is_not_fitted(tmp_path: Path) -> None:
     """Neither an omnidirectional one nor one that is told exactly; only the first is suspected."""
     case = case_of(tmp_path, "", directional=False)
-    assert campaign_directivity_parameters(case.asked, case.scene) is None
-    suspects = omnidirectional(case.asked, case.scene)
+    assert unknown_directivities(case.asked, case.scene) is None
+    suspects = omnidirectional(measured(case.asked, case.scene))
     assert suspects is not None
     assert suspects.sources == ("LS1",)
     exact = "directivity = {aim = [1, 0.5, 0], b = 0.5}"
     case = case_of(tmp_path, exact, directional=False)
-    assert campaign_directivity_parameters(case.asked, case.scene) is None
-    assert omnidirectional(case.asked, case.scene) is None
+    assert unknown_directivities(case.asked, case.scene) is None
+    assert omnidirectional(measured(case.asked, case.scene)) is None
 
 
 @pytest.mark.slow
@@ -345,7 +360,7 @@ def test_the_result_tells_b_and_predicts_with_it(tmp_path: Path) -> None:
     for name in answer.materials:
         text = text.replace(f"[materials.{name}]\nscattering = 0.0\n", "")
     asked.write_text(text + rest)
-    again = identify(read_campaign(asked))
+    again = identify(**load_campaign(asked))
     for one, other in zip(answer.pairs, again.pairs, strict=True):
         for name in ("EDT_s", "C80_dB", "D50_percent"):
             np.testing.assert_allclose(
