@@ -37,7 +37,8 @@ print(result)
 # which a sum of energies does not predict; then the model need not be better than the baseline.
 #
 # Open points are not identifiable: their intervals are wide, and the position of the point within
-# them has little meaning. The room's mean, weighted by area, is determined much better than any wall.
+# them has little meaning. The mean of the room, weighted by area, is determined much better than
+# any wall.
 
 octave = 4  # 1 kHz: the absorption of the plan begins at 63 Hz
 true = plan.absorption[[plan.materials.index(name) for name in result.materials], octave]
