@@ -54,25 +54,16 @@ _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolyhedronPlan:
-    """A room to be measured: what is true of it, and where people believe the equipment stands.
-
-    Attributes
-    ----------
-    cells : Cells
-    absorption : float array, shape (n_materials, 8)
-        In octaves from 63 to 8000 Hz.
-    sources_m, receivers_m : mapping of name to position
-    duration_s : float
-        Length of the files. The room rings on beyond it: they are cut, and do not end in noise.
-    pairs : tuple of pairs of names
-        Source and receiver of every measurement; empty for every source with every receiver.
-    """
+    """A room to be measured: what is true of it, and where people believe the equipment stands."""
 
     cells: Cells
-    absorption: FloatArray
-    sources_m: dict[str, _Place]
-    receivers_m: dict[str, _Place]
+    absorption: FloatArray  # (n_materials, 8): in octaves from 63 to 8000 Hz
+    sources_m: dict[str, _Place]  # mapping of name to position
+    receivers_m: dict[str, _Place]  # mapping of name to position
+    # Length of the files. The room rings on beyond it: they are cut, and do not end in noise.
     duration_s: float
+    # tuple of pairs of names: source and receiver of every measurement; empty for every source with
+    # every receiver
     pairs: tuple[tuple[str, str], ...] = ()
 
 
@@ -113,22 +104,12 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPolyhedron:
-    """A simulated campaign and the truth behind it.
+    """A simulated campaign and the truth behind it."""
 
-    Attributes
-    ----------
-    campaign : Path
-        The campaign file; room.obj and its WAV files lie beside it.
-    materials : tuple of str
-    centres_hz : float array, shape (n_bands,)
-        Octaves that the truth covers, 63 to 8000 Hz.
-    absorption : float array, shape (n_materials, n_bands)
-    """
-
-    campaign: Path
+    campaign: Path  # The campaign file; room.obj and its WAV files lie beside it
     materials: tuple[str, ...]
-    centres_hz: FloatArray
-    absorption: FloatArray
+    centres_hz: FloatArray  # (n_bands,): octaves that the truth covers, 63 to 8000 Hz
+    absorption: FloatArray  # (n_materials, n_bands)
 
 
 def write_measured_polyhedron(

@@ -23,24 +23,13 @@ _LOWEST_HZ = 50.0  # where the tables of ISO 9613-1 begin
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """State of the air.
+    """State of the air."""
 
-    Attributes
-    ----------
-    temperature_c : float
-        -20 to 50 degrees Celsius (the range in which ISO 9613-1 claims 10 %).
-    humidity_percent : float
-        Relative humidity, 0 to 100 %.
-    pressure_kpa : float
-        Atmospheric pressure, 50 to 120 kPa.
-    speed_of_sound_m_s : float or None
-        Overrides the speed from temperature where given, 250 to 450 m/s.
-    attenuation : {"iso9613", "none"}
-    """
-
+    #: -20 to 50 degrees Celsius (the range in which ISO 9613-1 claims 10 %)
     temperature_c: float = 20.0
-    humidity_percent: float = 50.0
-    pressure_kpa: float = 101.325
+    humidity_percent: float = 50.0  #: Relative humidity, 0 to 100 %
+    pressure_kpa: float = 101.325  #: Atmospheric pressure, 50 to 120 kPa
+    #: Overrides the speed from temperature where given, 250 to 450 m/s
     speed_of_sound_m_s: float | None = None
     attenuation: AttenuationLaw = "iso9613"
 

@@ -25,16 +25,10 @@ _STEPS_PER_OCTAVE = {"octave": 1, "third-octave": 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bands:
-    """Frequency bands, low to high.
-
-    Attributes
-    ----------
-    kind : {"octave", "third-octave"}
-    centres_hz : float array, shape (n_bands,)
-        Nominal centre frequencies (125, 250, ...), strictly rising.
-    """
+    """Frequency bands, low to high."""
 
     kind: BandKind
+    #: (n_bands,): nominal centre frequencies (125, 250, ...), strictly rising
     centres_hz: FloatArray
 
     def __post_init__(self) -> None:

@@ -41,23 +41,15 @@ class Room:
 
     A material is a set of faces that share one absorption. What that absorption is, a room does
     not know.
-
-    Attributes
-    ----------
-    mesh : Mesh
-    materials : tuple of str
-        In the order of every array with a material axis.
-    surface_material : int32 array, shape (n_surfaces,)
-        Index into `materials` for each of `mesh.surfaces`.
-    shoebox_m : tuple of three floats or None
-        Lengths in x, y, z where the room is a box with one corner at the origin, so that image
-        sources can use the lattice; `mesh.surfaces` are then west (x = 0), east, south (y = 0),
-        north, floor and ceiling, in that order.
     """
 
     mesh: Mesh
-    materials: tuple[str, ...]
+    materials: tuple[str, ...]  #: In the order of every array with a material axis
+    #: int32 (n_surfaces,): index into `materials` for each of `mesh.surfaces`
     surface_material: IntArray
+    #: Lengths in x, y, z where the room is a box with one corner at the origin, so that image
+    #: sources can use the lattice; `mesh.surfaces` are then west (x = 0), east, south (y = 0),
+    #: north, floor and ceiling, in that order
     shoebox_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
@@ -201,38 +193,20 @@ def _check_keys(surfaces: Iterable[Surface], materials: Mapping[str, str]) -> No
 
 @dataclass(frozen=True, slots=True)
 class RoomCheck:
-    """What a room is like.
+    """What a room is like."""
 
-    Attributes
-    ----------
-    volume_m3 : float
-        Approximate where the mesh is not closed.
-    surface_m2 : float
-        Area that sound can strike; both sides of a sheet in the air count.
-    mean_free_path_m : float
-        4 V / S.
-    size_m : tuple of three floats
-        Of the box along x, y and z that just holds the room.
-    n_triangles, n_surfaces : int
-    closed : bool
-    leak : float or None
-        Rays lost per hit of a wall; None where no point inside was found.
-    material_areas_m2 : tuple of (str or None, float)
-        Largest first; None stands for surfaces without a material.
-    findings : tuple of Finding
-        Repairs, doubts and faults; the latter are the serious ones.
-    """
-
-    volume_m3: float
-    surface_m2: float
-    mean_free_path_m: float
+    volume_m3: float  # Approximate where the mesh is not closed
+    surface_m2: float  # Area that sound can strike; both sides of a sheet in the air count
+    mean_free_path_m: float  # 4 V / S
+    # tuple of three floats: of the box along x, y and z that just holds the room
     size_m: tuple[float, float, float]
     n_triangles: int
     n_surfaces: int
     closed: bool
-    leak: float | None
+    leak: float | None  # Rays lost per hit of a wall; None where no point inside was found
+    # tuple of (str or None, float): largest first; None stands for surfaces without a material
     material_areas_m2: tuple[tuple[str | None, float], ...]
-    findings: tuple[Finding, ...]
+    findings: tuple[Finding, ...]  # Repairs, doubts and faults; the latter are the serious ones
 
     @property
     def traceable(self) -> bool:
@@ -278,18 +252,11 @@ def check_mesh(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """A named position of a source or a receiver.
-
-    Attributes
-    ----------
-    name : str
-    position_m : float array, shape (3,)
-    position_sd_m : float or None
-        Standard deviation of each coordinate as told; None where nothing was told.
-    """
+    """A named position of a source or a receiver."""
 
     name: str
-    position_m: FloatArray
+    position_m: FloatArray  #: (3,)
+    #: Standard deviation of each coordinate as told; None where nothing was told
     position_sd_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -301,21 +268,13 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Everything that directs the sound, and nothing that absorbs it at walls.
-
-    Attributes
-    ----------
-    room : Room
-    sources, receivers : tuple of Point
-        Sources are omnidirectional with unit sound power.
-    pairs : int32 array, shape (n_pairs, 2)
-        Index of source and of receiver of each pair whose response is wanted.
-    air : Air
-    """
+    """Everything that directs the sound, and nothing that absorbs it at walls."""
 
     room: Room
+    #: Sources are omnidirectional with unit sound power
     sources: tuple[Point, ...]
     receivers: tuple[Point, ...]
+    #: int32 (n_pairs, 2): index of source and of receiver of each pair whose response is wanted
     pairs: IntArray
     air: Air
 

@@ -44,22 +44,13 @@ _ON_WALL_M = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leak:
-    """What became of test rays that were followed inside a room.
+    """What became of test rays that were followed inside a room."""
 
-    Attributes
-    ----------
-    n_hits, n_escapes : int
-        How often a wall was hit, and how many rays met none.
-    last_m : float array, shape (n_escapes, 3)
-        Where each lost ray started its last flight.
-    directions : float array, shape (n_escapes, 3)
-        In which direction.
-    """
-
+    # How often a wall was hit, and how many rays met none
     n_hits: int
     n_escapes: int
-    last_m: FloatArray
-    directions: FloatArray
+    last_m: FloatArray  # (n_escapes, 3): where each lost ray started its last flight
+    directions: FloatArray  # (n_escapes, 3): in which direction
 
     @property
     def fraction(self) -> float:
@@ -140,26 +131,15 @@ _BOUNCES = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination:
-    """What a mesh is like.
+    """What a mesh is like."""
 
-    Attributes
-    ----------
-    volume_m3, surface_m2, mean_free_path_m : float
-        Of the air; the volume is approximate where the mesh is not closed.
-    closed : bool
-        Every edge is matched by one that runs the other way.
-    leak : float or None
-        Escapes per hit of test rays; None where no point inside was found.
-    findings : tuple of Finding
-        Faults are serious ones.
-    """
-
+    # Of the air; the volume is approximate where the mesh is not closed
     volume_m3: float
     surface_m2: float
     mean_free_path_m: float
-    closed: bool
-    leak: float | None
-    findings: tuple[Finding, ...]
+    closed: bool  # Every edge is matched by one that runs the other way
+    leak: float | None  # Escapes per hit of test rays; None where no point inside was found
+    findings: tuple[Finding, ...]  # Faults are serious ones
 
 
 def examine(mesh: Mesh, seed: int = 1) -> Examination:

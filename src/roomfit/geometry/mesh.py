@@ -92,44 +92,26 @@ def place(point_m: FloatArray) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The faces of a file that share a name, a group and a material.
+    """The faces of a file that share a name, a group and a material."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the surface, object or plane in the file; "west", "floor", ... for a shoebox.
-    group : str or None
-        Group in the file, where it has groups.
-    file_material : str or None
-        Material that the file gives.
-    double_sided : bool
-        A sheet that stands in the air and reflects on both sides, such as a curtain. It does not
-        enclose anything, so it is left out of volume and closure checks; its area counts twice.
-    """
-
+    # Name of the surface, object or plane in the file; "west", "floor", ... for a shoebox.
     name: str
-    group: str | None = None
-    file_material: str | None = None
+    group: str | None = None  # Group in the file, where it has groups
+    file_material: str | None = None  # Material that the file gives
+    # A sheet that stands in the air and reflects on both sides, such as a curtain. It does not
+    # enclose anything, so it is left out of volume and closure checks; its area counts twice.
     double_sided: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles in metres, z up, normals pointing out of the air (so a room has volume > 0).
+    """Triangles in metres, z up, normals pointing out of the air (so a room has volume > 0)."""
 
-    Attributes
-    ----------
-    vertices_m : float array, shape (n_vertices, 3)
-    triangles : int32 array, shape (n_triangles, 3)
-        Indices of the corners, counter-clockwise when looked at from outside the room.
-    triangle_surface : int32 array, shape (n_triangles,)
-        Index into `surfaces`.
-    surfaces : tuple of Surface
-    """
-
-    vertices_m: FloatArray
+    vertices_m: FloatArray  # (n_vertices, 3)
+    # int32 (n_triangles, 3): indices of the corners, counter-clockwise when looked at from outside
+    # the room
     triangles: IntArray
-    triangle_surface: IntArray
+    triangle_surface: IntArray  # int32 (n_triangles,): index into `surfaces`
     surfaces: tuple[Surface, ...]
 
     def __post_init__(self) -> None:
@@ -210,23 +192,14 @@ _NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """The triangles of one polygon.
+    """The triangles of one polygon."""
 
-    Attributes
-    ----------
-    triangles : int array, shape (n_triangles, 3)
-        Indices into the polygon's corners, turning as the polygon does. Empty where it has no area.
-    area_m2 : float
-        Area of the polygon seen along its normal.
-    off_plane_m : float
-        Largest distance of a corner from the best plane.
-    crosses_itself : bool
-        The triangles do not cover the polygon's area: its outline is no simple one.
-    """
-
+    # (n_triangles, 3): indices into the polygon's corners, turning as the polygon does. Empty where
+    # it has no area.
     triangles: IntArray
-    area_m2: float
-    off_plane_m: float
+    area_m2: float  # Area of the polygon seen along its normal
+    off_plane_m: float  # Largest distance of a corner from the best plane
+    # The triangles do not cover the polygon's area: its outline is no simple one
     crosses_itself: bool
 
 
@@ -361,19 +334,11 @@ class Edges:
     """Directed edges of the enclosing triangles (sheets in the air are left out).
 
     An edge on which corners of others stand is split there, so that edges match piece by piece.
-
-    Attributes
-    ----------
-    ends : int array, shape (n_edges, 2)
-        Corner from which and to which each edge runs.
-    triangle : int array, shape (n_edges,)
-        Triangle whose border it is.
-    line : int array, shape (n_edges,)
-        Equal for edges between the same two corners, in whichever direction.
     """
 
-    ends: IntArray
-    triangle: IntArray
+    ends: IntArray  # (n_edges, 2): corner from which and to which each edge runs
+    triangle: IntArray  # (n_edges,): triangle whose border it is
+    # (n_edges,): equal for edges between the same two corners, in whichever direction
     line: IntArray
 
 

@@ -20,20 +20,15 @@ _BINS_PER_TIME = 400.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BinnedPaths:
-    """Paths of every pair of the scene in fine time bins.
+    """Paths of every pair of the scene in fine time bins."""
 
-    Attributes
-    ----------
-    edges_s : float array, shape (n_bins + 1,)
-        Uniform, beginning before emission, since a zero-phase filter rings before a sound.
-    rows : tuple of EnergyRows, one a pair
-    by_band : mapping of centre in Hz to tuple of EnergyRows
-        Rows of the bands in which the paths weigh otherwise, because walls scatter or a source
-        radiates otherwise there; the same paths in the same bins.
-    """
-
+    # (n_bins + 1,): uniform, beginning before emission, since a zero-phase filter rings before a
+    # sound
     edges_s: FloatArray
-    rows: tuple[EnergyRows, ...]
+    rows: tuple[EnergyRows, ...]  # tuple of EnergyRows, one a pair
+    # mapping of centre in Hz to tuple of EnergyRows: rows of the bands in which the paths weigh
+    # otherwise, because walls scatter or a source radiates otherwise there; the same paths in the
+    # same bins
     by_band: Mapping[float, tuple[EnergyRows, ...]] = field(default_factory=dict)
 
 

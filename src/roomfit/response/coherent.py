@@ -238,94 +238,56 @@ _BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePaths:
-    """Image paths of several observations of one band, one observation after the other.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    offsets : int64 array, shape (n_observations + 1,)
-    weight : float array, shape (n_paths,)
-        Energy of each path if no wall absorbed: spreading, scattering and air.
-    hits : uint16 array, shape (n_paths, n_materials)
-    image_to_receiver_m : float array, shape (n_paths, 3)
-        From the image to the receiver.
-    image_transform : float array, shape (n_paths, 9)
-        The orthogonal matrix A of each path, row by row: a source that moves by x moves its image
-        by A x.
-    coherence : float array, shape (n_paths,)
-        gamma, 0 to 1.
-    sign : float array, shape (n_paths,), or None
-        -1 where the source sends with the opposite sign, else 1; None where it nowhere does.
-    """
+    """Image paths of several observations of one band, one observation after the other."""
 
     materials: tuple[str, ...]
-    offsets: IntArray
+    offsets: IntArray  # int64 (n_observations + 1,)
+    # (n_paths,): energy of each path if no wall absorbed: spreading, scattering and air
     weight: FloatArray
-    hits: IntArray
-    image_to_receiver_m: FloatArray
+    hits: IntArray  # uint16 (n_paths, n_materials)
+    image_to_receiver_m: FloatArray  # (n_paths, 3): from the image to the receiver
+    # (n_paths, 9): the orthogonal matrix A of each path, row by row: a source that moves by x moves
+    # its image by A x
     image_transform: FloatArray
-    coherence: FloatArray
+    coherence: FloatArray  # (n_paths,): gamma, 0 to 1
+    # (n_paths,), or None: -1 where the source sends with the opposite sign, else 1; None where it
+    # nowhere does
     sign: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Times:
-    """What sets the arrival times beside the told geometry.
+    """What sets the arrival times beside the told geometry."""
 
-    Attributes
-    ----------
-    shifts_m : float array, shape (n_observations, 6)
-        Displacement of source and receiver.
-    speed_m_s : float
-    latency_s : float array, shape (n_observations,)
-    delays_s : float array, shape (n_materials,)
-        Delay that each reflection adds.
-    """
-
-    shifts_m: FloatArray
+    shifts_m: FloatArray  # (n_observations, 6): displacement of source and receiver
     speed_m_s: float
-    latency_s: FloatArray
-    delays_s: FloatArray
+    latency_s: FloatArray  # (n_observations,)
+    delays_s: FloatArray  # (n_materials,): delay that each reflection adds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandGrid:
-    """The grid of times on which the pressures of one band are added.
-
-    Attributes
-    ----------
-    first_s, rate_hz : float
-    n : int
-    filter, slope : complex arrays, shape (n // 2 + 1,)
-        Transfer function from spikes to filtered pressure and to minus its time derivative.
-    table : float array
-        The spreading kernel.
-    """
+    """The grid of times on which the pressures of one band are added."""
 
     first_s: float
     rate_hz: float
     n: int
+    # (n // 2 + 1,): transfer function from spikes to filtered pressure and to minus its time
+    # derivative
     filter: FloatArray
     slope: FloatArray
-    table: FloatArray
+    table: FloatArray  # float array: the spreading kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentResponse:
-    """Energies of the coherent pressure, windows of all observations end to end.
+    """Energies of the coherent pressure, windows of all observations end to end."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_windows,)
-        Integral of y^2, in the unit of path energies.
-    by_log_reflected : float array, shape (n_windows, n_materials)
-        Derivative by ln(1 - alpha) of each material.
-    by_times : float array, shape (n_windows, 8 + n_materials)
-        Derivative by source (3), receiver (3), ln c, latency and delays of the own observation.
-    """
-
-    energy: FloatArray
+    energy: FloatArray  # (n_windows,): integral of y^2, in the unit of path energies
+    # (n_windows, n_materials): derivative by ln(1 - alpha) of each material
     by_log_reflected: FloatArray
+    # (n_windows, 8 + n_materials): derivative by source (3), receiver (3), ln c, latency and delays
+    # of the own observation
     by_times: FloatArray
 
 

@@ -171,20 +171,13 @@ _NEIGHBOURS = 16
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredDirectivity:
-    """Energy that a loudspeaker was measured to send into each direction, of unit sound power.
+    """Energy that a loudspeaker was measured to send into each direction, of unit sound power."""
 
-    Attributes
-    ----------
-    centres_hz : float array, shape (n_bands,)
-    factor : float array, shape (n_bands, n_polar, n_azimuth)
-        On polar angles from 0 (the axis that the loudspeaker faces) to pi and azimuths from 0
-        (left, from up across the axis) to 2 pi, both ends included.
-    axes : float array, shape (3, 3)
-        Rows: where the loudspeaker's axis, its left and its top point in the room.
-    """
-
-    centres_hz: FloatArray
+    centres_hz: FloatArray  # (n_bands,)
+    # (n_bands, n_polar, n_azimuth): on polar angles from 0 (the axis that the loudspeaker faces) to
+    # pi and azimuths from 0 (left, from up across the axis) to 2 pi, both ends included
     factor: FloatArray
+    # (3, 3): rows: where the loudspeaker's axis, its left and its top point in the room
     axes: FloatArray
 
     def __post_init__(self) -> None:
@@ -306,15 +299,10 @@ def _grid() -> tuple[FloatArray, FloatArray, FloatArray]:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstOrder:
-    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power.
+    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power."""
 
-    Attributes
-    ----------
-    b : float array, shape (3,)
-        Along the axis; length 0 is omnidirectional, 1 a cardioid, far above 1 a figure of eight.
-        Aim and order in one: three unknowns without bounds and without angles.
-    """
-
+    # (3,): along the axis; length 0 is omnidirectional, 1 a cardioid, far above 1 a figure of
+    # eight. Aim and order in one: three unknowns without bounds and without angles.
     b: FloatArray
 
     def __post_init__(self) -> None:
@@ -324,14 +312,9 @@ class FirstOrder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstOrderBands:
-    """A first-order source with a vector b of its own in every band, as a fit finds it.
+    """A first-order source with a vector b of its own in every band, as a fit finds it."""
 
-    Attributes
-    ----------
-    b : float array, shape (n_bands, 3)
-    """
-
-    b: FloatArray
+    b: FloatArray  # (n_bands, 3)
 
     def __post_init__(self) -> None:
         b = float_array("first-order directivity", self.b, (None, 3), low=-1e3, high=1e3)

@@ -31,38 +31,22 @@ class EnergyRows:
     """Paths of one pair as rows ``weight * exp(-m length) * product of (1 - a) ** hits``.
 
     The energy of a window is the sum of its rows. Arrays are kept as given and set read-only.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    n_windows : int
-    offsets : int64 array, shape (n_windows + 1,)
-        Window w owns the rows ``offsets[w]:offsets[w + 1]``.
-    weight_per_m2 : float array, shape (n_rows,)
-    hits : uint16 array, shape (n_rows, n_materials)
-        Specular and diffuse hits together.
-    length_m : float array, shape (n_rows,)
-    batch : int32 array, shape (n_rows,)
-        Independent Monte-Carlo batch; -1 for image paths, which are exact.
-    n_batches : int
-        Batches of the trace, rows or not; 0 where there were no rays.
-    path : int32 array, shape (n_rows,), or None
-        Which path of the trace each row is, for weights that depend on more than hits and length:
-        see `reweighed_rows`. None where rows are no single paths.
-    max_hits : int
-        Largest entry of `hits`, worked out once.
     """
 
     materials: tuple[str, ...]
     n_windows: int
+    # int64 (n_windows + 1,): window w owns the rows ``offsets[w]:offsets[w + 1]``
     offsets: IntArray
-    weight_per_m2: FloatArray
-    hits: IntArray
-    length_m: FloatArray
+    weight_per_m2: FloatArray  # (n_rows,)
+    hits: IntArray  # uint16 (n_rows, n_materials): specular and diffuse hits together
+    length_m: FloatArray  # (n_rows,)
+    # int32 (n_rows,): independent Monte-Carlo batch; -1 for image paths, which are exact
     batch: IntArray
-    n_batches: int = 0
+    n_batches: int = 0  # Batches of the trace, rows or not; 0 where there were no rays
+    # int32 (n_rows,), or None: which path of the trace each row is, for weights that depend on more
+    # than hits and length: see `reweighed_rows`. None where rows are no single paths.
     path: IntArray | None = None
-    max_hits: int = field(init=False)
+    max_hits: int = field(init=False)  # Largest entry of `hits`, worked out once
 
     def __post_init__(self) -> None:
         n, m = len(self.weight_per_m2), len(self.materials)
@@ -499,17 +483,13 @@ _ROWS_WORTH_THREADS = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnergyResponse:
-    """Energy of every band and window of one pair.
+    """Energy of every band and window of one pair."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_bands, n_windows)
-        1/m2 for a source of unit power: the direct sound at r metres is ``1 / (4 pi r**2)``.
-    derivative : float array, shape (n_materials, n_bands, n_windows), or None
-        Derivative by the absorption of each material in the same band; never positive.
-    """
-
+    # (n_bands, n_windows): 1/m2 for a source of unit power: the direct sound at r metres is ``1 /
+    # (4 pi r**2)``
     energy: FloatArray
+    # (n_materials, n_bands, n_windows), or None: derivative by the absorption of each material in
+    # the same band; never positive
     derivative: FloatArray | None
 
 

@@ -121,17 +121,11 @@ def effective_sample_size(factors: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandRows:
-    """Energy rows weighed for the scattering of one band.
-
-    Attributes
-    ----------
-    rows : tuple of EnergyRows
-    effective_sample_fraction : float
-        Effective share of the sample where it is least; see `effective_sample_fraction`. Below
-        `LEAST_EFFECTIVE_FRACTION` trace again with coefficients near those that are wanted.
-    """
+    """Energy rows weighed for the scattering of one band."""
 
     rows: tuple[EnergyRows, ...]
+    # Effective share of the sample where it is least; see `effective_sample_fraction`. Below
+    # `LEAST_EFFECTIVE_FRACTION` trace again with coefficients near those that are wanted.
     effective_sample_fraction: float
 
 

@@ -30,34 +30,21 @@ _LEAD = 1.0 / 16.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecayCurve:
-    """Energy still to come at each time: Schroeder's backward integral.
-
-    Attributes
-    ----------
-    bands : Bands
-    time_s : float array, shape (n_times,)
-        Rising, after emission.
-    energy_left : float array, shape (n_bands, n_times)
-        Pressure squared times seconds, or the unit of the echogram. Noise is subtracted, and what
-        the decay would hold after `usable_end_s` is added. 0 after `usable_end_s`.
-    onset_s : float
-        Arrival of the direct sound; early and late are counted from here.
-    usable_end_s : float array, shape (n_bands,)
-    usable_db : float array, shape (n_bands,)
-        How far below its beginning the curve may be trusted, positive dB.
-    tail_time_constant_s : float array, shape (n_bands,)
-        In which the energy after `usable_end_s` is taken to fall to 1/e.
-    noise_reached : bool array, shape (n_bands,)
-        Whether noise, not the end of the file or of the prediction, sets the usable end.
-    """
+    """Energy still to come at each time: Schroeder's backward integral."""
 
     bands: Bands
-    time_s: FloatArray
+    time_s: FloatArray  # (n_times,): rising, after emission
+    # (n_bands, n_times): pressure squared times seconds, or the unit of the echogram. Noise is
+    # subtracted, and what the decay would hold after `usable_end_s` is added. 0 after
+    # `usable_end_s`.
     energy_left: FloatArray
-    onset_s: float
-    usable_end_s: FloatArray
+    onset_s: float  # Arrival of the direct sound; early and late are counted from here
+    usable_end_s: FloatArray  # (n_bands,)
+    # (n_bands,): how far below its beginning the curve may be trusted, positive dB
     usable_db: FloatArray
+    # (n_bands,): in which the energy after `usable_end_s` is taken to fall to 1/e
     tail_time_constant_s: FloatArray
+    # (n_bands,): whether noise, not the end of the file or of the prediction, sets the usable end
     noise_reached: BoolArray
 
 
@@ -343,26 +330,18 @@ _ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomParameters:
-    """Parameters of one source and receiver in every band.
-
-    Attributes
-    ----------
-    bands : Bands
-    values : float array, shape (7, n_bands)
-        In the order of `PARAMETER_NAMES`, in the units these names tell; nan where not valid.
-    valid : bool array, shape (7, n_bands)
-        Whether the decay range holds the parameter.
-    nonlinearity_permille : float array, shape (2, n_bands)
-        Of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not straight
-        (ISO 3382-2, annex B). nan where not valid.
-    curvature_percent : float array, shape (n_bands,)
-        100 (T30 / T20 - 1); above 10 the decay is far from straight, below 0 noise is suspect.
-    """
+    """Parameters of one source and receiver in every band."""
 
     bands: Bands
+    # (7, n_bands): in the order of `PARAMETER_NAMES`, in the units these names tell; nan where not
+    # valid
     values: FloatArray
-    valid: BoolArray
+    valid: BoolArray  # (7, n_bands): whether the decay range holds the parameter
+    # (2, n_bands): of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not
+    # straight (ISO 3382-2, annex B). nan where not valid.
     nonlinearity_permille: FloatArray
+    # (n_bands,): 100 (T30 / T20 - 1); above 10 the decay is far from straight, below 0 noise is
+    # suspect
     curvature_percent: FloatArray
 
     def of(self, name: ParameterName) -> FloatArray:

@@ -103,11 +103,6 @@ class FilterBank:
 
     A bank knows no sampling rate: the same object filters files of any rate and smears predictions.
 
-    Attributes
-    ----------
-    bands : Bands
-        Octaves or third octaves.
-
     Notes
     -----
     With u the distance of a frequency from the nearer band edge in band widths on a logarithmic
@@ -118,7 +113,7 @@ class FilterBank:
     with the second.
     """
 
-    bands: Bands
+    bands: Bands  # Octaves or third octaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,23 +121,15 @@ class SpreadingKernel:
     """How a filter bank spreads the energy of an impulse over time.
 
     All bands of a bank have the same shape, stretched by their centre frequency.
-
-    Attributes
-    ----------
-    centres_hz : float array, shape (n_bands,)
-        Exact centres.
-    periods : float array, shape (n_steps,)
-        Time from the impulse in periods of the centre frequency, uniform, symmetric about 0.
-    density : float array, shape (n_steps,)
-        Share of energy per period: the squared impulse response with unit integral.
-    cumulative : float array, shape (n_steps,)
-        Share of energy up to that time, from 0 to 1.
     """
 
-    centres_hz: FloatArray
+    centres_hz: FloatArray  # (n_bands,): exact centres
+    # (n_steps,): time from the impulse in periods of the centre frequency, uniform, symmetric about
+    # 0
     periods: FloatArray
+    # (n_steps,): share of energy per period: the squared impulse response with unit integral
     density: FloatArray
-    cumulative: FloatArray
+    cumulative: FloatArray  # (n_steps,): share of energy up to that time, from 0 to 1
 
 
 def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArray:

@@ -231,23 +231,15 @@ _DOUBT_PERCENT, _ERROR_PERCENT = 5.0, 20.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredValues:
-    """What was measured between one source and one receiver.
-
-    Attributes
-    ----------
-    source, receiver : str
-    centres_hz : float array, shape (n_bands,)
-        Nominal centres, rising.
-    values : mapping of value name to float array, shape (n_bands,)
-        In the units that the names of `VALUE_NAMES` tell; NaN where unknown.
-    spread : mapping of value name to float array, shape (n_bands,)
-        Stated standard deviation; NaN where none was stated. Of no other names than `values`.
-    """
+    """What was measured between one source and one receiver."""
 
     source: str
     receiver: str
-    centres_hz: FloatArray
+    centres_hz: FloatArray  #: (n_bands,): nominal centres, rising
+    #: (n_bands,): in the units that the names of `VALUE_NAMES` tell; NaN where unknown
     values: Mapping[ValueName, FloatArray]
+    #: (n_bands,): stated standard deviation; NaN where none was stated. Of no other names than
+    #: `values`.
     spread: Mapping[ValueName, FloatArray]
 
     def __post_init__(self) -> None:

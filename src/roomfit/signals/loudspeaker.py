@@ -31,17 +31,10 @@ _PADDING = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SourceMagnitude:
-    """Level of a source over frequency, about its own mean.
+    """Level of a source over frequency, about its own mean."""
 
-    Attributes
-    ----------
-    frequencies_hz : float array, shape (n,)
-        Rising.
-    level_db : float array, shape (n,)
-    """
-
-    frequencies_hz: FloatArray
-    level_db: FloatArray
+    frequencies_hz: FloatArray  # (n,): rising
+    level_db: FloatArray  # (n,)
 
     def __post_init__(self) -> None:
         f = float_array("frequencies", self.frequencies_hz, (None,), low=1.0, unit="Hz")

@@ -26,32 +26,22 @@ _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseEstimate:
-    """Noise and the decay just above it, one value a band.
+    """Noise and the decay just above it, one value a band."""
 
-    Attributes
-    ----------
-    floor : float array, shape (n_bands,)
-        Mean square pressure of the noise. Where the file ends before noise is reached, that of what
-        comes before the direct sound, or 0 where this is too short to tell.
-    reached : bool array, shape (n_bands,)
-        Whether the file runs on until the decay has drowned.
-    usable_end_s : float array, shape (n_bands,)
-        Time after emission where the decay meets the noise or the file ends. The onset itself
-        where no decay rises above the noise.
-    tail_energy : float array, shape (n_bands,)
-        What the decay would still hold after `usable_end_s`: pressure squared times seconds.
-    tail_time_constant_s : float array, shape (n_bands,)
-        Time in which the energy just above the noise falls to 1/e; T is 13.8 times as long. 0
-        where no decay rises above the noise.
-    peak_to_noise_db : float array, shape (n_bands,)
-        Level of the loudest block above the noise, or above the end of the file.
-    """
-
+    # (n_bands,): mean square pressure of the noise. Where the file ends before noise is reached,
+    # that of what comes before the direct sound, or 0 where this is too short to tell.
     floor: FloatArray
-    reached: BoolArray
+    reached: BoolArray  # (n_bands,): whether the file runs on until the decay has drowned
+    # (n_bands,): time after emission where the decay meets the noise or the file ends. The onset
+    # itself where no decay rises above the noise.
     usable_end_s: FloatArray
+    # (n_bands,): what the decay would still hold after `usable_end_s`: pressure squared times
+    # seconds
     tail_energy: FloatArray
+    # (n_bands,): time in which the energy just above the noise falls to 1/e; T is 13.8 times as
+    # long. 0 where no decay rises above the noise.
     tail_time_constant_s: FloatArray
+    # (n_bands,): level of the loudest block above the noise, or above the end of the file
     peak_to_noise_db: FloatArray
 
 

@@ -23,19 +23,11 @@ from roomfit.typing import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponse:
-    """Sound pressure over time after an impulse.
+    """Sound pressure over time after an impulse."""
 
-    Attributes
-    ----------
-    pressure : float array, shape (n_samples,)
-        Unit as recorded; absolute only where the campaign says so.
-    sampling_rate_hz : float
-    time_zero_s : float
-        Time of emission on the file's clock: sample 0 lies at ``-time_zero_s`` after emission.
-    """
-
-    pressure: FloatArray
+    pressure: FloatArray  # (n_samples,): unit as recorded; absolute only where the campaign says so
     sampling_rate_hz: float
+    # Time of emission on the file's clock: sample 0 lies at ``-time_zero_s`` after emission
     time_zero_s: float = 0.0
 
     def __post_init__(self) -> None:

@@ -46,29 +46,19 @@ _NOTHING = 1e-30  # of energy
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticBox:
-    """A box whose walls are known.
+    """A box whose walls are known."""
 
-    Attributes
-    ----------
-    lengths_m : tuple of three floats
-        In x, y, z; one corner at the origin.
-    centres_hz : float array, shape (n_bands,)
-        Centres of adjacent octaves or third octaves, rising; absorption holds at a centre and
-        changes smoothly in between.
-    absorption : float array, shape (6, n_bands)
-        Energy absorption of west, east, south, north, floor, ceiling.
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air.
-    speed_of_sound_m_s : float
-    delays_s : tuple of six floats
-        What each wall adds to the travel time at every reflection, in the order of absorption.
-    """
-
+    # tuple of three floats: in x, y, z; one corner at the origin
     lengths_m: tuple[float, float, float]
+    # (n_bands,): centres of adjacent octaves or third octaves, rising; absorption holds at a centre
+    # and changes smoothly in between
     centres_hz: FloatArray
+    # (6, n_bands): energy absorption of west, east, south, north, floor, ceiling
     absorption: FloatArray
-    attenuation_per_m: FloatArray
+    attenuation_per_m: FloatArray  # (n_bands,): energy attenuation of the air
     speed_of_sound_m_s: float
+    # tuple of six floats: what each wall adds to the travel time at every reflection, in the order
+    # of absorption
     delays_s: tuple[float, ...] = (0.0,) * 6
 
 
@@ -258,22 +248,14 @@ def _per_octave(centres_hz: FloatArray) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """A rectangle on a wall.
+    """A rectangle on a wall."""
 
-    Attributes
-    ----------
-    wall : str
-        west, east, south, north, floor or ceiling.
-    lower_m, upper_m : tuples of two floats
-        Opposite corners along the wall's two axes, in the order x, y, z without the wall's own.
-    absorption : float array, shape (n_bands,)
-        In the bands of the room's truth; 1 for an opening.
-    """
-
-    wall: str
+    wall: str  # west, east, south, north, floor or ceiling
+    # tuples of two floats: opposite corners along the wall's two axes, in the order x, y, z without
+    # the wall's own
     lower_m: tuple[float, float]
     upper_m: tuple[float, float]
-    absorption: FloatArray
+    absorption: FloatArray  # (n_bands,): in the bands of the room's truth; 1 for an opening
 
     def __post_init__(self) -> None:
         if self.wall not in WALLS:
@@ -369,24 +351,15 @@ _DURATION_S = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxPlan:
-    """A box to be measured: what is true of it, and where people believe the equipment stands.
+    """A box to be measured: what is true of it, and where people believe the equipment stands."""
 
-    Attributes
-    ----------
-    lengths_m : tuple of three floats
-    materials : tuple of six str
-        Of west, east, south, north, floor and ceiling.
-    absorption : float array, shape (6, 8)
-        In octaves from 63 to 8000 Hz: outside the fitted range, too, for a room does not end at
-        125 Hz.
-    sources_m, receivers_m : mapping of name to position
-    """
-
-    lengths_m: tuple[float, float, float]
-    materials: tuple[str, ...]
+    lengths_m: tuple[float, float, float]  # tuple of three floats
+    materials: tuple[str, ...]  # tuple of six str: of west, east, south, north, floor and ceiling
+    # (6, 8): in octaves from 63 to 8000 Hz: outside the fitted range, too, for a room does not end
+    # at 125 Hz
     absorption: FloatArray
-    sources_m: dict[str, tuple[float, float, float]]
-    receivers_m: dict[str, tuple[float, float, float]]
+    sources_m: dict[str, tuple[float, float, float]]  # mapping of name to position
+    receivers_m: dict[str, tuple[float, float, float]]  # mapping of name to position
 
 
 def demo_plan() -> BoxPlan:
@@ -439,22 +412,12 @@ def random_plan(rng: np.random.Generator) -> BoxPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredBox:
-    """A simulated campaign and the truth behind it.
+    """A simulated campaign and the truth behind it."""
 
-    Attributes
-    ----------
-    campaign : Path
-        The campaign file; its WAV files lie beside it.
-    materials : tuple of str
-    centres_hz : float array, shape (n_bands,)
-        Octaves that the truth covers, 63 to 8000 Hz.
-    absorption : float array, shape (n_materials, n_bands)
-    """
-
-    campaign: Path
+    campaign: Path  # The campaign file; its WAV files lie beside it
     materials: tuple[str, ...]
-    centres_hz: FloatArray
-    absorption: FloatArray
+    centres_hz: FloatArray  # (n_bands,): octaves that the truth covers, 63 to 8000 Hz
+    absorption: FloatArray  # (n_materials, n_bands)
 
 
 def write_measured_box(
@@ -560,15 +523,9 @@ _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffuseEchogram:
-    """Energy that arrives after at least one diffuse reflection.
+    """Energy that arrives after at least one diffuse reflection."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_receivers, n_bands, n_bins)
-        In each bin, 1/m2 for a source of unit power.
-    bin_s : float
-    """
-
+    # (n_receivers, n_bands, n_bins): in each bin, 1/m2 for a source of unit power
     energy: FloatArray
     bin_s: float
 

@@ -30,39 +30,20 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 
 class CellFace(NamedTuple):
-    """A convex polygon of a cell's surface.
-
-    Attributes
-    ----------
-    cell : int
-    corners : tuple of int
-        Counter-clockwise when looked at from outside the cell.
-    material : int
-        -1 for an opening.
-    beyond : int
-        The cell behind an opening, else -1.
-    """
+    """A convex polygon of a cell's surface."""
 
     cell: int
-    corners: tuple[int, ...]
-    material: int
-    beyond: int = -1
+    corners: tuple[int, ...]  # tuple of int: counter-clockwise when looked at from outside the cell
+    material: int  # -1 for an opening
+    beyond: int = -1  # The cell behind an opening, else -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """A room cut into convex cells; a convex room is one of them.
+    """A room cut into convex cells; a convex room is one of them."""
 
-    Attributes
-    ----------
-    vertices_m : float array, shape (n_vertices, 3)
-    faces : tuple of CellFace
-        In the order of their cells.
-    materials : tuple of str
-    """
-
-    vertices_m: FloatArray
-    faces: tuple[CellFace, ...]
+    vertices_m: FloatArray  # (n_vertices, 3)
+    faces: tuple[CellFace, ...]  # In the order of their cells
     materials: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -72,26 +53,15 @@ class Cells:
 
 
 class CellArrays(NamedTuple):
-    """The same as arrays, for compiled code.
+    """The same as arrays, for compiled code."""
 
-    Attributes
-    ----------
-    first_face : int64 array, shape (n_cells + 1,)
-    normal : float array, shape (n_faces, 3)
-        Unit normals out of the cell.
-    offset_m : float array, shape (n_faces,)
-    first_corner : int64 array, shape (n_faces + 1,)
-    corner_m : float array, shape (n_corners, 3)
-    material, beyond : int64 arrays, shape (n_faces,)
-    """
-
-    first_face: IntArray
-    normal: FloatArray
-    offset_m: FloatArray
-    first_corner: IntArray
-    corner_m: FloatArray
-    material: IntArray
-    beyond: IntArray
+    first_face: IntArray  # int64 (n_cells + 1,)
+    normal: FloatArray  # (n_faces, 3): unit normals out of the cell
+    offset_m: FloatArray  # (n_faces,)
+    first_corner: IntArray  # int64 (n_faces + 1,)
+    corner_m: FloatArray  # (n_corners, 3)
+    material: IntArray  # int64 (n_faces,)
+    beyond: IntArray  # int64 (n_faces,)
 
 
 def cell_arrays(cells: Cells) -> CellArrays:
@@ -509,27 +479,16 @@ def _balls(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticPolyhedron:
-    """A room whose walls are known.
-
-    Attributes
-    ----------
-    cells : Cells
-    centres_hz : float array, shape (n_bands,)
-        Octave centres, rising; absorption holds at a centre and changes smoothly in between.
-    absorption : float array, shape (n_materials, n_bands)
-        Energy absorption of each of `cells.materials`.
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air.
-    speed_of_sound_m_s : float
-    delays_s : tuple of float
-        What each material adds to the travel time at every reflection.
-    """
+    """A room whose walls are known."""
 
     cells: Cells
+    # (n_bands,): octave centres, rising; absorption holds at a centre and changes smoothly in
+    # between
     centres_hz: FloatArray
-    absorption: FloatArray
-    attenuation_per_m: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands): energy absorption of each of `cells.materials`
+    attenuation_per_m: FloatArray  # (n_bands,): energy attenuation of the air
     speed_of_sound_m_s: float
+    # tuple of float: what each material adds to the travel time at every reflection
     delays_s: tuple[float, ...]
 
 

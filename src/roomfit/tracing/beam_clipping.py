@@ -282,27 +282,17 @@ IN_THE_WAY = -1
 
 
 class Shadows(NamedTuple):
-    """The shadows that the blockers cast in the beam at hand, and room to work in.
+    """The shadows that the blockers cast in the beam at hand, and room to work in."""
 
-    Attributes
-    ----------
-    planes : float array, shape (n_blockers, ROWS + 1, 4)
-        Normals inwards, the blocker's own plane last.
-    n_planes : int64 array, shape (n_blockers,)
-        Planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it stands in it and
-        its shadow is too thin to be told.
-    pieces, next_pieces : float arrays, shape (FRAGMENTS + ROWS + 1, ROWS, 3)
-    corners, next_corners : int64 arrays, shape (FRAGMENTS + ROWS + 1,)
-    scratch : float array, shape (3, ROWS, 3)
-    """
-
-    planes: FloatArray
+    planes: FloatArray  # (n_blockers, ROWS + 1, 4): normals inwards, the blocker's own plane last
+    # int64 (n_blockers,): planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it
+    # stands in it and its shadow is too thin to be told
     n_planes: IntArray
-    pieces: FloatArray
-    next_pieces: FloatArray
-    corners: IntArray
-    next_corners: IntArray
-    scratch: FloatArray
+    pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
+    next_pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
+    corners: IntArray  # int64 (FRAGMENTS + ROWS + 1,)
+    next_corners: IntArray  # int64 (FRAGMENTS + ROWS + 1,)
+    scratch: FloatArray  # (3, ROWS, 3)
 
 
 @kernel()

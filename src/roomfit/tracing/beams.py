@@ -42,50 +42,25 @@ DONE, TOO_MUCH_WORK, TOO_MUCH_MEMORY = 0, 1, 2
 
 
 class Limits(NamedTuple):
-    """What ends the tree: its rules, and how much it may take.
-
-    Attributes
-    ----------
-    order : int
-    length_m : float
-    work : int
-        Walls held against beams.
-    n_hits : int
-        Hits and paths kept, together.
-    """
+    """What ends the tree: its rules, and how much it may take."""
 
     order: int
     length_m: float
-    work: int
-    n_hits: int
+    work: int  # Walls held against beams
+    n_hits: int  # Hits and paths kept, together
 
 
 class Found(NamedTuple):
-    """Visible images in the order in which they were found, one after the other.
+    """Visible images in the order in which they were found, one after the other."""
 
-    Attributes
-    ----------
-    receiver, order : int32 arrays, shape (n_images,)
-    position_m : float array, shape (n_images, 3)
-    matrix : float array, shape (n_images, 9)
-        Product of the reflections, see `roomfit.tracing.paths`.
-    triangle : int32 array, shape (n_hits,)
-        First hit first, path after path.
-    cosine : float array, shape (n_hits,)
-    ending : int
-        DONE, or what there was too much of.
-    work : int
-        How many walls were held against beams.
-    """
-
-    receiver: IntArray
-    order: IntArray
-    position_m: FloatArray
-    matrix: FloatArray
-    triangle: IntArray
-    cosine: FloatArray
-    ending: int
-    work: int
+    receiver: IntArray  # int32 (n_images,)
+    order: IntArray  # int32 (n_images,)
+    position_m: FloatArray  # (n_images, 3)
+    matrix: FloatArray  # (n_images, 9): product of the reflections, see `roomfit.tracing.paths`
+    triangle: IntArray  # int32 (n_hits,): first hit first, path after path
+    cosine: FloatArray  # (n_hits,)
+    ending: int  # DONE, or what there was too much of
+    work: int  # How many walls were held against beams
 
 
 @kernel()

@@ -205,23 +205,14 @@ _MAX_LEVEL = 32
 
 
 class BinaryTree(NamedTuple):
-    """Boxes cut in two again and again; node 0 holds everything.
+    """Boxes cut in two again and again; node 0 holds everything."""
 
-    Attributes
-    ----------
-    left : int64 array, shape (n_nodes,)
-        First child, the second stands next to it; -1 for a leaf.
-    first, n_facets : int64 arrays, shape (n_nodes,)
-        A node holds the facets ``order[first : first + n_facets]``.
-    box_m : float array, shape (n_nodes, 2, 3)
-    order : int64 array, shape (n_facets,)
-    """
-
-    left: IntArray
+    left: IntArray  # int64 (n_nodes,): first child, the second stands next to it; -1 for a leaf
+    # int64 (n_nodes,): A node holds the facets ``order[first : first + n_facets]``
     first: IntArray
     n_facets: IntArray
-    box_m: FloatArray
-    order: IntArray
+    box_m: FloatArray  # (n_nodes, 2, 3)
+    order: IntArray  # int64 (n_facets,)
 
 
 @kernel()
@@ -386,26 +377,19 @@ _LATER = 1.0 + 2e-7
 
 
 class Tree(NamedTuple):
-    """Facets and the boxes around them.
+    """Facets and the boxes around them."""
 
-    Attributes
-    ----------
-    table, normal, material
-        As in `Facets`, in the order of the leaves.
-    bounds : float32 array, flat
-        For each node the lowest x, y and z of its eight children and then the highest, about
-        `centre_m`.
-    child : int32 array, flat
-        Eight for each node: a node, or for a leaf ``-1 - 8 first_facet - n_facets``.
-    centre_m : float array, shape (3,)
-    """
-
+    # As in `Facets`, in the order of the leaves
     table: FloatArray
     normal: FloatArray
     material: IntArray
+    # float32 array, flat: for each node the lowest x, y and z of its eight children and then the
+    # highest, about `centre_m`
     bounds: np.ndarray[tuple[int], np.dtype[np.float32]]
+    # int32 array, flat: eight for each node: a node, or for a leaf ``-1 - 8 first_facet -
+    # n_facets``
     child: IntArray
-    centre_m: FloatArray
+    centre_m: FloatArray  # (3,)
 
 
 def tree_of(facets: Facets, box_m: FloatArray) -> Tree:

@@ -21,20 +21,12 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflections:
-    """The ordered wall hits of each path, as one long list.
+    """The ordered wall hits of each path, as one long list."""
 
-    Attributes
-    ----------
-    offsets : int64 array, shape (n_paths + 1,)
-        Path i owns the entries ``offsets[i]:offsets[i + 1]``, first hit first.
-    material : int32 array, shape (n_entries,)
-    cosine : float array, shape (n_entries,)
-        Cosine of the angle of incidence, 0 (grazing) to 1 (normal).
-    """
-
+    # int64 (n_paths + 1,): path i owns the entries ``offsets[i]:offsets[i + 1]``, first hit first
     offsets: IntArray
-    material: IntArray
-    cosine: FloatArray
+    material: IntArray  # int32 (n_entries,)
+    cosine: FloatArray  # (n_entries,): cosine of the angle of incidence, 0 (grazing) to 1 (normal)
 
     def __post_init__(self) -> None:
         offsets = int_array("offsets", self.offsets, (None,), np.int64, low=0)
@@ -55,33 +47,6 @@ class Paths:
     hits counts specular and diffuse ones together. Energies are absolute: the direct sound of a
     source of unit power is ``1 / (4 pi r**2)``.
 
-    Attributes
-    ----------
-    n_pairs : int
-        How many pairs the scene has; some may own no path.
-    materials : tuple of str
-    pair : int32 array, shape (n_paths,)
-    length_m : float array, shape (n_paths,)
-        Exact length; travel time is length over speed of sound. For a ray caught by a receiver
-        sphere: to the point of its track nearest to the centre.
-    weight_per_m2 : float array, shape (n_paths,)
-        Spreading and Monte-Carlo weight at the sampling scattering coefficient: for an image path
-        ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere volume)``.
-    hits_specular, hits_diffuse : uint16 arrays, shape (n_paths, n_materials)
-        Wall hits by kind, apart so that scattering can be re-weighed.
-    departure, arrival : float32 arrays, shape (n_paths, 3)
-        Unit vectors: away from the source, and the direction in which sound travels on arrival.
-    batch : int32 array, shape (n_paths,)
-        Independent Monte-Carlo batch, 0 to n_batches - 1; -1 for image paths, which are exact.
-    n_batches : int
-    sampling_scattering : float array, shape (n_materials,)
-        Scattering coefficient with which each material was traced.
-    reflections : Reflections or None
-        Ordered reflections with angles, for image paths on request; rays have none.
-    image_transform : float32 array, shape (n_paths, 3, 3), or None
-        Product A of a path's reflections (the last hit's leftmost), for image paths on request;
-        zeros for rays.
-
     Notes
     -----
     The image of a source at S stands at ``A S + b``. From the receiver it is seen along
@@ -91,19 +56,33 @@ class Paths:
     without A, departure and arrival do for that.
     """
 
-    n_pairs: int
+    n_pairs: int  #: How many pairs the scene has; some may own no path
     materials: tuple[str, ...]
-    pair: IntArray
+    pair: IntArray  #: int32 (n_paths,)
+    #: (n_paths,): exact length; travel time is length over speed of sound. For a ray caught by a
+    #: receiver sphere: to the point of its track nearest to the centre.
     length_m: FloatArray
+    #: (n_paths,): spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
+    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere
+    #: volume)``
     weight_per_m2: FloatArray
+    #: uint16 (n_paths, n_materials): wall hits by kind, apart so that scattering can be re-weighed
     hits_specular: IntArray
     hits_diffuse: IntArray
+    #: float32 (n_paths, 3): unit vectors: away from the source, and the direction in which sound
+    #: travels on arrival
     departure: np.ndarray[tuple[int, int], np.dtype[np.float32]]
     arrival: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    #: int32 (n_paths,): independent Monte-Carlo batch, 0 to n_batches - 1; -1 for image paths,
+    #: which are exact
     batch: IntArray
     n_batches: int
+    #: (n_materials,): scattering coefficient with which each material was traced
     sampling_scattering: FloatArray
+    #: Ordered reflections with angles, for image paths on request; rays have none
     reflections: Reflections | None = None
+    #: float32 (n_paths, 3, 3), or None: product A of a path's reflections (the last hit's
+    #: leftmost), for image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -252,30 +231,20 @@ def _joined_image_transforms(parts: Sequence[Paths]) -> NDArray[np.float32] | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSet:
-    """Exact specular paths from one source to one receiver, shortest first.
+    """Exact specular paths from one source to one receiver, shortest first."""
 
-    Attributes
-    ----------
-    length_m : float array, shape (n_paths,)
-    hits : uint16 array, shape (n_paths, n_materials)
-    departure, arrival : float arrays, shape (n_paths, 3)
-        Unit vectors: away from the source, and the direction in which sound travels on arrival.
-    reflections : Reflections or None
-        Every path's hits in order, where they were asked for.
-    image_transform : float array, shape (n_paths, 3, 3), or None
-        Product of the reflections, see `Paths`, where it was asked for.
-    normals : float array, shape (n_hits, 3), or None
-        Normal of the wall of each hit as the receiver sees it, mirrored by all later hits, in the
-        order of `reflections`: its product with `arrival` is the cosine of incidence, for moved
-        sources and receivers, too. Only of rooms that are no boxes.
-    """
-
-    length_m: FloatArray
-    hits: IntArray
+    length_m: FloatArray  # (n_paths,)
+    hits: IntArray  # uint16 (n_paths, n_materials)
+    # (n_paths, 3): unit vectors: away from the source, and the direction in which sound travels on
+    # arrival
     departure: FloatArray
     arrival: FloatArray
-    reflections: Reflections | None = None
+    reflections: Reflections | None = None  # Every path's hits in order, where they were asked for
+    # (n_paths, 3, 3), or None: product of the reflections, see `Paths`, where it was asked for
     image_transform: FloatArray | None = None
+    # (n_hits, 3), or None: normal of the wall of each hit as the receiver sees it, mirrored by all
+    # later hits, in the order of `reflections`: its product with `arrival` is the cosine of
+    # incidence, for moved sources and receivers, too. Only of rooms that are no boxes.
     normals: FloatArray | None = None
 
 
@@ -331,50 +300,28 @@ Estimator = Literal["spheres", "rain"]
 
 @dataclass(frozen=True, slots=True)
 class TraceSettings:
-    """Settings of one trace. What ends a ray is time or hits, never energy.
+    """Settings of one trace. What ends a ray is time or hits, never energy."""
 
-    Attributes
-    ----------
-    duration_s : float
-        Sound travels this long, counted from emission.
-    n_rays : int
-        Rays per source, all batches together; 0 leaves rays out.
-    image_order : int
-        Highest reflection order done by image sources; -1 leaves image sources out, so that even
-        the direct sound comes from rays.
-    image_until_s : float or None
-        Image sources end here, and rays bring all that is later; None for the whole duration.
-    receiver_radius_m : float
-        Radius of the spheres that catch rays.
-    max_hits : int
-        A ray ends after so many wall hits, at most 65535.
-    directions : {"sobol", "fibonacci"}
-        Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
-        batches (its batches are not independent: it is there for the paper, and for pictures).
-    n_batches : int
-        Independent parts whose spread measures the Monte-Carlo noise.
-    seed : int
-        Same seed, same paths, bit by bit, for any number of threads.
-    keep_image_transforms : bool
-        Image paths keep what moves their images with the source.
-    estimator : {"spheres", "rain"}
-        "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
-        spheres catch only what was last reflected specularly, or not at all. It costs half to all
-        of the tracing for the same Monte-Carlo error, the less the more walls scatter, but 1.1 to
-        1.6 times as many paths to weigh (`benchmarks/rays.py`).
-    """
-
-    duration_s: float
-    n_rays: int = 20_000
+    duration_s: float  #: Sound travels this long, counted from emission
+    n_rays: int = 20_000  #: Rays per source, all batches together; 0 leaves rays out
+    #: Highest reflection order done by image sources; -1 leaves image sources out, so that even the
+    #: direct sound comes from rays
     image_order: int = 2
-    receiver_radius_m: float = 0.5
-    max_hits: int = 65_535
+    receiver_radius_m: float = 0.5  #: Radius of the spheres that catch rays
+    max_hits: int = 65_535  #: A ray ends after so many wall hits, at most 65535
+    #: Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
+    #: batches (its batches are not independent: it is there for the paper, and for pictures)
     directions: Directions = "sobol"
-    n_batches: int = 16
-    seed: int = 1
+    n_batches: int = 16  #: Independent parts whose spread measures the Monte-Carlo noise
+    seed: int = 1  #: Same seed, same paths, bit by bit, for any number of threads
+    #: "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
+    #: spheres catch only what was last reflected specularly, or not at all. It costs half to all of
+    #: the tracing for the same Monte-Carlo error, the less the more walls scatter, but 1.1 to 1.6
+    #: times as many paths to weigh (`benchmarks/rays.py`).
     estimator: Estimator = "spheres"
+    #: Image sources end here, and rays bring all that is later; None for the whole duration
     image_until_s: float | None = None
-    keep_image_transforms: bool = False
+    keep_image_transforms: bool = False  #: Image paths keep what moves their images with the source
 
     def __post_init__(self) -> None:
         limits: tuple[tuple[str, float, float, float], ...] = (

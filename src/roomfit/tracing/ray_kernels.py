@@ -36,31 +36,20 @@ _MARGIN_M = 1e-6
 
 
 class Spheres(NamedTuple):
-    """The receivers of one source, and a grid of boxes around them.
+    """The receivers of one source, and a grid of boxes around them."""
 
-    Attributes
-    ----------
-    centre_m : float array, shape (n_spheres, 3)
-    radius_m : float array, shape (n_spheres,)
-    pair : int32 array, shape (n_spheres,)
-        Pair of the scene that each stands for.
-    low_m, cell_m : float arrays, shape (3,)
-        Lowest corner of the grid, and lengths of a cell.
-    cells : int64 array, shape (3,)
-        Number of cells along each axis; 1, 1, 1 where every sphere is tried in turn.
-    first : int64 array, shape (n_cells + 1,)
-        Cell c holds the spheres ``members[first[c]:first[c + 1]]``; z runs fastest.
-    members : int32 array
-    """
-
-    centre_m: FloatArray
-    radius_m: FloatArray
-    pair: IntArray
+    centre_m: FloatArray  # (n_spheres, 3)
+    radius_m: FloatArray  # (n_spheres,)
+    pair: IntArray  # int32 (n_spheres,): pair of the scene that each stands for
+    # (3,): lowest corner of the grid, and lengths of a cell
     low_m: FloatArray
     cell_m: FloatArray
+    # int64 (3,): number of cells along each axis; 1, 1, 1 where every sphere is tried in turn
     cells: IntArray
+    # int64 (n_cells + 1,): cell c holds the spheres ``members[first[c]:first[c + 1]]``; z runs
+    # fastest
     first: IntArray
-    members: IntArray
+    members: IntArray  # int32 array
 
 
 def spheres(centre_m: FloatArray, radius_m: FloatArray, pair: IntArray) -> Spheres:
@@ -232,76 +221,46 @@ _FOR_LOTS = np.uint64(0xD1B54A32D192ED03)
 
 
 class Job(NamedTuple):
-    """What all rays of one source have in common.
+    """What all rays of one source have in common."""
 
-    Attributes
-    ----------
-    start_m : float array, shape (3,)
-    scattering : float array, shape (n_materials,)
-    max_length_m : float
-        Nothing is recorded that arrives after more than this.
-    max_hits : int
-        A ray ends at the wall hit of this number.
-    seed, source : int
-    rain : bool
-        Whether diffuse reflections rain on the receivers, and spheres catch only what comes from
-        a specular reflection or straight from the source.
-    """
-
-    start_m: FloatArray
-    scattering: FloatArray
-    max_length_m: float
-    max_hits: int
+    start_m: FloatArray  # (3,)
+    scattering: FloatArray  # (n_materials,)
+    max_length_m: float  # Nothing is recorded that arrives after more than this
+    max_hits: int  # A ray ends at the wall hit of this number
     seed: int
     source: int
+    # Whether diffuse reflections rain on the receivers, and spheres catch only what comes from a
+    # specular reflection or straight from the source
     rain: bool = False
 
 
 class Caught(NamedTuple):
-    """Room for what each chunk of rays records; the first axis of every array is the chunk.
+    """Room for what each chunk of rays records; the first axis of every array is the chunk."""
 
-    Attributes
-    ----------
-    found : int64 array, shape (n_chunks,)
-        Crossings found, more than `capacity` where the rest did not fit.
-    sphere : int32 array, shape (n_chunks, capacity)
-    ray : int64 array, shape (n_chunks, capacity)
-    length_m, chord_m : float arrays, shape (n_chunks, capacity)
-        For rain, the chord that would bring as much.
-    hits_specular, hits_diffuse : uint16 arrays, shape (n_chunks, capacity, n_materials)
-    arrival : float32 array, shape (n_chunks, capacity, 3)
-    """
-
+    # int64 (n_chunks,): crossings found, more than `capacity` where the rest did not fit
     found: IntArray
-    sphere: IntArray
-    ray: IntArray
+    sphere: IntArray  # int32 (n_chunks, capacity)
+    ray: IntArray  # int64 (n_chunks, capacity)
+    # (n_chunks, capacity): for rain, the chord that would bring as much
     length_m: FloatArray
     chord_m: FloatArray
-    hits_specular: IntArray
-    hits_diffuse: IntArray
-    arrival: FloatArray
+    hits_specular: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    hits_diffuse: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    arrival: FloatArray  # float32 (n_chunks, capacity, 3)
 
 
 class Tally(NamedTuple):
-    """What each chunk counts beside its crossings; the first axis is the chunk.
+    """What each chunk counts beside its crossings; the first axis is the chunk."""
 
-    Attributes
-    ----------
-    hits, escapes, free_paths : int64 arrays, shape (n_chunks,)
-    sum_m, sum_m2 : float arrays, shape (n_chunks,)
-        Sum of the free paths and of their squares.
-    escape_from_m : float array, shape (n_chunks, ESCAPES_KEPT, 3)
-        Where the first rays to escape began their last flight.
-    escape_direction : float array, shape (n_chunks, ESCAPES_KEPT, 3)
-    """
-
-    hits: IntArray
-    escapes: IntArray
-    free_paths: IntArray
+    hits: IntArray  # int64 (n_chunks,)
+    escapes: IntArray  # int64 (n_chunks,)
+    free_paths: IntArray  # int64 (n_chunks,)
+    # (n_chunks,): sum of the free paths and of their squares
     sum_m: FloatArray
     sum_m2: FloatArray
+    # (n_chunks, ESCAPES_KEPT, 3): where the first rays to escape began their last flight
     escape_from_m: FloatArray
-    escape_direction: FloatArray
+    escape_direction: FloatArray  # (n_chunks, ESCAPES_KEPT, 3)
 
 
 @kernel(parallel=True)

@@ -233,27 +233,18 @@ class RayStatistics:
 
     Free paths run from one wall to the next. Each that begins before a ray's time is up counts in
     full, even where it ends later: counting only those that fit would favour short ones.
-
-    Attributes
-    ----------
-    n_rays, n_hits, n_escaped : int
-        Rays of all sources; their wall hits; how many met no wall and were dropped.
-    n_free_paths : int
-    mean_free_path_m : float
-        Mean length of the free paths; 0 where there is none.
-    relative_variance : float
-        Variance of the free paths over their squared mean, gamma squared in Kuttruff's formula; 0
-        where there is no free path.
-    escapes_from_m, escape_directions : float arrays, shape (n_specified, 3)
-        Where the first escaped rays began their last flight, and in which direction.
     """
 
+    # Rays of all sources; their wall hits; how many met no wall and were dropped
     n_rays: int
     n_hits: int
     n_escaped: int
     n_free_paths: int
-    mean_free_path_m: float
+    mean_free_path_m: float  # Mean length of the free paths; 0 where there is none
+    # Variance of the free paths over their squared mean, gamma squared in Kuttruff's formula; 0
+    # where there is no free path
     relative_variance: float
+    # (n_specified, 3): where the first escaped rays began their last flight, and in which direction
     escapes_from_m: FloatArray
     escape_directions: FloatArray
 
@@ -294,16 +285,9 @@ _BLOCK_CROSSINGS = 500_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayTrace:
-    """What rays brought home.
+    """What rays brought home."""
 
-    Attributes
-    ----------
-    paths : Paths
-        In the order of sources, then rays, then time.
-    statistics : RayStatistics
-    """
-
-    paths: Paths
+    paths: Paths  # In the order of sources, then rays, then time
     statistics: RayStatistics
 
 

@@ -223,46 +223,27 @@ class Walls(NamedTuple):
     """Mirrors: planes seen from the air side, each with the triangles that lie in it.
 
     A double-sided sheet belongs to two walls of opposite normal.
-
-    Attributes
-    ----------
-    tolerance_m : float
-        Points so close to a plane lie in it, images so close together are one.
-    margin_m : float
-        By how much beams are too wide: above the rounding of images many mirrorings away.
-    edge_m : float
-        So far beyond its edge a wall still reflects, and stops nothing.
-    normal : float array, shape (n_walls, 3)
-        Unit normal out of the air.
-    offset_m : float array, shape (n_walls,)
-        ``normal . x`` of the plane's points.
-    first_piece : int64 array, shape (n_walls + 1,)
-        Wall k owns the pieces ``first_piece[k]:first_piece[k + 1]``.
-    piece_m : float array, shape (n_pieces, 3 corners, 3)
-        Triangles, counter-clockwise about the wall's normal.
-    piece_triangle : int64 array, shape (n_pieces,)
-        Index of the triangle in the mesh.
-    first_corner : int64 array, shape (n_walls + 1,)
-    outline_m : float array, shape (n_corners, 3)
-        A convex polygon about each wall's pieces, corners in turn.
-    edge : float array, shape (n_corners, 4)
-        Unit normal and offset of the plane on which each side of an outline stands, inwards.
-    ends_sound : bool array, shape (n_walls,)
-        Whether sound goes nowhere beyond the outline: its pieces fill it, or it has the whole room
-        in front.
     """
 
-    tolerance_m: float
+    tolerance_m: float  # Points so close to a plane lie in it, images so close together are one
+    # By how much beams are too wide: above the rounding of images many mirrorings away
     margin_m: float
-    edge_m: float
-    normal: FloatArray
-    offset_m: FloatArray
+    edge_m: float  # So far beyond its edge a wall still reflects, and stops nothing
+    normal: FloatArray  # (n_walls, 3): unit normal out of the air
+    offset_m: FloatArray  # (n_walls,): ``normal . x`` of the plane's points.
+    # int64 (n_walls + 1,): wall k owns the pieces ``first_piece[k]:first_piece[k + 1]``
     first_piece: IntArray
+    # (n_pieces, 3 corners, 3): triangles, counter-clockwise about the wall's normal
     piece_m: FloatArray
-    piece_triangle: IntArray
-    first_corner: IntArray
+    piece_triangle: IntArray  # int64 (n_pieces,): index of the triangle in the mesh
+    first_corner: IntArray  # int64 (n_walls + 1,)
+    # (n_corners, 3): A convex polygon about each wall's pieces, corners in turn
     outline_m: FloatArray
+    # (n_corners, 4): unit normal and offset of the plane on which each side of an outline stands,
+    # inwards
     edge: FloatArray
+    # (n_walls,): whether sound goes nowhere beyond the outline: its pieces fill it, or it has the
+    # whole room in front
     ends_sound: BoolArray
 
 
@@ -270,20 +251,13 @@ class Blockers(NamedTuple):
     """Convex polygons that may stand between two points of the room, largest first.
 
     Walls with the whole room in front of them are left out: a convex room has no blockers.
-
-    Attributes
-    ----------
-    wall : int64 array, shape (n_blockers,)
-        The wall whose plane each lies in, so that points of one wall are in front of none of its
-        polygons.
-    first_corner : int64 array, shape (n_blockers + 1,)
-    corner_m : float array, shape (n_corners, 3)
-        In turn, counter-clockwise about the wall's normal.
     """
 
+    # int64 (n_blockers,): the wall whose plane each lies in, so that points of one wall are in
+    # front of none of its polygons
     wall: IntArray
-    first_corner: IntArray
-    corner_m: FloatArray
+    first_corner: IntArray  # int64 (n_blockers + 1,)
+    corner_m: FloatArray  # (n_corners, 3): in turn, counter-clockwise about the wall's normal
 
 
 def mirrors_of(room: Room) -> tuple[Walls, Blockers]:

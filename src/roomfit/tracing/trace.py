@@ -26,21 +26,11 @@ _SHARE_OF_IMAGES = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """All paths of a scene, and what to know about them.
+    """All paths of a scene, and what to know about them."""
 
-    Attributes
-    ----------
-    paths : Paths
-        Image paths (batch -1) before rays.
-    statistics : RayStatistics
-        Of all rays, those included whose paths gave way to image paths.
-    findings : tuple of Finding
-        `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`.
-    """
-
-    paths: Paths
-    statistics: RayStatistics
-    findings: tuple[Finding, ...]
+    paths: Paths  # Image paths (batch -1) before rays
+    statistics: RayStatistics  # Of all rays, those included whose paths gave way to image paths
+    findings: tuple[Finding, ...]  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
 
 
 def trace(

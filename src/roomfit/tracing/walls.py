@@ -141,24 +141,19 @@ class Facets(NamedTuple):
     A point p of a facet's plane has the coordinates ``u = U . p + u0`` along one side and
     ``v = V . p + v0`` along the other, 0 to 1; a triangle ends at ``u + v = 1``.
 
-    Attributes
-    ----------
-    table : float array, shape (n_facets, 16)
-        In two cache lines: unit normal out of the air (3), its product with the plane's points in
-        m (1), U in 1/m (3), u0 (1), V in 1/m (3), v0 (1), `EDGE_M` in units of u and v (1), 1 for
-        a triangle and 0 for a parallelogram (1), 1 for a double-sided sheet (1), nothing (1).
-    normal : float array, shape (n_facets, 3)
-    material : int32 array, shape (n_facets,)
-
     References
     ----------
     .. [1] D. Baldwin, M. Weber, "Fast ray-triangle intersections by coordinate transformation",
            J. Computer Graphics Techniques 5 (3), 39-49 (2016).
     """
 
+    # (n_facets, 16): in two cache lines: unit normal out of the air (3), its product with the
+    # plane's points in m (1), U in 1/m (3), u0 (1), V in 1/m (3), v0 (1), `EDGE_M` in units of u
+    # and v (1), 1 for a triangle and 0 for a parallelogram (1), 1 for a double-sided sheet (1),
+    # nothing (1)
     table: FloatArray
-    normal: FloatArray
-    material: IntArray
+    normal: FloatArray  # (n_facets, 3)
+    material: IntArray  # int32 (n_facets,)
 
 
 def facets_of(room: Room) -> tuple[Facets, FloatArray]:
@@ -299,28 +294,15 @@ _FLATNESS = 1e-7
 
 
 class Planes(NamedTuple):
-    """The walls of a convex room, as infinite planes.
+    """The walls of a convex room, as infinite planes."""
 
-    Attributes
-    ----------
-    normal : float array, shape (n_planes, 3)
-        Unit normals out of the room.
-    offset_m : float array, shape (n_planes,)
-        ``normal . x`` of the plane's points.
-    material : int32 array, shape (n_planes,)
-        -1 where the plane carries several.
-    first_piece : int64 array, shape (n_planes + 1,)
-        Plane k owns the pieces ``first_piece[k]:first_piece[k + 1]``.
-    piece_corners_m : float array, shape (n_pieces, 3 corners, 3)
-    piece_material : int32 array, shape (n_pieces,)
-    """
-
-    normal: FloatArray
-    offset_m: FloatArray
-    material: IntArray
+    normal: FloatArray  # (n_planes, 3): unit normals out of the room
+    offset_m: FloatArray  # (n_planes,): ``normal . x`` of the plane's points.
+    material: IntArray  # int32 (n_planes,): -1 where the plane carries several
+    # int64 (n_planes + 1,): plane k owns the pieces ``first_piece[k]:first_piece[k + 1]``
     first_piece: IntArray
-    piece_corners_m: FloatArray
-    piece_material: IntArray
+    piece_corners_m: FloatArray  # (n_pieces, 3 corners, 3)
+    piece_material: IntArray  # int32 (n_pieces,)
 
 
 def convex_planes(room: Room) -> Planes | None:
