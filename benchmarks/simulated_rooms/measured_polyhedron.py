@@ -83,7 +83,6 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
     shape : {"paper", "slanted", "l-shaped"}
         The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, or an L
         of 97 m3 (six materials each).
-    rng : numpy.random.Generator
     """
     if shape not in _PLACES:
         raise InputError("no such room", found=repr(shape), needed=", ".join(_PLACES))
@@ -128,7 +127,6 @@ def write_measured_polyhedron(
 
     Parameters
     ----------
-    plan : PolyhedronPlan
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
@@ -144,7 +142,6 @@ def write_measured_polyhedron(
         Level of the noise relative to the peak of each response.
     loudspeaker_db : float
         Standard deviation of each source's level from octave to octave.
-    progress : callable, optional
 
     Raises
     ------

@@ -34,7 +34,6 @@ def float_array(
     ----------
     name : str
         What the array is called in a message, with its unit where it has one.
-    values : array_like
     shape : tuple
         Expected shape; None stands for any length.
     low, high : float

@@ -166,7 +166,7 @@ def _energy_attenuation_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
 def iso9613_attenuation_db_per_m(
     frequency_hz: FloatArray, temperature_c: float, humidity_percent: float, pressure_pa: float
 ) -> FloatArray:
-    """Return the attenuation of pure tones in air by ISO 9613-1 [1]_, dB/m.
+    """Return the attenuation of pure tones in air by ISO 9613-1 [1]_, dB/m, shape (n,).
 
     Right within 10 % from -20 to 50 degrees C, with 0.05 to 5 % of water molecules, below 200 kPa
     and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` holds to that in
@@ -181,10 +181,6 @@ def iso9613_attenuation_db_per_m(
         Relative humidity, 0 to 100 %.
     pressure_pa : float
         Atmospheric pressure, Pa.
-
-    Returns
-    -------
-    float array, shape (n,)
 
     References
     ----------

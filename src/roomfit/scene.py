@@ -93,7 +93,6 @@ def room_from_mesh(
 
     Parameters
     ----------
-    mesh : Mesh
     materials : mapping from str to str
         From the name of a surface, a group or a file's material, in that precedence, to a
         material. What is not named keeps the file's material name.

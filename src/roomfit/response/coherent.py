@@ -402,8 +402,6 @@ def coherent_response(
         Amplitudes are those of the told geometry; only times move with `times`.
     absorption : float array, shape (n_materials,)
         Below 1.
-    times : Times
-    grid : BandGrid
     edges_s : tuple of float arrays, one an observation
         Window edges, not before the grid nor behind its last time.
     derivative : bool

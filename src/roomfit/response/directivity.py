@@ -275,7 +275,6 @@ def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: in
     ----------
     departure : float array, shape (n_paths, 3)
         Unit vectors away from the source.
-    band : int
     """
     front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
     table = source.factor[band]

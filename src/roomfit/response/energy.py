@@ -135,7 +135,6 @@ def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyR
 
     Parameters
     ----------
-    rows : EnergyRows
     keep_batches : bool
         Merge within a batch only, so that Monte-Carlo noise can still be told. Otherwise all
         rows come back as batch -1 and `n_batches` is 0.
@@ -173,7 +172,6 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
 
     Parameters
     ----------
-    rows : EnergyRows
     attenuation_per_m : float
         Energy attenuation m of the band, 0 or more.
     """
@@ -191,7 +189,6 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 
     Parameters
     ----------
-    rows : EnergyRows
     factors : float array, shape (n_paths,)
         Of every path of the trace, of all pairs.
 
@@ -271,7 +268,6 @@ def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
 
     Parameters
     ----------
-    rows : EnergyRows
     most : int
         2 or more.
     """

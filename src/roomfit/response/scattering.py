@@ -138,7 +138,6 @@ def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scatteri
     ----------
     rows : sequence of EnergyRows
         Made from `paths` by `energy_rows`, of any pairs; merged or squared ones cannot be used.
-    paths : Paths
     scattering : Scattering
         What is wanted in this band.
 

@@ -55,8 +55,6 @@ def decay_curve(
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     onset_s : float
         Arrival of the direct sound after emission, from `find_onset` or from the geometry.
     keep_noise : bool
@@ -119,7 +117,6 @@ def echogram_decay_curve(
 
     Parameters
     ----------
-    bands : Bands
     energies : array_like, shape (n_bands, n_bins)
         Energy that arrives within each bin, not per second.
     edges_s : array_like, shape (n_bins + 1,)
@@ -218,7 +215,6 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     ----------
     parameter : str
         "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms" or "G_dB".
-    values : float array
 
     Raises
     ------
@@ -254,10 +250,6 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     sweep climbs: the median frequency rises from block to block by two octaves or more in all. A
     long excitation of any kind does not decay: half its energy comes in more than 0.6 of the time
     of the other half (an exponential decay: 0.28), and no peak stands out of its mean by 16 dB.
-
-    Raises
-    ------
-    InputError
     """
     pressure = response.pressure - np.mean(response.pressure)
     cumulative = np.cumsum(pressure**2)
@@ -393,7 +385,6 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
 
     Parameters
     ----------
-    parameters : RoomParameters
     where : str
         Names the response in the sentence.
     """

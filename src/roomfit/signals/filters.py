@@ -237,8 +237,6 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayL
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     edges_s : array_like, shape (n_windows + 1,)
         Rising times after emission. Before and after the file there is silence.
 
@@ -288,8 +286,6 @@ def energy_share(
 
     Parameters
     ----------
-    kernel : SpreadingKernel
-    band : int
     delays_s : array_like, shape (n_impulses,)
         When each impulse arrives.
     edges_s : array_like, shape (n_windows + 1,)

@@ -41,7 +41,6 @@ def value_gradients(
     curve : DecayCurve
         From `roomfit.signals.decay.echogram_decay_curve`, for energies per square metre of a
         source of unit power where G is asked for.
-    band : int
     names : sequence of str
         Of `VALUE_NAMES`.
 

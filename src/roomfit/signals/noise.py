@@ -52,8 +52,6 @@ def estimate_noise(
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     filtered : float array, shape (n_bands, n_samples)
         What `filter_pressure` made of the response.
     onset_s : float

@@ -107,7 +107,6 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
 
     Parameters
     ----------
-    response : ImpulseResponse
     where : str, optional
         Names the response in a message.
 
@@ -151,14 +150,8 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
 
     Parameters
     ----------
-    response : ImpulseResponse
     travel_s : float
         Distance over speed of sound.
-    where : str, optional
-
-    Raises
-    ------
-    InputError
     """
     end_s = len(response.pressure) / response.sampling_rate_hz - response.time_zero_s
     if end_s <= travel_s:
@@ -189,10 +182,8 @@ def compare_onset(
         Measured, from `find_onset`.
     travel_s : float
         Distance over speed of sound.
-    speed_of_sound_m_s : float
     where : str
         Names the response in the sentence.
-    sampling_rate_hz : float
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
     tolerance_m = _TOLERANCE_M + _ONSET_SAMPLES / sampling_rate_hz * speed_of_sound_m_s

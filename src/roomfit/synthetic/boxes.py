@@ -79,9 +79,7 @@ def pressure_response(
 
     Parameters
     ----------
-    synthetic : SyntheticBox
     source_m, receiver_m : float arrays, shape (3,)
-    duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
         Level of the loudspeaker at each octave's centre.
     b : float array, shape (3,), optional
@@ -128,8 +126,6 @@ def pressure_of_images(
     ----------
     images : tuple of float arrays
         Length (n_images,), and hits (n_images, n_walls) in the order of the truth's absorption.
-    synthetic : SyntheticWalls
-    duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
     sent : float array, shape (n_images,), optional
         Amplitude, of either sign, with which the loudspeaker feeds each image; left out: 1.
@@ -300,19 +296,13 @@ def patch_hits(
     receiver_m: FloatArray,
     steps_m: FloatArray,
 ) -> IntArray:
-    """Return how often the path of each image strikes the patch.
+    """Return how often the path of each image strikes the patch, shape (n_images,).
 
     Parameters
     ----------
-    lengths_m : tuple of three floats
-    patch : Patch
     receiver_m : float array, shape (3,)
     steps_m : float array, shape (3, n_images)
         From the receiver to the images.
-
-    Returns
-    -------
-    int array, shape (n_images,)
     """
     axis, far = divmod(WALLS.index(patch.wall), 2)
     others = [other for other in range(3) if other != axis]
@@ -434,7 +424,6 @@ def write_measured_box(
 
     Parameters
     ----------
-    plan : BoxPlan
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
@@ -686,7 +675,6 @@ def modulated_noise(
     ----------
     echogram : float array, shape (n_bands, n_bins)
         Energy of each bin, 1/m2 for a source of unit power.
-    bin_s : float
     centres_hz, level_db : float arrays, shape (n_bands,)
         As for `pressure_response`.
     """

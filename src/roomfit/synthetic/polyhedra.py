@@ -200,7 +200,6 @@ def cell_images(
 
     Parameters
     ----------
-    cells : Cells
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     reach_m : float
@@ -507,10 +506,8 @@ def pressure_responses(
 
     Parameters
     ----------
-    synthetic : SyntheticPolyhedron
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
-    duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
         Level of the loudspeaker at each octave's centre.
 

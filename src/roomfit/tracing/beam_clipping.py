@@ -65,7 +65,6 @@ def sides(
 
     Parameters
     ----------
-    apex : vector
     opening : float array, shape (ROWS, 3)
         The first n corners count.
     wall_normal, wall_offset_m : vector, float

@@ -245,7 +245,6 @@ def is_visible(
         The source and its images one by one.
     chain_wall : int64 array, shape (at least order + 1,)
         The wall that made each; entry 0 means nothing.
-    order : int
     receiver_m : float array, shape (3,)
     points : float array, shape (at least order + 2, 3)
         Receives source, reflection points and receiver.
@@ -366,12 +365,10 @@ def beam_tree(
 
     Parameters
     ----------
-    walls, blockers : Walls, Blockers
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     to_receiver_m : float array, shape (n_walls,)
         No more than the distance from a point of the wall to the nearest receiver.
-    limits : Limits
     """
     chain = _chain_of(source_m, limits.order)
     shadows = no_shadows(blockers)

@@ -98,7 +98,6 @@ def _type_boxes_hit(
     ----------
     bounds : float32 array, flat
         `NODE_FLOATS` for each node.
-    node : int
     near_x, near_y, near_z : int
         Row of the planes that the ray meets first along each axis: 0, 1, 2 where it runs towards
         higher coordinates and 3, 4, 5 otherwise.

@@ -62,18 +62,15 @@ def polyhedron_images(
 
     Parameters
     ----------
-    room : Room
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     order : int
         Most hits of a path, 0 or more.
-    max_length_m : float
     with_reflections, with_image_transforms : bool
         Return the ordered hits with the normals of their walls, and the product of the
         reflections, as well.
     mirrors : tuple of Walls and Blockers, optional
         From `mirrors_of`, where several sources share a room of thousands of walls.
-    memory_limit_bytes : float
     work_limit : float
         Most walls to hold against beams.
 
@@ -227,7 +224,6 @@ def affordable_duration_s(
 
     Parameters
     ----------
-    scene : Scene
     longest_s : float
         No more is tried.
     order : int
@@ -279,7 +275,6 @@ def affordable_order(
 
     Parameters
     ----------
-    scene : Scene
     most : int
         No more is tried; 0 or more.
     duration_s : float
@@ -334,7 +329,6 @@ def shoebox_images(
     source_m, receiver_m : float array, shape (3,)
     order : int
         Most hits of a path, 0 or more.
-    max_length_m : float
     with_reflections, with_image_transforms : bool
         Return the ordered hits, and the product of the reflections, as well.
 
@@ -461,7 +455,6 @@ def trace_images(
     work_limit : float
         Most walls to hold against beams for one source of a room that is no box; see
         `roomfit.tracing.image_sources.affordable_duration_s`.
-    progress : callable, optional
 
     Raises
     ------

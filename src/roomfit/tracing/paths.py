@@ -282,7 +282,6 @@ def reflections_in_order(
     place : float array, shape (n_hits,)
         Rises along the path from source to receiver.
     material, cosine : arrays, shape (n_hits,)
-    n_paths : int
     """
     order = np.lexsort((place, path))
     counts = np.bincount(path, minlength=n_paths)

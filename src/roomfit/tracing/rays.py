@@ -77,7 +77,6 @@ def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> Floa
     ----------
     n_rays : int
         All batches together; they differ in size by at most one ray.
-    n_batches : int
     seed : tuple of int
         Feeds the scrambles.
 
