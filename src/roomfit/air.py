@@ -201,8 +201,8 @@ def iso9613_attenuation_db_per_m(
 ) -> FloatArray:
     """Return the attenuation of pure tones in air by ISO 9613-1 [1]_, dB/m, shape (n,).
 
-    Accurate within 10 % from -20 to 50 degrees C, with 0.05 to 5 % of water molecules, below 200 kPa
-    and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` keeps to that in
+    Accurate within 10 % from -20 to 50 degrees C, with 0.05 to 5 % of water molecules, below
+    200 kPa and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` keeps to that in
     temperature and pressure, so nothing is checked here.
 
     Parameters
