@@ -1,4 +1,4 @@
-"""Paths of every pair in fine time bins, as the bands need them."""
+"""Paths of every pair in fine time bins, with the weights and the bins of each band."""
 
 from __future__ import annotations
 
@@ -22,13 +22,11 @@ _BINS_PER_TIME = 400.0
 class BinnedPaths:
     """Paths of every pair of the scene in fine time bins."""
 
-    # (n_bins + 1,): uniform, beginning before emission, since a zero-phase filter rings before a
-    # sound
+    # (n_bins + 1,), uniform, from before emission, since a zero-phase filter rings before a sound
     edges_s: FloatArray
-    rows: tuple[EnergyRows, ...]  # tuple of EnergyRows, one a pair
-    # mapping of centre in Hz to tuple of EnergyRows: rows of the bands in which the paths weigh
-    # otherwise, because walls scatter or a source radiates otherwise there; the same paths in the
-    # same bins
+    rows: tuple[EnergyRows, ...]  # one a pair
+    # by centre in Hz, where weights differ, because scattering or directivity does: same paths and
+    # bins
     by_band: Mapping[float, tuple[EnergyRows, ...]] = field(default_factory=dict)
 
 

@@ -306,8 +306,8 @@ FIT_RANGES_DB: dict[str, tuple[float, float]] = {
     "T30_s": (5.0, 35.0),
 }
 POINTS_OF_A_FIT = 512
-# Energy after the usable end is extrapolated; where it is a hundredth of all, an error of 20 % in it
-# moves D50, TS or C80 around 0 dB by no more than a tenth of a just noticeable difference.
+# Energy after the usable end is extrapolated; where it is a hundredth of all, an error of 20 % in
+# it moves D50, TS or C80 around 0 dB by no more than a tenth of a just noticeable difference.
 _ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
 
 

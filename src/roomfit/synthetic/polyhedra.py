@@ -1,18 +1,10 @@
-"""All images of a room of convex cells, found in another way than `roomfit.tracing` does it.
+"""Impulse responses of rooms of flat walls, independent of the fitted model.
 
-The room is mirrored, not the source: every wall that sound meets puts a mirrored copy of the room
-behind it, and all sound goes straight on from the one true source, through openings and walls
-alike. A copy is entered through the part of its wall that the source sees. Whether a path truly
-exists, and what it strikes, is then found out by sending a ball along it through the true room.
-
-A convex room of a campaign as one cell of the simulator that mirrors rooms.
-
-Rooms of flat walls as convex cells that open into one another, for simulated measurements.
-
-Impulse responses of a room of convex cells from image sources that add as pressures.
-
-As `pressure_box` for boxes: a road to data that shares nothing with the model that is fitted. The
-images come from `polyhedron_images`, which mirrors the room instead of the source.
+Rooms are convex cells that open into one another. Images are found in another way than in
+`roomfit.tracing`: the room is mirrored, not the source. Every wall has a mirrored copy of the room
+behind it, and sound travels straight on from the one true source, through openings and walls alike.
+A copy is entered through the part of its wall that is visible from the source. Whether a path
+exists, and what it strikes, is then decided by sending a ball along it through the true room.
 """
 
 from __future__ import annotations
@@ -33,9 +25,9 @@ class CellFace(NamedTuple):
     """A convex polygon of a cell's surface."""
 
     cell: int
-    corners: tuple[int, ...]  # tuple of int: counter-clockwise when looked at from outside the cell
+    corners: tuple[int, ...]  # counter-clockwise from outside the cell
     material: int  # -1 for an opening
-    beyond: int = -1  # The cell behind an opening, else -1
+    beyond: int = -1  # the cell behind an opening, else -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -136,7 +128,7 @@ _ALIKE = 1e-6
 
 
 def convex_cells(room: Room) -> Cells | None:
-    """Return the room as one convex cell; None where it is not convex or holds sheets.
+    """Return the room as one convex cell; None where it is not convex or contains sheets.
 
     A flat wall of one material is one face; a wall of several keeps its triangles.
     """
@@ -177,7 +169,7 @@ def _planes(normals: FloatArray, offsets: FloatArray) -> list[list[int]]:
 
 
 def _outline(vertices_m: FloatArray, corners: IntArray, normal: FloatArray) -> tuple[int, ...]:
-    """Return corners of a convex polygon, counter-clockwise when looked at against the normal."""
+    """Return corners of a convex polygon, counter-clockwise about the normal."""
     middle = vertices_m[corners].mean(axis=0)
     across = vertices_m[corners[0]] - middle
     across = across / np.linalg.norm(across)
@@ -238,7 +230,7 @@ def _straight_lines(
     inside: BoolArray,
     reach: float,
 ) -> tuple[IntArray, FloatArray]:
-    """Return receiver and place of every mirrored receiver that the source sees straight on."""
+    """Return receiver and position of every mirrored receiver in view of the source."""
     owner, place, n_found = np.empty(1024, dtype=np.int64), np.empty((1024, 3)), 0
     # waiting copies of the room: cell, face entered by, turn and shift, sides of the view
     what, turn, shift = np.empty((4096, 3), np.int64), np.empty((4096, 3, 3)), np.empty((4096, 3))
@@ -324,9 +316,9 @@ def _sees(sides: FloatArray, n: int, x: FloatArray) -> bool:
 
 @kernel()
 def _part_in_view(polygon: FloatArray, n: int, sides: FloatArray, m: int, cut: FloatArray) -> int:
-    """Cut a polygon, in place and seen from the origin, to what lies within all sides.
+    """Cut a polygon, in place, to its part within all sides through the origin.
 
-    `cut` is room to work in, (2 * _SIDES, 3).
+    `cut` is working memory, (2 * _SIDES, 3).
     """
     heights = cut[_SIDES:, 0]
     for k in range(m):
@@ -440,7 +432,7 @@ def _balls(
     receiver: FloatArray,
     hits: IntArray,
 ) -> BoolArray:
-    """Send a ball along each step through the true room, count its hits, see whether it arrives."""
+    """Send a ball along each step through the true room; count its hits; return its arrivals."""
     arrived = np.zeros(len(steps), dtype=np.bool_)
     x, direction = np.empty(3), np.empty(3)
     for i in range(len(steps)):
@@ -481,14 +473,13 @@ class SyntheticPolyhedron:
     """A room whose walls are known."""
 
     cells: Cells
-    # (n_bands,): octave centres, rising; absorption holds at a centre and changes smoothly in
+    # (n_bands,), octave centres, rising; absorption applies at a centre and changes smoothly in
     # between
     centres_hz: FloatArray
-    absorption: FloatArray  # (n_materials, n_bands): energy absorption of each of `cells.materials`
-    attenuation_per_m: FloatArray  # (n_bands,): energy attenuation of the air
+    absorption: FloatArray  # (n_materials, n_bands), of each of `cells.materials`
+    attenuation_per_m: FloatArray  # (n_bands,), of energy in air
     speed_of_sound_m_s: float
-    # tuple of float: what each material adds to the travel time at every reflection
-    delays_s: tuple[float, ...]
+    delays_s: tuple[float, ...]  # of each material at every reflection
 
 
 def pressure_responses(
@@ -501,8 +492,8 @@ def pressure_responses(
 ) -> list[FloatArray]:
     """Return the sound pressure at each receiver after an impulse at the source at time 0.
 
-    Every image within the duration contributes ``1 / (4 pi r)``, times the root of
-    what each wall reflects. Sound beyond edges is not there: no diffraction.
+    Every image within the duration contributes ``1 / (4 pi r)``, times the root of what each wall
+    reflects. There is no diffraction.
 
     Parameters
     ----------

@@ -1,9 +1,7 @@
-"""A beam against polygons: its sides, what of a polygon it meets, and what a shadow leaves of it.
+"""Beams clipped by polygons: their sides, the part of a wall in them, and the shadows upon it.
 
 A beam is the cone from an image source through a convex polygon, its opening, beyond the plane in
 which that lies. Every cut leaves a margin too much, so that a beam is never too narrow.
-
-What of a wall a beam meets where other walls stand before it.
 """
 
 from __future__ import annotations
@@ -281,11 +279,11 @@ IN_THE_WAY = -1
 
 
 class Shadows(NamedTuple):
-    """The shadows that the blockers cast in the beam at hand, and room to work in."""
+    """The shadows that the blockers cast in the current beam, and working memory."""
 
-    planes: FloatArray  # (n_blockers, ROWS + 1, 4): normals inwards, the blocker's own plane last
-    # int64 (n_blockers,): planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it
-    # stands in it and its shadow is too thin to be told
+    planes: FloatArray  # (n_blockers, ROWS + 1, 4), normals inwards, the blocker's own plane last
+    # int64 (n_blockers,), planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it
+    # stands in it and its shadow is too thin to be resolved
     n_planes: IntArray
     pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
     next_pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
@@ -296,7 +294,7 @@ class Shadows(NamedTuple):
 
 @kernel()
 def no_shadows(blockers: Blockers) -> Shadows:
-    """Return room for the shadows of some blockers."""
+    """Return memory for the shadows of some blockers."""
     n, m = min(len(blockers.wall), _CASTING), FRAGMENTS + ROWS + 1
     return Shadows(
         np.empty((n, ROWS + 1, 4)),
@@ -319,7 +317,7 @@ def cast(
     n_planes: int,
     shadows: Shadows,
 ) -> None:
-    """Work out the shadow of every blocker in a beam (from `wall`, bounded by `planes`)."""
+    """Compute the shadow of every blocker in a beam (from `wall`, bounded by `planes`)."""
     margin_m = walls.margin_m
     polygon, scratch = shadows.scratch[0], shadows.scratch[1]
     for b in range(len(shadows.n_planes)):

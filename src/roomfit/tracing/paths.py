@@ -1,9 +1,4 @@
-"""Sound paths: the one thing that tracing makes and that every reader weighs.
-
-What both kinds of image sources hand over: the exact specular paths of one pair.
-
-How finely to trace.
-"""
+"""Sound paths: what tracing returns and every response weighs, and the settings of a trace."""
 
 from __future__ import annotations
 
@@ -23,10 +18,9 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 class Reflections:
     """The ordered wall hits of each path, as one long list."""
 
-    # int64 (n_paths + 1,): path i owns the entries ``offsets[i]:offsets[i + 1]``, first hit first
-    offsets: IntArray
-    material: IntArray  # int32 (n_entries,)
-    cosine: FloatArray  # (n_entries,): cosine of the angle of incidence, 0 (grazing) to 1 (normal)
+    offsets: IntArray  # int64 (n_paths + 1,), entries of path i: ``offsets[i]:offsets[i + 1]``
+    material: IntArray  # int32 (n_entries,), first hit of a path first
+    cosine: FloatArray  # (n_entries,), of the angle of incidence, 0 (grazing) to 1 (normal)
 
     def __post_init__(self) -> None:
         offsets = int_array("offsets", self.offsets, (None,), np.int64, low=0)
@@ -49,40 +43,33 @@ class Paths:
 
     Notes
     -----
-    The image of a source at S stands at ``A S + b``. From the receiver it is seen along
+    The image of a source at S stands at ``A S + b``, from the receiver along
     ``V = -length * arrival``, and when source and receiver move by dS and dR, without another wall
     coming into play, along ``V + A dS - dR``, exactly and for moves of any size. To first order
     the length grows by ``arrival . dR - departure . dS``, because ``departure = A^T arrival``:
     without A, departure and arrival do for that.
     """
 
-    n_pairs: int  #: How many pairs the scene has; some may own no path
+    n_pairs: int  #: Of the scene; some may have no path
     materials: tuple[str, ...]
     pair: IntArray  #: int32 (n_paths,)
-    #: (n_paths,): exact length; travel time is length over speed of sound. For a ray caught by a
-    #: receiver sphere: to the point of its track nearest to the centre.
-    length_m: FloatArray
-    #: (n_paths,): spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
+    length_m: FloatArray  #: (n_paths,), exact; of a ray, to the point nearest to the receiver
+    #: (n_paths,), spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
     #: image path ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere
     #: volume)``
     weight_per_m2: FloatArray
-    #: uint16 (n_paths, n_materials): wall hits by kind, apart so that scattering can be re-weighed
-    hits_specular: IntArray
-    hits_diffuse: IntArray
-    #: float32 (n_paths, 3): unit vectors: away from the source, and the direction in which sound
-    #: travels on arrival
+    hits_specular: IntArray  #: uint16 (n_paths, n_materials), wall hits without scattering
+    hits_diffuse: IntArray  #: uint16 (n_paths, n_materials), scattered ones
+    #: float32 (n_paths, 3), unit vectors: away from the source
     departure: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    #: float32 (n_paths, 3), unit vectors in which sound travels on arrival
     arrival: np.ndarray[tuple[int, int], np.dtype[np.float32]]
-    #: int32 (n_paths,): independent Monte-Carlo batch, 0 to n_batches - 1; -1 for image paths,
-    #: which are exact
-    batch: IntArray
+    batch: IntArray  #: int32 (n_paths,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int
-    #: (n_materials,): scattering coefficient with which each material was traced
-    sampling_scattering: FloatArray
-    #: Ordered reflections with angles, for image paths on request; rays have none
-    reflections: Reflections | None = None
-    #: float32 (n_paths, 3, 3), or None: product A of a path's reflections (the last hit's
-    #: leftmost), for image paths on request; zeros for rays
+    sampling_scattering: FloatArray  #: (n_materials,), coefficients of the trace
+    reflections: Reflections | None = None  #: Of image paths on request; rays have none
+    #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
+    #: image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -100,7 +87,7 @@ class Paths:
             "sampling_scattering": (m,),
         }
         # Paths can be gigabytes and are made by this package only: shapes are checked and the
-        # arrays set read-only where they stand, not copied.
+        # arrays set read-only in place, not copied.
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array.shape != shape:
@@ -111,7 +98,7 @@ class Paths:
         if self.image_transform is not None:
             if self.image_transform.shape != (n, 3, 3):
                 raise InputError(
-                    "paths: unfolding has the wrong shape",
+                    "paths: image_transform has the wrong shape",
                     found=f"{self.image_transform.shape}",
                     needed=f"{(n, 3, 3)}",
                 )
@@ -158,8 +145,8 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
 def concatenate(parts: Sequence[Paths]) -> Paths:
     """Return all paths of several traces of one scene as one.
 
-    Where some part has ordered reflections or unfoldings, the paths of the others get empty lists
-    and zeros.
+    Where some part has ordered reflections or image transforms, the paths of the others get empty
+    lists and zeros.
 
     Raises
     ------
@@ -209,11 +196,16 @@ def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
         else p.reflections
         for p in parts
     ]
-    counts = np.concatenate([np.diff(r.offsets) for r in lists])
+    return join_reflections(lists)
+
+
+def join_reflections(parts: Sequence[Reflections]) -> Reflections:
+    """Return the reflections of all paths of several lists, one list after the other."""
+    counts = np.concatenate([np.diff(r.offsets) for r in parts])
     return Reflections(
         np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in lists]),
-        np.concatenate([r.cosine for r in lists]),
+        np.concatenate([r.material for r in parts]),
+        np.concatenate([r.cosine for r in parts]),
     )
 
 
@@ -235,21 +227,17 @@ class ImageSet:
 
     length_m: FloatArray  # (n_paths,)
     hits: IntArray  # uint16 (n_paths, n_materials)
-    # (n_paths, 3): unit vectors: away from the source, and the direction in which sound travels on
-    # arrival
-    departure: FloatArray
-    arrival: FloatArray
-    reflections: Reflections | None = None  # Every path's hits in order, where they were asked for
-    # (n_paths, 3, 3), or None: product of the reflections, see `Paths`, where it was asked for
-    image_transform: FloatArray | None = None
-    # (n_hits, 3), or None: normal of the wall of each hit as the receiver sees it, mirrored by all
-    # later hits, in the order of `reflections`: its product with `arrival` is the cosine of
-    # incidence, for moved sources and receivers, too. Only of rooms that are no boxes.
+    departure: FloatArray  # (n_paths, 3), unit vectors away from the source
+    arrival: FloatArray  # (n_paths, 3), unit vectors in which sound travels on arrival
+    reflections: Reflections | None = None  # on request
+    image_transform: FloatArray | None = None  # (n_paths, 3, 3), see `Paths`, on request
+    # (n_hits, 3), from `unfolded_normals` in the order of `reflections`: the product with `arrival`
+    # is the cosine of incidence, for moved sources and receivers, too. Not for boxes.
     normals: FloatArray | None = None
 
 
 def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
-    """Return the normals of walls as the receiver sees them, mirrored by all later hits.
+    """Return the normals of walls in the receiver's frame, mirrored by all later hits.
 
     Parameters
     ----------
@@ -303,24 +291,21 @@ class TraceSettings:
 
     duration_s: float  #: Sound travels this long, counted from emission
     n_rays: int = 20_000  #: Rays per source, all batches together; 0 leaves rays out
-    #: Highest reflection order done by image sources; -1 leaves image sources out, so that even the
-    #: direct sound comes from rays
-    image_order: int = 2
+    image_order: int = 2  #: Highest order of image sources; -1: even the direct sound is of rays
     receiver_radius_m: float = 0.5  #: Radius of the spheres that catch rays
     max_hits: int = 65_535  #: A ray ends after so many wall hits, at most 65535
     #: Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
-    #: batches (its batches are not independent: it is there for the paper, and for pictures)
+    #: batches, which then are not independent
     directions: Directions = "sobol"
     n_batches: int = 16  #: Independent parts whose spread measures the Monte-Carlo noise
     seed: int = 1  #: Same seed, same paths, bit by bit, for any number of threads
-    #: "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
-    #: spheres catch only what was last reflected specularly, or not at all. It costs half to all of
-    #: the tracing for the same Monte-Carlo error, the less the more walls scatter, but 1.1 to 1.6
-    #: times as many paths to weigh (`benchmarks/rays.py`).
+    #: "rain" (diffuse rain): every diffuse reflection adds a path straight to every visible
+    #: receiver, and spheres catch only what was last reflected specularly, or not at all. It costs
+    #: half to all of the tracing for the same Monte-Carlo error, the less the more walls scatter,
+    #: but 1.1 to 1.6 times as many paths to weigh (`benchmarks/rays.py`).
     estimator: Estimator = "spheres"
-    #: Image sources end here, and rays bring all that is later; None for the whole duration
-    image_until_s: float | None = None
-    keep_image_transforms: bool = False  #: Image paths keep what moves their images with the source
+    image_until_s: float | None = None  #: Where image sources end; None for the whole duration
+    keep_image_transforms: bool = False  #: Image paths keep the product of their reflections
 
     def __post_init__(self) -> None:
         limits: tuple[tuple[str, float, float, float], ...] = (
@@ -350,7 +335,7 @@ class TraceSettings:
             )
         if self.estimator not in ("spheres", "rain"):
             raise InputError(
-                "unknown way to bring rays to receivers",
+                "unknown estimator of rays at receivers",
                 found=repr(self.estimator),
                 needed='"spheres" or "rain"',
             )
