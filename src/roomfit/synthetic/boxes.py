@@ -1,7 +1,7 @@
 """Impulse responses and campaigns of boxes with known walls, independent of the fitted model.
 
-Image sources add as pressures: no rays, no energies, no windows, no filters of `roomfit.signals`, an
-own enumeration of the images, positions that differ from the specified ones, a loudspeaker whose
+Image sources add as pressures: no rays, no energies, no windows, no filters of `roomfit.signals`,
+an own enumeration of the images, positions that differ from the specified ones, a loudspeaker whose
 unspecified gain varies over frequency, and background noise. One wall may have a patch that the
 campaign does not specify. Where walls scatter, all that is not specular is noise whose power in
 time follows rays of an own tracer in plain numpy, with energy conserved at every hit and other
