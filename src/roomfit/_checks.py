@@ -84,7 +84,7 @@ def int_array(
     """
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
-        raise InputError(f"{name} must hold whole numbers", found=f"values of type {source.dtype}")
+        raise InputError(f"{name} must be whole numbers", found=f"values of type {source.dtype}")
     _check_shape(name, source, shape)
     info = np.iinfo(dtype)
     low = int(info.min) if low is None else low

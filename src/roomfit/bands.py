@@ -38,8 +38,7 @@ class Bands:
         centres = float_array("band centre", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz")
         if centres.size == 0 or np.any(np.diff(centres) <= 0.0):
             raise InputError(
-                "band centres must rise and there must be at least one",
-                found=str(centres.tolist()),
+                "band centres must rise and there must be at least one", found=str(centres.tolist())
             )
         exact_centres_hz(self.kind, centres)  # raises where one is no centre of that kind
         object.__setattr__(self, "centres_hz", centres)

@@ -117,9 +117,7 @@ def shoebox_room(lengths_m: ArrayLike, materials: str | Mapping[str, str]) -> Ro
 
 
 def room_from_mesh(
-    mesh: Mesh,
-    materials: Mapping[str, str],
-    shoebox_m: tuple[float, float, float] | None = None,
+    mesh: Mesh, materials: Mapping[str, str], shoebox_m: tuple[float, float, float] | None = None
 ) -> Room:
     """Give every surface its material.
 

@@ -205,7 +205,7 @@ def area_vector_m2(corners_m: FloatArray) -> FloatArray:
 def triangulate(corners_m: FloatArray) -> Triangulation:
     """Cut a polygon into triangles with the ear-cutting method.
 
-    The polygon may be concave, hold corners that stand on a straight line, or the same corner
+    The polygon may be concave, have corners that stand on a straight line, or the same corner
     twice. A fan from the first corner, as many readers cut it, would cover the notch of an
     L-shaped floor.
 

@@ -72,11 +72,7 @@ def pair_energies(
 
 
 def bin_paths(
-    scene: Scene,
-    bands: Bands,
-    paths: Paths,
-    duration_s: float,
-    factors: FloatArray | None = None,
+    scene: Scene, bands: Bands, paths: Paths, duration_s: float, factors: FloatArray | None = None
 ) -> BinnedPaths:
     """Sort the paths of every pair into bins of a tenth of a millisecond.
 

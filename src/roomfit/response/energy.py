@@ -210,9 +210,9 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
     """
     if rows.path is None:
         raise InputError(
-            "rows that are no single paths cannot be weighed anew",
+            "rows that are no single paths cannot be reweighed",
             needed="rows as `energy_rows` makes them",
-            hint="weigh anew before merging equal rows",
+            hint="reweigh before merging equal rows",
         )
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
 
@@ -220,7 +220,7 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
     """Return the same rows in coarser windows, each of so many of the old ones.
 
-    The last one holds what is left. No row is copied or moved.
+    The last one contains the remaining rows. No row is copied or moved.
     """
     return regrouped_rows(rows, np.arange(0, rows.n_windows, n_together))
 

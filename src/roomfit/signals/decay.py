@@ -143,7 +143,7 @@ def decay_curve_db(curve: DecayCurve) -> FloatArray:
     """
     total = curve.energy_left[:, :1]
     ratio = curve.energy_left / np.where(total > 0.0, total, 1.0)
-    # a sum that noise has driven below zero holds no energy
+    # a sum that noise has made negative has no energy
     with np.errstate(divide="ignore"):
         return np.asarray(10.0 * np.log10(np.maximum(ratio, 0.0)))
 

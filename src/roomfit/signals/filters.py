@@ -86,7 +86,7 @@ def differences_over_windows(
 
 
 # Ringing beyond this many periods of the centre frequency, times the number of bands per octave,
-# holds less than 1e-11 of a band's energy (measured; it falls with the fifth power).
+# contains less than 1e-11 of a band's energy (measured; it falls with the fifth power).
 _SPAN_PERIODS = 64.0
 _STEPS_PER_PERIOD = 256
 # Shares below this are below every other error and would fill memory.
@@ -322,11 +322,7 @@ def spreading_slopes_per_s(
 
 
 def _banded(
-    kernel: SpreadingKernel,
-    band: int,
-    delays_s: FloatArray,
-    edges_s: ArrayLike,
-    table: FloatArray,
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike, table: FloatArray
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
     edges = _rising(edges_s)

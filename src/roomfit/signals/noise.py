@@ -19,7 +19,7 @@ from roomfit.typing import BoolArray, FloatArray
 _MOST_ROUNDS = 8
 # Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.
 _CLEAR, _CLEAR_ALONE = 4.0, 2.0
-_FALLS = 4.0  # quarters of a file that differ so much do not hold the same noise
+_FALLS = 4.0  # quarters of a file that differ so much are not the same noise
 _LOUD = 16.0  # 12 dB above the noise is a sound, however short
 _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
 
@@ -179,7 +179,7 @@ def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
     reached = crosses and (decay.evidence > 0.0 if clear else evidence > _CLEAR)
     if not crosses and decay.levels_out:
         # a flutter that outlasts the diffuse decay bends the line: the noise itself is better
-        reached, end_s = True, _drowned_s(decay.times, decay.blocks, floor)
+        reached, end_s = True, _masked_from_s(decay.times, decay.blocks, floor)
     elif crosses and not reached:
         # the last part may be noise or still the decay: it ends where it is twice as high as what
         # may be noise, and nothing is subtracted
@@ -204,14 +204,14 @@ def _short_decay(times: FloatArray, blocks: FloatArray, floor: float) -> tuple[f
     """
     peak = int(np.argmax(blocks))
     noise = max(floor, float(np.median(blocks)))  # most of such a file is noise
-    drowned_s = _drowned_s(times, blocks, noise)
+    drowned_s = _masked_from_s(times, blocks, noise)
     if blocks[peak] < _LOUD * noise or drowned_s <= times[peak]:
         return None
     constant_s = (drowned_s - float(times[peak])) / float(np.log(blocks[peak] / (2.0 * noise)))
     return float(blocks[peak] * np.exp(times[peak] / constant_s)), constant_s
 
 
-def _drowned_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
+def _masked_from_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
     """Return when the mean of all later blocks has fallen to twice the noise."""
     rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
     return float(times[np.argmax(rest < 2.0 * floor)])

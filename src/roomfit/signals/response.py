@@ -126,7 +126,7 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
             where=where,
             found=f"a peak of {peak:.3g} and noise of {noise / _ABOVE_NOISE:.3g} (rms)",
             needed=f"a peak at least {_ABOVE_NOISE:g} times the noise",
-            hint="another channel may hold the response, or the file may be noise only",
+            hint="another channel may contain the response, or the file may be noise only",
         )
     threshold = max(_BELOW_PEAK * peak, min(noise, 0.5 * peak))
     first = int(np.argmax(size >= threshold))
@@ -158,11 +158,7 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
 
 
 def compare_onset(
-    onset_s: float,
-    travel_s: float,
-    speed_of_sound_m_s: float,
-    where: str,
-    sampling_rate_hz: float,
+    onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str, sampling_rate_hz: float
 ) -> tuple[Finding, ...]:
     """Return a finding where the onset and the geometry disagree by more than 10 cm.
 

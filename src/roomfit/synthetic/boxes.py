@@ -24,7 +24,7 @@ from roomfit.typing import BoolArray, ComplexArray, FloatArray, IntArray, Progre
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
-# Images are laid on a grid so many times finer than the samples and brought down by the Fourier
+# Images are gridded so many times finer than the samples and brought down by the Fourier
 # transform: at 16 times and 16 kHz, half a step is 2 microseconds, 0.05 rad at 4 kHz.
 _OVERSAMPLING = 16
 _NOTHING = 1e-30  # of energy
@@ -275,10 +275,7 @@ def patched_response(
 
 
 def patch_hits(
-    lengths_m: tuple[float, float, float],
-    patch: Patch,
-    receiver_m: FloatArray,
-    steps_m: FloatArray,
+    lengths_m: tuple[float, float, float], patch: Patch, receiver_m: FloatArray, steps_m: FloatArray
 ) -> IntArray:
     """Return how often the path of each image strikes the patch, shape (n_images,).
 
@@ -355,7 +352,7 @@ def demo_plan() -> BoxPlan:
 
 
 def random_plan(rng: np.random.Generator) -> BoxPlan:
-    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six materials drawn anew in every octave.
+    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six random materials.
 
     Absorption is even in logit between 0.01 and 0.97, and changes from octave to octave by about a
     third of its spread over materials. Positions stay 0.6 m clear of the walls.

@@ -236,7 +236,7 @@ def _straight_lines(
     what, turn, shift = np.empty((4096, 3), np.int64), np.empty((4096, 3, 3)), np.empty((4096, 3))
     view = np.empty((4096, _SIDES, 3))
     what[0] = np.array([start, -1, 0])
-    turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all that is seen
+    turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all views
     waiting = 1
     polygon, cut, sides = np.empty((_SIDES, 3)), np.empty((2 * _SIDES, 3)), np.empty((_SIDES, 3))
     q, p, x, normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
@@ -285,7 +285,7 @@ def _straight_lines(
             what[waiting, 2] = n
             waiting += 1
             if waiting == len(what):
-                raise ValueError("more copies of the room than a stack holds")
+                raise ValueError("more copies of the room than the stack has room for")
     return owner[:n_found].copy(), place[:n_found].copy()
 
 
@@ -369,7 +369,7 @@ def _view(polygon: FloatArray, n: int, sides: FloatArray) -> int:
         ax, ay, az = polygon[i, 0], polygon[i, 1], polygon[i, 2]
         k = (i + 1) % n
         ex, ey, ez = polygon[k, 0] - ax, polygon[k, 1] - ay, polygon[k, 2] - az
-        # corners that cutting has laid upon one another span no plane worth the name
+        # corners that cutting has made coincide span no plane
         if ex * ex + ey * ey + ez * ez < _SHORT_M**2:
             continue
         sx, sy, sz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
@@ -510,11 +510,7 @@ def pressure_responses(
     reach_m = synthetic.speed_of_sound_m_s * duration_s
     return [
         pressure_of_images(
-            (lengths, hits.astype(np.float64)),
-            synthetic,
-            duration_s,
-            sampling_rate_hz,
-            level_db,
+            (lengths, hits.astype(np.float64)), synthetic, duration_s, sampling_rate_hz, level_db
         )
         for lengths, hits in cell_images(synthetic.cells, source_m, receivers_m, reach_m)
     ]

@@ -188,12 +188,7 @@ def _cut(
 
 @kernel(allocates=False)
 def outside_of(
-    polygon: FloatArray,
-    n: int,
-    planes: FloatArray,
-    p: int,
-    margin_m: float,
-    part: FloatArray,
+    polygon: FloatArray, n: int, planes: FloatArray, p: int, margin_m: float, part: FloatArray
 ) -> int:
     """Write the part of a polygon beyond plane p, a margin more; return its corners.
 

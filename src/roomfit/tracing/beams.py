@@ -556,7 +556,7 @@ def _await(
     top: int,
 ) -> int:
     """Note what belongs to the opening at the top; return 1, or 0 if it is too far or too thin."""
-    # a hundred margins wide: of true beams so narrow, none is likely to hold a receiver
+    # a hundred margins wide: of true beams so narrow, none is likely to contain a receiver
     if is_sliver(waiting.opening_m[top], n, walls.tolerance_m):
         return 0
     normal = row(walls.normal, w)

@@ -206,12 +206,7 @@ def expected_images(volume_m3: float, length_m: float) -> float:
 
 
 def affordable_duration_s(
-    scene: Scene,
-    longest_s: float,
-    *,
-    order: int = 1000,
-    work: float = 1e7,
-    images: float = 2e5,
+    scene: Scene, longest_s: float, *, order: int = 1000, work: float = 1e7, images: float = 2e5
 ) -> float:
     """Return the duration up to which the images of any one source keep to a budget of work.
 
@@ -248,12 +243,7 @@ def affordable_duration_s(
 
 
 def affordable_order(
-    scene: Scene,
-    most: int,
-    duration_s: float,
-    *,
-    work: float = 1e7,
-    images: float = 2e5,
+    scene: Scene, most: int, duration_s: float, *, work: float = 1e7, images: float = 2e5
 ) -> int:
     """Return the order up to which the images of any one source keep to a budget of work.
 

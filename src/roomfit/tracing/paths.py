@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -108,6 +108,13 @@ class Paths:
         return len(self.length_m)
 
 
+# Arrays of `Paths` with one row a path; the others are optional or not of paths.
+_PER_PATH = (
+    *("pair", "length_m", "weight_per_m2", "hits_specular", "hits_diffuse"),
+    *("departure", "arrival", "batch"),
+)
+
+
 def hits(paths: Paths) -> IntArray:
     """Return all wall hits of each path, specular and diffuse, uint16, (n_paths, n_materials)."""
     return np.asarray(paths.hits_specular + paths.hits_diffuse)
@@ -124,22 +131,9 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
         # entry numbers of each kept path, laid end to end
         entries = np.arange(offsets[-1]) + np.repeat(old.offsets[index] - offsets[:-1], counts)
         reflections = Reflections(offsets, old.material[entries], old.cosine[entries])
-    return Paths(
-        paths.n_pairs,
-        paths.materials,
-        paths.pair[keep],
-        paths.length_m[keep],
-        paths.weight_per_m2[keep],
-        paths.hits_specular[keep],
-        paths.hits_diffuse[keep],
-        paths.departure[keep],
-        paths.arrival[keep],
-        paths.batch[keep],
-        paths.n_batches,
-        paths.sampling_scattering.copy(),
-        reflections,
-        None if paths.image_transform is None else paths.image_transform[keep],
-    )
+    columns: dict[str, Any] = {name: getattr(paths, name)[keep] for name in _PER_PATH}
+    transform = None if paths.image_transform is None else paths.image_transform[keep]
+    return replace(paths, **columns, reflections=reflections, image_transform=transform)
 
 
 def concatenate(parts: Sequence[Paths]) -> Paths:
@@ -165,24 +159,15 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
                 hint="trace all parts with the same room, pairs and scattering",
             )
 
-    def joined(name: str) -> np.ndarray[Any, Any]:
-        return np.concatenate([getattr(p, name) for p in parts])
-
-    return Paths(
-        first.n_pairs,
-        first.materials,
-        joined("pair"),
-        joined("length_m"),
-        joined("weight_per_m2"),
-        joined("hits_specular"),
-        joined("hits_diffuse"),
-        joined("departure"),
-        joined("arrival"),
-        joined("batch"),
-        max(p.n_batches for p in parts),
-        first.sampling_scattering.copy(),
-        _joined_reflections(parts),
-        _joined_image_transforms(parts),
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(p, name) for p in parts]) for name in _PER_PATH
+    }
+    return replace(
+        first,
+        **columns,
+        n_batches=max(p.n_batches for p in parts),
+        reflections=_joined_reflections(parts),
+        image_transform=_joined_image_transforms(parts),
     )
 
 

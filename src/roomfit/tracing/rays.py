@@ -128,12 +128,7 @@ def new_tally(n_chunks: int) -> Tally:
 
 
 def trace_block(
-    walls: Walls,
-    spheres: Spheres,
-    job: Job,
-    directions: FloatArray,
-    rays: range,
-    capacity: int,
+    walls: Walls, spheres: Spheres, job: Job, directions: FloatArray, rays: range, capacity: int
 ) -> tuple[Caught, Tally]:
     """Trace the rays of a block and return what they recorded and counted.
 

@@ -21,7 +21,7 @@ _OUTLINE_CORNERS = 12
 
 
 def convex_outline(points_m: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return a convex polygon that holds points of a plane, counter-clockwise about its normal.
+    """Return a convex polygon that contains points of a plane, counter-clockwise about its normal.
 
     The convex hull [1]_ where that has few corners, else a rectangle about it.
 
@@ -139,7 +139,7 @@ def _touch(a: FloatArray, b: FloatArray, tolerance_m: float) -> bool:
 
 @kernel(allocates=False)
 def _fits(flat: FloatArray, hull: IntArray, m: int, area: float, tolerance_m: float) -> bool:
-    """Return whether a hull has few corners and holds no more than two pieces of such an area."""
+    """Return whether a hull has few corners and covers no more than two pieces of such an area."""
     if m > _OUTLINE_CORNERS:
         return False
     around = 0.0
@@ -332,7 +332,7 @@ def _lies_in(
 def _group(
     piece_m: FloatArray, piece_normal: FloatArray, order: IntArray, tolerance_m: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Give each piece to the first wall whose plane holds its corners, or start a new one."""
+    """Give each piece to the first wall whose plane contains its corners, or start a new one."""
     n = len(order)
     owner = np.full(n, -1, dtype=np.int64)
     normal = np.empty((n, 3))

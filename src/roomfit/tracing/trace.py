@@ -34,10 +34,7 @@ class Trace:
 
 
 def trace(
-    scene: Scene,
-    settings: TraceSettings,
-    scattering: Scattering,
-    progress: Progress | None = None,
+    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None = None
 ) -> Trace:
     """Return the paths of every pair: images up to an order, and rays for what they leave.
 
