@@ -256,6 +256,14 @@ def check_mesh(
     ------
     InputError
         A key of `materials` matches nothing.
+
+    Examples
+    --------
+    >>> check = check_mesh(shoebox_mesh((6.0, 5.0, 3.0)), {"walls": "plaster"})
+    >>> check.traceable, round(check.volume_m3, 9)
+    (True, 90.0)
+    >>> check.material_areas_m2
+    (('plaster', 66.0), ('floor', 30.0), ('ceiling', 30.0))
     """
     bare = material_findings(mesh, materials)
     examination = examine(mesh)

@@ -270,6 +270,12 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
         12 triangles, outward normals; surfaces west (x = 0), east, south (y = 0), north, floor
         and ceiling, in that order. Each carries its own name as material; the four upright ones
         form the group "walls", so that one key can name them all.
+
+    Examples
+    --------
+    >>> box = shoebox_mesh((6.0, 5.0, 3.0))
+    >>> round(volume_m3(box), 9), surface_area_m2(box), round(mean_free_path_m(box), 3)
+    (90.0, 126.0, 2.857)
     """
     lengths = float_array("length of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
     corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) * lengths
