@@ -34,7 +34,9 @@ from roomfit.findings import Code, Finding
 from roomfit.objective.energy import EnergyProblem, tracing_variance
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import BandProblem
-from roomfit.solvers.least_squares import BandFit, ResidualFunction, Solver, fit_band, gauss_newton
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.least_squares import BandFit, Solver, fit_band, gauss_newton
+from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, IntArray, Progress
 
 Status = Literal["certified", "stopped", "unresolved"]
@@ -347,8 +349,9 @@ def _settings(limits: CertifyLimits, delta: float) -> SearchSettings:
 
 
 def _staying_at(place: FloatArray) -> Solver:
-    def stay(_residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
-        return place
+    def stay(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
+        values, _ = residuals(place)
+        return Minimum(place, 0.5 * float(values @ values), 1, Ending.CONVERGED)
 
     return stay
 

@@ -25,7 +25,6 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import (
     BandFit,
-    ResidualFunction,
     Solver,
     annealing_solver,
     few_gauss_newton_steps,
@@ -34,6 +33,7 @@ from roomfit.solvers.least_squares import (
     gauss_newton,
     simplex_solver,
 )
+from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
     BandAnswer,
@@ -68,12 +68,14 @@ def from_random_starts(
     number : int
     """
     usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    evaluations = fit.evaluations + usual.evaluations
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     fits = [fit]
     for _ in range(number):
-        place = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
-        alike = bool(np.all(np.abs(place - usual) <= _SAME_PLACE * sd))
-        fits.append(fit if alike else _from(problem, place))
+        other = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        alike = bool(np.all(np.abs(other.x - usual.x) <= _SAME_PLACE * sd))
+        fits.append(fit if alike else _from(problem, other.x))
+        evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
     worth = [_log_posterior(problem, f) for f in fits]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
@@ -86,7 +88,7 @@ def from_random_starts(
     losses = [worth[best] - w for w in worth]
     others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
     nearest = min(others, key=lambda i: losses[i], default=None)
-    return fits[best], Starts(
+    return replace(fits[best], evaluations=evaluations), Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
@@ -125,7 +127,7 @@ def starts_findings(
 
 
 def _from(problem: BandProblem, start: FloatArray) -> BandFit:
-    def there(residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
+    def there(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
         return gauss_newton(residuals, start)
 
     return fit_band(problem, there, few_gauss_newton_steps)

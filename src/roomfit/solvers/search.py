@@ -63,29 +63,11 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
+from roomfit.solvers.ending import Ending
 from roomfit.typing import FloatArray, Progress
 
 ErrorFunction: TypeAlias = Callable[[FloatArray], float]
 """Error of one point of the unit box, shape (n,); lower is better."""
-
-
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a search ended.
-
-    Attributes
-    ----------
-    code : str
-        Short and stable, in kebab case, for programs.
-    sentence : str
-        For a person: what happened and, where it did not go well, what to do.
-    converged : bool
-        Whether the search met its own test; it may still sit in a local minimum.
-    """
-
-    code: str
-    sentence: str
-    converged: bool
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -372,32 +354,13 @@ def fraction(state: Simplex) -> float:
 
 
 def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
-    tests: dict[ConvergenceTest, Callable[[], float]] = {
-        "spread": lambda: spread(state, counted),
-        "fraction": lambda: fraction(state),
-    }
-    if tests[settings.test]() <= settings.tolerance:
-        number = {"spread": 6, "fraction": 7}[settings.test]
-        return Ending(
-            "simplex-converged",
-            f"The simplex met test ({number}) with tolerance {settings.tolerance:g}. It may be a "
-            "local minimum: start again elsewhere and compare.",
-            converged=True,
-        )
+    test = spread(state, counted) if settings.test == "spread" else fraction(state)
+    if test <= settings.tolerance:
+        return Ending.CONVERGED
     if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
-        return Ending(
-            "simplex-collapsed",
-            "The simplex became too small to change before the test was met, as happens with "
-            "test (7) where the lowest error is 0; the point is as exact as numbers allow.",
-            converged=True,
-        )
+        return Ending.COLLAPSED
     if counted.evaluations >= settings.max_evaluations:
-        return Ending(
-            "evaluations-used-up",
-            f"The simplex still moved after {counted.evaluations} evaluations: start again from "
-            "its best point with a fresh simplex, or use least squares.",
-            converged=False,
-        )
+        return Ending.OUT_OF_EVALUATIONS
     return None
 
 

@@ -28,6 +28,7 @@ from roomfit.objective.parameters import (
     to_physical,
 )
 from roomfit.objective.problem import BandProblem
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.profile import Profile
@@ -265,7 +266,7 @@ class BandAnswer:
     chi2_reduced: float
     cost: float
     evaluations: int
-    converged: bool
+    ending: Ending
     model: str
     directivity: tuple[FloatArray, FloatArray] | None = None
     certificate: Certificate | None = None
@@ -275,6 +276,11 @@ class BandAnswer:
     sampling: Sampled | None = None
     mirrors: tuple[MirrorTrial, ...] = ()
     starts: Starts | None = None
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit met its test of convergence."""
+        return self.ending.converged
 
 
 Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
@@ -309,7 +315,7 @@ def band_answer(
         fit.chi2_reduced,
         fit.cost,
         fit.evaluations,
-        fit.converged,
+        fit.ending,
         model,
         _directivity(parameters, fit.vector, found.covariance),
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
@@ -360,7 +366,7 @@ def prior_only_band(
         0.0,
         0.0,
         0,
-        True,
+        Ending.CONVERGED,
         "prior",
         kinds=_kinds(least, most, ~fixed),
     )
