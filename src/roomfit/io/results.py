@@ -26,10 +26,11 @@ from roomfit.certified.certificate import Certificate
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.io.exports import read_material_table
+from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.results import Answer, ComparedPair, certificate_distance
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals, logit
+from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 
 def numbers(values: FloatArray) -> list[float]:

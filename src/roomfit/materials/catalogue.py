@@ -21,6 +21,7 @@ import numpy as np
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.logit import expit, logit
 from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -41,10 +42,9 @@ LOW_WIDENING = 0.6
 HIGH_WIDENING = 0.4
 
 
-def logit(absorption: FloatArray) -> FloatArray:
+def table_logit(absorption: FloatArray) -> FloatArray:
     """Return logit absorption; what tables print as 0, 1 or above is moved to 0.005 and 0.98."""
-    a = np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA)
-    return np.asarray(np.log(a / (1.0 - a)))
+    return logit(np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA))
 
 
 def distinct(readings: FloatArray) -> FloatArray:
@@ -75,7 +75,7 @@ def common_spread(materials: Iterable[FloatArray]) -> float:
     """
     squares, freedom = 0.0, 0
     for readings in materials:
-        values = logit(distinct(readings)[:, 1:7])
+        values = table_logit(distinct(readings)[:, 1:7])
         squares += float(np.sum((values - values.mean(axis=0)) ** 2))
         freedom += (len(values) - 1) * values.shape[1]
     return float(np.sqrt(squares / freedom))
@@ -95,7 +95,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     (standard deviation over the catalogue): by so much the spread is widened there.
     """
     rows = distinct(readings)
-    values = logit(rows)
+    values = table_logit(rows)
     n = len(values)
     middle = np.empty(8)
     middle[1:7] = values[:, 1:7].mean(axis=0)
@@ -109,7 +109,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
         printed = values[~np.isnan(values[:, end]), end]
         middle[end] = printed.mean() if printed.size else rule
         variance[end] = variance[inner] + (0.0 if printed.size else widening**2)
-    middle = logit(1.0 / (1.0 + np.exp(-middle)))
+    middle = table_logit(expit(middle))
     return middle, np.maximum(np.sqrt(variance), _between_laboratories(middle))
 
 
@@ -118,7 +118,7 @@ def _low_step(middle: FloatArray) -> float:
 
 
 def _between_laboratories(middle: FloatArray) -> FloatArray:
-    a = 1.0 / (1.0 + np.exp(-middle))
+    a = expit(middle)
     sd = np.minimum(_REPRODUCIBILITY_M * a + _REPRODUCIBILITY_N, 0.5 * a)
     return np.asarray(sd / (a * (1.0 - a)))
 
@@ -173,7 +173,7 @@ class CatalogueEntry:
     @property
     def absorption(self) -> FloatArray:
         """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.logit_mean)))
+        return expit(self.logit_mean)
 
     @property
     def sd(self) -> FloatArray:
@@ -310,7 +310,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     """
     entry = find_material(name)
     at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
-    mean = 1.0 / (1.0 + np.exp(-np.interp(at, known, entry.logit_mean)))
+    mean = expit(np.interp(at, known, entry.logit_mean))
     below, above = np.maximum(known[0] - at, 0.0), np.maximum(at - known[-1], 0.0)
     sd = np.interp(at, known, entry.logit_sd)
     sd = np.sqrt(sd**2 + below * LOW_WIDENING**2 + above * HIGH_WIDENING**2)

@@ -11,6 +11,7 @@ import numpy as np
 
 from roomfit._checks import float_array, unique_names
 from roomfit.errors import InputError
+from roomfit.logit import logit
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
@@ -126,7 +127,7 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
     sd : float array
         Above 0, dimensionless.
     """
-    return np.log(mean) - np.log1p(-mean), sd / (mean * (1.0 - mean))
+    return logit(mean, 0.0), sd / (mean * (1.0 - mean))
 
 
 def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:

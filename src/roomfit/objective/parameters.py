@@ -18,6 +18,7 @@ import numpy as np
 
 from roomfit._checks import bool_array, float_array, int_array
 from roomfit.errors import InputError
+from roomfit.logit import logit
 from roomfit.response.coherent import Times
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -137,8 +138,7 @@ def to_free(block: Block, values: FloatArray) -> FloatArray:
         return np.asarray(np.log(values))
     if block.transform == "logit":
         share = (values - block.lower) / (block.upper - block.lower)
-        share = np.clip(share, 1e-9, 1.0 - 1e-9)
-        return np.asarray(np.log(share) - np.log1p(-share))
+        return logit(share, 1e-9)
     return np.array(values, dtype=np.float64)
 
 

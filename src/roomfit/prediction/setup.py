@@ -30,6 +30,7 @@ from roomfit.io.campaign import Campaign
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.materials import campaign_directivities, unknown_directivity
 from roomfit.io.measurements import measure
+from roomfit.logit import expit
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import MaterialPrior, logit_prior
 from roomfit.objective.room_parameters import values_at
@@ -204,7 +205,7 @@ def _logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray
     """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself."""
     inside = np.clip(mean, 1e-4, 1.0 - 1e-4)
     middle, width = logit_prior(inside, sd)
-    drawn = 1.0 / (1.0 + np.exp(-(middle + width * z[:, None])))
+    drawn = expit(middle + width * z[:, None])
     return np.asarray(np.where(sd > 0.0, drawn, mean))
 
 

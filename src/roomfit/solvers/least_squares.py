@@ -15,6 +15,7 @@ from typing import TypeAlias
 import numpy as np
 from scipy.special import digamma, polygamma
 
+from roomfit.logit import expit
 from roomfit.objective.parameters import (
     Marginal,
     Parameters,
@@ -202,7 +203,7 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
         free = vector[position : position + n]
         position += n
         if block.transform == "logit":
-            parts.append(1.0 / (1.0 + np.exp(-free)))
+            parts.append(expit(free))
         else:
             middle = to_free(block, block.start)[block.fitted]
             parts.append(np.clip(0.5 + 0.5 * (free - middle) / _LOG_REACH, 0.0, 1.0))

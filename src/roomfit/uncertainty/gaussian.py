@@ -16,6 +16,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.certified.certificate import Certificate
+from roomfit.logit import Z95, expit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
@@ -34,7 +35,6 @@ from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 WIDEST_IDENTIFIABLE = 0.2
 LARGEST_CHI2_REDUCED = 2.0
 # Data whose information is below this share of the prior's narrow its interval by less than 5 %.
@@ -83,7 +83,7 @@ def absorption_intervals(
     absorption = values["absorption"]
     lower, upper = (
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
-        for z in (-_Z95, _Z95)
+        for z in (-Z95, Z95)
     )
     uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
@@ -125,7 +125,7 @@ def weighted_mean_interval(
     gradient = whole[block.fitted]
     part = covariance[first : first + n, first : first + n]
     sd = float(np.sqrt(gradient @ part @ gradient))
-    return mean, max(mean - _Z95 * sd, 0.0), min(mean + _Z95 * sd, 1.0)
+    return mean, max(mean - Z95 * sd, 0.0), min(mean + Z95 * sd, 1.0)
 
 
 def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
@@ -347,10 +347,10 @@ def prior_only_band(
     """Return what is left of a band without data: what was known beforehand, and no more."""
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
-    logit = np.array([k.prior_logit_mean[band] for k in priors])
+    free = np.array([k.prior_logit_mean[band] for k in priors])
     lower = np.array([k.lower for k in priors])
     upper = np.array([k.upper for k in priors])
-    expected = lower + (upper - lower) / (1.0 + np.exp(-logit))
+    expected = lower + (upper - lower) * expit(free)
     absorption = np.where(fixed, known, expected)
     least, most = np.where(fixed, known, 0.0), np.where(fixed, known, 1.0)
     share = areas_m2 / areas_m2.sum()
@@ -360,7 +360,7 @@ def prior_only_band(
         least,
         most,
         fixed,
-        logit,
+        free,
         np.diag(sd**2),
         (float(share @ absorption), float(share @ least), float(share @ most)),
         0.0,

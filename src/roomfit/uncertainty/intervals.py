@@ -7,6 +7,7 @@ from typing import Literal
 
 import numpy as np
 
+from roomfit.logit import Z95, expit, logit
 from roomfit.objective.parameters import (
     Block,
     Parameters,
@@ -25,11 +26,9 @@ from roomfit.uncertainty.gaussian import (
     BandAnswer,
     MirrorTrial,
 )
-from roomfit.uncertainty.posterior import logit
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 # A profile never narrows either side of an interval, in the logit, to less than this of the
 # Gaussian's: a skew likelihood halves a side at most in every case looked at, and what asks for
 # more is rather an error of the weights that are held.
@@ -103,10 +102,10 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
         found.append(replace(line, entry=int(own)))
         if line.gaussian:
             continue
-        ends, at, least = np.array(free), free[own], LEAST_SIDE * _Z95 * sd[own]
-        ends[own] = at - max(np.hypot(at - line.lower, _Z95 * more[number]), least)
+        ends, at, least = np.array(free), free[own], LEAST_SIDE * Z95 * sd[own]
+        ends[own] = at - max(np.hypot(at - line.lower, Z95 * more[number]), least)
         lower[own] = to_physical(block, ends)[0][own]
-        ends[own] = at + max(np.hypot(line.upper - at, _Z95 * more[number]), least)
+        ends[own] = at + max(np.hypot(line.upper - at, Z95 * more[number]), least)
         upper[own] = to_physical(block, ends)[0][own]
         kinds[own] = "profile"
     leader = leaders(block)
@@ -166,7 +165,7 @@ def sampled(
         size, directions = np.linalg.eigh(beyond)
         root = directions * np.sqrt(np.maximum(size, 0.0))
         free = free + np.random.default_rng(1).standard_normal(free.shape) @ root.T
-    draws[:, fitted] = low + (high - low) * 0.5 * (1.0 + np.tanh(0.5 * free))
+    draws[:, fitted] = low + (high - low) * expit(free)
     draws = draws[:, leaders(block)]
     lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
     own = np.zeros((areas_m2.size, areas_m2.size))

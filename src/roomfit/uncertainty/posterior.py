@@ -16,10 +16,10 @@ import numpy as np
 from roomfit._checks import float_array, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
 _SMALLEST = 1e-6
 
@@ -105,7 +105,7 @@ def covariance_from_intervals(
     float array, shape (n_bands, n_materials, n_materials)
     """
     middle = logit(absorption)
-    sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / _Z95
+    sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / Z95
     # five digits in a table: what is written as 0.00000 may have been a small interval's end
     is_bounded = np.array([lower95 > 0.0, upper95 < 1.0])
     count = is_bounded.sum(axis=0)
@@ -113,12 +113,6 @@ def covariance_from_intervals(
     sd = np.where(count > 0, np.maximum(mean, 0.0), DEFAULT_LOGIT_SD)
     sd = np.where(lower95 == upper95, 0.0, sd)
     return np.asarray(np.stack([np.diag(column**2) for column in sd.T]))
-
-
-def logit(absorption: FloatArray) -> FloatArray:
-    """Return ``log(a / (1 - a))``, a kept a millionth away from 0 and 1."""
-    a = np.clip(absorption, _SMALLEST, 1.0 - _SMALLEST)
-    return np.asarray(np.log(a) - np.log1p(-a))
 
 
 def plain_logit_covariance(
@@ -204,7 +198,7 @@ def rto_draws(
     perturbed = perturbed + antithetic_normals(n_draws, perturbed.size, rng)
     prior_sd = prior_sd_scale * prior_logit_sd
     centres = prior_logit_mean + prior_sd * antithetic_normals(n_draws, n, rng)
-    return _absorption(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
+    return expit(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
 
 
 def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
@@ -235,7 +229,7 @@ def _most_likely(
     r = residuals(x)
     cost = np.sum(r**2, axis=1)
     for _ in range(_STEPS):
-        J = np.concatenate((R[None] * _absorption(x)[:, None, :], below), axis=1)
+        J = np.concatenate((R[None] * expit(x)[:, None, :], below), axis=1)
         H = np.swapaxes(J, 1, 2) @ J
         gradient = np.einsum("dij,di->dj", J, r)
         H[:, diagonal, diagonal] *= (1.0 + damping)[:, None]
@@ -252,10 +246,6 @@ def _most_likely(
 def _exponent(x: FloatArray) -> FloatArray:
     """Return ``-log(1 - a)`` of absorption given by its logit."""
     return np.asarray(np.logaddexp(0.0, x))
-
-
-def _absorption(x: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
 
 
 # A prior that nobody told may as well be so many times as wide.
@@ -354,7 +344,7 @@ def prior_draws(
     own, twin = _own(absorption, covariance_logit, fixed)
     if own.size:
         noise = antithetic_normals(n_draws, own.size, rng)
-        drawn = _share(prior_logit_mean[own] + prior_logit_sd[own] * noise)
+        drawn = expit(prior_logit_mean[own] + prior_logit_sd[own] * noise)
         draws[:, ~fixed] = drawn[:, twin]
     return draws
 
@@ -364,12 +354,8 @@ def _gaussian_draws(
 ) -> FloatArray:
     size, direction = np.linalg.eigh(covariance)
     step = antithetic_normals(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
-    share = _share(logit(absorption) + step @ direction.T)
+    share = expit(logit(absorption) + step @ direction.T)
     return np.asarray(np.where(np.diag(covariance) == 0.0, absorption, share))
-
-
-def _share(x: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
 
 
 def _own(

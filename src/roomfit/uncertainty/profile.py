@@ -10,14 +10,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
-_Z95 = 1.959963984540054
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
-RISE95 = 0.5 * _Z95**2
+RISE95 = 0.5 * Z95**2
 # A Gaussian whose rise at its own ends is within this of what it promises is kept: its interval
 # would change by less than a tenth.
 _GAUSSIAN_ENOUGH = 0.2
@@ -91,7 +91,7 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     ends: list[float] = []
     found_bent = False
     for sign in (-1.0, 1.0):
-        there = sign * _Z95 * sd
+        there = sign * Z95 * sd
         off = line.rise(there) / RISE95 - 1.0
         if abs(off) > _GAUSSIAN_ENOUGH:
             found_bent = True
@@ -161,8 +161,8 @@ class _Line:
                 share = (aim - low[1]) / max(high[1] - low[1], 1e-12)
                 here = low[0] + min(max(share, 0.1), 0.9) * (high[0] - low[0])
             else:
-                slope = max(low[1] / max(abs(low[0]), 1e-12), 0.25 * aim / (_Z95 * self.sd))
-                step = min(max((aim - low[1]) / slope, 0.1 * self.sd), 2.0 * _Z95 * self.sd)
+                slope = max(low[1] / max(abs(low[0]), 1e-12), 0.25 * aim / (Z95 * self.sd))
+                step = min(max((aim - low[1]) / slope, 0.1 * self.sd), 2.0 * Z95 * self.sd)
                 here = low[0] + sign * step
             if abs(here) >= far:
                 return sign * far

@@ -12,6 +12,7 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE, BandAnswer
@@ -145,9 +146,6 @@ def _checked_shape(
     return int(shape[0]), int(shape[1])
 
 
-_Z95 = 1.959963984540054
-
-
 def smoothed(
     answers: Sequence[BandAnswer],
     priors: tuple[MaterialPrior, ...],
@@ -198,8 +196,8 @@ def _redrawn(
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     fixed = np.array([k.known is not None for k in priors])
 
-    def physical(logit: FloatArray) -> FloatArray:
-        return np.asarray(low + width / (1.0 + np.exp(-logit)))
+    def physical(free: FloatArray) -> FloatArray:
+        return np.asarray(low + width * expit(free))
 
     ends = _profile_ends(answer, mean, sd, priors)
     absorption = np.where(fixed, answer.absorption, physical(mean))
@@ -227,7 +225,7 @@ def _redrawn(
         samples=None,
         logit_mean=mean,
         logit_covariance=covariance,
-        mean=(whole, max(whole - _Z95 * mean_sd, 0.0), min(whole + _Z95 * mean_sd, 1.0)),
+        mean=(whole, max(whole - Z95 * mean_sd, 0.0), min(whole + Z95 * mean_sd, 1.0)),
     )
 
 
@@ -242,7 +240,7 @@ def _profile_ends(
     What the other bands say of a material is the Gaussian that makes its new mean and spread of
     the old ones; it is put to the profile of the band itself.
     """
-    lower, upper = mean - _Z95 * sd, mean + _Z95 * sd
+    lower, upper = mean - Z95 * sd, mean + Z95 * sd
     names = [k.name for k in priors]
     found = {p.entry: p for p in answer.profiles if not p.gaussian}
     for i, own in enumerate(priors):
@@ -259,12 +257,11 @@ def _profile_ends(
             *(found[leader], (at - free[0], free[1] - at)),
             *(weighed / others if others > 0.0 else at, others),
         )
-        least = LEAST_SIDE * _Z95 * sd[i]
+        least = LEAST_SIDE * Z95 * sd[i]
         lower[i], upper[i] = min(ends[0], mean[i] - least), max(ends[1], mean[i] + least)
     return lower, upper
 
 
 def _free(absorption: FloatArray, own: MaterialPrior) -> FloatArray:
     """Return the free numbers of absorption between a material's bounds."""
-    share = np.clip((absorption - own.lower) / (own.upper - own.lower), 1e-9, 1.0 - 1e-9)
-    return np.asarray(np.log(share) - np.log1p(-share))
+    return logit((absorption - own.lower) / (own.upper - own.lower), 1e-9)
