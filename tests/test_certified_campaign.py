@@ -13,10 +13,8 @@ import pytest
 import roomfit
 from roomfit.bands import Bands
 from roomfit.certified.certificate import (
-    Certificate,
     CertifyLimits,
     affordable_certificate,
-    certificate_findings,
     certified_fit,
     tracing_delta,
 )
@@ -29,6 +27,7 @@ from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import JointProblem
 from roomfit.report.text import certificate_text
+from roomfit.solvers.certificate import Certificate, certificate_findings
 from roomfit.solvers.least_squares import fit_band, gauss_newton
 from small_campaign import write_campaign
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import Certificate
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
+from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
 from roomfit.uncertainty.profile import Profile

@@ -11,7 +11,6 @@ from dataclasses import replace
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate, certified_fit
 from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import EnergyProblem
@@ -23,6 +22,7 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import BandProblem
+from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.least_squares import (
     BandFit,
     Solver,
@@ -187,6 +187,8 @@ def fit_bands(
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         if method == "certified":
+            from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
+
             fit, proof = certified_fit(problem, progress=done)
             noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
             own = band_answer(problem.parameters, noisy, areas_m2, "energy")
@@ -207,6 +209,13 @@ def fit_bands(
             own = replace(own, certificate=affordable_certificate(problem, fit.vector))
         answers.append(own if refine is None else refine(problem, fit, own, done))
     return tuple(answers)
+
+
+def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+    """Return what is proven of a band's energies near a fit, where that takes a moment."""
+    from roomfit.certified.certificate import affordable_certificate as certificate  # heavy
+
+    return certificate(problem, vector)
 
 
 def _solvers(

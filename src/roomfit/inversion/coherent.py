@@ -23,8 +23,8 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate
 from roomfit.findings import Finding
+from roomfit.inversion.bands import affordable_certificate
 from roomfit.inversion.directivity import (
     directivities_under_cavity_priors,
     directivity_score,

@@ -22,13 +22,13 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.certified.certificate import Certificate
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.results import Answer, ComparedPair, certificate_distance
+from roomfit.solvers.certificate import Certificate
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 

@@ -127,6 +127,11 @@ class Parameters:
     joint: JointPrior | None = None
 
 
+def absorption_of(parameters: Parameters) -> Block:
+    """Return the block of the absorptions, which every problem has."""
+    return next(b for b in parameters.blocks if b.name == "absorption")
+
+
 def leaders(block: Block) -> IntArray:
     """Return the entry whose value each entry takes, shape (n,)."""
     return np.arange(len(block.labels)) if block.leader is None else block.leader

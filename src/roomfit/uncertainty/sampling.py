@@ -24,6 +24,7 @@ from roomfit.errors import InputError
 from roomfit.objective.parameters import (
     GEOMETRY,
     Parameters,
+    absorption_of,
     physical_values,
     position_of,
     prior_residuals,
@@ -191,7 +192,7 @@ def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
 
 def absorption_columns(parameters: Parameters) -> tuple[int, IntArray]:
     """Return where the fitted absorptions begin, and which entries of their block they are."""
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
 
 
@@ -210,7 +211,7 @@ def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     out = np.array(kept)
     first, columns = absorption_columns(parameters)
     own = slice(first, first + columns.size)
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     low, high = block.lower[columns], block.upper[columns]
     # 1 - a, without rounding where a comes near to 1
     less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
@@ -484,7 +485,7 @@ class Surrogate:
         sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
         here = np.array(points, dtype=np.float64, order="C")
         first, columns = absorption_columns(self.parameters)
-        block = next(b for b in self.parameters.blocks if b.name == "absorption")
+        block = absorption_of(self.parameters)
         w = _no_windows(n) if self.windows is None else self.windows
         gain = walk_points(
             *(here, root, sizes, rng.standard_normal((steps, *here.shape))),

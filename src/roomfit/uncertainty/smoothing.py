@@ -15,7 +15,7 @@ from roomfit.errors import InputError
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE, BandAnswer
+from roomfit.uncertainty.gaussian import BandAnswer, is_identifiable
 from roomfit.uncertainty.intervals import LEAST_SIDE
 from roomfit.uncertainty.profile import profile_under
 
@@ -204,12 +204,8 @@ def _redrawn(
     lower = np.where(fixed, answer.lower95, physical(ends[0]))
     upper = np.where(fixed, answer.upper95, physical(ends[1]))
     prior_sd = np.array([k.prior_logit_sd[band] for k in priors])
-    sure = (
-        (answer.chi2_reduced <= LARGEST_CHI2_REDUCED)
-        & (upper - lower <= WIDEST_IDENTIFIABLE)
-        & (sd <= 0.5 * prior_sd)
-        & (answer.model != "prior")
-    )
+    sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, prior_sd)
+    sure &= answer.model != "prior"
     share = areas_m2 / areas_m2.sum()
     gradient = share * (absorption - low) * (low + width - absorption) / width
     mean_sd = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
