@@ -22,7 +22,6 @@ from roomfit.certified.convex import total_misfit
 from roomfit.certified.question import energy_global_problem, free_vector
 from roomfit.certified.search import tools_for
 from roomfit.findings import Code
-from roomfit.inversion import bands as fitting
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import JointProblem
@@ -48,7 +47,7 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer,
         return certified_fit(problem, *args, **more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "certified_fit", watched)
+        patch.setattr("roomfit.certified.certificate.certified_fit", watched)
         path = write_campaign(tmp_path_factory.mktemp("certified"), *CHANGES)
         answer = roomfit.identify(roomfit.read_campaign(path))
     return answer, problems

@@ -121,7 +121,7 @@ class CoherentTask:
     parts: Sequence[tuple[PartFactory, ...]]
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
-    outliers: Mapping[int, float] = field(default_factory=dict)
+    outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
     refine: Refine | None = None
 
 

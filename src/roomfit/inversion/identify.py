@@ -38,7 +38,7 @@ from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.io.campaign import Campaign
 from roomfit.io.materials import material_priors
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialPrior, prior_logits
+from roomfit.materials.priors import MaterialPrior, are_specified, prior_logits
 from roomfit.objective.observation import (
     left_out_findings,
     prior_only_band_findings,
@@ -95,6 +95,7 @@ def combine(
     determined_groups = determined(
         *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
         [b.samples for b in found],
+        are_specified(priors),
     )
     models = tuple(b.model for b in found)
     inseparable = (
@@ -133,6 +134,7 @@ def combine(
         seconds=time.perf_counter() - began,
         logit_covariance=covariance,
         logit_prior=prior,
+        prior_specified=are_specified(priors),
         combinations=determined_groups.combinations,
         sentences=determined_groups.sentences,
         shares=determined_groups.shares,

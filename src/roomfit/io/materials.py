@@ -189,6 +189,7 @@ def _material_prior(campaign: Campaign, name: str) -> MaterialPrior:
         fit_scattering=table.scattering == "fit",
         tied_to=table.same_absorption_as,
         wall_delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+        specified=prior is not None or table.bounds is not None,
     )
 
 

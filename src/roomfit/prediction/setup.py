@@ -40,7 +40,7 @@ from roomfit.scene import Room, Scene, distances_m, material_areas_m2, position_
 from roomfit.signals.decay import DecayCurve
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.tracing.paths import TraceSettings
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 _NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
@@ -382,7 +382,18 @@ def room_posterior(
         covariance,
         None if plain else matched(absorption.prior_logit_mean, np.zeros(shape)),
         None if plain else matched(absorption.prior_logit_sd, np.ones(shape)),
+        prior_specified=_matched_flags(absorption.prior_specified, len(names), own, theirs),
     )
+
+
+def _matched_flags(
+    flags: BoolArray | None, n: int, own: Sequence[int], theirs: Sequence[int]
+) -> BoolArray | None:
+    if flags is None:
+        return None
+    values = np.ones(n, dtype=np.bool_)
+    values[own] = flags[theirs]
+    return values
 
 
 def with_fitted_scattering(

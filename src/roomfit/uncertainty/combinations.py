@@ -495,6 +495,7 @@ def determined(
     areas_m2: FloatArray,
     seed: int,
     samples: Sequence[FloatArray | None] = (),
+    specified: BoolArray | None = None,
 ) -> Determined:
     """Return what every band determines.
 
@@ -505,15 +506,16 @@ def determined(
         See `band_combinations`.
     samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
         Draws of absorption where the posterior was sampled.
+    specified : bool array, shape (n_materials,), optional
+        Whose prior was specified; see `roomfit.uncertainty.posterior.band_draws`.
     """
     combinations, sentences, shares = [], [], []
     for band, covariance in enumerate(logit_covariance):
         a, prior = absorption[:, band], logit_prior[:, :, band]
         drawn = samples[band] if band < len(samples) else None
         if drawn is None:
-            drawn = band_draws(
-                a, covariance, prior[0], prior[1], N_DRAWS, np.random.default_rng(seed)
-            )
+            rng = np.random.default_rng(seed)
+            drawn = band_draws(a, covariance, prior[0], prior[1], N_DRAWS, rng, specified=specified)
         rng = np.random.default_rng(seed)
         found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
         combinations.append(found)

@@ -13,7 +13,7 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit._checks import float_array, unique_names
+from roomfit._checks import bool_array, float_array, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import Z95, expit, logit
@@ -26,34 +26,23 @@ _SMALLEST = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsorptionPosterior:
-    """Absorption of every material in every band, and how sure one can be of it.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    bands : Bands
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        0 to 1.
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-        Of logit absorption. A material with a variance of 0 is held at its absorption.
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials, n_bands), or None
-        What was known of logit absorption beforehand; it tells the data's part of the covariance.
-    scattering : float array, shape (n_materials, n_bands), or None
-        What the walls were taken to scatter when the absorption was found.
-    directivities : mapping of source to float array, shape (n_bands, 3), or None
-        Vectors b of the sources whose first-order directivity was found along with it.
-    """
+    """Absorption of every material in every band with its uncertainty."""
 
     materials: tuple[str, ...]
     bands: Bands
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands), 0 to 1, and so the next two
     lower95: FloatArray
     upper95: FloatArray
+    # (n_bands, n_materials, n_materials), of logit absorption; variance 0: absorption is fixed
     logit_covariance: FloatArray
+    # (n_materials, n_bands), prior of logit absorption: it gives the data's part of the covariance
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
-    scattering: FloatArray | None = None
+    scattering: FloatArray | None = None  # (n_materials, n_bands), with which absorption was found
+    # of source to vectors b, (n_bands, 3), of first-order directivities found with the absorption
     directivities: Mapping[str, FloatArray] | None = None
+    # (n_materials,), whether the prior was specified; None: unknown
+    prior_specified: BoolArray | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -67,6 +56,9 @@ class AbsorptionPosterior:
             if value is not None:
                 high = 1.0 if name == "scattering" else 50.0
                 object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
+        if self.prior_specified is not None:
+            flags = bool_array("prior_specified", self.prior_specified, (n,))
+            object.__setattr__(self, "prior_specified", flags)
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -248,7 +240,7 @@ def _exponent(x: FloatArray) -> FloatArray:
     return np.asarray(np.logaddexp(0.0, x))
 
 
-# A prior that nobody told may as well be so many times as wide.
+# An unspecified prior may as well be so many times as wide.
 DEFAULT_PRIOR_SD_SCALE = 2.0
 
 
@@ -280,7 +272,9 @@ def draw_absorption(
             draws[:, :, band] = _gaussian_draws(a, covariance, n, rng)
         else:
             mean, sd = posterior.prior_logit_mean[:, band], posterior.prior_logit_sd[:, band]
-            draws[:, :, band] = band_draws(a, covariance, mean, sd, n, rng)
+            draws[:, :, band] = band_draws(
+                a, covariance, mean, sd, n, rng, specified=posterior.prior_specified
+            )
     return draws
 
 
@@ -291,12 +285,14 @@ def band_draws(
     prior_logit_sd: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
+    *,
+    specified: BoolArray | None = None,
 ) -> FloatArray:
     """Return draws of one band that stay where the data are, shape (n_draws, n_materials).
 
-    The prior of a wall of which nobody told anything is a guess. In a room with many hard walls it
-    pulls them all one way, and then their sum lies farther off than its parts. The draws take such
-    a prior for up to twice as wide as the answer did: by as much as the data know of the wall.
+    The default prior of an unspecified wall is a guess. In a room with many hard walls it pulls
+    them all one way, and then their sum lies farther off than its parts. The draws take such a
+    prior for up to twice as wide as the answer did: by as much as the data know of the wall.
 
     Parameters
     ----------
@@ -307,6 +303,8 @@ def band_draws(
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
     n_draws : int
     rng : numpy Generator
+    specified : bool array, shape (n_materials,), optional
+        Whose prior was specified; without it, every prior that does not equal the default.
 
     See Also
     --------
@@ -320,10 +318,9 @@ def band_draws(
         answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
         # where the data say little a wider prior would let other walls go wherever they like
         information_fraction = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
+        is_default = is_default_prior(mean, sd) if specified is None else ~specified[own]
         prior_sd_scale = np.where(
-            is_default_prior(mean, sd),
-            1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction,
-            1.0,
+            is_default, 1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction, 1.0
         )
         drawn = rto_draws(*answer, n_draws, rng, prior_sd_scale=prior_sd_scale)
         draws[:, ~fixed] = drawn[:, twin]
