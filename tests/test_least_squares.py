@@ -7,11 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from roomfit.eyring import decay_rate_per_s, eyring_absorption, eyring_time_s
 from roomfit.solvers.ending import Ending
-from roomfit.solvers.least_squares import decay_rate_per_s, eyring_absorption, starts
 from roomfit.solvers.search import SimplexSettings, downhill_simplex, simplex_around
 from roomfit.suh2001.landscape import descend, grid_minima, landscape, minima_of_descents
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.suh2001.searches import fit_least_squares, starts
 from roomfit.typing import FloatArray
 
 TIMES = np.linspace(0.0, 2.0, 20)
@@ -124,6 +124,9 @@ def test_eyrings_rate_gives_eyrings_absorption_back(absorption: float, m: float)
     t60 = 55.26 * volume / (c * (4.0 * m * volume - surface * np.log1p(-absorption)))
     found = eyring_absorption(6.0 * np.log(10.0) / t60, volume, surface, c, m)
     assert found == pytest.approx(absorption, rel=1e-3)
+    # and the same formula solved for the time
+    time_s = eyring_time_s(np.array(absorption), volume, surface, c, np.array(m))
+    assert time_s == pytest.approx(t60, rel=1e-4)
 
 
 def test_starts_begin_with_the_uniform_one() -> None:

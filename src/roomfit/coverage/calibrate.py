@@ -38,13 +38,13 @@ from roomfit.coverage.truth import (
     draw_synthetic_room,
 )
 from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
 from roomfit.logit import expit
 from roomfit.results import Answer
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 FOLDER = "replicates"

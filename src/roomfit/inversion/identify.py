@@ -14,6 +14,7 @@ import numpy as np
 from roomfit._numba import one_blas_thread
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.cache import Cache
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
@@ -47,7 +48,6 @@ from roomfit.objective.observation import (
 from roomfit.results import Answer
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.certificate import certificate_findings
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import determined, inseparable_findings
 from roomfit.uncertainty.gaussian import BandAnswer

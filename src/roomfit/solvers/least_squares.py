@@ -2,8 +2,7 @@
 
 Weights are taken at the present answer, the weighted squares are solved, and the weights renewed
 until the answer agrees with the last one. What solves the squares is an argument: damped
-Gauss-Newton steps, or the searches of Suh's paper. Also: where a fit starts (one absorption for
-all walls, from the decay by Eyring's formula), and what one band's fit says to the next.
+Gauss-Newton steps, or the searches of Suh's paper. Also: what one band's fit says to the next.
 """
 
 from __future__ import annotations
@@ -33,88 +32,6 @@ from roomfit.solvers.levenberg_marquardt import (
 )
 from roomfit.solvers.search import Fit, anneal, downhill_simplex, simplex_around
 from roomfit.typing import FloatArray, Progress
-
-_LOWEST, _HIGHEST = 0.02, 0.98
-
-
-def decay_rate_per_s(energy: FloatArray, edges_s: FloatArray) -> float:
-    """Return the rate k of the decay ``exp(-k t)`` that window energies follow.
-
-    The slope of the backward-integrated energy between 5 and 25 dB below its start, or over all
-    windows where those are fewer than three.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_windows,)
-        Energy of each window, any unit, not all zero.
-    edges_s : float array, shape (n_windows + 1,)
-        Rising window edges.
-
-    Returns
-    -------
-    float
-        1/s; 0 where the energy does not fall.
-
-    Notes
-    -----
-    Backward integration after M. R. Schroeder, "New method of measuring reverberation time",
-    J. Acoust. Soc. Am. 37, 409-412 (1965).
-    """
-    remaining = np.cumsum(energy[::-1])[::-1]
-    alive = remaining > 0.0
-    log_energy = np.log(remaining[alive] / remaining[0])
-    time_s = edges_s[:-1][alive]
-    level_db = 10.0 / np.log(10.0) * log_energy
-    usable = (level_db <= -5.0) & (level_db >= -25.0)
-    if np.count_nonzero(usable) < 3:
-        usable = np.ones_like(usable)
-    if np.count_nonzero(usable) < 2:
-        return 0.0
-    slope = np.polyfit(time_s[usable], log_energy[usable], 1)[0]
-    return max(-float(slope), 0.0)
-
-
-def eyring_absorption(
-    decay_rate_per_s: float,
-    volume_m3: float,
-    surface_m2: float,
-    speed_of_sound_m_s: float,
-    attenuation_per_m: float = 0.0,
-) -> float:
-    """Return the absorption which, on all walls alike, gives a decay rate by Eyring's law.
-
-    ``k = c (m - S ln(1 - a) / (4 V))``, kept within 0.02 to 0.98 so that a search can move either
-    way.
-
-    Parameters
-    ----------
-    decay_rate_per_s : float
-        Rate k of the energy decay ``exp(-k t)``; 6 ln 10 over the reverberation time.
-    volume_m3, surface_m2, speed_of_sound_m_s : float
-    attenuation_per_m : float
-        Energy attenuation m of the air.
-
-    References
-    ----------
-    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1,
-           217-241 (1930).
-
-    Examples
-    --------
-    A box of 4 V / S = 4 m and 340 m/s loses half at a hit 85 times a second.
-
-    >>> round(eyring_absorption(85 * np.log(2), 4.0, 4.0, 340.0), 6)
-    0.5
-    """
-    loss_per_m = decay_rate_per_s / speed_of_sound_m_s - attenuation_per_m
-    absorption = -np.expm1(-loss_per_m * 4.0 * volume_m3 / surface_m2)
-    return float(np.clip(absorption, _LOWEST, _HIGHEST))
-
-
-def starts(uniform: float, n: int, n_random: int, rng: np.random.Generator) -> FloatArray:
-    """Return the uniform start followed by random ones, shape (1 + n_random, n)."""
-    return np.concatenate((np.full((1, n), uniform), rng.random((n_random, n))))
-
 
 Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], Minimum]
 """Residuals with derivative, and a start, shape (n,), to a minimum of their squares."""

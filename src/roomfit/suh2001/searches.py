@@ -106,3 +106,8 @@ class _Remembered:
             self.points.append(np.array(x))
             self.costs.append(float(self._last[0] @ self._last[0]))
         return self._last
+
+
+def starts(uniform: float, n: int, n_random: int, rng: np.random.Generator) -> FloatArray:
+    """Return the uniform start followed by random ones, shape (1 + n_random, n)."""
+    return np.concatenate((np.full((1, n), uniform), rng.random((n_random, n))))

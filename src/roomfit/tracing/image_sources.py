@@ -15,7 +15,6 @@ from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roomfit.air import speed_of_sound_m_s
@@ -28,6 +27,7 @@ from roomfit.tracing.paths import (
     ImageSet,
     Paths,
     Reflections,
+    joined_reflections,
     reflections_in_order,
     unfolded_normals,
 )
@@ -583,6 +583,7 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     hits = np.concatenate([no_hits, *(s.hits for s in sets)])
     kept = np.prod((1.0 - scattering) ** hits, axis=1)
     nowhere = np.zeros((0, 3))
+    transforms = [s.image_transform for s in sets if s.image_transform is not None]
     return Paths(
         len(scene.pairs),
         scene.room.materials,
@@ -596,23 +597,6 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         np.full(len(length), -1, dtype=np.int32),
         0,
         scattering,
-        _joined_reflections([s.reflections for s in sets if s.reflections is not None]),
-        _joined_image_transforms(
-            [s.image_transform for s in sets if s.image_transform is not None]
-        ),
-    )
-
-
-def _joined_image_transforms(parts: list[FloatArray]) -> NDArray[np.float32] | None:
-    return np.concatenate(parts).astype(np.float32) if parts else None
-
-
-def _joined_reflections(parts: list[Reflections]) -> Reflections | None:
-    if not parts:
-        return None
-    counts = np.concatenate([np.diff(r.offsets) for r in parts])
-    return Reflections(
-        np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in parts]),
-        np.concatenate([r.cosine for r in parts]),
+        joined_reflections([s.reflections for s in sets if s.reflections is not None]),
+        np.concatenate(transforms).astype(np.float32) if transforms else None,
     )

@@ -215,26 +215,34 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
         joined("batch"),
         max(p.n_batches for p in parts),
         first.sampling_scattering.copy(),
-        _joined_reflections(parts),
+        _reflections_of_all(parts),
         _joined_image_transforms(parts),
     )
 
 
-def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
+def _reflections_of_all(parts: Sequence[Paths]) -> Reflections | None:
     if all(p.reflections is None for p in parts):
         return None
     none = np.zeros(0, dtype=np.int32)
-    lists = [
-        Reflections(np.zeros(len(p) + 1, dtype=np.int64), none, np.zeros(0))
-        if p.reflections is None
-        else p.reflections
-        for p in parts
-    ]
-    counts = np.concatenate([np.diff(r.offsets) for r in lists])
+    return joined_reflections(
+        [
+            Reflections(np.zeros(len(p) + 1, dtype=np.int64), none, np.zeros(0))
+            if p.reflections is None
+            else p.reflections
+            for p in parts
+        ]
+    )
+
+
+def joined_reflections(parts: Sequence[Reflections]) -> Reflections | None:
+    """Return the reflections of several sets of paths one after the other; None of no sets."""
+    if not parts:
+        return None
+    counts = np.concatenate([np.diff(r.offsets) for r in parts])
     return Reflections(
         np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in lists]),
-        np.concatenate([r.cosine for r in lists]),
+        np.concatenate([r.material for r in parts]),
+        np.concatenate([r.cosine for r in parts]),
     )
 
 
