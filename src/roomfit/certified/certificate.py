@@ -184,19 +184,11 @@ _ROUNDS = 2
 
 @dataclass(frozen=True, slots=True)
 class CertifyLimits:
-    """How much one band may cost.
-
-    Attributes
-    ----------
-    max_boxes : int
-    max_seconds : float
-    max_rows : int
-        Rows of all windows, paths of equal hits as one.
-    """
+    """How much one band may cost."""
 
     max_boxes: int = 200_000
     max_seconds: float = 60.0
-    max_rows: int = 400_000
+    max_rows: int = 400_000  # rows of all windows, paths of equal hits as one
 
 
 # What a proof that nobody asked for may cost. With more unknowns it took a minute.

@@ -125,20 +125,11 @@ def _between_laboratories(middle: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One row of one published table.
+    """One row of one published table."""
 
-    Attributes
-    ----------
-    source : str
-        The publication, in full.
-    row : str
-        What the table calls it, in brackets whom it credits.
-    absorption : float array, shape (8,)
-        Octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed.
-    """
-
-    source: str
-    row: str
+    source: str  # the publication, in full
+    row: str  # what the table calls it, in brackets whom it credits
+    # (8,), octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed
     absorption: FloatArray
 
     def __post_init__(self) -> None:
@@ -147,22 +138,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueEntry:
-    """A common material with what tables say of it.
+    """A common material with what tables say of it."""
 
-    Attributes
-    ----------
-    name : str
-        Lower case with hyphens: ``"carpet-on-underlay"``.
-    group, description : str
-    readings : tuple of Reading
-    logit_mean, logit_sd : float arrays, shape (8,)
-        Of logit absorption in octaves 63 to 8000 Hz; see `roomfit.materials.catalogue`.
-    """
-
-    name: str
+    name: str  # lower case with hyphens: ``"carpet-on-underlay"``
     group: str
     description: str
     readings: tuple[Reading, ...]
+    # logit_mean, logit_sd: (8,), of logit absorption in octaves 63 to 8000 Hz; see
+    # `roomfit.materials.catalogue`
     logit_mean: FloatArray
     logit_sd: FloatArray
 

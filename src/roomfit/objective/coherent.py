@@ -76,37 +76,18 @@ class CoherentProblem:
 
     The expected energy of a window is what `energies` expects of all paths, less the coherent part
     gamma e of the image paths, plus the energy of their coherent pressure.
-
-    Attributes
-    ----------
-    energies : EnergyProblem
-        All paths, as energies; its parameters are not used.
-    early : tuple of Observation
-        The first windows of every observation, in which pressures add; later ones hold so many
-        reflections of so uncertain times that their energies add.
-    parameters : Parameters
-        Blocks "absorption", "gain" and "geometry".
-    geometry : Geometry
-    images : ImagePaths
-        All image paths of the observations with the coherence of each.
-    coherent : ImagePaths
-        Those of them that are coherent at all.
-    bins : int array, shape (n_images,)
-        Fine time bin of each of `images`.
-    coherent_bins : int array
-        Of each of `coherent`.
-    grid : BandGrid
-    centre_hz : float
     """
 
-    energies: EnergyProblem
+    energies: EnergyProblem  # all paths, as energies; its parameters are not used
+    # the first windows of every observation, in which pressures add; later ones hold so many
+    # reflections of so uncertain times that their energies add
     early: tuple[Observation, ...]
-    parameters: Parameters
+    parameters: Parameters  # blocks "absorption", "gain" and "geometry"
     geometry: Geometry
-    images: ImagePaths
-    coherent: ImagePaths
-    bins: IntArray
-    coherent_bins: IntArray
+    images: ImagePaths  # all image paths of the observations with the coherence of each
+    coherent: ImagePaths  # those of them that are coherent at all
+    bins: IntArray  # (n_images,), fine time bin of each of `images`
+    coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
     centre_hz: float
 
@@ -360,20 +341,12 @@ class FittedGeometry:
     """What the bands together say of arrival times; never a measurement of places.
 
     Fitted places absorb errors of the model as well.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
-    change : float array, shape (n,)
-        From what was told: m, 1 (of ln c), s, s.
-    sd, prior_sd : float arrays, shape (n,)
-        Afterwards and beforehand, in the same units.
-    speed_of_sound_m_s : float
     """
 
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
     labels: tuple[str, ...]
-    change: FloatArray
+    change: FloatArray  # (n,), from what was told: m, 1 (of ln c), s, s
+    # sd, prior_sd: (n,), afterwards and beforehand, in the same units
     sd: FloatArray
     prior_sd: FloatArray
     speed_of_sound_m_s: float

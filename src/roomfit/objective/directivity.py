@@ -46,19 +46,12 @@ DIRECTIVITY = "directivity"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownDirectivities:
-    """What is known beforehand of the vectors b of some sources.
-
-    Attributes
-    ----------
-    sources : tuple of str
-    mean : float array, shape (3 * n_sources,)
-        Of b, source after source.
-    root : float array, shape (3 * n_sources, 3 * n_sources)
-        ``b = mean + root z`` with z of a unit normal law: times its transpose, the covariance.
-    """
+    """What is known beforehand of the vectors b of some sources."""
 
     sources: tuple[str, ...]
-    mean: FloatArray
+    mean: FloatArray  # (3 * n_sources,), of b, source after source
+    # (3 * n_sources, 3 * n_sources), ``b = mean + root z`` with z of a unit normal law: times its
+    # transpose, the covariance
     root: FloatArray
 
     def __post_init__(self) -> None:
@@ -87,25 +80,18 @@ def with_unknown(problem: EnergyProblem, unknown: UnknownDirectivities) -> Energ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectedProblem:
-    """A problem of energies or pressures, its paths weighed by its sources' directivity.
+    """A problem of energies or pressures, its paths weighed by its sources' directivity."""
 
-    Attributes
-    ----------
-    problem : EnergyProblem or CoherentProblem
-        With the weights of omnidirectional sources and a block "directivity".
-    unknown : UnknownDirectivities
-    source : int array, shape (n_observations,)
-        Which of the unknown sources each observation hears; -1 for one that is known.
-    departure : tuple of float32 arrays, shape (n_rows, 3), one an observation
-        Where the path of each row leaves its source.
-    image_departure, coherent_departure : float32 arrays, shape (n_paths, 3)
-        The same of the images of a coherent problem, else empty; see `directed`.
-    """
-
+    # with the weights of omnidirectional sources and a block "directivity"
     problem: EnergyProblem | CoherentProblem
     unknown: UnknownDirectivities
+    # (n_observations,), which of the unknown sources each observation hears; -1 for one that is
+    # known
     source: IntArray
+    # (n_rows, 3), one an observation, where the path of each row leaves its source
     departure: tuple[NDArray[np.float32], ...]
+    # image_departure, coherent_departure: (n_paths, 3), the same of the images of a coherent
+    # problem, else empty; see `directed`
     image_departure: NDArray[np.float32]
     coherent_departure: NDArray[np.float32]
 
@@ -288,37 +274,22 @@ CORRELATION_PER_OCTAVE = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectivityParameters:
-    """Sources whose directivity is to be found.
-
-    Attributes
-    ----------
-    sources : tuple of str
-    number : int array, shape (n_sources,)
-        Of each of them in the scene.
-    mean, sd : float arrays, shape (n_sources, 3) and (n_sources,)
-        Of the vectors b beforehand, alike in all bands.
-    """
+    """Sources whose directivity is to be found."""
 
     sources: tuple[str, ...]
-    number: IntArray
+    number: IntArray  # (n_sources,), of each of them in the scene
+    # mean, sd: (n_sources, 3) and (n_sources,), of the vectors b beforehand, alike in all bands
     mean: FloatArray
     sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandDirectivities:
-    """Unknown directivities in one band, and where its rows leave the sources.
-
-    Attributes
-    ----------
-    unknown : UnknownDirectivities
-    source : int array, shape (n_observations,)
-    departure : tuple of float32 arrays, one an observation
-        See `roomfit.objective.directivity.DirectedProblem`.
-    """
+    """Unknown directivities in one band, and where its rows leave the sources."""
 
     unknown: UnknownDirectivities
-    source: IntArray
+    source: IntArray  # (n_observations,)
+    # one an observation, see `roomfit.objective.directivity.DirectedProblem`
     departure: tuple[NDArray[np.float32], ...]
 
 
@@ -369,16 +340,10 @@ def with_directivity_unknown(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDirectivity:
-    """What was found of how one source radiates, as a first-order pattern.
-
-    Attributes
-    ----------
-    source : str
-    b, sd : float arrays, shape (n_bands, 3)
-        Amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where the source is
-        omnidirectional; and the standard deviation of each component, misfit included.
-    """
+    """What was found of how one source radiates, as a first-order pattern."""
 
     source: str
+    # b, sd: (n_bands, 3), amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where
+    # the source is omnidirectional; and the standard deviation of each component, misfit included.
     b: FloatArray
     sd: FloatArray

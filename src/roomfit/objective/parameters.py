@@ -27,37 +27,25 @@ Transform = Literal["identity", "log", "logit"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """One kind of unknown.
+    """One kind of unknown."""
 
-    Attributes
-    ----------
-    name : str
-        "absorption", "gain", ...
-    labels : tuple of str
-        What each entry belongs to: a material, a source, ...
-    transform : {"identity", "log", "logit"}
-        From physical value to free number. "logit" maps the open interval (lower, upper).
-    start : float array, shape (n,)
-        Physical values where a fit starts; where `fitted` is false, the values held.
-    fitted : bool array, shape (n,)
-    prior_mean, prior_sd : float arrays, shape (n,)
-        Gaussian prior of the free number; an infinite sd is written as 0 in `prior_weight`.
-    lower, upper : float arrays, shape (n,)
-        Physical bounds, used by "logit".
-    leader : int array, shape (n,), or None
-        Entry whose value each entry takes, its own or another's; an entry that follows another is
-        not fitted itself. None where nothing is tied.
-    """
-
-    name: str
-    labels: tuple[str, ...]
+    name: str  # "absorption", "gain", ..
+    labels: tuple[str, ...]  # what each entry belongs to: a material, a source, ..
+    # {"identity", "log", "logit"}, from physical value to free number. "logit" maps the open
+    # interval (lower, upper).
     transform: Transform
+    # (n,), physical values where a fit starts; where `fitted` is false, the values held
     start: FloatArray
-    fitted: BoolArray
+    fitted: BoolArray  # (n,)
+    # prior_mean, prior_sd: (n,), Gaussian prior of the free number; an infinite sd is written as 0
+    # in `prior_weight`
     prior_mean: FloatArray
     prior_sd: FloatArray
+    # lower, upper: (n,), physical bounds, used by "logit"
     lower: FloatArray
     upper: FloatArray
+    # (n,), entry whose value each entry takes, its own or another's; an entry that follows another
+    # is not fitted itself. None where nothing is tied.
     leader: IntArray | None = None
 
     def __post_init__(self) -> None:
@@ -96,35 +84,19 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPrior:
-    """A correlated Gaussian prior of the fitted entries of one block, in place of its own.
-
-    Attributes
-    ----------
-    block : str
-    mean : float array, shape (n,)
-        Of the fitted entries' free numbers.
-    information : float array, shape (n, n)
-        Inverse of their covariance: symmetric, positive definite.
-    """
+    """A correlated Gaussian prior of the fitted entries of one block, in place of its own."""
 
     block: str
-    mean: FloatArray
-    information: FloatArray
+    mean: FloatArray  # (n,), of the fitted entries' free numbers
+    information: FloatArray  # (n, n), inverse of their covariance: symmetric, positive definite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Blocks laid end to end; the free vector holds the fitted entries only, in this order.
-
-    Attributes
-    ----------
-    blocks : tuple of Block
-    joint : JointPrior or None
-        Replaces the separate priors of one block.
-    """
+    """Blocks laid end to end; the free vector holds the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
-    joint: JointPrior | None = None
+    joint: JointPrior | None = None  # replaces the separate priors of one block
 
 
 def absorption_of(parameters: Parameters) -> Block:
@@ -250,29 +222,19 @@ GEOMETRY = "geometry"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """The unknowns of arrival times and where each observation finds its own.
+    """The unknowns of arrival times and where each observation finds its own."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
-    sd : float array, shape (n,)
-        Standard deviations beforehand: m, 1 (of ln c), s and s; 0 says that an entry is known.
-    fitted : bool array, shape (n,)
-        Which entries may move; one that may not still blurs the coherence by its deviation.
-    speed_m_s : float
-        Speed of sound beforehand.
-    columns : int array, shape (n_observations, 8 + n_materials)
-        Entries of source (3), receiver (3), ln c, latency and delays of each observation.
-    origin : float array, shape (n,), or None
-        Free numbers of the places at which the paths were traced; None for the told ones.
-    """
-
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
     labels: tuple[str, ...]
+    # (n,), standard deviations beforehand: m, 1 (of ln c), s and s; 0 says that an entry is known
     sd: FloatArray
+    # (n,), which entries may move; one that may not still blurs the coherence by its deviation
     fitted: BoolArray
-    speed_m_s: float
+    speed_m_s: float  # speed of sound beforehand
+    # (n_observations, 8 + n_materials), entries of source (3), receiver (3), ln c, latency and
+    # delays of each observation
     columns: IntArray
+    # (n,), free numbers of the places at which the paths were traced; None for the told ones
     origin: FloatArray | None = None
 
 
@@ -341,13 +303,7 @@ def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> Fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginal:
-    """What data and prior say of some entries when all others are integrated out.
+    """What data and prior say of some entries when all others are integrated out."""
 
-    Attributes
-    ----------
-    mean : float array, shape (n,)
-    information : float array, shape (n, n)
-    """
-
-    mean: FloatArray
-    information: FloatArray
+    mean: FloatArray  # (n,)
+    information: FloatArray  # (n, n)

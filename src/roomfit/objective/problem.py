@@ -21,21 +21,11 @@ from roomfit.typing import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Expected data, all observations end to end, with derivatives.
+    """Expected data, all observations end to end, with derivatives."""
 
-    Attributes
-    ----------
-    expected : float array, shape (n_data,)
-        What the model expects to be measured, noise included.
-    signal : float array, shape (n_data,)
-        The same without noise.
-    jacobian : float array, shape (n_data, n_free)
-        Derivative of `expected` by the free vector.
-    """
-
-    expected: FloatArray
-    signal: FloatArray
-    jacobian: FloatArray
+    expected: FloatArray  # (n_data,), what the model expects to be measured, noise included
+    signal: FloatArray  # (n_data,), the same without noise
+    jacobian: FloatArray  # (n_data, n_free), derivative of `expected` by the free vector
 
 
 class BandProblem(Protocol):
@@ -80,15 +70,9 @@ class BandProblem(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointProblem:
-    """Several kinds of data of one band with the same unknowns, one after the other.
+    """Several kinds of data of one band with the same unknowns, one after the other."""
 
-    Attributes
-    ----------
-    parts : tuple of BandProblem
-        At least one; all hold one and the same `parameters`.
-    """
-
-    parts: tuple[BandProblem, ...]
+    parts: tuple[BandProblem, ...]  # at least one; all hold one and the same `parameters`
 
     def __post_init__(self) -> None:
         if any(p.parameters is not self.parts[0].parameters for p in self.parts):
@@ -163,17 +147,10 @@ def gamma_log_likelihood(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InflatedVariance:
-    """The same problem with variances enlarged.
-
-    Attributes
-    ----------
-    problem : BandProblem
-    factor : float array, shape (n_data,)
-        By which each variance is multiplied, 1 or more.
-    """
+    """The same problem with variances enlarged."""
 
     problem: BandProblem
-    factor: FloatArray
+    factor: FloatArray  # (n_data,), by which each variance is multiplied, 1 or more
 
     @property
     def parameters(self) -> Parameters:

@@ -43,63 +43,33 @@ _EARLY_TO_LATE = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValueObservation:
-    """The measured values of one pair in one band.
+    """The measured values of one pair in one band."""
 
-    Attributes
-    ----------
-    pair : int
-        Index of the pair in the scene.
-    direct_s : float
-        Travel time of the direct sound, from which early and late are counted.
-    names : tuple of str
-        Of `roomfit.signals.iso3382.VALUE_NAMES`.
-    measured : float array, shape (n_values,)
-        In the units that the names tell.
-    spread : float array, shape (n_values,)
-        Stated standard deviation of each value, 0 where none was stated.
-    """
-
-    pair: int
-    direct_s: float
-    names: tuple[ValueName, ...]
-    measured: FloatArray
+    pair: int  # index of the pair in the scene
+    direct_s: float  # travel time of the direct sound, from which early and late are counted
+    names: tuple[ValueName, ...]  # of `roomfit.signals.iso3382.VALUE_NAMES`
+    measured: FloatArray  # (n_values,), in the units that the names tell
+    # (n_values,), stated standard deviation of each value, 0 where none was stated
     spread: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class RoomValuesProblem:
-    """One band: find the absorption under which the paths have the measured room parameters.
+    """One band: find the absorption under which the paths have the measured room parameters."""
 
-    Attributes
-    ----------
-    bands : Bands
-        The one band.
-    bandwidth_hz : float
-        Statistical bandwidth of its filter.
-    attenuation_per_m : float
-        Energy attenuation of the air.
-    edges_s : float array, shape (n_bins + 1,)
-        Uniform bins of the rows.
-    rows, squared_image_rows : tuples of EnergyRows
-        Paths of each observation's pair, and what
-        `roomfit.objective.energy.squared_image_rows` makes of them.
-    observations : tuple of ValueObservation
-    spreading : Spreading
-    parameters : Parameters
-        Only the block "absorption" acts: room parameters know no unknown gain or delay.
-    model_error_jnd : float
-        Standard deviation by which the model may be wrong, in just noticeable differences.
-    """
-
-    bands: Bands
-    bandwidth_hz: float
-    attenuation_per_m: float
-    edges_s: FloatArray
+    bands: Bands  # the one band
+    bandwidth_hz: float  # statistical bandwidth of its filter
+    attenuation_per_m: float  # energy attenuation of the air
+    edges_s: FloatArray  # (n_bins + 1,), uniform bins of the rows
+    # rows, squared_image_rows: paths of each observation's pair, and what
+    # `roomfit.objective.energy.squared_image_rows` makes of them
     rows: tuple[EnergyRows, ...]
     squared_image_rows: tuple[EnergyRows, ...]
     observations: tuple[ValueObservation, ...]
     spreading: Spreading
+    # only the block "absorption" acts: room parameters know no unknown gain or delay
     parameters: Parameters
+    # standard deviation by which the model may be wrong, in just noticeable differences
     model_error_jnd: float = 0.3
 
     def __post_init__(self) -> None:

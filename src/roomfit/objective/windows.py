@@ -20,22 +20,15 @@ from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spreading:
-    """The filter of one band on uniform bins.
+    """The filter of one band on uniform bins."""
 
-    Attributes
-    ----------
-    n_bins, length : int
-        Length of what is smeared, and of its transform.
-    spectrum : complex array, shape (length // 2 + 1,)
-        Of the shares in which an impulse's energy falls into the bins about its own.
-    squares : complex array, shape (length // 2 + 1,)
-        Of the squares of these shares.
-    """
-
+    # n_bins, length: length of what is smeared, and of its transform
     n_bins: int
     length: int
+    # (length // 2 + 1,), of the shares in which an impulse's energy falls into the bins about its
+    # own
     spectrum: ComplexArray
-    squares: ComplexArray
+    squares: ComplexArray  # (length // 2 + 1,), of the squares of these shares
 
 
 def band_spreading(bank: FilterBank, n_bins: int, bin_s: float) -> Spreading:

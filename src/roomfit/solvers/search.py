@@ -72,31 +72,17 @@ ErrorFunction: TypeAlias = Callable[[FloatArray], float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes
-    ----------
-    x : float array, shape (n,)
-        Best point found, within the unit box.
-    cost : float
-        Error there.
-    evaluations : int
-        How often the error was computed, with or without its derivative.
-    iterations : int
-        Steps of the method, in its own sense.
-    ending : Ending
-    trail : float array, shape (n_visited, n)
-        Points at which the search stood, in order; what "stood" means, each method says.
-    trail_cost : float array, shape (n_visited,)
-    """
-
-    x: FloatArray
-    cost: float
-    evaluations: int
-    iterations: int
+    x: FloatArray  # (n,), best point found, within the unit box
+    cost: float  # error there
+    evaluations: int  # how often the error was computed, with or without its derivative
+    iterations: int  # steps of the method, in its own sense
     ending: Ending
+    # (n_visited, n), points at which the search stood, in order; what "stood" means, each method
+    # says
     trail: FloatArray
-    trail_cost: FloatArray
+    trail_cost: FloatArray  # (n_visited,)
 
     def __post_init__(self) -> None:
         x = float_array("answer", self.x, (None,), low=0.0, high=1.0)
@@ -146,26 +132,17 @@ _COLLAPSED = 1e-11
 
 @dataclass(frozen=True, slots=True)
 class SimplexSettings:
-    """How the simplex moves and when it stops.
+    """How the simplex moves and when it stops."""
 
-    Attributes
-    ----------
-    order : {"nelder-mead", "as-printed"}
-        Which operation is tried when; see the module's text.
-    test : {"spread", "fraction"}
-        Equation (6), root mean square difference from the error at the centroid, in the unit of
-        the error (one more evaluation a step); or equation (7), relative difference of highest and
-        lowest.
-    tolerance : float
-        tau of either test.
-    reflection, expansion, contraction, shrinkage : float
-        alpha in (0, 1], gamma > 1, beta in (0, 1), and the factor after a failed contraction.
-    max_evaluations : int
-    """
-
+    # {"nelder-mead", "as-printed"}, which operation is tried when; see the module's text
     order: Order = "nelder-mead"
+    # {"spread", "fraction"}, equation (6), root mean square difference from the error at the
+    # centroid, in the unit of the error (one more evaluation a step); or equation (7), relative
+    # difference of highest and lowest
     test: ConvergenceTest = "spread"
-    tolerance: float = 1e-6
+    tolerance: float = 1e-6  # tau of either test
+    # reflection, expansion, contraction, shrinkage: alpha in (0, 1], gamma > 1, beta in (0, 1), and
+    # the factor after a failed contraction
     reflection: float = 1.0
     expansion: float = 2.0
     contraction: float = 0.5
@@ -197,16 +174,10 @@ class SimplexSettings:
 
 @dataclass(slots=True)
 class Simplex:
-    """The vertices and their errors, lowest first; the state of a search.
+    """The vertices and their errors, lowest first; the state of a search."""
 
-    Attributes
-    ----------
-    vertices : float array, shape (n + 1, n)
-    errors : float array, shape (n + 1,)
-    """
-
-    vertices: FloatArray
-    errors: FloatArray
+    vertices: FloatArray  # (n + 1, n)
+    errors: FloatArray  # (n + 1,)
 
     def sort(self) -> None:
         """Bring the lowest vertex to the front and the highest to the end."""
@@ -371,29 +342,15 @@ _EDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class AnnealingSettings:
-    """Schedule of temperatures, and the simplex that follows.
+    """Schedule of temperatures, and the simplex that follows."""
 
-    Attributes
-    ----------
-    start_temperature : float or None
-        In the unit of the error; None takes the spread of the error over random points.
-    cooling : float
-        Factor from one temperature to the next.
-    levels : int
-        How many temperatures.
-    trials_per_unknown : int
-        Trials at each temperature for every unknown.
-    simplex : SimplexSettings
-    max_restarts : int
-        How often the simplex may start again from its own answer.
-    """
-
+    # in the unit of the error; None takes the spread of the error over random points
     start_temperature: float | None = None
-    cooling: float = 0.9
-    levels: int = 60
-    trials_per_unknown: int = 10
+    cooling: float = 0.9  # factor from one temperature to the next
+    levels: int = 60  # how many temperatures
+    trials_per_unknown: int = 10  # trials at each temperature for every unknown
     simplex: SimplexSettings = field(default_factory=SimplexSettings)
-    max_restarts: int = 10
+    max_restarts: int = 10  # how often the simplex may start again from its own answer
 
     def __post_init__(self) -> None:
         ranges = (

@@ -78,22 +78,13 @@ _LOOSE_ENDS = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """Materials whose absorptions can be exchanged for each other as far as the data can tell.
+    """Materials whose absorptions can be exchanged for each other as far as the data can tell."""
 
-    Attributes
-    ----------
-    materials : tuple of int
-        In rising order.
-    directions : int
-        How many independent ways there are to change them unnoticed: as many as materials where
-        nothing is known of any, one less where only one mean of all of them is known.
-    against : bool
-        Whether more of one goes with less of another.
-    """
-
-    materials: tuple[int, ...]
+    materials: tuple[int, ...]  # in rising order
+    # how many independent ways there are to change them unnoticed: as many as materials where
+    # nothing is known of any, one less where only one mean of all of them is known
     directions: int
-    against: bool
+    against: bool  # whether more of one goes with less of another
 
     @property
     def all_undetermined(self) -> bool:
@@ -103,23 +94,16 @@ class Undetermined:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference:
-    """The absorption of one material less that of another.
+    """The absorption of one material less that of another."""
 
-    Attributes
-    ----------
-    weights : float array, shape (n_materials,)
-        1, -1 and zeros: the first is the one that absorbs more at the answer.
-    value, lower95, upper95 : float
-        -1 to 1; the value is not below 0.
-    determined : bool
-        Whether the data at least halve what was unknown of it beforehand, and it is known within
-        10 % of the larger of both.
-    """
-
+    # (n_materials,), 1, -1 and zeros: the first is the one that absorbs more at the answer
     weights: FloatArray
+    # value, lower95, upper95: -1 to 1; the value is not below 0
     value: float
     lower95: float
     upper95: float
+    # whether the data at least halve what was unknown of it beforehand, and it is known within 10 %
+    # of the larger of both
     determined: bool
 
 
@@ -218,30 +202,19 @@ _MOST_APART = 4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Combination:
-    """A mean of absorptions, weighed by area.
+    """A mean of absorptions, weighed by area."""
 
-    Attributes
-    ----------
-    weights : float array, shape (n_materials,)
-        0 or more, sum 1: the area of each material of the group over that of the group.
-    value : float
-        At the answer.
-    lower95, upper95 : float
-        Quantiles of the posterior, or the value where it lies outside of them.
-    sd : float
-        Standard deviation of the posterior.
-    determined : bool
-        Whether its interval is narrow and the data, not the prior, made it so.
-    differences : tuple of Difference
-        Between materials of this group, and of no smaller one, that the data leave open together.
-    """
-
+    # (n_materials,), 0 or more, sum 1: the area of each material of the group over that of the
+    # group
     weights: FloatArray
-    value: float
+    value: float  # at the answer
+    # lower95, upper95: quantiles of the posterior, or the value where it lies outside of them
     lower95: float
     upper95: float
-    sd: float
+    sd: float  # standard deviation of the posterior
+    # whether its interval is narrow and the data, not the prior, made it so
     determined: bool = True
+    # between materials of this group, and of no smaller one, that the data leave open together
     differences: tuple[Difference, ...] = ()
 
     @property
@@ -470,20 +443,14 @@ def _names(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Determined:
-    """What the bands of an answer determine, where single materials may not be.
+    """What the bands of an answer determine, where single materials may not be."""
 
-    Attributes
-    ----------
-    combinations : tuple of tuples of Combination, one a band
-        That of the whole room first.
-    sentences : tuple of str, one a band
-        What is known of groups and what is left open; empty where every material is determined.
-    shares : float array, shape (3, n_materials, n_bands)
-        Share of each material in the room's absorption, its lower and its upper 95 % bound.
-    """
-
-    combinations: tuple[tuple[Combination, ...], ...]
+    combinations: tuple[tuple[Combination, ...], ...]  # one a band, that of the whole room first
+    # one a band, what is known of groups and what is left open; empty where every material is
+    # determined
     sentences: tuple[str, ...]
+    # (3, n_materials, n_bands), share of each material in the room's absorption, its lower and its
+    # upper 95 % bound
     shares: FloatArray
 
 

@@ -39,29 +39,18 @@ _LONGEST_STEP = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """The cost along one unknown, all others re-fitted at every point.
+    """The cost along one unknown, all others re-fitted at every point."""
 
-    Attributes
-    ----------
-    entry : int
-        Of the free vector.
-    points : float array, shape (n_points,)
-        Free numbers at which it was computed, rising; the answer is among them.
-    rise : float array, shape (n_points,)
-        Cost above that of the answer, misfit taken out: 1.92 at the end of a 95 % interval.
-    lower, upper : float
-        Free numbers at which the rise is 1.92.
-    gaussian : bool
-        Whether the Gaussian interval was good enough; then its ends are these.
-    evaluations : int
-    """
-
-    entry: int
+    entry: int  # of the free vector
+    # (n_points,), free numbers at which it was computed, rising; the answer is among them
     points: FloatArray
+    # (n_points,), cost above that of the answer, misfit taken out: 1.92 at the end of a 95 %
+    # interval
     rise: FloatArray
+    # lower, upper: free numbers at which the rise is 1.92
     lower: float
     upper: float
-    gaussian: bool
+    gaussian: bool  # whether the Gaussian interval was good enough; then its ends are these
     evaluations: int
 
 

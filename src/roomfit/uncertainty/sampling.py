@@ -114,28 +114,14 @@ class LogPosterior:
     step would still gain there is added. The fit's curvature is kept, so that its determinant
     is a constant. The ridge is straight in the exponents ``-log(1 - a)``, as the data are: one in
     logits leaves them where a wall is hard, and the step would promise what it does not gain.
-
-    Attributes
-    ----------
-    problem : BandProblem
-    centre : float array, shape (n_free,)
-        The fit's answer.
-    n_kept : int
-        Entries of the free vector, from its beginning, whose density this is.
-    follow : float array, shape (n_free - n_kept, n_kept)
-        By how much arrival times follow the exponents.
-    inner : float array, shape (n_free - n_kept, n_free - n_kept)
-        Their information, given the others.
-    flattening : float
-        max(phi, 1).
     """
 
     problem: BandProblem
-    centre: FloatArray
-    n_kept: int
-    follow: FloatArray
-    inner: FloatArray
-    flattening: float
+    centre: FloatArray  # (n_free,), the fit's answer
+    n_kept: int  # entries of the free vector, from its beginning, whose density this is
+    follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
+    inner: FloatArray  # (n_free - n_kept, n_free - n_kept), their information, given the others
+    flattening: float  # max(phi, 1)
 
     def __call__(self, kept: FloatArray) -> float:
         """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
@@ -375,28 +361,21 @@ class Windows:
 
     Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
     covariance of their counts of hits are its first two derivatives.
-
-    Attributes
-    ----------
-    measured, signal, noise : float arrays, shape (n_data,)
-        `signal` at the centre; `noise` is what is expected besides.
-    slopes : float array, shape (n_data, n_kept)
-        Of the log of the signal by the exponents; of data that are no energies, of the signal.
-    curvature : float array, shape (n_data, n_kept, n_kept)
-        Second derivative of the same.
-    weight : float array, shape (n_data,)
-        Of energies the shape of their Gamma law, else one over the variance; neighbours that share
-        information counted once, flattened by the misfit.
-    energies : bool array, shape (n_data,)
     """
 
+    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
+    # besides
     measured: FloatArray
     signal: FloatArray
     noise: FloatArray
+    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
+    # the signal
     slopes: FloatArray
-    curvature: FloatArray
+    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
+    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
+    # that share information counted once, flattened by the misfit
     weight: FloatArray
-    energies: BoolArray
+    energies: BoolArray  # (n_data,)
 
     def log_likelihood(self, away: FloatArray) -> FloatArray:
         """Return it, up to a constant, at exponents this far from the centre, (n_points, n)."""
@@ -421,30 +400,18 @@ class Surrogate:
     arrival times are integrated out, so that windows hang together, the whole log-likelihood is
     taken as quadratic in them. Only the prior is Gaussian in the logits; see
     `roomfit.uncertainty.posterior`.
-
-    Attributes
-    ----------
-    parameters : Parameters
-    centre : float array, shape (n_kept,)
-    windows : Windows or None
-    data : float array, shape (n_kept, n_kept)
-        Information of the data in the exponents; used without windows.
-    pull : float array, shape (n_kept,)
-        Slope of the data's log-likelihood at the centre; used without windows.
-    prior : float array, shape (n_kept, n_kept)
-    prior_mean : float array, shape (n_kept,)
-    covariance : float array, shape (n_kept, n_kept)
-        Of the free numbers, Gaussian at the centre.
     """
 
     parameters: Parameters
-    centre: FloatArray
+    centre: FloatArray  # (n_kept,)
     windows: Windows | None
+    # (n_kept, n_kept), information of the data in the exponents; used without windows
     data: FloatArray
+    # (n_kept,), slope of the data's log-likelihood at the centre; used without windows
     pull: FloatArray
-    prior: FloatArray
-    prior_mean: FloatArray
-    covariance: FloatArray
+    prior: FloatArray  # (n_kept, n_kept)
+    prior_mean: FloatArray  # (n_kept,)
+    covariance: FloatArray  # (n_kept, n_kept), of the free numbers, Gaussian at the centre
 
     def log_density(self, kept: FloatArray) -> FloatArray:
         """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
@@ -569,53 +536,30 @@ _LOOK_EVERY = 10
 
 @dataclass(frozen=True, slots=True)
 class SamplingSettings:
-    """How much one band's samples may cost, and when there are enough.
+    """How much one band's samples may cost, and when there are enough."""
 
-    Attributes
-    ----------
-    most_evaluations : int
-        Of the posterior.
-    autocorrelations : float
-        How many times longer than the autocorrelation every walker must have walked.
-    largest_r_hat : float
-        How much alike the halves of all walkers must be (`split_r_hat`).
-    inner_steps : tuple of int, or None
-        Steps under the surrogate between two evaluations, one of them at random: where the
-        surrogate is far from the posterior only short walks are taken. None for
-        `Surrogate.usual_steps`.
-    """
-
-    most_evaluations: int = 6_000
+    most_evaluations: int = 6_000  # of the posterior
+    # how many times longer than the autocorrelation every walker must have walked
     autocorrelations: float = 20.0
-    largest_r_hat: float = 1.1
+    largest_r_hat: float = 1.1  # how much alike the halves of all walkers must be (`split_r_hat`)
+    # steps under the surrogate between two evaluations, one of them at random: where the surrogate
+    # is far from the posterior only short walks are taken. None for `Surrogate.usual_steps`.
     inner_steps: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """Draws from a posterior and what is known of their quality.
+    """Draws from a posterior and what is known of their quality."""
 
-    Attributes
-    ----------
-    draws : float array, shape (n_draws, n_kept)
-        The first steps left out.
-    autocorrelation, r_hat : float arrays, shape (n_kept,)
-    effective : float
-        Draws over the longest autocorrelation time: so many independent ones tell as much.
-    acceptance : float
-        Share of proposals that were taken.
-    evaluations : int
-    converged : bool
-        Whether the walkers have walked long enough and agree.
-    """
-
-    draws: FloatArray
+    draws: FloatArray  # (n_draws, n_kept), the first steps left out
+    # autocorrelation, r_hat: (n_kept,)
     autocorrelation: FloatArray
     r_hat: FloatArray
+    # draws over the longest autocorrelation time: so many independent ones tell as much
     effective: float
-    acceptance: float
+    acceptance: float  # share of proposals that were taken
     evaluations: int
-    converged: bool
+    converged: bool  # whether the walkers have walked long enough and agree
 
 
 def sample(
