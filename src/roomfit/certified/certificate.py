@@ -167,7 +167,7 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
             f"Not resolved: the misfit found, {value:.6g}, could be {better} within boxes too "
             "narrow to be cut."
         )
-    where = "one place comes" if n == 1 else f"{n} places come"
+    where = "one minimum comes" if n == 1 else f"{n} minima come"
     return (
         f"Certified: no absorption has a misfit below {bound:.6g}, {value:.6g} was found, and only "
         f"{where} within {found.delta:.3g} of it."
@@ -176,9 +176,9 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
 
 # Of half the weighted squares: one standard deviation costs 0.5.
 _LEAST_DELTA = 0.02
-# Of boxes left over; narrower ones would tell more of the places, and take longer.
+# Of boxes left over; narrower ones would locate minima better, and take longer.
 _WIDTH = 0.25
-# Weights change with the answer: certify, fit again from the best place, certify again.
+# Weights change with the answer: certify, fit again from the best minimum, certify again.
 _ROUNDS = 2
 
 
@@ -191,7 +191,7 @@ class CertifyLimits:
     max_rows: int = 400_000  # rows of all windows, paths of equal hits as one
 
 
-# What a proof that nobody asked for may cost. With more unknowns it took a minute.
+# What a proof that was not asked for may cost. With more unknowns it took a minute.
 AFFORDABLE = CertifyLimits(max_boxes=3_000, max_seconds=2.0, max_rows=60_000)
 _AFFORDABLE_UNKNOWNS = 3
 # Half of what one standard deviation costs: finer proofs take many times as many boxes.
@@ -206,7 +206,7 @@ def certified_fit(
 ) -> tuple[BandFit, Certificate | None]:
     """Fit one band by least squares, and prove how low its cost can be.
 
-    Where the search finds a better place, the fit starts again from there, and the proof is made
+    Where the search finds a lower minimum, the fit starts again from there, and the proof is made
     again with the weights of the new answer. There is none where nothing is unknown.
 
     Raises
@@ -247,7 +247,7 @@ def certified_fit(
 
 
 def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
-    """Return what is proven of a band's energies near a fit, where that takes a moment.
+    """Return what is proven of a band's energies near a fit, where that takes two seconds at most.
 
     None where other data are fitted, more than three numbers are unknown, there are too many rows,
     or the search is not complete after two seconds.
@@ -256,7 +256,7 @@ def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certific
     ----------
     problem : BandProblem
     vector : float array, shape (n_free,)
-        The fit; its weights are held.
+        The fit; its weights are kept.
     """
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
     if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
@@ -284,7 +284,7 @@ def _staying_at(place: FloatArray) -> Solver:
 
 
 def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatArray) -> float:
-    """Return how much of a cost may be the rays' own doing: nothing below it is told apart.
+    """Return how much of a cost may be due to the rays: less cannot be distinguished.
 
     Other rays change window energies by errors e of variance v, and the cost ``sum c (r + e)**2``
     by ``sum c v`` on average, give or take twice ``(sum (2 c r)**2 v) ** 0.5``.

@@ -1,7 +1,4 @@
-"""Problems of the objective layer as questions for a certified search.
-
-What a certified search minimises: misfits of sums of products of powers, and priors.
-"""
+"""What a certified search minimises: misfits of sums of products of powers, and priors."""
 
 from __future__ import annotations
 
@@ -138,7 +135,7 @@ def is_certifiable(problem: EnergyProblem) -> bool:
 def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalProblem:
     """Return half the weighted squares of a band's window energies, and half those of its priors.
 
-    The weights are those of the answer `vector`, held fixed: the cost that a fit's last round has
+    The weights are those of the answer `vector`: the cost that a fit's last round has
     minimised. Coordinates are the fitted absorptions, then the fitted gains.
 
     Parameters
@@ -198,7 +195,7 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
 
 
 def free_vector(problem: EnergyProblem, place: FloatArray) -> FloatArray:
-    """Return the free vector of a minimiser as certificates tell it: absorptions, then gains."""
+    """Return the free vector of a minimiser as certificates give it: absorptions, then gains."""
     values = {}
     position = 0
     for name in ("absorption", "gain"):

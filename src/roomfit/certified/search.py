@@ -1,6 +1,6 @@
-"""Branch and bound: the boxes that may hold misfits near the lowest, and proof for all others.
+"""Branch and bound: boxes that may hold misfits near the lowest, and proof for all others.
 
-One box of the search: pruned, shaved, kept, or cut in two.
+One box after the other is pruned, shaved, kept, or cut in two.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class BoxStatus(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tools:
-    """A question in the form that kernels take, with what is worked out once."""
+    """A global problem in the form that kernels take, with what is computed once."""
 
     kind: int
     data: Arrays
@@ -69,7 +69,7 @@ class Incumbent:
 
 
 def tools_for(global_problem: GlobalProblem) -> Tools:
-    """Return what working on the boxes of a question needs."""
+    """Return what working on the boxes of a global problem needs."""
     data = arrays(global_problem)
     return Tools(
         KINDS[global_problem.misfit],
@@ -189,7 +189,7 @@ _TOGETHER = 64
 _STARTS = 12
 _NARROW = 1e-4
 _EVEN = (0.05, 0.2, 0.5, 0.8)
-# Where a descent may go in place of minus infinity: an absorption of 1 - 1e-6.
+# Where a descent may reach instead of minus infinity: an absorption of 1 - 1e-6.
 _ALMOST_BLACK = math.log(1e-6)
 
 

@@ -1,7 +1,5 @@
 """Common materials by name: what published tables print of their absorption, as priors.
 
-What several tables together say of one kind of wall: a middle value and how far they scatter.
-
 Tables print absorption without a spread. Here it comes from the tables themselves: how far they
 disagree where they use the same name. All sums are done in logit absorption, where a spread means
 the same for a hard wall and for a soft one.
@@ -48,7 +46,7 @@ def table_logit(absorption: FloatArray) -> FloatArray:
 
 
 def distinct(readings: FloatArray) -> FloatArray:
-    """Return the different rows: a table that reprints another one says nothing new.
+    """Return the different rows: a table that reprints another one adds nothing.
 
     Parameters
     ----------
@@ -71,7 +69,7 @@ def common_spread(materials: Iterable[FloatArray]) -> float:
     """Return the standard deviation of logit absorption among readings of the same name.
 
     Pooled over all names, and over octaves 125 to 4000 Hz: it varies little from band to band.
-    Names with a single distinct reading tell nothing and are left out.
+    Names with a single distinct reading are left out.
     """
     squares, freedom = 0.0, 0
     for readings in materials:
@@ -90,7 +88,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     tables of hard walls agree better than a reverberation room could measure them.
 
     63 Hz, where no table prints it: three quarters of the step from 250 to 125 Hz are made once
-    more, at most 0.7; 8 kHz: the value of 4 kHz is held. Used the other way round, to foretell
+    more, at most 0.7; 8 kHz: the value of 4 kHz is kept. Used the other way round, to predict
     125 Hz from the next two octaves and 4 kHz from 2 kHz, the two rules miss by 0.6 and 0.4
     (standard deviation over the catalogue): by so much the spread is widened there.
     """
@@ -138,7 +136,7 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueEntry:
-    """A common material with what tables say of it."""
+    """A common material with what tables print of it."""
 
     name: str  # lower case with hyphens: ``"carpet-on-underlay"``
     group: str
@@ -225,7 +223,7 @@ def find_material(name: str) -> CatalogueEntry:
     Raises
     ------
     InputError
-        There is none; the nearest name is told.
+        There is none; the message has the nearest name.
 
     Examples
     --------
@@ -258,7 +256,7 @@ def _similar(wanted: str) -> str | None:
 
 
 def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
-    """Return every entry whose name, group or description holds all of the words."""
+    """Return every entry whose name, group or description has all of the words."""
     wanted = [w.lower() for w in words]
     return tuple(
         e
@@ -301,7 +299,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 
 def _eight(values: list[float]) -> FloatArray:
-    """Six values from 125 Hz, or seven from 63 Hz, in eight places."""
+    """Six values from 125 Hz, or seven from 63 Hz, in eight octaves."""
     eight = np.full(8, np.nan)
     eight[7 - len(values) : 7] = values
     return eight

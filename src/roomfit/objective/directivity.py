@@ -1,9 +1,7 @@
-"""A band's problem with sources that radiate as first-order patterns of unknown aim and strength.
+"""Sources that radiate as first-order patterns of unknown aim and strength.
 
-The unknowns are one vector b a source: no angles, no bounds. They stand behind absorption and gain
-and before the geometry, whose place at the end `marginal` relies on.
-
-Which sources of a campaign have an unknown directivity, and what is known of it beforehand.
+The unknowns are one vector b a source: no angles, no bounds. Their block stands behind absorption
+and gain and before the geometry, whose position at the end `marginal` relies on.
 """
 
 from __future__ import annotations
@@ -46,7 +44,7 @@ DIRECTIVITY = "directivity"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownDirectivities:
-    """What is known beforehand of the vectors b of some sources."""
+    """Priors of the vectors b of some sources."""
 
     sources: tuple[str, ...]
     mean: FloatArray  # (3 * n_sources,), of b, source after source
@@ -85,7 +83,7 @@ class DirectedProblem:
     # with the weights of omnidirectional sources and a block "directivity"
     problem: EnergyProblem | CoherentProblem
     unknown: UnknownDirectivities
-    # (n_observations,), which of the unknown sources each observation hears; -1 for one that is
+    # (n_observations,), which of the unknown sources each observation receives; -1 for one that is
     # known
     source: IntArray
     # (n_rows, 3), one an observation, where the path of each row leaves its source
@@ -159,7 +157,7 @@ def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
 def _weighed(
     problem: DirectedProblem, b: FloatArray, *, single: bool
 ) -> EnergyProblem | CoherentProblem:
-    """Return the problem with the weights that b gives; lone rows only where they are needed."""
+    """Return the problem with the weights that b gives, single arrivals' rows only if needed."""
     plain = problem.problem
     own = plain.energies if isinstance(plain, CoherentProblem) else plain
     rows, squared_images = list(own.rows), list(own.squared_image_rows)
@@ -265,7 +263,7 @@ def _coherent_slopes(
     return tuple(out)
 
 
-# Of each component of b, where nothing is told: an omnidirectional source and a cardioid are both
+# Of each component of b, where it is unspecified: an omnidirectional source and a cardioid are both
 # within reach.
 DEFAULT_B_SD = 0.5
 # Between bands an octave apart: a loudspeaker keeps its aim, and becomes narrower by and by.
@@ -278,7 +276,7 @@ class DirectivityParameters:
 
     sources: tuple[str, ...]
     number: IntArray  # (n_sources,), of each of them in the scene
-    # mean, sd: (n_sources, 3) and (n_sources,), of the vectors b beforehand, alike in all bands
+    # mean, sd: (n_sources, 3) and (n_sources,), prior of the vectors b, the same in all bands
     mean: FloatArray
     sd: FloatArray
 
@@ -304,7 +302,7 @@ def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownD
 def with_cavity_prior(
     directivity_parameters: DirectivityParameters, mean: FloatArray, covariance: FloatArray
 ) -> UnknownDirectivities:
-    """Return what is known when other bands have said what they say of the free numbers."""
+    """Return the unknowns under what other bands determine of the free numbers."""
     start = directivity_prior(directivity_parameters)
     root = start.root @ np.linalg.cholesky(covariance)
     return UnknownDirectivities(

@@ -26,7 +26,7 @@ WINDOWS_PER_INDEPENDENT_ONE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What one measurement says in one band, and how the model is to be reduced to the same."""
+    """One measurement reduced to a band, and how the model is to be reduced to the same."""
 
     pair: int  # index of the pair in the scene
     edges_s: FloatArray  # (n_windows + 1,), time windows after emission
@@ -169,11 +169,11 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
     """Return the variance of every measured window energy about its expectation.
 
     Reflections interfere, however finely one traces: the energy of a band of bandwidth B has the
-    variance ``1 / B`` times the integral of P^2 - Q, where P is the smeared sum of path energies
-    and Q that of the squares of each single one, so that a lone reflection carries no such noise.
-    It may still fall on either side of a window's edge where positions are a centimetre wrong. To
-    this come background noise, its beat with the signal, the trace's own Monte-Carlo noise (from
-    independent batches) and the error of the model.
+    variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies spread by
+    the filter and Q that of the squares of each single one, so that a single reflection carries no
+    such noise. It may still fall on either side of a window's edge where positions are a centimetre
+    wrong. To this come background noise, its beat with the signal, the trace's own Monte-Carlo
+    noise (from independent batches) and the error of the model.
 
     Returns
     -------

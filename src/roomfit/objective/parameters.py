@@ -1,12 +1,10 @@
-"""Unknowns as named blocks, each with its transform, its prior, and its own part of a Jacobian.
+"""Unknowns as named blocks, each with its transform, its prior, and its part of a Jacobian.
 
 An optimiser sees one vector of free numbers; a problem sees physical values. The transforms keep
-absorption between its bounds and gains above zero without the optimiser knowing.
-
-What sets arrival times, as one block of unknowns: places, speed of sound, latency, wall delays.
-
-The free numbers are multiples of the standard deviations told beforehand, so that the prior of the
-lowest band is the unit normal law; a joint prior carries what a band has found to the next.
+absorption between its bounds and gains above zero. Arrival times are set by one block: positions,
+speed of sound, latency, reflection delays. Its free numbers are multiples of their prior standard
+deviations, so that the prior of the lowest band is the unit normal law; a joint prior carries what
+a band has found to the next.
 """
 
 from __future__ import annotations
@@ -34,7 +32,7 @@ class Block:
     # {"identity", "log", "logit"}, from physical value to free number. "logit" maps the open
     # interval (lower, upper).
     transform: Transform
-    # (n,), physical values where a fit starts; where `fitted` is false, the values held
+    # (n,), physical values where a fit starts, or are fixed where `fitted` is false
     start: FloatArray
     fitted: BoolArray  # (n,)
     # prior_mean, prior_sd: (n,), Gaussian prior of the free number; an infinite sd is written as 0
@@ -93,7 +91,7 @@ class JointPrior:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Blocks laid end to end; the free vector holds the fitted entries only, in this order."""
+    """Blocks laid end to end; the free vector has the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
     joint: JointPrior | None = None  # replaces the separate priors of one block
@@ -151,9 +149,9 @@ def start_vector(parameters: Parameters) -> FloatArray:
 def physical_values(
     parameters: Parameters, vector: FloatArray
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Return every block's physical values, held ones included, and their derivatives.
+    """Return every block's physical values, fixed ones included, and their derivatives.
 
-    The derivative of a held entry is 0, so a chain rule may run over all entries.
+    The derivative of a fixed entry is 0, so a chain rule may run over all entries.
     """
     values: dict[str, FloatArray] = {}
     slopes: dict[str, FloatArray] = {}
@@ -164,7 +162,7 @@ def physical_values(
         free[block.fitted] = vector[position : position + n]
         position += n
         found, slope = to_physical(block, free)
-        # a held value is exactly the one given, without a round trip through the transform
+        # a fixed value is exactly the one given, without a round trip through the transform
         own, own_slope = (
             np.where(block.fitted, found, block.start),
             np.where(block.fitted, slope, 0.0),
@@ -224,22 +222,22 @@ GEOMETRY = "geometry"
 class Geometry:
     """The unknowns of arrival times and where each observation finds its own."""
 
-    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
     labels: tuple[str, ...]
-    # (n,), standard deviations beforehand: m, 1 (of ln c), s and s; 0 says that an entry is known
+    # (n,), prior standard deviations: m, 1 (of ln c), s and s; 0: an entry is known
     sd: FloatArray
     # (n,), which entries may move; one that may not still blurs the coherence by its deviation
     fitted: BoolArray
-    speed_m_s: float  # speed of sound beforehand
+    speed_m_s: float  # prior speed of sound
     # (n_observations, 8 + n_materials), entries of source (3), receiver (3), ln c, latency and
     # delays of each observation
     columns: IntArray
-    # (n,), free numbers of the places at which the paths were traced; None for the told ones
+    # (n,), free numbers of the positions for which paths were traced; None: the specified ones
     origin: FloatArray | None = None
 
 
 def geometry_block(geometry: Geometry) -> Block:
-    """Return the block of free numbers, zero at the told geometry, with a unit normal prior."""
+    """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
     n = len(geometry.labels)
     return Block(
         GEOMETRY,
@@ -255,7 +253,7 @@ def geometry_block(geometry: Geometry) -> Block:
 
 
 def times_of(geometry: Geometry, values: FloatArray) -> Times:
-    """Return places, speed, latency and delays of the free numbers, shape (n,)."""
+    """Return positions, speed, latency and delays of the free numbers, shape (n,)."""
     own = (geometry.sd * values)[geometry.columns]
     traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
     shifts_m = (geometry.sd * values - traced)[geometry.columns[:, :6]]
@@ -286,7 +284,7 @@ def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
 
 
 def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
-    """Return the covariance of all free numbers; those that are held keep their unit variance.
+    """Return the covariance of all free numbers; those that are fixed keep their unit variance.
 
     Parameters
     ----------
@@ -303,7 +301,7 @@ def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> Fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginal:
-    """What data and prior say of some entries when all others are integrated out."""
+    """What data and prior determine of some entries when all others are integrated out."""
 
     mean: FloatArray  # (n,)
     information: FloatArray  # (n, n)

@@ -1,9 +1,8 @@
 """What every fit of one band needs to know of its data, whatever kind of data they are.
 
-Window energies, partly coherent windows and ISO 3382 values each know how to predict themselves
-from one vector of free parameters. A joint problem lays several of them end to end.
-
-A problem some of whose data are trusted less than its noise model says.
+Window energies, partly coherent windows and ISO 3382 values each predict themselves from one vector
+of free parameters. A joint problem lays several of them end to end; an inflated variance gives less
+weight to data than their noise model does.
 """
 
 from __future__ import annotations
@@ -63,7 +62,7 @@ class BandProblem(Protocol):
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum with every constant, shape (n_data,).
 
-        For choosing between models, whose variances differ: squares alone cannot tell them apart.
+        For choosing between models, whose variances differ: squares alone cannot compare them.
         """
         ...
 
@@ -72,7 +71,7 @@ class BandProblem(Protocol):
 class JointProblem:
     """Several kinds of data of one band with the same unknowns, one after the other."""
 
-    parts: tuple[BandProblem, ...]  # at least one; all hold one and the same `parameters`
+    parts: tuple[BandProblem, ...]  # at least one; all have one and the same `parameters`
 
     def __post_init__(self) -> None:
         if any(p.parameters is not self.parts[0].parameters for p in self.parts):

@@ -69,12 +69,12 @@ def certificate_findings(
         )
     several = [(f, c) for f, c in named if c is not None and len(c.clusters) > 1]
     if several:
-        listed = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
+        listed = ", ".join(f"{f:g} Hz ({len(c.clusters)} minima)" for f, c in several)
         findings.append(
             Finding(
                 Code.MULTIPLE_MINIMA_CERTIFIED,
-                f"Absorptions far apart explain the energies within what rays can tell: {listed}. "
-                "The intervals are about one of them; fit.certified holds all.",
+                f"Absorptions far apart explain the energies within what rays resolve: {listed}. "
+                "The intervals are about one of them; fit.certified lists all.",
                 {"bands_hz": [f for f, _ in several]},
             )
         )

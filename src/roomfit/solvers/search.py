@@ -36,7 +36,7 @@ temperature gets and where the schedule ends. The choices here:
 - The start temperature is the spread of the error over random points unless it is given: 1e6 is
   only right for errors of about that size.
 - The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
-  quarter of the schedule (a cold walk may have settled in the wrong one of two valleys that it
+  quarter of the schedule (a cold walk may have ended in the wrong one of two valleys that it
   crossed while warm), and the lowest goes on with fresh edges from its own answer until that gains
   nothing more. (A simplex that has lost its shape stops short in more than four or five
   dimensions; fresh edges cure that.)
@@ -185,7 +185,7 @@ class Simplex:
         self.vertices, self.errors = self.vertices[order], self.errors[order]
 
     def replace_highest(self, x: FloatArray, error: float) -> None:
-        """Put a new vertex in the place of the highest."""
+        """Replace the highest vertex by a new one."""
         self.vertices[-1], self.errors[-1] = x, error
 
 
@@ -260,7 +260,7 @@ def simplex_around(x: FloatArray, size: float) -> FloatArray:
 
 
 def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
-    """Return a simplex with edges of 0.3 at a place drawn evenly from the unit box, (n + 1, n)."""
+    """Return a simplex with edges of 0.3 at a point drawn evenly from the unit box, (n + 1, n)."""
     return simplex_around(rng.random(n), 0.3)
 
 
@@ -312,7 +312,7 @@ def _contract(
 def spread(state: Simplex, error: ErrorFunction) -> float:
     """Return the left side of equation (6): rms difference from the error at the centroid.
 
-    The centroid tells a small simplex from one that lies evenly across a minimum.
+    The centroid distinguishes a small simplex from one that lies evenly across a minimum.
     """
     at_centroid = error(state.vertices[:-1].mean(axis=0))
     return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))

@@ -87,8 +87,8 @@ def absorption_intervals(
 
     The covariance is the inverse information times max(phi, 1): a misfit widens every interval.
     These are local, Gaussian intervals: they know nothing of a second minimum, and near absorption
-    0 or 1 their true coverage is not 95 %. A material of which the data tell nothing, even if all
-    others were known, has the interval 0 to 1.
+    0 or 1 their true coverage is not 95 %. A material of which the data determine nothing, even if
+    all others were known, has the interval 0 to 1.
     """
     covariance = np.linalg.inv(information) * max(chi2_reduced, 1.0)
     block = absorption_of(parameters)
@@ -213,7 +213,7 @@ class MirrorTrial:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandAnswer:
-    """What one band's fit says of the walls."""
+    """Absorption of the materials in one band."""
 
     absorption: FloatArray  # (n_materials,), and so the next four
     lower95: FloatArray
@@ -254,7 +254,7 @@ SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
 def band_answer(
     parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
 ) -> BandAnswer:
-    """Return what one band's fit says of each material and of the room as a whole."""
+    """Return one band's absorption of each material and of the room as a whole."""
     found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
     mean = weighted_mean_interval(
         parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
@@ -307,7 +307,7 @@ def _directivity(
 def prior_only_band(
     priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
 ) -> BandAnswer:
-    """Return what is left of a band without data: what was known beforehand, and no more."""
+    """Return the answer of a band without data: the prior, with the interval 0 to 1."""
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
     free = np.array([k.prior_logit_mean[band] for k in priors])

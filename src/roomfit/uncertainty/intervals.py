@@ -1,4 +1,4 @@
-"""Intervals of a fitted band where a Gaussian does not do: profiles, samples; and mirror images."""
+"""Intervals of a fitted band where a Gaussian does not suffice: profiles and samples."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
 
 # A profile never narrows either side of an interval, in the logit, to less than this of the
-# Gaussian's: a skew likelihood halves a side at most in every case looked at, and what asks for
-# more is rather an error of the weights that are held.
+# Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
+# more is rather an error of the weights.
 LEAST_SIDE = 0.5
 _DRAWS_KEPT = 2048
 
@@ -75,9 +75,9 @@ class Refinement:
 def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnswer:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
-    Weights are held. An interval of 0 to 1, where the data say nothing, stays as it is. What the
-    Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added to
-    either side as one more standard deviation.
+    Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
+    the Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added
+    to either side as one more standard deviation.
     """
     block = absorption_of(problem.parameters)
     first, fitted = position_of(problem.parameters, "absorption"), np.flatnonzero(block.fitted)
@@ -137,12 +137,12 @@ def sampled(
 ) -> BandAnswer:
     """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
 
-    Where the walkers did not come to rest the Gaussian answer stays, with `sampling` telling so.
+    Where the walkers did not converge the Gaussian answer stays, and `sampling` says so.
 
     Parameters
     ----------
     beyond : float array, shape (n_fitted, n_fitted), optional
-        Covariance of the logits that the sampled law does not know of; samples are scattered by it.
+        Covariance of the logits that the sampled law does not include; samples are scattered by it.
     """
     answer = replace(answer, evaluations=answer.evaluations + found.evaluations)
     if not found.converged:

@@ -1,9 +1,4 @@
-"""Absorption as it is known after a fit.
-
-Random draws of absorption as it is known after a fit.
-
-Draws of absorption that stay where the data are, however far the prior lets them go.
-"""
+"""Absorption after a fit, and random draws of it that stay where the data are."""
 
 from __future__ import annotations
 
@@ -84,9 +79,9 @@ def covariance_from_intervals(
 ) -> FloatArray:
     """Return a covariance of logit absorption from 95 % intervals alone: independent materials.
 
-    The sides of an interval are averaged in logit; a side at 0 or 1 says nothing. Where neither
-    says anything, the spread of the broad prior, 1.5, stands. Without the correlation between
-    materials, which a decay determines together, predictions come out less sure than they are.
+    The sides of an interval are averaged in logit; a side at 0 or 1 is open. Where both
+    are, the spread of the broad prior, 1.5, stands. Without the correlation between
+    materials, which a decay determines together, intervals of predictions come out too wide.
 
     Parameters
     ----------
@@ -147,10 +142,11 @@ def rto_draws(
     """Return draws of absorption from a fit's answer and covariance, shape (n_draws, n_materials).
 
     A decay determines sums of ``-log(1 - a)`` very well and their parts hardly. Draws that are
-    Gaussian in logit absorption leave such a sum as soon as they go far along it: in rooms of five
-    materials, seen by one decay within 3 %, their 95 % intervals of the mean absorption held the
-    truth in 30 of 100. Here what the data say is Gaussian in ``-log(1 - a)``, the exponents in
-    which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to 96.
+    Gaussian in logit absorption leave such a sum as soon as they move far along it: in rooms of
+    five materials, observed by one decay within 3 %, their 95 % intervals of the mean absorption
+    held the true value in 30 of 100. Here the likelihood is Gaussian in ``-log(1 - a)``, the
+    exponents in which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to
+    96.
 
     Parameters
     ----------
@@ -162,7 +158,7 @@ def rto_draws(
     n_draws : int
     rng : numpy.random.Generator
     prior_sd_scale : float or float array, shape (n_materials,)
-        How many times as wide the prior of the draws is as that of the answer: what the data say
+        How many times as wide the prior of the draws is as that of the answer: the likelihood
         stays as it is.
 
     Notes
@@ -196,7 +192,7 @@ def rto_draws(
 def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers, shape (n_draws, n), the second half minus the first.
 
-    Mirrored draws take the linear part of their scatter out of every mean over them.
+    Antithetic draws take the linear part of their scatter out of every mean over them.
     """
     half = rng.standard_normal(((n_draws + 1) // 2, n))
     return np.concatenate((half, -half))[:n_draws]
@@ -249,7 +245,7 @@ def draw_absorption(
 ) -> FloatArray:
     """Return draws of absorption, each band by itself.
 
-    Where the posterior tells what was known beforehand they stay where the data are (`band_draws`);
+    Where the posterior has its prior, draws stay where the data are (`band_draws`);
     without, they are Gaussian in logit absorption. Draws come in mirrored pairs.
 
     Parameters
@@ -262,7 +258,7 @@ def draw_absorption(
     Returns
     -------
     float array, shape (n_draws, n_materials, n_bands)
-        0 to 1; a held material keeps its absorption exactly.
+        0 to 1; a fixed material keeps its absorption exactly.
     """
     n = 2 * ((max(n_draws, 2) + 1) // 2)
     draws = np.empty((n, *posterior.absorption.shape))
@@ -298,7 +294,7 @@ def band_draws(
     ----------
     absorption : float array, shape (n_materials,)
     covariance_logit : float array, shape (n_materials, n_materials)
-        Positive semi-definite: zeros where absorption is held, equal rows where two materials are
+        Positive semi-definite: zeros where absorption is fixed, equal rows where two materials are
         tied to each other.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
     n_draws : int
@@ -316,7 +312,7 @@ def band_draws(
     if own.size:
         mean, sd = prior_logit_mean[own], prior_logit_sd[own]
         answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
-        # where the data say little a wider prior would let other walls go wherever they like
+        # where the data determine little a wider prior would leave other walls undetermined
         information_fraction = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
         is_default = is_default_prior(mean, sd) if specified is None else ~specified[own]
         prior_sd_scale = np.where(
@@ -335,7 +331,7 @@ def prior_draws(
     n_draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return draws from the prior alone, held and tied as in `band_draws`."""
+    """Return draws from the prior alone, fixed and tied as in `band_draws`."""
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
     own, twin = _own(absorption, covariance_logit, fixed)

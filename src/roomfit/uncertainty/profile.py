@@ -1,7 +1,4 @@
-"""Profile likelihood: how far one absorption can go when all other unknowns follow.
-
-Ends of a profile likelihood when something else says something of the same unknown.
-"""
+"""Profile likelihood of one free number, all others fitted anew."""
 
 from __future__ import annotations
 
@@ -26,14 +23,14 @@ _NARROW = 0.3
 _MOST_POINTS = 6
 # Of the rise: an end is found when it is this near, 4 % of half an interval.
 _NEAR = 0.08
-# Ends within this of each other, as the absorption of a logit, need not be told apart; nor within
-# this share of the whole side.
+# Ends within this of each other, as the absorption of a logit, need not be distinguished; nor
+# within this share of the whole side.
 _ALIKE, _ALIKE_SHARE = 0.004, 0.03
 # Logits beyond differ by less than a millionth in absorption.
 _FARTHEST = 14.0
 # A gain of this much by following is worth a second look at the point.
 _FAR_FROM_FOLLOWING = 1.0
-# Of a free number, a logit or a logarithm: where nothing is told of it a step has no limit.
+# Of a free number, a logit or a logarithm: where it is undetermined a step has no limit.
 _LONGEST_STEP = 3.0
 
 
@@ -55,7 +52,7 @@ class Profile:
 
 
 def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
-    """Return how far one free number can go while all others follow, weights held.
+    """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
     what a Gaussian promises, within a fifth, these ends are kept. Otherwise they are moved until it
@@ -66,7 +63,7 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     ----------
     problem : BandProblem
     fit : BandFit
-        Its answer; its weights are held.
+        Its answer; its weights are kept.
     entry : int
         Of the free vector.
 
@@ -243,11 +240,11 @@ _BEYOND = 3.0
 def profile_under(
     found: Profile, sides: tuple[float, float], mean: float, information: float
 ) -> tuple[float, float]:
-    """Return the ends of a 95 % interval by a profile and by a Gaussian that is told of it.
+    """Return the ends of a 95 % interval by a profile and a Gaussian of the same number.
 
     The profile's rise and the Gaussian's half square are added; the ends are where the sum has
-    risen by 1.92 from its lowest. Exact for one unknown; of several it takes what the others say of
-    this one for Gaussian.
+    risen by 1.92 from its lowest. Exact for one unknown; of several it takes what the others
+    determine of this one for Gaussian.
 
     Parameters
     ----------
@@ -256,7 +253,7 @@ def profile_under(
         Lengths below and above the profile's centre that its interval has by now; the curve is
         stretched to them.
     mean, information : float
-        Of the Gaussian, in the profile's free number; an information of 0 says nothing.
+        Of the Gaussian, in the profile's free number; an information of 0: none.
 
     Returns
     -------

@@ -1,12 +1,7 @@
-"""A law near to a band's posterior that costs nothing: what proposals are drawn from.
+"""Samples of a band's posterior by walkers, and whether they have converged.
 
-Whether Markov chains have come to rest: how often, how long, how much alike.
-
-The posterior of one band's free numbers, what is not asked for integrated out.
-
-Samples of a band's posterior, and whether they may be trusted.
-
-Compiled walks under the law that proposals for a band's posterior are drawn from.
+Arrival times are integrated out. Proposals are compiled walks under a surrogate, a law near to the
+posterior that takes no evaluation.
 """
 
 from __future__ import annotations
@@ -38,7 +33,7 @@ def split_r_hat(chains: FloatArray) -> FloatArray:
     """Return Gelman and Rubin's R-hat of chains cut in halves, for each unknown.
 
     The root of how much larger the variance over all halves is than the mean variance within one:
-    1 where all halves tell the same [1]_.
+    1 where all halves agree [1]_.
 
     Parameters
     ----------
@@ -96,7 +91,7 @@ def autocorrelation_steps(chains: FloatArray) -> FloatArray:
     return np.maximum(sums[last, np.arange(sums.shape[1])], 1.0)
 
 
-# An absorption this near to 1 or 0 can no more be told from it: a wall beyond is none of sound.
+# An absorption this near to 1 or 0 can no longer be distinguished from it.
 FARTHEST_FREE = 40.0
 # Least 1 - a of which a log is taken.
 LEAST_REFLECTED = 1e-18
@@ -162,7 +157,7 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
     timed = any(b.name == GEOMETRY for b in parameters.blocks)
     kept = position_of(parameters, GEOMETRY) if timed else n
     prior = prior_information(parameters, fit.vector)
-    # the data are flattened, what was known beforehand is not
+    # the data are flattened, the prior is not
     whole = (fit.information - prior) / flattening + prior
     inner = whole[kept:, kept:]
     follow = -np.linalg.solve(inner, whole[kept:, :kept]) if kept < n else np.zeros((0, kept))
@@ -171,7 +166,7 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
 
 
 def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    """Return the information of what was known beforehand, shape (n_free, n_free)."""
+    """Return the information of the prior, shape (n_free, n_free)."""
     _, rows = prior_residuals(parameters, vector)
     return np.asarray(rows.T @ rows)
 
@@ -246,7 +241,7 @@ def walk_points(
     centre, prior_mean, pull : shape (n,)
     prior, data : shape (n, n)
     measured, signal, background, weight, energies : shape (n_data,)
-        Of no data where `data` and `pull` say all.
+        Of no data where `data` and `pull` suffice.
     slopes, curvature : shapes (n_data, n), (n_data, n, n)
         See `roomfit.uncertainty.sampling.Windows`.
     """
@@ -428,7 +423,7 @@ class Surrogate:
     def usual_steps(self) -> tuple[int, ...]:
         """Lengths of walks: a short one, and one that costs less than what it is weighed by.
 
-        A random walk needs some 500 steps to forget its place under the skew laws of hard walls.
+        A random walk needs some 500 steps to forget its start under the skew laws of hard walls.
         """
         return (50, 4000) if self.windows is None else (50, 500)
 
@@ -447,7 +442,7 @@ class Surrogate:
         """
         n = points.shape[1]
         root = 2.38 / np.sqrt(n) * np.linalg.cholesky(self.covariance)
-        # drawn whatever the place, so that each step stays reversible; small ones still move along
+        # drawn whatever the point, so that each step stays reversible; small ones still move along
         # narrow ridges
         sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
         here = np.array(points, dtype=np.float64, order="C")
@@ -555,7 +550,7 @@ class Sampled:
     # autocorrelation, r_hat: (n_kept,)
     autocorrelation: FloatArray
     r_hat: FloatArray
-    # draws over the longest autocorrelation time: so many independent ones tell as much
+    # draws over the longest autocorrelation time: as many independent ones are worth as much
     effective: float
     acceptance: float  # share of proposals that were taken
     evaluations: int
@@ -626,7 +621,7 @@ def sample(
             progress(min(max(number / steps, 1.0 / max(share, 1.0)), 1.0))
         if found.converged:
             break
-    assert found is not None  # noqa: S101 - the loop looks at its last step
+    assert found is not None  # noqa: S101 - the loop judges its last step
     return found
 
 
