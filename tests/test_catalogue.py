@@ -23,9 +23,11 @@ from roomfit.materials.catalogue import (
     catalogue_prior,
     distinct,
     find_material,
-    logit,
     search_catalogue,
     typical_logit,
+)
+from roomfit.materials.catalogue import (
+    table_logit as logit,
 )
 from roomfit.materials.priors import logit_prior
 

@@ -22,14 +22,15 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.certified.certificate import Certificate
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.io.exports import read_material_table
+from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.results import Answer, ComparedPair, certificate_distance
-from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals, logit
+from roomfit.solvers.certificate import Certificate
+from roomfit.typing import BoolArray, FloatArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
 
 def numbers(values: FloatArray) -> list[float]:
@@ -147,7 +148,14 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_logit_sd=_table(posterior_content, "prior_logit_sd").T if has_prior else None,
             scattering=_result_reader_scattering(content, table.names),
             directivities=_directivities(content),
+            prior_specified=None if posterior_content is None else _specified(posterior_content),
         )
+
+
+def _specified(posterior_content: dict[str, Any]) -> BoolArray | None:
+    """Return which materials' priors were specified; None of a file that does not say so."""
+    flags = posterior_content.get("prior_specified")
+    return None if flags is None else np.array(flags, dtype=np.bool_)
 
 
 def read_misfit(path: Path) -> FloatArray | None:
@@ -289,6 +297,8 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             mean, sd = answer.logit_prior
             content["posterior"]["prior_logit_mean"] = [numbers(band) for band in mean.T]
             content["posterior"]["prior_logit_sd"] = [numbers(band) for band in sd.T]
+        if answer.prior_specified is not None:
+            content["posterior"]["prior_specified"] = [bool(b) for b in answer.prior_specified]
     return content
 
 

@@ -27,6 +27,7 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
+from roomfit.logit import expit
 from roomfit.report.wording import decay_time_key, number, parameter, shortened
 from roomfit.results import Answer, ComparedPair, Decay
 from roomfit.typing import FloatArray, Progress
@@ -397,12 +398,12 @@ def profiles_figure(answer: Answer) -> Figure | None:
         a, low, high = (
             float(x[line.entry, band]) for x in (answer.absorption, answer.lower95, answer.upper95)
         )
-        at = 1.0 / (1.0 + np.exp(-line.points))
+        at = expit(line.points)
         axes.axvspan(low, high, color=OKABE_ITO[4], alpha=0.25, lw=0, label="95 % interval")
         axes.axhline(RISE95, color="black", lw=0.8, ls=":", label="1.92")
         free, rise = profile_curve(line)
         axes.plot(at, line.rise, "o", ms=3.5, color=OKABE_ITO[0])
-        between = 1.0 / (1.0 + np.exp(-free))
+        between = expit(free)
         axes.plot(between, rise, "-", lw=1.2, color=OKABE_ITO[0], label="profile")
         axes.axvline(a, color=OKABE_ITO[1], lw=1.0, label="answer")
         axes.set_ylim(0.0, 5.0)

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.findings import Code, Finding
+from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter
 from roomfit.results import Answer, ComparedPair
@@ -275,9 +276,7 @@ def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
 
 def entry_text(entry: CatalogueEntry) -> str:
     """Return one entry in full: middle, spread, and every reading with its source."""
-    low, high = (
-        1.0 / (1.0 + np.exp(-(entry.logit_mean + z * entry.logit_sd))) for z in (-1.96, 1.96)
-    )
+    low, high = (expit(entry.logit_mean + z * entry.logit_sd) for z in (-Z95, Z95))
     rows: list[tuple[str, FloatArray]] = [
         ("absorption", entry.absorption),
         ("standard deviation", entry.sd),
