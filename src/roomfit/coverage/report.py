@@ -1,6 +1,6 @@
 """A calibration in words and tables.
 
-What `roomfit calibrate` leaves beside its replicates: JSON, table, picture.
+What `roomfit coverage` leaves beside its replicates: JSON, table, picture.
 
 A calibration in a picture: what intervals of every level hold, and those of 95 % by band.
 """
