@@ -15,6 +15,7 @@ from scipy.stats import binomtest
 import roomfit.coverage.simulate
 import roomfit.inversion.trace_plan
 from roomfit.bands import bands_between
+from roomfit.cache import json_text
 from roomfit.coverage.calibrate import (
     Found,
     Replicate,
@@ -436,7 +437,7 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
         *("replicates", "calibration.csv", "calibration.json", "calibration.png")
     }
     reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
-    assert reported == json.loads(json.dumps(coverage_json(result)))
+    assert reported == json.loads(json_text(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
     assert reported["all"]["hold"]["of"] == 12
     assert "2 of 2 replicates" in result_text(result)

@@ -336,14 +336,30 @@ def write_text_atomically(path: Path, text: str) -> Path:
 
 
 def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write JSON that any parser reads: an unknown value must be None, never NaN.
+    """Write `json_text` to a file aside and rename it; see `write_bytes_atomically`."""
+    return write_text_atomically(path, json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """Return JSON that any parser reads: an unknown value must be None, never NaN.
+
+    Parameters
+    ----------
+    content : object
+        Anything that JSON holds, and NumPy arrays and numbers, which become lists and numbers.
 
     Raises
     ------
     ValueError
         The content holds NaN or infinity: a fault of the caller's code, not of a user.
     """
-    return write_text_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    return json.dumps(content, indent=1, allow_nan=False, default=_listed) + "\n"
+
+
+def _listed(value: object) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
 def _nearest_existing(path: Path) -> Path:
@@ -416,17 +432,11 @@ _SUFFIX = ".npz"
 
 @dataclass(frozen=True, slots=True)
 class Cache:
-    """A folder for intermediate results; it is made when there is something to put in.
-
-    Attributes
-    ----------
-    folder : Path
-    limit_bytes : int
-        The least recently used files go when all together take more. A result that alone is
-        larger is not kept.
-    """
+    """A folder for intermediate results; it is made when there is something to put in."""
 
     folder: Path
+    # The least recently used files go when all together take more. A result that alone is
+    # larger is not kept.
     limit_bytes: int = DEFAULT_LIMIT_BYTES
 
 

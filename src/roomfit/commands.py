@@ -35,9 +35,10 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import campaign_scene
 from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 from roomfit.io.campaign import Campaign, input_files, read_campaign
+from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.materials import material_priors
-from roomfit.io.results import input_digests, read_misfit, read_result, write_result
+from roomfit.io.results import read_misfit, read_result, write_result
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.output import write_predicted

@@ -239,26 +239,16 @@ _COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialTable:
-    """Materials of a result.
-
-    Attributes
-    ----------
-    names : tuple of str
-    bands : Bands
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        0 to 1.
-    identifiable : bool array, shape (n_materials, n_bands)
-    scattering : float array, shape (n_materials, n_bands), or None
-        None where the result tells none.
-    """
+    """Materials of a result."""
 
     names: tuple[str, ...]
     bands: Bands
+    # (n_materials, n_bands); 0 to 1
     absorption: FloatArray
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray
-    scattering: FloatArray | None = None
+    identifiable: BoolArray  # (n_materials, n_bands)
+    scattering: FloatArray | None = None  # (n_materials, n_bands); none where the result tells none
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", unique_names("material", self.names))
@@ -420,18 +410,12 @@ _LONGEST_FILE_NAME = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exported:
-    """Files to be written.
+    """Files to be written."""
 
-    Attributes
-    ----------
-    texts : dict
-        File name to content. One entry named "" for a format that is a single file, whose name
-        the user chooses.
-    findings : tuple of Finding
-        What a reader of the files must know: filled bands, values that the data do not hold.
-    """
-
+    # File name to content. One entry named "" for a format that is a single file, whose name
+    # the user chooses.
     texts: dict[str, str]
+    # What a reader of the files must know: filled bands, values that the data do not hold
     findings: tuple[Finding, ...]
 
 

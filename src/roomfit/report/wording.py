@@ -18,22 +18,12 @@ DASH = "\N{EN DASH}"
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """How a room-acoustic parameter is written.
-
-    Attributes
-    ----------
-    symbol, unit : str
-    decimals : int
-        Of a value in `unit`.
-    error_unit : str
-        "%" where errors are told relative to the measured value.
-    error_decimals : int
-    """
+    """How a room-acoustic parameter is written."""
 
     symbol: str
     unit: str
-    decimals: int
-    error_unit: str
+    decimals: int  # of a value in `unit`
+    error_unit: str  # "%" where errors are told relative to the measured value
     error_decimals: int
 
 

@@ -268,20 +268,11 @@ _MOST_HEADER_LINES = 200
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What stands above the samples.
-
-    Attributes
-    ----------
-    numbers : mapping from short name to float
-    notes : str
-        All other lines, in lower case.
-    n_lines : int
-        Lines before the first sample.
-    """
+    """What stands above the samples."""
 
     numbers: Mapping[str, float]
-    notes: str
-    n_lines: int
+    notes: str  # all other lines, in lower case
+    n_lines: int  # lines before the first sample
 
 
 def read_rew(spec: ResponseSpec, content: bytes) -> Recording:

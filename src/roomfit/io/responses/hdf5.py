@@ -38,21 +38,14 @@ Attributes = Mapping[str, str | float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hdf5Variable:
-    """One member of the root of an HDF5 file.
+    """One member of the root of an HDF5 file."""
 
-    Attributes
-    ----------
-    values : float array or None
-        In the file's order of axes; None for whatever holds no real numbers.
-    axes : tuple of str
-        Names of the netCDF dimensions; empty ones up to three axes, or where the file names none.
-    attributes : mapping
-        Texts and single numbers.
-    """
-
+    # In the file's order of axes; None for whatever holds no real numbers
     values: FloatArray | None
+    # Names of the netCDF dimensions; empty ones up to three axes, or where the file names
+    # none
     axes: tuple[str, ...]
-    attributes: Attributes
+    attributes: Attributes  # texts and single numbers
 
 
 def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
@@ -210,18 +203,10 @@ _AXES = "MRNE"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sofa:
-    """A SOFA file, whatever its convention.
+    """A SOFA file, whatever its convention."""
 
-    Attributes
-    ----------
-    data_type : str
-        FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say.
-    variables : mapping
-        By the names that AES69 gives them, such as "Data.IR".
-    """
-
-    data_type: str
-    variables: Mapping[str, Hdf5Variable]
+    data_type: str  # FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say
+    variables: Mapping[str, Hdf5Variable]  # by the names that AES69 gives them, such as "Data.IR"
 
 
 def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:

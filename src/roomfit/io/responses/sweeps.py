@@ -27,20 +27,11 @@ _LEAST_OFFSET = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One channel as it lies in a file.
+    """One channel as it lies in a file."""
 
-    Attributes
-    ----------
-    pressure : float array, shape (n_samples,)
-        Not yet checked: may hold nan.
-    sampling_rate_hz : float
-    delay_s : float
-        By how much the file says that its first sample comes after its own time zero.
-    findings : tuple of Finding
-    """
-
-    pressure: FloatArray
+    pressure: FloatArray  # (n_samples,); not yet checked: may hold nan
     sampling_rate_hz: float
+    # By how much the file says that its first sample comes after its own time zero
     delay_s: float = 0.0
     findings: tuple[Finding, ...] = ()
 

@@ -309,40 +309,21 @@ _MOST_PLANES = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One piece of a plane, such as the door in a wall.
-
-    Attributes
-    ----------
-    name : str
-    corners : tuple of int
-        Numbers as the file writes them.
-    material : str
-    """
+    """One piece of a plane, such as the door in a wall."""
 
     name: str
-    corners: tuple[int, ...]
+    corners: tuple[int, ...]  # numbers as the file writes them
     material: str
 
 
 @dataclass(frozen=True, slots=True)
 class GeoPlane:
-    """One plane of a .geo file.
-
-    Attributes
-    ----------
-    number : int
-    outline : Part
-        Its material is empty where the plane has parts.
-    parts : tuple of Part
-        In order: an earlier part hides what a later one covers as well.
-    where : str
-        File and line.
-    """
+    """One plane of a .geo file."""
 
     number: int
-    outline: Part
-    parts: tuple[Part, ...]
-    where: str
+    outline: Part  # its material is empty where the plane has parts
+    parts: tuple[Part, ...]  # in order: an earlier part hides what a later one covers as well
+    where: str  # file and line
 
 
 def parse_planes(line: Line) -> list[GeoPlane]:

@@ -242,17 +242,10 @@ _WITHOUT_EFFECT = ("say", "debug", "debugon", "debugoff")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One statement without its comment.
-
-    Attributes
-    ----------
-    text : str
-    where : str
-        File and line.
-    """
+    """One statement without its comment."""
 
     text: str
-    where: str
+    where: str  # file and line
 
 
 @dataclass(slots=True)
@@ -427,28 +420,15 @@ class Shared:
 
 @dataclass(slots=True)
 class FileNames:
-    """The names that the expressions of one file know.
-
-    Attributes
-    ----------
-    shared : Shared
-    file : GeoFile
-    local : dict
-        Constants of this file alone.
-    offset : int
-        What OFFSETCO adds to its corner numbers.
-    mirror : tuple of two ints or None
-        What MIRROR adds to numbers of mirrored corners and planes.
-    shift : tuple of three floats
-        TRANSLATE.
-    """
+    """The names that the expressions of one file know."""
 
     shared: Shared
     file: GeoFile
-    local: dict[str, Line] = field(default_factory=dict)
-    offset: int = 0
+    local: dict[str, Line] = field(default_factory=dict)  # constants of this file alone
+    offset: int = 0  # what OFFSETCO adds to its corner numbers
+    # What MIRROR adds to numbers of mirrored corners and planes
     mirror: tuple[int, int] | None = None
-    shift: Point = (0.0, 0.0, 0.0)
+    shift: Point = (0.0, 0.0, 0.0)  # TRANSLATE
 
     def constant(self, name: str, where: str) -> float:
         """Return the value of a constant: this file's, or everybody's."""

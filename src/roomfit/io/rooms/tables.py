@@ -26,30 +26,15 @@ _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "p
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """One polygon of a plane table.
+    """One polygon of a plane table."""
 
-    Attributes
-    ----------
-    number : str
-        As written, without a decimal part.
-    corners : tuple of str
-        Numbers of its corners, in order.
-    material, description : str or None
-    double_sided : bool
-        The row says "double sided", or has 2 in a column "sides".
-    stated_area_m2 : float or None
-        Area that the table gives, for a comparison.
-    where : str
-        File and line.
-    """
-
-    number: str
-    corners: tuple[str, ...]
+    number: str  # as written, without a decimal part
+    corners: tuple[str, ...]  # numbers of its corners, in order
     material: str | None
     description: str | None
-    double_sided: bool
-    stated_area_m2: float | None
-    where: str
+    double_sided: bool  # the row says "double sided", or has 2 in a column "sides"
+    stated_area_m2: float | None  # area that the table gives, for a comparison
+    where: str  # file and line
 
 
 def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
