@@ -1,14 +1,8 @@
-"""Absorption in tables: coefficients with intervals, their mean, and absorption areas.
+"""The tables of the report, as text in cells.
 
-The table of what was proven of the lowest cost in each band.
-
-How far predictions are off on average, beside a guess that knows no room model.
-
-Predicted parameters beside measured ones, in just noticeable differences, pair by pair.
-
-The room in tables: what its materials cover, and where sources and receivers stand.
-
-How sources were found to radiate, in tables.
+Absorption with intervals, shares and absorption areas; the fit and its certificate; errors of
+predictions beside those of the baseline, and pair by pair in just noticeable differences; the
+room's materials and positions; fitted directivities. `wording.Table` is what the template draws.
 """
 
 from __future__ import annotations
@@ -49,7 +43,7 @@ NOT_IDENTIFIABLE = "not identif."
 
 
 def fixed_coefficients(answer: Answer) -> BoolArray:
-    """Return which coefficients were held fixed, shape (n_materials, n_bands)."""
+    """Return which coefficients were fixed, shape (n_materials, n_bands)."""
     return np.asarray(answer.lower95 == answer.upper95)
 
 
@@ -63,13 +57,14 @@ def absorption_tables(answer: Answer) -> tuple[Table, ...]:
             ),
             "material",
             band_heads(centres, block),
-            (*_material_rows(answer, block), _mean_row(answer, block)),
+            (*material_rows(answer, block), mean_row(answer, block)),
         )
         for block in band_blocks(len(centres))
     )
 
 
-def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
+def material_rows(answer: Answer, block: IntArray) -> list[Row]:
+    """Return absorption with its interval in the bands of a block, one row a material."""
     fixed = fixed_coefficients(answer)
     return [
         Row(
@@ -90,7 +85,8 @@ def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
     ]
 
 
-def _mean_row(answer: Answer, block: IntArray) -> Row:
+def mean_row(answer: Answer, block: IntArray) -> Row:
+    """Return the mean absorption of the room, weighted by area, in the bands of a block."""
     total = float(np.sum(answer.areas_m2))
     cells = tuple(
         coefficient_cell(*answer.mean_absorption[:, j], sure=True, fixed=False) for j in block
@@ -99,7 +95,7 @@ def _mean_row(answer: Answer, block: IntArray) -> Row:
 
 
 def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fixed: bool) -> Cell:
-    """Return an absorption with its interval; doubt and given values are told in words."""
+    """Return an absorption with its interval; doubts and given values are marked in words."""
     if not np.isfinite(value):
         return Cell(DASH, ("not determined",), "unsure")
     if fixed:
@@ -112,7 +108,7 @@ def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fi
 
 
 def fit_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return how well the model fits each band, and whether the fit came to rest."""
+    """Return how well the model fits each band, and whether the fit converged."""
     centres = answer.bands.centres_hz
     return tuple(
         Table(
@@ -125,7 +121,13 @@ def fit_tables(answer: Answer) -> tuple[Table, ...]:
                     tuple(_chi2_cell(float(answer.chi2_reduced[j])) for j in block),
                     "1: as expected",
                 ),
-                Row("the fit came to rest", tuple(_rest_cell(answer, j) for j in block)),
+                Row(
+                    "the fit converged",
+                    tuple(
+                        Cell("yes") if converged else Cell("no", style="far")
+                        for converged in answer.converged[block]
+                    ),
+                ),
             ),
         )
         for block in band_blocks(len(centres))
@@ -138,10 +140,6 @@ def _chi2_cell(chi2_reduced: float) -> Cell:
     if chi2_reduced > LARGEST_CHI2_REDUCED:
         return Cell(number(chi2_reduced, 1), ("does not fit",), "far")
     return Cell(number(chi2_reduced, 1), ("fits",), "near")
-
-
-def _rest_cell(answer: Answer, band: int) -> Cell:
-    return Cell("yes") if answer.converged[band] else Cell("no", style="far")
 
 
 def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
@@ -223,13 +221,13 @@ def share_tables(answer: Answer) -> tuple[Table, ...]:
 
 
 def prior_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return what was known beforehand, in the order of `absorption_tables`."""
+    """Return the prior, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
     centres, prior, fixed = answer.bands.centres_hz, answer.prior, fixed_coefficients(answer)
     return tuple(
         Table(
-            block_caption("Known or assumed beforehand, 95 % interval", centres, block),
+            block_caption("Prior, specified or assumed, 95 % interval", centres, block),
             "material",
             band_heads(centres, block),
             tuple(
@@ -288,16 +286,16 @@ def certificate_tables(answer: Answer) -> tuple[Table, ...]:
         )
     if not rows:
         return ()
-    columns = ("status", "lowest cost found", "proven bound", "places", "answer differs by")
+    columns = ("status", "lowest cost found", "proven bound", "minima", "answer differs by")
     caption = (
-        "How low the cost of the energies can be, their weights held, and in how many places "
+        "How low the cost of the energies can be, their weights fixed, and in how many regions "
         "it comes within what other rays would change"
     )
     return (Table(caption, "band", columns, tuple(rows)),)
 
 
 NEAR_JND, FAR_JND = 1.0, 2.0
-"""Up to the first nobody hears a difference; above the second it is plain."""
+"""Up to the first no difference is audible; above the second it is plain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,8 +324,8 @@ def parameter_keys(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:
     return (*known, *sorted(found - set(known)))
 
 
-def null_jnd(key: str, compared: Compared) -> FloatArray:
-    """Return the null model's error in just noticeable differences, shape (n_bands,)."""
+def baseline_jnd(key: str, compared: Compared) -> FloatArray:
+    """Return the baseline's error in just noticeable differences, shape (n_bands,)."""
     if key not in PARAMETERS:
         return np.full(compared.measured.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -375,12 +373,12 @@ def _parameter_row(pair: ComparedPair, key: str, block: IntArray) -> Row:
     compared = pair.parameters.get(key)
     if compared is None:
         return Row(how.symbol, tuple(Cell(DASH, ("not given",), "missing") for _ in block))
-    null = null_jnd(key, compared)
-    cells = tuple(_jnd_cell(compared, float(null[j]), j, how.decimals) for j in block)
+    baseline = baseline_jnd(key, compared)
+    cells = tuple(_jnd_cell(compared, float(baseline[j]), j, how.decimals) for j in block)
     return Row(how.symbol, cells, small=f"in {how.unit}" if how.unit else "")
 
 
-def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell:
+def _jnd_cell(compared: Compared, baseline: float, band: int, decimals: int) -> Cell:
     measured, predicted = float(compared.measured[band]), float(compared.predicted[band])
     if not np.isfinite(measured):
         guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
@@ -389,7 +387,7 @@ def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell
         text = number(measured, decimals)
         return Cell(DASH, ("not predicted", f"measured {text}"), "missing")
     values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
-    beside = f"others {number(null, 1, signed=True)}" if np.isfinite(null) else "no others"
+    beside = f"others {number(baseline, 1, signed=True)}" if np.isfinite(baseline) else "no others"
     jnd = float(compared.jnd[band])
     return Cell(number(jnd, 1, signed=True), (values, beside), jnd_style(jnd))
 
@@ -403,7 +401,7 @@ def jnd_style(jnd: float) -> str:
 
 
 def overview_table(answer: Answer) -> Table | None:
-    """Return the mean |JND| over bands of every pair and parameter beside the null model's."""
+    """Return the mean |JND| over bands of every pair and parameter beside the baseline's."""
     keys = parameter_keys(answer.pairs)
     if not keys:
         return None
@@ -422,11 +420,11 @@ def _overview_cell(pair: ComparedPair, key: str) -> Cell:
     compared = pair.parameters.get(key)
     if compared is None:
         return Cell(DASH, ("not given",), "missing")
-    ours, null = known_mean(abs(compared.jnd)), known_mean(abs(null_jnd(key, compared)))
+    ours, baseline = known_mean(abs(compared.jnd)), known_mean(abs(baseline_jnd(key, compared)))
     if not np.isfinite(ours):
         why = "not predicted" if np.isfinite(compared.measured).any() else "not measured"
         return Cell(DASH, (why,), "missing")
-    beside = f"others {number(null, 1)}" if np.isfinite(null) else "no others"
+    beside = f"others {number(baseline, 1)}" if np.isfinite(baseline) else "no others"
     return Cell(number(ours, 1), (beside,), jnd_style(ours))
 
 
@@ -437,31 +435,31 @@ WORSE = "▲"
 class Errors:
     """Absolute errors of one parameter, percent or in its unit; shape (n_pairs, n_bands).
 
-    NaN where one of the two cannot be compared. Where any null model exists, `model` holds
-    only what `null` holds as well, so that both are means over the same pairs.
+    NaN where one of the two cannot be compared. Where any baseline exists, `model` has only what
+    `baseline` has as well, so that both are means over the same pairs.
     """
 
     model: FloatArray
-    null: FloatArray
+    baseline: FloatArray
 
 
 def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
-    """Return the errors of the model's and of the null model's predictions of a parameter."""
+    """Return the errors of the model's and of the baseline's predictions of a parameter."""
     compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
     measured = np.array([c.measured for c in compared])
     scale = np.where(measured == 0.0, np.nan, measured) / 100.0
     if parameter(key).error_unit != "%":
         scale = np.ones_like(measured)
     model = np.abs(np.array([c.predicted for c in compared]) - measured) / scale
-    null = np.abs(np.array([c.null for c in compared]) - measured) / scale
-    both = np.isfinite(model) & np.isfinite(null)
+    baseline = np.abs(np.array([c.null for c in compared]) - measured) / scale
+    both = np.isfinite(model) & np.isfinite(baseline)
     if not both.any():
         return Errors(model, np.full_like(model, np.nan))
-    return Errors(np.where(both, model, np.nan), np.where(both, null, np.nan))
+    return Errors(np.where(both, model, np.nan), np.where(both, baseline, np.nan))
 
 
 def error_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return mean |error| per parameter and band, model beside null model, by use of the pairs."""
+    """Return mean |error| per parameter and band, model beside baseline, by use of the pairs."""
     uses: tuple[tuple[Use, str], ...] = (("validate", "not fitted"), ("fit", "fitted"))
     tables: list[Table] = []
     for use, words in uses:
@@ -494,16 +492,16 @@ def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> list
 
 
 def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
-    model, null = known_mean(errors.model[:, bands]), known_mean(errors.null[:, bands])
+    model, baseline = known_mean(errors.model[:, bands]), known_mean(errors.baseline[:, bands])
     if not np.isfinite(model):
         return Cell(DASH, ("not comparable",), "missing")
     decimals = parameter(key).error_decimals
     text = number(model, decimals)
-    if not np.isfinite(null):
+    if not np.isfinite(baseline):
         return Cell(text, ("no others",))
-    if round(model, decimals) > round(null, decimals):
-        return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "worse")
-    return Cell(text, (f"others {number(null, decimals)}",))
+    if round(model, decimals) > round(baseline, decimals):
+        return Cell(f"{WORSE} {text}", (f"others {number(baseline, decimals)}",), "worse")
+    return Cell(text, (f"others {number(baseline, decimals)}",))
 
 
 _SURFACES_SHOWN = 6
@@ -537,7 +535,7 @@ def _surfaces(room: Room, material: int) -> str:
 
 
 def position_table(scene: Scene) -> Table:
-    """Return where sources and receivers stand, in metres."""
+    """Return the positions of sources and receivers, in metres."""
     points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
     return Table(
         "Positions in metres",

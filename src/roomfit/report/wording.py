@@ -1,7 +1,4 @@
-"""Numbers and names as a reader expects them: sensible digits, units, no NaN.
-
-A table as the template draws it: captions, heads and cells of text, no numbers.
-"""
+"""Numbers, names and tables as a reader expects them: sensible digits, units, no NaN."""
 
 from __future__ import annotations
 
@@ -23,7 +20,7 @@ class Parameter:
     symbol: str
     unit: str
     decimals: int  # of a value in `unit`
-    error_unit: str  # "%" where errors are told relative to the measured value
+    error_unit: str  # "%" where errors are relative to the measured value
     error_decimals: int
 
 
@@ -80,6 +77,11 @@ def hertz(frequency_hz: float) -> str:
     return f"{frequency_hz:g} Hz"
 
 
+def short_hertz(frequency_hz: float) -> str:
+    """Return a frequency as an axis in Hz names it: 500, 2k."""
+    return f"{frequency_hz / 1000:g}k" if frequency_hz >= 1000 else f"{frequency_hz:g}"
+
+
 def count(number_of: int, singular: str, plural: str | None = None) -> str:
     """Return a number with its noun.
 
@@ -128,13 +130,13 @@ def shortened(name: str, longest: int = 34) -> str:
 
 
 def parameter(key: str) -> Parameter:
-    """Return how a parameter is written; of an unknown one the key tells symbol and unit."""
+    """Return how a parameter is written; of an unknown one the key has symbol and unit."""
     symbol, _, unit = key.partition("_")
     return PARAMETERS.get(key) or Parameter(symbol, unit, 2, unit, 2)
 
 
 def decay_time_key(known: Iterable[str]) -> str | None:
-    """Return which of the known parameters stands for the decay time; None where none does.
+    """Return which of the known parameters represents the decay time; None where none does.
 
     Examples
     --------
@@ -191,7 +193,7 @@ def band_heads(centres_hz: FloatArray, block: IntArray) -> tuple[str, ...]:
 
 
 def block_caption(caption: str, centres_hz: FloatArray, block: IntArray) -> str:
-    """Return a caption that tells the bands where one table does not hold them all."""
+    """Return a caption that names the bands where one table does not have them all."""
     if len(block) == len(centres_hz):
         return caption
     low, high = (hertz(float(centres_hz[j])) for j in (block[0], block[-1]))
