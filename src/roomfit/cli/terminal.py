@@ -1,4 +1,4 @@
-"""What a user sees: answers on standard output, the progress of long jobs on standard error."""
+"""Answers on standard output, the progress of long jobs on standard error."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def say(text: object) -> None:
 
 @contextmanager
 def progress_line(description: str) -> Iterator[Callable[[float], None]]:
-    """Give a function that takes the fraction done; nothing is drawn where nobody watches."""
+    """Give a function that takes the fraction done; nothing is drawn without a terminal."""
     if not sys.stderr.isatty():
         yield lambda _fraction: None
         return

@@ -37,7 +37,7 @@ def csv_text(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str
 
 
 def finding_content(finding: Finding) -> dict[str, Any]:
-    """Return a finding as JSON holds it."""
+    """Return a finding as a JSON object."""
     return {
         "code": finding.code.value,
         "severity": finding.severity,
@@ -47,7 +47,7 @@ def finding_content(finding: Finding) -> dict[str, Any]:
 
 
 def _plain(value: Any) -> Any:
-    """Return what JSON can hold of evidence; numbers that are not finite become text."""
+    """Return evidence as JSON values; numbers that are not finite become text."""
     if isinstance(value, Mapping):
         return {str(key): _plain(item) for key, item in value.items()}
     if isinstance(value, np.ndarray | np.generic):

@@ -1,10 +1,7 @@
-"""The reader of CATT-Acoustic's .geo files.
+"""The reader of CATT-Acoustic's .geo files: corners, planes and their parts, materials.
 
-Constants, directives and corners of every file of a room, put where expressions find them.
-
-A plane cut into its parts: what an earlier part covers is taken out of the later ones.
-
-Planes of a .geo file: which corners in which order, which material, which parts.
+`catt_language` reads statements and evaluates expressions; here they become a room. A plane is cut
+into its parts: what an earlier part covers is removed from the later ones.
 """
 
 from __future__ import annotations
@@ -36,7 +33,7 @@ _MOST_STEPS = 10_000
 
 
 def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
-    """Return what the expressions of each file know.
+    """Return the names that the expressions of each file may use.
 
     Raises
     ------
@@ -204,7 +201,7 @@ def split_words(text: str, mark: str = " ") -> list[str]:
 
 
 def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
-    """Return what is left of each part once the earlier ones are taken out of it.
+    """Return what is left of each part without the earlier ones.
 
     Parameters
     ----------
@@ -214,8 +211,8 @@ def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
     Returns
     -------
     list of lists of float arrays, shape (n_corners, 3)
-        For each part its polygons, which turn as the part does. A part that nothing is taken out
-        of comes back whole; else the pieces are convex and meet without gaps. Pieces thinner than
+        For each part its polygons, oriented as the part. A part that no other covers comes back
+        whole; else the pieces are convex and meet without gaps. Pieces thinner than
         the tolerance at which corners are welded are left out.
 
     Notes
@@ -497,7 +494,7 @@ def read_catt(path: Path) -> RoomModel:
     ABS statement, or else the first one met, is kept. Absorption and scattering of ABS statements
     are not used: they are what roomfit is to find.
 
-    OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL hold for the file they stand in.
+    OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL apply to their own file.
     MIRROR adds the image at x = 0 of every corner, and of every plane that names no image itself
     and is not its own image. Two planes on the same corners with opposite reflecting sides and
     one material become one sheet that reflects on both sides.
@@ -505,8 +502,8 @@ def read_catt(path: Path) -> RoomModel:
     Raises
     ------
     InputError
-        A file cannot be read, or holds a statement that is not supported (IF, ROTATE, COPY, cut()
-        and others): it is told with its line. Nothing that may shape the room is passed over.
+        A file cannot be read, or contains a statement that is not supported (IF, ROTATE, COPY,
+        cut() and others); the message has its line. Nothing that may shape the room is ignored.
     """
     files = read_files(path)
     shared, owners = names_of(files)
@@ -639,20 +636,20 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
         visited, end = {name}, stands_for[name]
         while end.lower() in stands_for:
             if end.lower() in visited:
-                raise InputError("materials that stand for each other", found=f"{name}, {end}")
+                raise InputError("materials that replace each other", found=f"{name}, {end}")
             visited.add(end.lower())
             end = stands_for[end.lower()]
         followed[name] = spelling.get(end.lower(), end)
     if not followed:
         return spelling, ()
     listed = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
-    text = f"The file says that one material stands for another: {listed}."
+    text = f"The file replaces one material by another: {listed}."
     evidence = {spelling[name]: end for name, end in followed.items()}
     return spelling | followed, (Finding(Code.MATERIALS_JOINED, text, evidence),)
 
 
 def _absorption(line: Line) -> tuple[str, str]:
-    """Return the name of an ABS statement and what stands behind it: <numbers>, or a name."""
+    """Return the name of an ABS statement and what it is: <numbers>, or another name."""
     match = re.fullmatch(r"(?i:abs)\s+([^\s=<]+)\s*(?:=\s*|(?=<))(<[^<>]+>.*|[^<>{}=]+)", line.text)
     if match is None:
         raise InputError(

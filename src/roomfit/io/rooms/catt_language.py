@@ -1,11 +1,8 @@
-"""Numbers of a .geo file: constants, corners of other corners, and the arithmetic around them.
+"""The language of CATT-Acoustic's .geo files: statements, includes and expressions.
 
-Constants and corners of all files of a room, worked out when they are asked for.
-
-The statements of a .geo file and of the files that it includes, each with its place.
-
-The format is CATT-Acoustic's; it is described in its manual's "Short GEO, LOC input file syntax
-reminder" [1]_, and shown by its tutorial's files MASTER.GEO and REFLECT.GEO.
+Constants and corners of all files of a room are evaluated when they are needed. The format is
+described in the manual's "Short GEO, LOC input file syntax reminder" [1]_, and shown by the files
+MASTER.GEO and REFLECT.GEO of its tutorial.
 
 References
 ----------
@@ -47,7 +44,7 @@ _AXES = "xyz"
 
 
 class Names(Protocol):
-    """What the names in an expression stand for."""
+    """The values of the names in an expression."""
 
     def constant(self, name: str, where: str) -> float:
         """Return the value of a constant, its name in lower case."""
@@ -86,7 +83,7 @@ def value_of(
 
     Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
     abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner and, where `lock` is
-    given, ``lock(4 7 8)`` for the place on the plane through three corners.
+    given, ``lock(4 7 8)`` for the point on the plane through three corners.
 
     Raises
     ------
@@ -206,12 +203,12 @@ def lock_on_plane(
     ----------
     axis : {0, 1, 2}
     point : three floats
-        The one along `axis` is not looked at.
+        The one along `axis` is not used.
 
     Raises
     ------
     InputError
-        The plane runs along the axis, or the three corners stand on one line.
+        The plane runs along the axis, or the three corners are collinear.
     """
     u = [q - p for p, q in zip(a, b, strict=True)]
     v = [q - p for p, q in zip(a, c, strict=True)]
@@ -223,7 +220,7 @@ def lock_on_plane(
     size = math.sqrt(sum(n * n for n in normal))
     if abs(normal[axis]) <= 1e-9 * size or size == 0.0:
         raise InputError(
-            "lock() finds no place",
+            "lock() has no solution",
             where=where,
             found=f"the plane of its three corners runs along {_AXES[axis]}",
             needed="three corners that are not on one line, of a plane that is not parallel to it",
@@ -264,13 +261,13 @@ class GeoFile:
 def read_files(path: Path) -> list[GeoFile]:
     """Return a file and, behind it, all that it includes.
 
-    An included file comes after the whole of the file that names it, so that it sees constants
-    which stand below the INCLUDE.
+    An included file comes after the whole of the file that names it, so that it may use
+    constants defined below the INCLUDE.
 
     Raises
     ------
     InputError
-        A file cannot be read, includes itself, or holds a statement that is not understood.
+        A file cannot be read, includes itself, or contains a statement that is not understood.
     """
     files: list[GeoFile] = []
     _gather(Path(path), (), files)
@@ -353,7 +350,7 @@ def _close_planes(file: GeoFile, pending: list[str], where: str) -> None:
 
 
 def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
-    """Put a statement where it belongs and return the section that holds afterwards."""
+    """Assign a statement to its list and return the section that applies afterwards."""
     alone = line.text.lower() == word
     if alone and word in ("corners", "planes", "markers"):
         return word
@@ -367,10 +364,10 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
         file.includes.append(line)
     elif word in ("offsetco", "offsetpl", "mirror", "translate", "object"):
         if word in file.directives:
-            raise InputError("a statement stands twice in one file", where=line.where, found=word)
+            raise InputError("a statement occurs twice in one file", where=line.where, found=word)
         if file.corners or file.planes:
             raise InputError(
-                f"{word.upper()} stands below corners or planes",
+                f"{word.upper()} is below corners or planes",
                 where=line.where,
                 needed="a place above CORNERS",
             )
@@ -410,7 +407,7 @@ class CornerSource:
 
 @dataclass(slots=True)
 class Shared:
-    """What all files see: global constants, and corners by their final number."""
+    """What all files share: global constants, and corners by their final number."""
 
     constants: dict[str, tuple[FileNames, Line]] = field(default_factory=dict)
     corners: dict[int, CornerSource] = field(default_factory=dict)
@@ -431,7 +428,7 @@ class FileNames:
     shift: Point = (0.0, 0.0, 0.0)  # TRANSLATE
 
     def constant(self, name: str, where: str) -> float:
-        """Return the value of a constant: this file's, or everybody's."""
+        """Return the value of a constant, of this file or global."""
         owner, line = self, self.local.get(name)
         if line is None:
             if name not in self.shared.constants:
@@ -473,7 +470,7 @@ class _InLoop:
 
 @dataclass(slots=True)
 class _Step:
-    """One step of working something out: refuses circles and endless chains."""
+    """One step of an evaluation: refuses circles and endless chains."""
 
     shared: Shared
     what: str
@@ -499,7 +496,7 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
     Raises
     ------
     InputError
-        There is none, or it cannot be worked out.
+        There is none, or it cannot be evaluated.
     """
     source = shared.corners.get(number)
     if source is None:

@@ -1,10 +1,6 @@
-"""Formats read by trimesh: STL and GLB.
+"""What the readers of rooms share: the specification, the model they return, and reading of files.
 
-What every reader of a room hands back, before units and axes are settled.
-
-Where a room comes from, as a campaign or a command line says it.
-
-Opening room files and reading numbers from them, with errors that say where.
+Here are also the formats of triangles that trimesh reads, STL and GLB.
 """
 
 from __future__ import annotations
@@ -75,7 +71,7 @@ class PolygonSpec:
     # A corner or a plane in a later file replaces the one of the same number in an earlier
     corners: tuple[Path, ...]
     planes: tuple[Path, ...]
-    # The planes of that table stand in for one plane
+    # the planes of that table replace one plane
     replace: Mapping[str, Path] = field(default_factory=dict)
     drop: tuple[str | int, ...] = ()  # numbers of planes that are left out
     # 2 makes a plane a sheet in the air, 1 a wall, whatever its row says
@@ -103,7 +99,7 @@ class RoomSpec:
         given = [self.file is not None, self.shoebox is not None, self.polygons is not None]
         if sum(given) != 1:
             raise InputError(
-                "a room comes from exactly one place",
+                "a room has exactly one source",
                 found=f"{sum(given)} of file, shoebox and polygons",
                 needed="one of them",
             )
@@ -114,7 +110,7 @@ _LARGEST = 1e9
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the contents of a file that must exist and hold something.
+    """Return the contents of a file that must exist and not be empty.
 
     Raises
     ------
@@ -148,7 +144,7 @@ def read_text(path: Path) -> str:
         raise InputError(
             "the room file is not text",
             where=str(path),
-            needed=f"a text file, as {Path(path).suffix or 'its name'} promises",
+            needed=f"a text file, as {Path(path).suffix or 'its name'} says",
             hint="check that the file's name ends as its format demands",
         )
     try:
@@ -238,7 +234,7 @@ def read_glb(path: Path) -> RoomModel:
 
 
 def _load(path: Path, kind: str) -> list[tuple[str, FloatArray, np.ndarray[Any, Any], str | None]]:
-    """Return name, vertices, triangles and material of every part, where the file places it."""
+    """Return name, vertices, triangles and material of every part, transformed as in the file."""
     import trimesh
 
     content = io.BytesIO(read_bytes(path))

@@ -1,7 +1,4 @@
-"""Corner and plane tables as spreadsheets hold them, with headings and notes between the rows.
-
-A room from tables of corners and planes: which planes hold, and what the tables doubt.
-"""
+"""A room from tables of corners and planes, as spreadsheets with headings and notes have them."""
 
 from __future__ import annotations
 
@@ -40,8 +37,8 @@ class Plane:
 def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
     """Return the corners of one table by their number, in the table's unit.
 
-    The columns are found by the heading that holds the words number, x, y and z. Rows without a
-    number are headings or notes and are passed over.
+    The columns are found by the heading with the words number, x, y and z. Rows without a number
+    are headings or notes and are ignored.
 
     Raises
     ------
@@ -70,10 +67,10 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
 def read_planes(path: Path) -> dict[str, Plane]:
     """Return the planes of one table by their number.
 
-    The columns are found by the heading that holds the words number and corner; "material", "area"
-    and "name" or "description" are used where they stand. The corners of a plane end at the first
-    cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
-    A column "sides" may hold 1 or 2.
+    The columns are found by the heading with the words number and corner; "material", "area" and
+    "name" or "description" are used where they exist. The corners of a plane end at the first cell
+    that is no number, so that notes behind them do no harm. Numbers may be written as 616.0. A
+    column "sides" may have 1 or 2.
 
     Raises
     ------
@@ -113,7 +110,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
 
 
 def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield place, cells and heading of each row below a heading; a later heading takes over."""
+    """Yield place, cells and heading of each row below a heading; a later heading replaces it."""
     heading: list[str] | None = None
     reader = csv.reader(read_text(path).split("\n"))
     try:
@@ -168,7 +165,7 @@ def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | 
 
 
 def _as_number(cell: str) -> str | None:
-    """Return a whole number as it is meant, or None.
+    """Return a whole number without leading zeros or a decimal part, or None.
 
     Examples
     --------
@@ -236,7 +233,7 @@ def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
         return corners, []
     text = (
         f"{len(moved)} corners differ between the tables, by up to {max(moved.values()):.3g}; the "
-        f"last table holds: {_some(list(moved))}."
+        f"last table applies: {_some(list(moved))}."
     )
     return corners, [Finding(Code.CORNERS_DIFFER, text, {"moved": moved})]
 
@@ -315,12 +312,12 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
     listed = [
         f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
     ]
-    text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(listed)}."
+    text = f"{len(wrong)} stated areas disagree with the corners, which are used: {_some(listed)}."
     return [Finding(Code.STATED_AREA_MISMATCH, text, {"planes": wrong})]
 
 
 def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
-    """Tell of material names that differ in blanks, underscores, case or a plural s only."""
+    """Return findings of names of materials that differ in blanks, _, case or a plural s only."""
     families: dict[str, set[str]] = {}
     for plane in planes.values():
         if plane.material:
