@@ -11,7 +11,9 @@ References
 
 from __future__ import annotations
 
+import ast
 import math
+import operator
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -25,7 +27,7 @@ from roomfit.io.rooms.model import finite, read_text, whole
 _TOKEN = re.compile(
     r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII
 )
-_EXPRESSIONS_DEEPEST = 40
+_MOST_TOKENS = 1000
 
 Point = tuple[float, float, float]
 
@@ -40,7 +42,13 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sqrt": math.sqrt,
     "abs": abs,
 }
-_AXES = "xyz"
+_OPERATIONS: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_AXES = ("x", "y", "z")
 
 
 class Names(Protocol):
@@ -53,33 +61,13 @@ class Names(Protocol):
         """Return a corner by the number that its file writes."""
 
 
-@dataclass(slots=True)
-class _Reader:
-    """An expression on its way from left to right."""
-
-    tokens: list[str]
-    names: Names
-    where: str
-    lock: Callable[[Point, Point, Point], float] | None
-    at: int = 0
-    depth: int = 0
-
-    def peek(self) -> str:
-        return self.tokens[self.at] if self.at < len(self.tokens) else ""
-
-    def take(self) -> str:
-        token = self.peek()
-        self.at += 1
-        return token
-
-
 def value_of(
     text: str,
     names: Names,
     where: str,
     lock: Callable[[Point, Point, Point], float] | None = None,
 ) -> float:
-    """Return what an expression amounts to.
+    """Return the value of an expression.
 
     Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
     abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner and, where `lock` is
@@ -90,108 +78,91 @@ def value_of(
     InputError
         Anything else, a name that is not known, or a value that is not a finite number.
     """
-    reader = _Reader(_tokens(text, where), names, where, lock)
+
+    def corners(call: ast.Call, count: int) -> list[Point]:
+        arguments = call.args
+        if len(arguments) == 1 and isinstance(arguments[0], ast.Tuple):
+            arguments = arguments[0].elts
+        numbers = [a.value for a in arguments if isinstance(a, ast.Constant)]
+        if len(numbers) != len(arguments) or len(numbers) != count:
+            raise InputError(
+                f"{_name(call.func)}() needs {count} corner number{'s' if count > 1 else ''}",
+                where=where,
+                found=text,
+            )
+        return [names.corner(whole(str(number), where), where) for number in numbers]
+
+    def value(node: ast.expr) -> float:
+        match node:
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
+            case ast.Name():
+                return names.constant(_name(node), where)
+            case ast.UnaryOp(operand=operand):
+                return -value(operand) if isinstance(node.op, ast.USub) else value(operand)
+            case ast.BinOp(left=left, right=right) if type(node.op) in _OPERATIONS:
+                return _OPERATIONS[type(node.op)](value(left), value(right))
+            case ast.Call(func=ast.Name(), args=[argument]) if _name(node.func) in _FUNCTIONS:
+                return _FUNCTIONS[_name(node.func)](value(argument))
+            case ast.Call(func=ast.Name()) if _name(node.func) in _AXES:
+                return corners(node, 1)[0][_AXES.index(_name(node.func))]
+            case ast.Call(func=ast.Name()) if _name(node.func) == "lock" and lock is not None:
+                return lock(*corners(node, 3))
+        raise _not_understood(text, where)
+
     try:
-        value = _sum(reader)
+        return finite(repr(value(ast.parse(_in_python(text, where), mode="eval").body)), where)
+    except (RecursionError, MemoryError):
+        raise _too_long(where) from None
+    except SyntaxError as error:
+        if "nested" in str(error):
+            raise _too_long(where) from None
+        raise _not_understood(text, where) from None
     except (ZeroDivisionError, ValueError, OverflowError) as error:
         raise InputError(
             "an expression has no value", where=where, found=f"{text!r}: {error}"
         ) from None
-    if reader.peek():
-        raise _not_understood(text, where, reader.peek())
-    return finite(repr(value), where)
 
 
-def _tokens(text: str, where: str) -> list[str]:
-    tokens, at = [], 0
-    while at < len(text.rstrip()):
+def _in_python(text: str, where: str) -> str:
+    """Return an expression as Python writes it.
+
+    Names get an underscore in front, so that none is a word of Python; zeros in front of a number
+    go; corner numbers get a comma between them.
+    """
+    words: list[str] = []
+    at, text = 0, text.rstrip()
+    while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise _not_understood(text, where, text[at:].strip()[:20])
-        tokens.append(match.group(0).strip())
+            raise _not_understood(text, where)
+        if len(words) > _MOST_TOKENS:
+            raise _too_long(where)
+        number, name, mark = match.groups()
+        if number and words and words[-1][-1].isdigit():
+            words.append(",")
+        words.append(f"_{name.lower()}" if name else mark or re.sub(r"^0+(?=\d)", "", number))
         at = match.end()
-    return tokens
+    return " ".join(words)
 
 
-def _not_understood(text: str, where: str, token: str) -> InputError:
+def _name(node: ast.expr) -> str:
+    """Return the name that `_in_python` put an underscore in front of."""
+    return node.id[1:] if isinstance(node, ast.Name) else ""
+
+
+def _too_long(where: str) -> InputError:
+    return InputError("an expression is too long, or has too many brackets", where=where)
+
+
+def _not_understood(text: str, where: str) -> InputError:
     return InputError(
         "an expression of the .geo file is not understood",
         where=where,
-        found=f"{token!r} in {text.strip()[:80]!r}" if token else repr(text.strip()[:80]),
+        found=repr(text.strip()[:80]),
         needed="numbers, constants, + - * / and brackets, sin, cos, tan, asin, acos, atan, sqrt, "
         "abs, x(), y(), z(), lock()",
     )
-
-
-def _sum(reader: _Reader) -> float:
-    value = _product(reader)
-    while reader.peek() in ("+", "-"):
-        sign = 1.0 if reader.take() == "+" else -1.0
-        value += sign * _product(reader)
-    return value
-
-
-def _product(reader: _Reader) -> float:
-    value = _factor(reader)
-    while reader.peek() in ("*", "/"):
-        if reader.take() == "*":
-            value *= _factor(reader)
-        else:
-            value /= _factor(reader)
-    return value
-
-
-def _factor(reader: _Reader) -> float:
-    sign = 1.0
-    while reader.peek() in ("+", "-"):
-        sign = -sign if reader.take() == "-" else sign
-    token = reader.take()
-    if token == "(":
-        return sign * _bracket(reader)
-    if token[:1].isdigit() or token[:1] == ".":
-        return sign * float(token)
-    if not token[:1].isalpha() and token[:1] != "_":
-        raise _not_understood(" ".join(reader.tokens), reader.where, token)
-    name = token.lower()
-    if reader.peek() != "(":
-        return sign * reader.names.constant(name, reader.where)
-    reader.take()
-    if name in _FUNCTIONS:
-        return sign * _FUNCTIONS[name](_bracket(reader))
-    if name in _AXES:
-        (number,) = _numbers(reader, name, 1)
-        return sign * reader.names.corner(number, reader.where)[_AXES.index(name)]
-    if name == "lock" and reader.lock is not None:
-        a, b, c = (reader.names.corner(n, reader.where) for n in _numbers(reader, name, 3))
-        return sign * reader.lock(a, b, c)
-    raise _not_understood(" ".join(reader.tokens), reader.where, f"{token}(")
-
-
-def _bracket(reader: _Reader) -> float:
-    reader.depth += 1
-    if reader.depth > _EXPRESSIONS_DEEPEST:
-        raise InputError("an expression has too many brackets", where=reader.where)
-    value = _sum(reader)
-    reader.depth -= 1
-    if reader.take() != ")":
-        raise _not_understood(" ".join(reader.tokens), reader.where, "a bracket that stays open")
-    return value
-
-
-def _numbers(reader: _Reader, name: str, count: int) -> list[int]:
-    """Return the corner numbers up to the closing bracket."""
-    numbers: list[int] = []
-    while reader.peek() not in (")", ""):
-        token = reader.take()
-        if token != ",":
-            numbers.append(whole(token, reader.where))
-    if reader.take() != ")" or len(numbers) != count:
-        raise InputError(
-            f"{name}() needs {count} corner number{'s' if count > 1 else ''}",
-            where=reader.where,
-            found=" ".join(reader.tokens),
-        )
-    return numbers
 
 
 def lock_on_plane(
