@@ -54,7 +54,7 @@ def catt_text(
         exact = " ".join(f"{v:.4f}" for v in a)
         lines.append(
             f"ABS {short} = <{_eight(a, 1)}> L <{_eight(s, 0)}> {{{r} {g} {b}}} ; "
-            f"{_one_line(name)}: {exact}"
+            f"{' '.join(name.split())}: {exact}"
         )
     return "\r\n".join(lines) + "\r\n"
 
@@ -89,10 +89,6 @@ def _colour(number: int, count: int) -> tuple[int, int, int]:
     """Colours far apart on the circle of hues."""
     red, green, blue = colorsys.hsv_to_rgb(number / max(count, 1), 0.55, 0.85)
     return round(255 * red), round(255 * green), round(255 * blue)
-
-
-def _one_line(name: str) -> str:
-    return " ".join(name.split())
 
 
 def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:

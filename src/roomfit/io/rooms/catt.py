@@ -7,6 +7,7 @@ into its parts: what an earlier part covers is removed from the later ones.
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -47,7 +48,7 @@ def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
             name, expression = _definition(line)
             known = shared.constants if kind == "global" else owner.local
             if name in known:
-                raise InputError("a constant is given twice", where=line.where, found=name)
+                raise line.error("a constant is given twice", found=name)
             if kind == "global":
                 shared.constants[name] = (owner, expression)
             else:
@@ -82,10 +83,8 @@ def _check_images(shared: Shared) -> None:
 def _definition(line: Line) -> tuple[str, Line]:
     match = re.fullmatch(r"\w+\s+([A-Za-z_]\w*)\s*=\s*([^=\"]+)", line.text, re.ASCII)
     if match is None:
-        raise InputError(
+        raise line.error(
             "a constant of the .geo file is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="GLOBAL or LOCAL, a name, = and a number or an expression",
         )
     return match.group(1).lower(), Line(match.group(2), line.where)
@@ -98,11 +97,7 @@ def _obey_directives(owner: FileNames) -> None:
             return None
         words = line.text.split()[1:]
         if len(words) != count:
-            raise InputError(
-                f"{word.upper()} needs {count} number{'s' if count > 1 else ''}",
-                where=line.where,
-                found=line.text[:80],
-            )
+            raise line.error(f"{word.upper()} needs {count} number{'s' if count > 1 else ''}")
         return [value_of(text, owner, line.where) for text in words]
 
     offset = numbers("offsetco", 1)
@@ -137,10 +132,8 @@ def _add_corners(owner: FileNames, line: Line) -> None:
         return
     words = split_words(line.text)
     if len(words) != 4:
-        raise InputError(
+        raise line.error(
             "a corner needs a number and three coordinates",
-            where=line.where,
-            found=line.text[:80],
             hint="write an expression without blanks, as in 2*w-1",
         )
     source = CornerSource(owner, (words[1], words[2], words[3]), line.where)
@@ -164,10 +157,8 @@ def _add_loop(owner: FileNames, line: Line) -> None:
     match = re.fullmatch(r"loop\s*\((.*)\)", line.text, re.ASCII | re.IGNORECASE)
     arguments = split_words(match.group(1), ",") if match else []
     if len(arguments) != 8 or not re.fullmatch(r"[A-Za-z_]\w*", arguments[1], re.ASCII):
-        raise InputError(
+        raise line.error(
             "a loop of the .geo file is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="loop(first number, name, start, stop, step, x, y, z)",
         )
     number, start, stop, step = (value_of(arguments[k], owner, line.where) for k in (0, 2, 3, 4))
@@ -385,11 +376,7 @@ def _head(head: str, line: Line) -> tuple[int | None, int, str]:
 def _outline(text: str, turned: bool, line: Line) -> tuple[int, ...]:
     corners = _corners(text, line)
     if len(corners) < 3:
-        raise InputError(
-            "a plane has fewer than three corners",
-            where=line.where,
-            found=text.strip()[:60] or "none",
-        )
+        raise line.error("a plane has fewer than three corners", found=text.strip()[:60] or "none")
     return corners[::-1] if turned else corners
 
 
@@ -398,16 +385,15 @@ def _corners(text: str, line: Line) -> tuple[int, ...]:
     for token in re.sub(r"\s*-\s*", "-", text).split():
         match = re.fullmatch(r"(\d{1,9})s?(?:-(\d{1,9})s?)?", token, re.ASCII | re.IGNORECASE)
         if match is None:
-            raise InputError(
+            raise line.error(
                 "a corner number was expected",
-                where=line.where,
                 found=repr(token[:40]),
                 needed="corner numbers such as 5 or 5-8",
             )
         first = whole(match.group(1), line.where)
         last = whole(match.group(2) or match.group(1), line.where)
         if abs(last - first) + len(corners) >= _MOST_CORNERS:
-            raise InputError("a plane has too many corners", where=line.where, found=token)
+            raise line.error("a plane has too many corners", found=token)
         step = 1 if last >= first else -1
         corners.extend(range(first, last + step, step))
     return tuple(corners)
@@ -444,23 +430,30 @@ def _loop(
     if plane.parts or len(each) != len(outline.corners):
         raise _malformed(line)
     each = each[::-1] if turned else each
-    return [
-        replace(
-            plane,
-            number=plane.number + k,
-            outline=replace(
-                outline,
-                corners=tuple(c + k * s for c, s in zip(outline.corners, each, strict=True)),
-            ),
+
+    def copy(k: int) -> GeoPlane:
+        return _renumbered(
+            plane, k, lambda corners: (c + k * s for c, s in zip(corners, each, strict=True))
         )
-        for k in range(times)
-    ]
+
+    return [copy(k) for k in range(times)]
+
+
+def _renumbered(
+    plane: GeoPlane, add: int, corners: Callable[[tuple[int, ...]], Iterable[int]]
+) -> GeoPlane:
+    """Return a plane with a number so much higher and other corners, those of its parts as well."""
+
+    def part(old: Part) -> Part:
+        return replace(old, corners=tuple(corners(old.corners)))
+
+    parts = tuple(part(old) for old in plane.parts)
+    return replace(plane, number=plane.number + add, outline=part(plane.outline), parts=parts)
 
 
 def _malformed(line: Line) -> InputError:
-    return InputError(
+    return line.error(
         "a plane of the .geo file is not understood",
-        where=line.where,
         found=f"[{line.text.strip()[:80]}]",
         needed="[number name / corners / material], or (name / corners / material) for its parts",
     )
@@ -528,11 +521,13 @@ def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
     line = owner.file.directives.get("offsetpl")
     words = line.text.split()[1:] if line else ["0"]
     if line and not (len(words) == 1 and re.fullmatch(r"\d{1,9}", words[0], re.ASCII)):
-        raise InputError("OFFSETPL needs a whole number", where=line.where, found=line.text[:80])
+        raise line.error("OFFSETPL needs a whole number")
     planes = []
     for text in owner.file.planes:
         for plane in parse_planes(text):
-            final = _renumbered(plane, int(words[0]), owner.offset)
+            final = _renumbered(
+                plane, int(words[0]), lambda corners: (c + owner.offset for c in corners)
+            )
             planes.append(final)
             image = _image(final, owner)
             if image is not None:
@@ -549,16 +544,6 @@ def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
     return planes
 
 
-def _renumbered(plane: GeoPlane, add_plane: int, add_corner: int) -> GeoPlane:
-    def moved(part: Part) -> Part:
-        return replace(part, corners=tuple(c + add_corner for c in part.corners))
-
-    parts = tuple(moved(part) for part in plane.parts)
-    return replace(
-        plane, number=plane.number + add_plane, outline=moved(plane.outline), parts=parts
-    )
-
-
 def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
     """Return the plane's image at x = 0, or None where it has none of its own."""
     if owner.mirror is None:
@@ -572,14 +557,7 @@ def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
     rounded = {tuple(round(v, 6) + 0.0 for v in p) for p in points}
     if rounded == {(0.0 - x, y, z) for x, y, z in rounded}:
         return None  # it is its own image
-
-    def mirrored(part: Part) -> Part:
-        return replace(part, corners=tuple(c + add_corner for c in part.corners[::-1]))
-
-    parts = tuple(mirrored(part) for part in plane.parts)
-    return replace(
-        plane, number=plane.number + add_plane, outline=mirrored(plane.outline), parts=parts
-    )
+    return _renumbered(plane, add_plane, lambda corners: (c + add_corner for c in corners[::-1]))
 
 
 def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces: _Faces) -> None:
@@ -627,7 +605,7 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
         for line in owner.file.materials:
             name, rest = _absorption(line)
             if name.lower() in spelling:
-                raise InputError("a material is given twice", where=line.where, found=name)
+                raise line.error("a material is given twice", found=name)
             spelling[name.lower()] = name
             if not rest.startswith("<"):
                 stands_for[name.lower()] = rest.strip('"').strip()
@@ -652,10 +630,8 @@ def _absorption(line: Line) -> tuple[str, str]:
     """Return the name of an ABS statement and what it is: <numbers>, or another name."""
     match = re.fullmatch(r"(?i:abs)\s+([^\s=<]+)\s*(?:=\s*|(?=<))(<[^<>]+>.*|[^<>{}=]+)", line.text)
     if match is None:
-        raise InputError(
+        raise line.error(
             "an ABS statement is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="ABS name = <10 10 10 10 10 10>, or ABS name = other name",
         )
     return match.group(1).strip('"'), match.group(2).strip()

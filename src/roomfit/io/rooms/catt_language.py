@@ -215,6 +215,13 @@ class Line:
     text: str
     where: str  # file and line
 
+    def error(
+        self, what: str, *, found: str | None = None, needed: str | None = None, hint: str = ""
+    ) -> InputError:
+        """Return an error about this line; its text is shown unless `found` says what is wrong."""
+        found = self.text[:80] if found is None else found
+        return InputError(what, where=self.where, found=found, needed=needed, hint=hint)
+
 
 @dataclass(slots=True)
 class GeoFile:
@@ -255,7 +262,7 @@ def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile]) -> None:
     for line in file.includes:
         inner = _included(line, path.parent)
         if inner.resolve() in (*above, path.resolve()):
-            raise InputError("a file includes itself", where=line.where, found=inner.name)
+            raise line.error("a file includes itself", found=inner.name)
         _gather(inner, (*above, path.resolve()), files)
 
 
@@ -272,9 +279,8 @@ def _included(line: Line, folder: Path) -> Path:
     for candidate in (*options, *(f for f in beside if f.name.lower() in lower)):
         if candidate in beside:
             return candidate
-    raise InputError(
+    raise line.error(
         "an included file does not exist",
-        where=line.where,
         found=name,
         needed=f"{wanted.name} or {wanted.name}.geo in {wanted.parent}",
     )
@@ -335,7 +341,7 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
         file.includes.append(line)
     elif word in ("offsetco", "offsetpl", "mirror", "translate", "object"):
         if word in file.directives:
-            raise InputError("a statement occurs twice in one file", where=line.where, found=word)
+            raise line.error("a statement occurs twice in one file", found=word)
         if file.corners or file.planes:
             raise InputError(
                 f"{word.upper()} is below corners or planes",
@@ -351,10 +357,8 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
 
 
 def _unknown(line: Line) -> InputError:
-    return InputError(
+    return line.error(
         "a statement of the .geo file is not supported",
-        where=line.where,
-        found=line.text[:80],
         needed="ABS, GLOBAL, LOCAL, INCLUDE, OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE, "
         "CORNERS with loop(), PLANES",
         hint="let CATT-Acoustic (or TUCT) export the room with everything worked out, or export "

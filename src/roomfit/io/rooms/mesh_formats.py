@@ -290,7 +290,12 @@ def read_obj(path: Path) -> RoomModel:
         where = f"{path}, line {number}"
         match words[0]:
             case "v":
-                state.vertices.append(_vertex(words, where))
+                if len(words) < 4:
+                    raise InputError(
+                        "a vertex needs three coordinates", where=where, found=" ".join(words)
+                    )
+                x, y, z = (finite(word, where) for word in words[1:4])
+                state.vertices.append((x, y, z))
             case "f" | "fo":
                 state.faces.append(_face(words, state, where))
                 state.lines.append(number)
@@ -328,12 +333,6 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
         if words:
             yield first, words, pending.strip()[len(words[0]) :].strip()
         pending, first = "", 0
-
-
-def _vertex(words: list[str], where: str) -> tuple[float, float, float]:
-    if len(words) < 4:
-        raise InputError("a vertex needs three coordinates", where=where, found=" ".join(words))
-    return finite(words[1], where), finite(words[2], where), finite(words[3], where)
 
 
 def _face(words: list[str], state: _State, where: str) -> Face:

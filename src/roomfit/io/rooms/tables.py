@@ -16,7 +16,6 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface, area_vector_m2
 from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite, read_text
-from roomfit.typing import FloatArray
 
 _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
 
@@ -216,7 +215,10 @@ def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
         surface = Surface(plane.number, plane.description, plane.material, sides == 2)
         faces.append(Face(_indices(plane, index), surface))
     scale = METRES_PER_UNIT.get(unit or "m", 1.0)
-    areas = _areas_m2(vertices * scale, faces)
+    areas = [
+        float(np.linalg.norm(area_vector_m2((vertices * scale)[list(face.corners)])))
+        for face in faces
+    ]
     findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes))
     return RoomModel(vertices, tuple(faces), findings, "m", "z")
 
@@ -293,10 +295,6 @@ def _indices(plane: Plane, index: Mapping[str, int]) -> tuple[int, ...]:
                 hint="add the corner table that holds it",
             )
     return tuple(index[corner] for corner in plane.corners)
-
-
-def _areas_m2(vertices_m: FloatArray, faces: list[Face]) -> list[float]:
-    return [float(np.linalg.norm(area_vector_m2(vertices_m[list(f.corners)]))) for f in faces]
 
 
 def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Finding]:
