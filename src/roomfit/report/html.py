@@ -298,7 +298,7 @@ def result_fragment(answer: Answer) -> str:
 
     every = np.arange(len(answer.bands))
     rows = (*material_rows(answer, every), mean_row(answer, every))
-    heads = (Markup("<th>{}</th>").format(h) for h in band_heads(answer.bands.centres_hz, every))
+    heads = (Markup("<th>{}</th>").format(h) for h in band_heads(answer.bands.centres_hz))
     return str(
         Markup(
             "<table><caption>Absorption coefficient, 95 % interval ({}); ? = not identifiable"

@@ -7,8 +7,9 @@ room's materials and positions; fitted directivities. `wording.Table` is what th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -23,9 +24,7 @@ from roomfit.report.wording import (
     Row,
     Table,
     area,
-    band_blocks,
-    band_heads,
-    block_caption,
+    band_tables,
     coefficient,
     count,
     hertz,
@@ -49,17 +48,11 @@ def fixed_coefficients(answer: Answer) -> BoolArray:
 
 def absorption_tables(answer: Answer) -> tuple[Table, ...]:
     """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
-    centres = answer.bands.centres_hz
-    return tuple(
-        Table(
-            block_caption(
-                f"Absorption coefficient, 95 % interval ({answer.interval_kind})", centres, block
-            ),
-            "material",
-            band_heads(centres, block),
-            (*material_rows(answer, block), mean_row(answer, block)),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        f"Absorption coefficient, 95 % interval ({answer.interval_kind})",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (*material_rows(answer, block), mean_row(answer, block)),
     )
 
 
@@ -109,29 +102,16 @@ def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fi
 
 def fit_tables(answer: Answer) -> tuple[Table, ...]:
     """Return how well the model fits each band, and whether the fit converged."""
-    centres = answer.bands.centres_hz
-    return tuple(
-        Table(
-            block_caption("How well the model explains the data", centres, block),
-            "",
-            band_heads(centres, block),
-            (
-                Row(
-                    "φ",
-                    tuple(_chi2_cell(float(answer.chi2_reduced[j])) for j in block),
-                    "1: as expected",
-                ),
-                Row(
-                    "the fit converged",
-                    tuple(
-                        Cell("yes") if converged else Cell("no", style="far")
-                        for converged in answer.converged[block]
-                    ),
-                ),
-            ),
+
+    def rows(block: IntArray) -> tuple[Row, ...]:
+        chi2 = tuple(_chi2_cell(float(value)) for value in answer.chi2_reduced[block])
+        converged = tuple(
+            Cell("yes") if answer.converged[j] else Cell("no", style="far") for j in block
         )
-        for block in band_blocks(len(centres))
-    )
+        return Row("φ", chi2, "1: as expected"), Row("the fit converged", converged)
+
+    caption = "How well the model explains the data"
+    return band_tables(caption, "", answer.bands.centres_hz, rows)
 
 
 def _chi2_cell(chi2_reduced: float) -> Cell:
@@ -148,26 +128,21 @@ def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
     The interval of the sum is that of the mean absorption times the whole area. The air's part is
     the last term of the reverberation formula of ISO 354:2003, equation 6.
     """
-    centres = answer.bands.centres_hz
     areas = answer.absorption * answer.areas_m2[:, None]
     walls = areas.sum(axis=0)
     air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_m3(scene.room.mesh)
     bounds = answer.mean_absorption[1:] * float(np.sum(answer.areas_m2))
-    return tuple(
-        Table(
-            block_caption(
-                "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²", centres, block
-            ),
-            "material",
-            ("S in m²", *band_heads(centres, block)),
-            (
-                *_area_rows(answer, areas, block),
-                _wall_row(answer, walls, bounds, block),
-                _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
-                _sum_row("total", walls + air, block, "surfaces and air", "total"),
-            ),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            *_area_rows(answer, areas, block),
+            _wall_row(answer, walls, bounds, block),
+            _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
+            _sum_row("total", walls + air, block, "surfaces and air", "total"),
+        ),
+        before=("S in m²",),
     )
 
 
@@ -203,20 +178,15 @@ def share_tables(answer: Answer) -> tuple[Table, ...]:
     """Return what share of the room's absorption each material contributes, with its interval."""
     if answer.shares is None:
         return ()
-    centres, shares = answer.bands.centres_hz, answer.shares
-    return tuple(
-        Table(
-            block_caption(
-                "Share of the surfaces' absorption in %, 95 % interval below", centres, block
-            ),
-            "material",
-            band_heads(centres, block),
-            tuple(
-                Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
-                for i, name in enumerate(answer.materials)
-            ),
-        )
-        for block in band_blocks(len(centres))
+    shares = answer.shares
+    return band_tables(
+        "Share of the surfaces' absorption in %, 95 % interval below",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
+            for i, name in enumerate(answer.materials)
+        ),
     )
 
 
@@ -224,24 +194,19 @@ def prior_tables(answer: Answer) -> tuple[Table, ...]:
     """Return the prior, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
-    centres, prior, fixed = answer.bands.centres_hz, answer.prior, fixed_coefficients(answer)
-    return tuple(
-        Table(
-            block_caption("Prior, specified or assumed, 95 % interval", centres, block),
-            "material",
-            band_heads(centres, block),
-            tuple(
-                Row(
-                    name,
-                    tuple(
-                        coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
-                        for j in block
-                    ),
-                )
-                for i, name in enumerate(answer.materials)
-            ),
-        )
-        for block in band_blocks(len(centres))
+    prior, fixed = answer.prior, fixed_coefficients(answer)
+
+    def cell(i: int, j: int) -> Cell:
+        return coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
+
+    return band_tables(
+        "Prior, specified or assumed, 95 % interval",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            Row(name, tuple(cell(i, int(j)) for j in block))
+            for i, name in enumerate(answer.materials)
+        ),
     )
 
 
@@ -355,16 +320,11 @@ def pair_sections(answer: Answer, *, opened: int = 2) -> tuple[PairSection, ...]
 
 
 def _pair_tables(answer: Answer, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
-    centres = answer.bands.centres_hz
-    caption = f"{pair_title(pair)}: predicted minus measured in JND"
-    return tuple(
-        Table(
-            block_caption(caption, centres, block),
-            "parameter",
-            band_heads(centres, block),
-            tuple(_parameter_row(pair, key, block) for key in keys),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        f"{pair_title(pair)}: predicted minus measured in JND",
+        "parameter",
+        answer.bands.centres_hz,
+        lambda block: (_parameter_row(pair, key, block) for key in keys),
     )
 
 
@@ -469,26 +429,19 @@ def error_tables(answer: Answer) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> list[Table]:
-    centres = answer.bands.centres_hz
+def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:
     keys = parameter_keys(pairs)
     found = {key: errors_of(pairs, key) for key in keys}
-    everything = list(range(len(centres)))
-    tables = []
-    for block in band_blocks(len(centres)):
-        last = ["all bands"] if block[-1] == everything[-1] else []
-        groups = [[int(j)] for j in block] + [everything for _ in last]
-        rows = tuple(
-            Row(
-                parameter(key).symbol,
-                tuple(_cell(key, found[key], group) for group in groups),
-                small=f"in {parameter(key).error_unit}",
-            )
-            for key in keys
-        )
-        columns = (*band_heads(centres, block), *last)
-        tables.append(Table(block_caption(caption, centres, block), "parameter", columns, rows))
-    return tables
+    every = list(range(len(answer.bands)))
+
+    def rows(block: IntArray) -> Iterator[Row]:
+        groups = [[int(j)] for j in block] + ([every] if block[-1] == every[-1] else [])
+        for key in keys:
+            cells = tuple(_cell(key, found[key], group) for group in groups)
+            yield Row(parameter(key).symbol, cells, small=f"in {parameter(key).error_unit}")
+
+    centres = answer.bands.centres_hz
+    return band_tables(caption, "parameter", centres, rows, after=("all bands",))
 
 
 def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
@@ -550,20 +503,15 @@ def position_table(scene: Scene) -> Table:
 
 def source_tables(answer: Answer) -> tuple[Table, ...]:
     """Return a table of every source whose directivity was fitted, none where none was."""
-    centres = answer.bands.centres_hz
     return tuple(
-        Table(
-            block_caption(
-                f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
-                centres,
-                block,
-            ),
-            "b",
-            band_heads(centres, block),
-            _rows(found, block),
-        )
+        table
         for found in answer.directivities
-        for block in band_blocks(len(centres))
+        for table in band_tables(
+            f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
+            "b",
+            answer.bands.centres_hz,
+            partial(_rows, found),
+        )
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -181,20 +181,36 @@ class Table:
     rows: tuple[Row, ...]
 
 
-def band_blocks(n_bands: int) -> Iterator[IntArray]:
-    """Yield the indices of the bands of each table, evenly shared out."""
-    n_blocks = -(-n_bands // BANDS_AT_MOST)
-    yield from np.array_split(np.arange(n_bands), n_blocks)
+def band_heads(centres_hz: FloatArray) -> tuple[str, ...]:
+    """Return the heads of columns of bands."""
+    return tuple(hertz(float(f)) for f in centres_hz)
 
 
-def band_heads(centres_hz: FloatArray, block: IntArray) -> tuple[str, ...]:
-    """Return the column heads of the bands of a block."""
-    return tuple(hertz(float(f)) for f in centres_hz[block])
+def band_tables(
+    caption: str,
+    corner: str,
+    centres_hz: FloatArray,
+    rows: Callable[[IntArray], Iterable[Row]],
+    *,
+    before: tuple[str, ...] = (),
+    after: tuple[str, ...] = (),
+) -> tuple[Table, ...]:
+    """Return a table with a column a band; several, evenly filled, where there are many bands.
 
-
-def block_caption(caption: str, centres_hz: FloatArray, block: IntArray) -> str:
-    """Return a caption that names the bands where one table does not have them all."""
-    if len(block) == len(centres_hz):
-        return caption
-    low, high = (hertz(float(centres_hz[j])) for j in (block[0], block[-1]))
-    return f"{caption}; {low} to {high}"
+    Parameters
+    ----------
+    caption, corner : str
+    centres_hz : float array, shape (n_bands,)
+    rows : callable
+        Returns the rows of the bands of these indices.
+    before, after : tuple of str
+        Heads of other columns, in every table and behind the last band.
+    """
+    tables = []
+    for block in np.array_split(np.arange(len(centres_hz)), -(-len(centres_hz) // BANDS_AT_MOST)):
+        heads = band_heads(centres_hz[block])
+        whole = len(block) == len(centres_hz)
+        words = caption if whole else f"{caption}; {heads[0]} to {heads[-1]}"
+        last = after if block[-1] == len(centres_hz) - 1 else ()
+        tables.append(Table(words, corner, (*before, *heads, *last), tuple(rows(block))))
+    return tuple(tables)
