@@ -43,8 +43,8 @@ def calibrate(
     A run that was stopped goes on where it was. Slices of one folder may run on many machines.
     """
     from roomfit.cli.progress import progress_bar
-    from roomfit.coverage.report import estimate_coverage_to_folder, result_text
-    from roomfit.coverage.truth import CoverageSettings
+    from roomfit.commands import estimate_coverage_to_folder
+    from roomfit.coverage.synthetic_room import CoverageSettings
 
     settings = CoverageSettings(
         replicates=replicates,
@@ -57,5 +57,5 @@ def calibrate(
     )
     with progress_bar("calibrating") as progress:
         result = estimate_coverage_to_folder(campaign, out, settings, progress=progress)
-    typer.echo(result_text(result))
+    typer.echo(str(result))
     typer.echo(f"\ncalibration.json, calibration.csv and calibration.png are in {out}")

@@ -36,20 +36,22 @@ def design(
 ) -> None:
     """Choose where to measure, so that absorption is found with the narrowest intervals."""
     from roomfit.cli.progress import progress_bar
-    from roomfit.commands import criterion_of, design_to_folder
-    from roomfit.experiment_design.output import design_text
+    from roomfit.commands import design_to_folder
 
-    wanted = criterion_of(criterion)
+    wanted = {
+        "n_candidates": candidates,
+        "number": choose,
+        "most_sources": sources,
+        "criterion": criterion,
+    }
     with progress_bar("choosing where to measure") as progress:
         answer = design_to_folder(
-            *(campaign, out),
-            candidates=candidates,
-            choose_n=choose,
-            most_sources=sources,
-            criterion=wanted,
+            campaign,
+            out,
+            {name: value for name, value in wanted.items() if value is not None},
             result_file=result,
             overwrite=overwrite,
             progress=progress,
         )
-    typer.echo(design_text(answer))
+    typer.echo(str(answer))
     typer.echo(f"\ndesign.json, design.csv and pictures are in {out}")

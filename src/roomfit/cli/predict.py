@@ -36,18 +36,21 @@ def predict(
     """Predict reverberation and clarity with their intervals, as the room is or with changes."""
     from roomfit.cli.progress import progress_bar
     from roomfit.commands import predict_to_folder
-    from roomfit.prediction.output import predict_text
-    from roomfit.prediction.setup import pair_choice, read_change
+    from roomfit.prediction.campaign import pair_choice
+    from roomfit.prediction.changes import read_change
 
     wanted = [read_change(text) for text in changes or []]
     chosen = pair_choice(pairs)
     with progress_bar("predicting") as progress:
         predicted = predict_to_folder(
-            *(campaign, absorption, out, wanted),
+            campaign,
+            absorption,
+            out,
+            wanted,
             pairs=chosen,
             overwrite=overwrite,
             use_cache=not no_cache,
             progress=progress,
         )
-    typer.echo(predict_text(predicted))
+    typer.echo(str(predicted))
     typer.echo(f"\npredicted.json, predicted.csv and pictures are in {out}")

@@ -22,15 +22,16 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
-from roomfit.coverage.truth import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom, TabulatedPair
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
-from roomfit.inversion.trace_plan import N_RAYS, plan_trace
-from roomfit.io.campaign import Campaign, Directivity, MeasuredTable
+from roomfit.inversion.trace_plan import plan_trace
+from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.spec import ResponseSpec
-from roomfit.response.directivity import FirstOrderBands, aimed
+from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
 from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
@@ -74,19 +75,15 @@ def traced_pressures(
         replace(k, scattering=row, fit_scattering=False)
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
-    seed = int(rng.integers(2**62))
-    planned = plan_trace(scene, priors, 0.0, duration_s, seed, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else N_RAYS
+    fineness = Settings(seed=int(rng.integers(2**62)))
+    planned = plan_trace(scene, priors, 0.0, duration_s, fineness, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else fineness.n_rays
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    directivities = {
-        name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()
-    }
-    directed = replace(
-        plan.campaign, directivities={**plan.campaign.directivities, **directivities}
-    )
-    factors, _ = band_factors(directed, scene, bands, paths, synthetic.scattering)
+    drawn = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
+    directivities = {**plan.directivities, **drawn}
+    factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
     energy = _energies(plan, synthetic, paths, factors)
     times_s = paths.length_m / synthetic.speed_of_sound_m_s + hits(paths) @ synthetic.delays_s
     images = paths.batch < 0
@@ -210,9 +207,9 @@ def synthetic_sound(
 
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     """Return by which road the sound of a room is made."""
-    first_order = all(_is_first_order(plan.campaign, s.name) for s in synthetic.sources)
-    even = first_order and not any(_b(plan.campaign, synthetic, s.name) is not None
-                                   for s in synthetic.sources)  # fmt: skip
+    known = [plan.directivities.get(s.name) for s in synthetic.sources]
+    first_order = all(d is None or isinstance(d, FirstOrder | UnknownDirectivity) for d in known)
+    even = first_order and not any(d is not None for d in known)
     smooth = not np.any(synthetic.scattering)
     if plan.room.shoebox_m is not None:
         if smooth and first_order:
@@ -227,16 +224,10 @@ def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     return CONVEX if convex else TRACED
 
 
-def _is_first_order(campaign: Campaign, source: str) -> bool:
-    directivity = campaign.directivities.get(source, "omni")
-    return directivity in ("omni", "fit") or isinstance(directivity, Directivity)
-
-
-def _b(campaign: Campaign, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
-    directivity = campaign.directivities.get(source, "omni")
-    if source in synthetic.b:
-        return synthetic.b[source]
-    return aimed(directivity.aim, directivity.b).b if isinstance(directivity, Directivity) else None
+def _b(plan: CoveragePlan, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
+    """Return the first-order vector of a source; None where it is omnidirectional."""
+    directivity = plan.directivities.get(source)
+    return directivity.b if isinstance(directivity, FirstOrder) else synthetic.b.get(source)
 
 
 def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) -> float:
@@ -279,7 +270,7 @@ def _box(
     found = {}
     for source in synthetic.sources:
         own = [r for s, r in pairs if s == source.name]
-        b = _b(plan.campaign, synthetic, source.name)
+        b = _b(plan, synthetic, source.name)
         if not np.any(scattering):
             for r in own:
                 ends = (source.position_m, at[r], duration_s, rate_hz)

@@ -1,15 +1,10 @@
-"""design.json and design.csv, format_version 1.
-
-A design in pictures: where to measure, and what it is worth beside chance.
-
-A design in words and tables, for a terminal.
-"""
+"""A design as design.json and design.csv (format_version 1), as text, and as figures."""
 
 from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
 from typing import Any
@@ -22,14 +17,15 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.experiment_design.choose import Design, mean_widths, widest
+from roomfit.experiment_design.design import Design, mean_widths, widest
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
+from roomfit.report.frames import html_findings, html_table
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.typing import FloatArray
 
-_COLUMNS = (
+COLUMNS = (
     *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
     *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
     *("distance_m", "mean_width95"),
@@ -94,17 +90,23 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
 
 
 def design_csv(design: Design) -> str:
-    """Return one row a chosen pair: its places, and the mean width of the intervals after it."""
+    """Return one row a chosen pair: its positions, and the mean width of the intervals after it."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    writer.writerow(COLUMNS)
+    for number, source, x, y, z, receiver, *more, width in design_rows(design):
+        at, to = ([f"{v:.3f}" for v in values] for values in ((x, y, z), more))
+        writer.writerow([number, source, *at, receiver, *to, f"{width:.4f}"])
+    return stream.getvalue()
+
+
+def design_rows(design: Design) -> Iterator[tuple[Any, ...]]:
+    """Yield one row a chosen pair, as `COLUMNS` says."""
     after = mean_widths(design)[1:]
     for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
-        at = [[f"{x:.3f}" for x in place] for place in (source_m, receiver_m)]
         distance = float(np.linalg.norm(source_m - receiver_m))
-        row = [i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"]
-        writer.writerow(row)
-    return stream.getvalue()
+        ends = (source, *numbers(source_m), receiver, *numbers(receiver_m))
+        yield (i + 1, *ends, distance, float(after[i]))
 
 
 def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
@@ -185,10 +187,10 @@ def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
         axes.plot(*ends.T, "-", color=_BLUE, lw=0.9, alpha=0.6)
     axes.plot(*sources[np.unique(pairs[:, 0])].T, "^", color=_ORANGE, ms=10, label="source")
     axes.plot(*receivers[pairs[:, 1]].T, "o", color=_BLUE, ms=12, label="receiver, in this order")
-    for place in np.unique(pairs[:, 1]):
-        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == place))
+    for r in np.unique(pairs[:, 1]):
+        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == r))
         axes.annotate(
-            number, receivers[place], color="white", fontsize=8, ha="center", va="center_baseline",
+            number, receivers[r], color="white", fontsize=8, ha="center", va="center_baseline",
             fontweight="bold", zorder=5,
         )  # fmt: skip
     for s in np.unique(pairs[:, 0]):
@@ -226,6 +228,20 @@ def design_gain(design: Design) -> Figure:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     return figure
+
+
+def design_html(design: Design) -> str:
+    """Return the chosen pairs, and all findings, in HTML."""
+    means = mean_widths(design)
+    rows = [["before", "", "", f"{means[0]:.3f}"]]
+    for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
+        ends = [
+            f"{name} ({', '.join(f'{x:.2f}' for x in at)}) m"
+            for name, at in ((source, source_m), (receiver, receiver_m))
+        ]
+        rows.append([str(i + 1), *ends, f"{means[i + 1]:.3f}"])
+    columns = ("", "source", "receiver", "mean width of the 95 % intervals")
+    return html_table(_opening(design), columns, rows) + html_findings(design.findings)
 
 
 _CRITERIA = {

@@ -20,13 +20,13 @@ from typing import Any
 
 import numpy as np
 
-from roomfit._checks import float_array
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.certified.certificate import Certificate
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.io.exports import read_material_table
 from roomfit.objective.coherent import FittedGeometry
+from roomfit.response.directivity import FirstOrderBands
 from roomfit.results import Answer, ComparedPair, certificate_distance
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals, logit
@@ -147,26 +147,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_logit_sd=_table(posterior_content, "prior_logit_sd").T if has_prior else None,
             scattering=_result_reader_scattering(content, table.names),
             directivities=_directivities(content),
+            chi2_reduced=content.get("fit", {}).get("phi"),
         )
-
-
-def read_misfit(path: Path) -> FloatArray | None:
-    """Return phi of every band of a ``result.json``, None for a table that does not tell it.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or phi is no list of numbers.
-    """
-    path = Path(path)
-    table = read_material_table(path)
-    if path.suffix.lower() == ".csv":
-        return None
-    misfit = json.loads(path.read_text(encoding="utf-8")).get("fit", {}).get("phi")
-    if misfit is None:
-        return None
-    with located(str(path)):
-        return float_array("fit.phi", misfit, (len(table.bands),), low=0.0)
 
 
 def _table(posterior: Any, name: str) -> FloatArray:
@@ -181,11 +163,11 @@ def _table(posterior: Any, name: str) -> FloatArray:
         ) from error
 
 
-def _directivities(content: dict[str, Any]) -> dict[str, FloatArray]:
-    """Return b of every source whose directivity was fitted."""
+def _directivities(content: dict[str, Any]) -> dict[str, FirstOrderBands]:
+    """Return the directivity of every source for which it was fitted."""
     try:
         by_source = content.get("directivity", {})
-        return {name: np.array(one["b"], dtype=np.float64) for name, one in by_source.items()}
+        return {name: FirstOrderBands(np.array(one["b"])) for name, one in by_source.items()}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "the directivity of the result is no table of numbers",

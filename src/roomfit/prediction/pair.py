@@ -1,4 +1,4 @@
-"""The numbers of one predicted pair: values, how they move with the absorption, and their noise."""
+"""The numbers of one predicted pair: values, their change with the absorption, and their noise."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.inversion.compare import predicted_curve
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.materials.priors import unknown_material
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.room_parameters import predicted_values, value_covariances, value_problems
 from roomfit.response.binned import BinnedPaths, pair_energies, regrouped
@@ -30,25 +30,13 @@ RELATIVE: BoolArray = np.array([name in ("EDT_s", "T20_s", "T30_s") for name in 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairNumbers:
-    """Predictions for one pair.
+    """Predictions for one pair, names in the order of `VALUE_NAMES`."""
 
-    Attributes
-    ----------
-    values : float array, shape (n_names, n_bands)
-        In the order of `VALUE_NAMES`; NaN where the trace does not follow the decay far enough.
-    draws : float array, shape (n_draws, n_names, n_bands)
-        The same under each draw of the absorption.
-    noise_sd : float array, shape (n_names, n_bands)
-        Of interfering reflections and of the number of rays.
-    time_s : float array, shape (n_times,)
-    decay_db, lower_db, upper_db : float arrays, shape (n_bands, n_times)
-    """
-
-    values: FloatArray
-    draws: FloatArray
-    noise_sd: FloatArray
-    time_s: FloatArray
-    decay_db: FloatArray
+    values: FloatArray  # (n_names, n_bands); NaN where the decay is not followed far enough
+    draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
+    noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
+    time_s: FloatArray  # (n_times,)
+    decay_db: FloatArray  # (n_bands, n_times), as the two bounds
     lower_db: FloatArray
     upper_db: FloatArray
 
@@ -84,7 +72,7 @@ def pair_numbers(
     moved, shapes = _draws(bands, own, direct_s, np.stack([absorption, *draws]), attenuation, times)
     ratio = np.divide(moved[1:], moved[0], out=np.ones_like(moved[1:]), where=moved[0] != 0.0)
     drawn = np.where(RELATIVE[:, None], values * ratio, values + (moved[1:] - moved[0]))
-    decay_db = _levels(curve, times)
+    decay_db = levels_at(curve, times)
     low, high = np.quantile(shapes[1:] - shapes[0], (0.025, 0.975), axis=0)
     return PairNumbers(
         values,
@@ -114,16 +102,17 @@ def _draws(
     shapes = np.empty((len(absorptions), len(bands), times.size))
     for i, absorption in enumerate(absorptions):
         energy = pair_energies(few, bands, 0, absorption, attenuation)
-        # a wall that swallows all leaves later bins empty: too little to matter, but not nothing
+        # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
         energy = np.maximum(energy, 1e-30 * energy.sum(axis=1, keepdims=True))
         curve = echogram_decay_curve(bands, energy, edges_s, direct_s)
         for band in range(len(bands)):
             values[i, :, band] = value_gradients(curve, band, VALUE_NAMES)[0]
-        shapes[i] = _levels(curve, times)
+        shapes[i] = levels_at(curve, times)
     return values, shapes
 
 
-def _levels(curve: DecayCurve, times: FloatArray) -> FloatArray:
+def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:
+    """Return a decay curve in dB at given times, -200 at least; shape (n_bands, n_times)."""
     levels = np.maximum(decay_curve_db(curve), _LOWEST_DB)
     return np.stack([np.interp(times, curve.time_s, row) for row in levels])
 
@@ -146,7 +135,10 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
         (problem,) = value_problems(
             alone,
             one,
-            _fixed_materials(alone.room.materials, chosen),
+            tuple(
+                replace(unknown_material(name, 1), known=row)
+                for name, row in zip(alone.room.materials, chosen, strict=True)
+            ),
             (as_measured,),
             own,
             np.array([0.5]),
@@ -158,12 +150,3 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
         (covariance,) = value_covariances(problem, start_vector(problem.parameters))
         sd[:, band] = np.sqrt(np.diag(covariance))
     return sd
-
-
-def _fixed_materials(
-    materials: tuple[str, ...], absorption: FloatArray
-) -> tuple[MaterialPrior, ...]:
-    return tuple(
-        replace(unknown_material(name, 1), known=row)
-        for name, row in zip(materials, absorption, strict=True)
-    )

@@ -4,103 +4,109 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import TYPE_CHECKING, Any, Literal
 
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.signals.iso3382 import ValueName
 from roomfit.typing import FloatArray
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+Use = Literal["fit", "validate"]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedValue:
-    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown.
+    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    Attributes
-    ----------
-    predicted : float array
-        At the most likely absorption.
-    lower95, upper95 : float arrays
-        Where a measurement is expected to lie, 95 of 100 times.
-    sd_absorption : float array
-        Part of the spread that comes from what is not known of the absorption.
-    sd_rest : float array
-        Part that comes from reflections that interfere, from the number of rays, and from the
-        error that the model is granted.
-    measured, null, jnd : float arrays
-        What was measured; the mean over the other fitted measurements; predicted minus measured in
-        just noticeable differences.
-    """
-
-    predicted: FloatArray
-    lower95: FloatArray
+    predicted: FloatArray  # at the most likely absorption
+    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
     upper95: FloatArray
-    sd_absorption: FloatArray
+    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
+    # part of the spread, from reflections that interfere, from the number of rays, and from the
+    # error that the model is granted
     sd_rest: FloatArray
     measured: FloatArray
-    null: FloatArray
-    jnd: FloatArray
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    jnd: FloatArray  # predicted minus measured in just noticeable differences
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedDecay:
-    """Decay curves in dB relative to the whole, shape (n_bands, n_times).
+    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
 
-    `lower_db` and `upper_db` hold 95 % of the draws of absorption; `measured_db` is None where
-    nothing was measured, NaN beyond its usable part.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # (n_times,), after emission
     predicted_db: FloatArray
-    lower_db: FloatArray
+    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
     upper_db: FloatArray
-    measured_db: FloatArray | None
+    measured_db: FloatArray | None  # NaN beyond its usable part
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PredictedPair:
-    """What is predicted between one source and one receiver.
-
-    `use` tells whether its measurement was marked "fit" or "validate", and is None where there is
-    none. A pair that was measured twice stands here twice.
-    """
+    """What is predicted between one source and one receiver; twice where it was measured twice."""
 
     source: str
     receiver: str
-    use: Literal["fit", "validate"] | None
+    use: Use | None  # of its measurement; None where there is none
     parameters: Mapping[ValueName, PredictedValue]
     decay: PredictedDecay
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Predicted:
-    """Predictions for a room under a given absorption.
-
-    Attributes
-    ----------
-    bands : Bands
-    materials : tuple of str
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        What was predicted with, changes included.
-    changes : tuple of str
-        What was changed, in words.
-    pairs : tuple of PredictedPair
-    mean : mapping from value name to PredictedValue
-        Mean over the pairs, each counted once; what is measured is the mean over those measured.
-    findings : tuple of Finding
-    n_draws, seed : int
-    seconds : float
-    """
+    """Predictions for a room under a given absorption."""
 
     bands: Bands
     materials: tuple[str, ...]
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands), changes included, as the two bounds
     lower95: FloatArray
     upper95: FloatArray
-    changes: tuple[str, ...]
+    changes: tuple[str, ...]  # in words
     pairs: tuple[PredictedPair, ...]
+    # over the pairs, each counted once; over those measured, where some are
     mean: Mapping[ValueName, PredictedValue]
     findings: tuple[Finding, ...]
     n_draws: int
     seed: int
     seconds: float
+
+    def __str__(self) -> str:
+        """Return the mean over the pairs, every pair, and all findings."""
+        from roomfit.prediction.output import predict_text
+
+        return predict_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the mean over the pairs and all findings in HTML, for notebooks."""
+        from roomfit.prediction.output import predicted_html
+
+        return predicted_html(self)
+
+    def plot(self, pair: int = 0) -> Figure:
+        """Return the energy decay curves of one pair, predicted and measured, in every band.
+
+        Parameters
+        ----------
+        pair : int
+            Index into `pairs`.
+        """
+        from roomfit.prediction.output import predicted_decay_figure
+
+        return predicted_decay_figure(self, self.pairs[pair])
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.prediction.output import COLUMNS, predicted_rows
+        from roomfit.report.frames import data_frame
+
+        rows = ((*texts, *values) for texts, values in predicted_rows(self))
+        return data_frame(COLUMNS, rows, "predicted.csv")

@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,7 +31,7 @@ from roomfit.coverage.simulate import (
     wanted_pairs,
 )
 from roomfit.coverage.statistics import CoverageSample
-from roomfit.coverage.truth import (
+from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
     coverage_plan,
@@ -42,9 +42,13 @@ from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
+from roomfit.io.inputs import identify_arguments
 from roomfit.results import Answer
 from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FOLDER = "replicates"
 _FORMAT, _VERSION = "roomfit-replicate", 1
@@ -263,7 +267,7 @@ def replicated(
     with tempfile.TemporaryDirectory(dir=scratch, prefix=f"{number:04d}-") as folder:
         campaign = synthetic_campaign(plan, synthetic, sound, Path(folder), rng)
         try:
-            answer = identify(campaign, progress=part(progress, 0.3, 1.0))
+            answer = identify(**identify_arguments(campaign), progress=part(progress, 0.3, 1.0))
         except StoreError:
             raise
         except RoomfitError as error:
@@ -331,6 +335,37 @@ class CoverageResult:
     findings: dict[Code, int]
     found: CoverageSample
     drawn_from: str
+
+    def __str__(self) -> str:
+        """Return the table, what it means, and what was doubtful or refused."""
+        from roomfit.coverage.output import coverage_text
+
+        return coverage_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the table in HTML, for notebooks."""
+        from roomfit.coverage.output import coverage_html
+
+        return coverage_html(self)
+
+    def plot(self) -> Figure:
+        """Return coverage over the level of the interval, and of 95 % intervals by band."""
+        from roomfit.coverage.output import coverage_figure
+
+        return coverage_figure(self.found)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a band, then all of them, as calibration.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.coverage.output import COLUMNS, coverage_numbers
+        from roomfit.report.frames import data_frame
+
+        return data_frame(COLUMNS, coverage_numbers(self), "calibration.csv")
 
 
 def estimate_coverage(

@@ -21,13 +21,15 @@ from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
-from roomfit.io.materials import material_priors, unknown_directivity
+from roomfit.io.inputs import campaign_room, campaign_scene
+from roomfit.io.materials import material_priors, source_directivities
+from roomfit.io.measurements import read_measurements
 from roomfit.io.results import read_result
-from roomfit.io.rooms import read_room
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import SPEED_SD
 from roomfit.objective.directivity import DEFAULT_B_SD
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
+from roomfit.response.directivity import Directivity, UnknownDirectivity
 from roomfit.scene import Point, Room, position_findings
 from roomfit.signals.iso3382 import MeasuredValues, ValueName
 from roomfit.typing import FloatArray, IntArray
@@ -166,6 +168,7 @@ class CoveragePlan:
     snr_db: FloatArray
     length_s: float
     tabulated: tuple[TabulatedPair, ...]
+    directivities: dict[str, Directivity | UnknownDirectivity]
     digest: str
 
 
@@ -189,7 +192,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         measurements=tuple(m for m in campaign.measurements if m.use == "fit"),
         tables=tuple(t for t in campaign.tables if t.use == "fit"),
     )
-    room, _ = read_room(campaign.room)
+    room = campaign_room(campaign)
     priors = material_priors(campaign, room.materials)
     answer = None
     if settings.result is not None:
@@ -209,6 +212,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         read_only(observed[:, nearest]),
         length_s,
         tabulated,
+        source_directivities(campaign, campaign.bands),
         _digest(campaign, settings),
     )
 
@@ -253,7 +257,8 @@ def _as_measured(
     read = campaign if snr_db is None else replace(campaign, measurements=())
     if not read.measurements and not read.tables:
         return np.full((n, n_bands), snr_db), (), np.inf
-    measurements = collect_measurements(read, room)
+    scene = campaign_scene(read, room)
+    measurements = collect_measurements(scene, read_measurements(read), read.bands, {})
     tabulated = tuple(_tabulated(v, campaign.bands) for v in measurements.values)
     if not read.measurements:
         return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
@@ -343,7 +348,7 @@ def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> Synthet
     sds = [k.wall_delay_sd_s or 0.0 for k in plan.priors]
     delays = np.abs(rng.standard_normal(len(sds))) * np.array(sds)
     sources, receivers = _positions(plan, rng)
-    temperature_sd_c = plan.campaign.temperature_sd_c
+    temperature_sd_c = plan.campaign.settings.temperature_sd_c
     kelvin = 273.15 + plan.campaign.air.temperature_c
     speed_sd = SPEED_SD if temperature_sd_c is None else 0.5 * temperature_sd_c / kelvin
     c = speed_of_sound_m_s(plan.campaign.air) * float(np.exp(speed_sd * rng.standard_normal()))
@@ -381,7 +386,7 @@ def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
 
 def _smooth_normal(plan: CoveragePlan, sd: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers (n, n_grid) that run smoothly over the bands of the grid."""
-    sd_per_octave = plan.campaign.smoothness_per_octave
+    sd_per_octave = plan.campaign.settings.smoothness_per_octave
     alike = _ALIKE if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
     step = alike if plan.grid.kind == "octave" else alike ** (1.0 / 3.0)
     drawn = rng.standard_normal((n, len(plan.grid)))
@@ -436,8 +441,8 @@ def _moved(point: Point, rng: np.random.Generator) -> Point:
 
 def _b(plan: CoveragePlan, name: str, rng: np.random.Generator) -> FloatArray | None:
     """Draw the unknown directivity of a source, nowhere of negative amplitude."""
-    unknown = unknown_directivity(plan.campaign, name)
-    if unknown is None:
+    unknown = plan.directivities.get(name)
+    if not isinstance(unknown, UnknownDirectivity):
         return None
     mean = np.zeros(3) if unknown.mean is None else unknown.mean
     sd = DEFAULT_B_SD if unknown.sd is None else unknown.sd

@@ -1,23 +1,17 @@
-"""A calibration in words and tables.
-
-What `roomfit calibrate` leaves beside its replicates: JSON, table, picture.
-
-A calibration in a picture: what intervals of every level hold, and those of 95 % by band.
-"""
+"""An estimate of coverage as calibration.json, calibration.csv, text, and a figure."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
 from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from roomfit.cache import write_bytes_atomically, write_json_atomically, write_text_atomically
-from roomfit.coverage.calibrate import CoverageResult, estimate_coverage
+from roomfit.coverage.estimate import CoverageResult
 from roomfit.coverage.statistics import (
     CoverageRow,
     CoverageSample,
@@ -25,11 +19,8 @@ from roomfit.coverage.statistics import (
     coverage_at,
     coverage_rows,
 )
-from roomfit.coverage.truth import CoverageSettings
-from roomfit.findings import Code
-from roomfit.io.campaign import read_campaign
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.typing import Progress
+from roomfit.report.frames import html_table
 
 _NOMINAL = np.concatenate((np.linspace(0.05, 0.95, 19), [0.98, 0.99]))
 
@@ -103,10 +94,17 @@ def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
 
 PROMISED = 0.95
 _TOLERATED_WRONG = 0.05
-CSV_HEAD = (
+COLUMNS = (
     *("band_hz", "values", "hold", "hold_low", "hold_high"),
     *("identifiable", "identifiable_wrong", "wrong_low", "wrong_high"),
     *("median_width", "median_error", "median_error_prior", "median_error_uniform"),
+)
+
+
+_HEADINGS = (
+    *("band", "95 % intervals that hold the true value", "identifiable"),
+    *("of these outside their interval", "median width"),
+    *("median |error|", "of the prior", "of a uniform absorption"),
 )
 
 
@@ -118,14 +116,22 @@ def coverage_table(rows: Sequence[CoverageRow]) -> str:
         "   band      hold the truth   identifiable     outside theirs     width    "
         "answer  prior  uniform",
     ]
-    for row in rows:
-        name = "all" if row.band_hz is None else f"{row.band_hz:g} Hz"
+    for name, hold, identifiable, outside, width, error, prior, uniform in map(_cells, rows):
         lines.append(
-            f"{name:>8}  {_fraction(row.holds):>18}  {_percent(row.identifiable):>10}  "
-            f"{_fraction(row.outside):>18}  {_short(row.width):>8}  {_short(row.error):>8} "
-            f"{_short(row.error_prior):>6}  {_short(row.error_uniform):>6}"
+            f"{name:>8}  {hold:>18}  {identifiable:>10}  {outside:>18}  {width:>8}  {error:>8} "
+            f"{prior:>6}  {uniform:>6}"
         )
     return "\n".join(lines)
+
+
+def _cells(row: CoverageRow) -> list[str]:
+    return [
+        "all" if row.band_hz is None else f"{row.band_hz:g} Hz",
+        _fraction(row.holds),
+        _percent(row.identifiable),
+        _fraction(row.outside),
+        *map(_short, (row.width, row.error, row.error_prior, row.error_uniform)),
+    ]
 
 
 def verdict(row: CoverageRow) -> str:
@@ -147,24 +153,28 @@ def verdict(row: CoverageRow) -> str:
     return f"{first} {second}."
 
 
-def coverage_text(
-    rows: Sequence[CoverageRow],
-    done: int,
-    asked: int,
-    syntheses: Mapping[str, int],
-    findings: Mapping[Code, int],
-    refused: Sequence[str],
-) -> str:
-    """Return everything a user must see."""
-    lines = [f"{done} of {asked} replicates; made by " + _counts(syntheses.items())]
-    if done < asked:
+def coverage_text(result: CoverageResult) -> str:
+    """Return the table, what it means, and what was doubtful or refused."""
+    rows = coverage_rows(result.found)
+    lines = [
+        f"{result.done} of {result.requested} replicates; made by "
+        + _counts(result.syntheses.items())
+    ]
+    if result.done < result.requested:
         lines.append("The calibration is not complete: run it again, or the other slices.")
     lines += ["", coverage_table(rows), "", verdict(rows[-1])]
-    if findings:
-        lines.append("Findings: " + _counts(findings.items()))
-    if refused:
-        lines.append(_refusals(refused))
+    if result.findings:
+        lines.append("Findings: " + _counts(result.findings.items()))
+    if result.refused:
+        lines.append(_refusals(result.refused))
     return "\n".join(lines)
+
+
+def coverage_html(result: CoverageResult) -> str:
+    """Return the table and what it means in HTML."""
+    rows = coverage_rows(result.found)
+    caption = f"{result.done} of {result.requested} replicates"
+    return html_table(caption, _HEADINGS, map(_cells, rows)) + f"<p>{escape(verdict(rows[-1]))}</p>"
 
 
 def _refusals(refused: Sequence[str]) -> str:
@@ -176,18 +186,23 @@ def _refusals(refused: Sequence[str]) -> str:
     return f"{number} refused; the first: {what}" + "".join(f" ({f})" for f in found)
 
 
-def coverage_csv(rows: Sequence[CoverageRow]) -> str:
-    """Return the table as CSV; empty cells where nothing can be counted."""
-    lines = [",".join(CSV_HEAD)]
-    for row in rows:
-        numbers = (
+def coverage_numbers(result: CoverageResult) -> Iterator[tuple[Any, ...]]:
+    """Yield one row a band, then all of them, as `COLUMNS` says; NaN where there is nothing."""
+    for row in coverage_rows(result.found):
+        yield (
+            *("all" if row.band_hz is None else row.band_hz, row.holds.of),
             *(row.holds.value, row.holds.low, row.holds.high),
             *(row.identifiable.value, row.outside.value, row.outside.low, row.outside.high),
             *(row.width, row.error, row.error_prior, row.error_uniform),
         )
-        band = "all" if row.band_hz is None else f"{row.band_hz:g}"
-        cells = ["" if math.isnan(x) else f"{x:.4f}" for x in numbers]
-        lines.append(",".join((band, str(row.holds.of), *cells)))
+
+
+def coverage_csv(result: CoverageResult) -> str:
+    """Return the table as CSV; empty cells where nothing can be counted."""
+    lines = [",".join(COLUMNS)]
+    for band, count, *values in coverage_numbers(result):
+        cells = ["" if math.isnan(x) else f"{x:.4f}" for x in values]
+        lines.append(",".join((band if band == "all" else f"{band:g}", str(count), *cells)))
     return "\n".join(lines) + "\n"
 
 
@@ -209,43 +224,6 @@ def _percent(proportion: Proportion) -> str:
 
 def _short(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.3f}"
-
-
-def estimate_coverage_to_folder(
-    campaign_file: Path,
-    out: Path,
-    settings: CoverageSettings | None = None,
-    *,
-    progress: Progress | None = None,
-) -> CoverageResult:
-    """Calibrate a campaign and write calibration.json, calibration.csv and calibration.png.
-
-    They tell of all replicates in the folder, whichever run has made them.
-
-    Raises
-    ------
-    InputError, CannotTell, StoreError
-        See `calibrate`.
-    """
-    from roomfit.report.figures import png
-
-    result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
-    write_text_atomically(out / "calibration.csv", coverage_csv(coverage_rows(result.found)))
-    write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
-    write_json_atomically(out / "calibration.json", coverage_json(result))
-    return result
-
-
-def result_text(result: CoverageResult) -> str:
-    """Return everything a user must see."""
-    return coverage_text(
-        coverage_rows(result.found),
-        result.done,
-        result.requested,
-        result.syntheses,
-        result.findings,
-        result.refused,
-    )
 
 
 def coverage_json(result: CoverageResult) -> dict[str, Any]:
