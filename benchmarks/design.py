@@ -30,6 +30,7 @@ from roomfit.experiment_design.design import design
 from roomfit.experiment_design.output import design_gain, design_map
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.report.figures import png
 from roomfit.suh2001.room import DIVISIONS, PLANES
 from roomfit.synthetic.polyhedra import obj_text
@@ -88,7 +89,7 @@ def measured(
             position_error_m=position_error_m,
             loudspeaker_db=loudspeaker_db,
         )
-        answer = identify(read_campaign(made.campaign))
+        answer = identify(**load_campaign(made.campaign))
     rows = [made.materials.index(name) for name in answer.materials]
     true = made.absorption[rows][:, : len(answer.bands)]
     error = np.abs(answer.absorption - true)

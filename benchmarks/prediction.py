@@ -20,6 +20,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.inputs import identify_arguments
 from roomfit.io.results import read_result, write_result
 from roomfit.prediction.predict import predict_campaign
 from roomfit.prediction.prediction import PredictedPair
@@ -112,7 +113,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         campaign = read_campaign(write_campaign(folder, seed))
-        write_result(folder, identify(campaign), input_files(campaign))
+        write_result(folder, identify(**identify_arguments(campaign)), input_files(campaign))
         fitted = predict_campaign(campaign, read_result(folder / "result.json"))
         a = np.array([[v] * 2 for v in ABSORPTION.values()])
         true = AbsorptionPosterior(

@@ -14,7 +14,7 @@ from scipy.stats import binomtest
 from typer.testing import CliRunner
 
 import roomfit.coverage.simulate
-import roomfit.inversion.trace_plan
+import roomfit.io.campaign
 from roomfit.bands import bands_between
 from roomfit.cli.commands import app
 from roomfit.coverage.calibrate import (
@@ -64,6 +64,7 @@ from roomfit.io.campaign import read_campaign
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import add_noise, octave_shares
 from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
 from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
@@ -551,7 +552,7 @@ def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypa
     text += "[receivers.MP1]\nposition = [4.05, 1.35, 1.2]\nposition_sd = 0.01\n"
     text += '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "later.wav"\n'
     file, out = campaign_file(tmp_path, text), tmp_path / "out"
-    monkeypatch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
+    monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))
     monkeypatch.setitem(roomfit.coverage.simulate._MOST_IMAGES, CONVEX, 20_000)
     asked = ["calibrate", str(file), "--out", str(out), "--replicates", "1", "--snr-db", "50"]
     first = CliRunner().invoke(app, asked)

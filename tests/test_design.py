@@ -422,7 +422,7 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     """
     path = write_campaign(tmp_path, ENERGY)
     truth = (("walls", 0.15), ("carpet", 0.4), ("tiles", 0.3))
-    answer = roomfit.identify(roomfit.read_campaign(path))
+    answer = roomfit.identify(**roomfit.load_campaign(path))
     design = "\n[design]\nnew_sources = 1\nreceiver_distance_m = 0.3\ndraws = 1\n"
     priors = "".join(
         f"[materials.{name}]\nscattering = 0.0\nprior = {{mean = {a}, sd = 0.19}}\n"

@@ -37,7 +37,7 @@ def measurements(*heights_m: float, sd_m: float = 0.01) -> Measurements:
         Air(),
     )
     values = tuple(MeasuredValues("S", r.name, BANDS.centres_hz, {}, {}) for r in receivers)
-    return Measurements(scene, (), values, (), ())
+    return Measurements(scene, BANDS, {}, (), values, (), ())
 
 
 def found(data: Measurements, priors=KNOWN):

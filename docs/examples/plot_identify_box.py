@@ -16,6 +16,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 import roomfit
+from roomfit.io.inputs import identify_arguments
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
 plan = demo_plan()
@@ -29,7 +30,7 @@ with TemporaryDirectory() as folder:
     box = write_measured_box(plan, Path(folder), np.random.default_rng(1))
     campaign = roomfit.read_campaign(box.campaign)
     campaign = replace(campaign, bands=roomfit.bands_between("octave", 1000, 1000))
-    answer = roomfit.identify(campaign)
+    answer = roomfit.identify(**identify_arguments(campaign))
 print(roomfit.answer_text(answer))
 
 # %%

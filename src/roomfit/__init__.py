@@ -33,7 +33,6 @@ if TYPE_CHECKING:
     from roomfit.impedance.result import ImpedanceAnswer
     from roomfit.impedance.wave_model import Nuisances
     from roomfit.inversion.identify import identify
-    from roomfit.inversion.measurements import campaign_scene
     from roomfit.io.campaign import Campaign, read_campaign
     from roomfit.io.iso3382 import read_parameters
     from roomfit.io.responses import read_response
@@ -75,7 +74,6 @@ _HOME = {
     "design_arguments": "experiment_design.campaign",
     "DesignOptions": "experiment_design.candidates",
     "export_result": "commands",
-    "campaign_scene": "inversion.measurements",
     "identify": "inversion.identify",
     "identify_campaign_impedance": "impedance.campaign",
     "predict": "prediction.predict",

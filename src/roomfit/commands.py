@@ -36,13 +36,13 @@ from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
-from roomfit.inversion.measurements import campaign_scene
-from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
+from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import Campaign, input_files, read_campaign
 from roomfit.io.exports import export_materials, read_material_table
+from roomfit.io.inputs import identify_arguments
 from roomfit.io.materials import material_priors
 from roomfit.io.results import input_digests, read_result, write_result
-from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import PairChoice, predict_arguments
 from roomfit.prediction.changes import Change
@@ -53,6 +53,7 @@ from roomfit.report.figures import write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Answer
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
@@ -103,7 +104,7 @@ def export_result(
     wanted: str,
     out: Path,
     *,
-    scattering: float = DEFAULT_SCATTERING,
+    scattering: float | None = None,
     overwrite: bool = False,
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
@@ -116,7 +117,8 @@ def export_result(
     out : Path
         The file to write; for "raven", which has a file a material, the folder.
     scattering : float
-        Coefficient of every material where the result tells none, 0 to 1.
+        Coefficient of every material where the result holds none, 0 to 1; by default that of
+        `Settings`.
     overwrite : bool
         Replace what is there.
 
@@ -128,7 +130,11 @@ def export_result(
         The disk refuses.
     """
     out = Path(out)
-    exported = export_materials(read_material_table(result_file), wanted, scattering)
+    exported = export_materials(
+        read_material_table(result_file),
+        wanted,
+        Settings().default_scattering if scattering is None else scattering,
+    )
     if "" not in exported.texts:
         with whole_output_folder(out, overwrite=overwrite) as folder:
             for name, text in exported.texts.items():
@@ -389,13 +395,17 @@ def identify_to_folder(
     # refused now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
-    cache = cache_of(out) if keep else None
-    answer = identify(campaign, cache=cache, progress=part(progress, 0.0, 0.95))
+    arguments = identify_arguments(campaign)
+    with located(str(campaign_file)):
+        answer = identify(
+            **arguments,
+            cache=cache_of(out) if keep else None,
+            progress=part(progress, 0.0, 0.95),
+        )
     inputs = input_files(campaign)
-    room, _ = read_room(campaign.room)
     page = report_html(
         answer,
-        campaign_scene(campaign, room),
+        measured_scene(arguments["scene"], arguments["measurements"]),
         title=f"Absorption: {campaign_file.stem}",
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),

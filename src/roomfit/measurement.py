@@ -6,9 +6,10 @@ No reading of files here: `roomfit.io` makes these records from files, anyone el
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal, Protocol
+from typing import Literal, Protocol, runtime_checkable
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
@@ -27,6 +28,7 @@ Use = Literal["fit", "validate"]
 LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
 
 
+@runtime_checkable
 class Signal(Protocol):
     """Samples with their rate, such as a ``pyfar.Signal``."""
 
@@ -58,7 +60,7 @@ class Measurement:
 
     source: str  # name of a source of the scene
     receiver: str  # name of a receiver of the scene
-    samples: FloatArray | Signal  # pressure, shape (n_samples,); or with its rate: a pyfar.Signal
+    samples: ArrayLike | Signal  # pressure, shape (n_samples,); or with its rate: a pyfar.Signal
     sampling_rate_hz: float | None = None  # 1 kHz to 1 MHz; may be left out for a Signal
     latency_s: float = 0.0  # emission lies this long after the first sample
     time_zero: TimeZero = "emission"  # what the first sample stands for, apart from the latency
@@ -73,7 +75,7 @@ class Measurement:
     def __post_init__(self) -> None:
         where = self.where or f"{self.source} to {self.receiver}"
         samples, rate_hz = self.samples, self.sampling_rate_hz
-        if not isinstance(samples, np.ndarray) and hasattr(samples, "sampling_rate"):
+        if isinstance(samples, Signal):
             own_hz = float(samples.sampling_rate)
             if rate_hz is not None and rate_hz != own_hz:
                 raise InputError(

@@ -25,13 +25,12 @@ def export(
 ) -> None:
     """Write the absorption that was found as materials of another program."""
     from roomfit.commands import export_result
-    from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 
     written = export_result(
         result,
         wanted,
         out,
-        scattering=DEFAULT_SCATTERING if scattering is None else scattering,
+        scattering=scattering,
         overwrite=overwrite,
     )
     for file in written.files:

@@ -70,8 +70,8 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
             Finding(
                 Code.REPEATED_RESPONSES_DIFFER,
                 f"{one.measurement.source} to {one.measurement.receiver} was measured twice "
-                f"({names}) with different results: {'; '.join(ways)}. One of them may belong to another pair, or "
-                "the room was changed in between.",
+                f"({names}) with different results: {'; '.join(ways)}. One of them may belong to "
+                "another pair, or the room was changed in between.",
                 {
                     "source": one.measurement.source,
                     "receiver": one.measurement.receiver,
