@@ -495,7 +495,7 @@ def test_an_estimate_of_coverage_shows_itself(monkeypatch):
     assert share in str(result) and share in result._repr_html_()
     assert len(result.plot().axes) == 2
     monkeypatch.setitem(
-        sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: rows)
+        sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: rows[: len(columns)])
     )
     rows = result.to_dataframe()
     assert [row[0] for row in rows] == [500.0, 1000.0, "all"]
