@@ -26,30 +26,30 @@ _NOMINAL = np.concatenate((np.linspace(0.05, 0.95, 19), [0.98, 0.99]))
 
 
 def coverage_figure(found: CoverageSample) -> Figure:
-    """Return coverage over nominal level, and coverage and false certainty of every band."""
+    """Return coverage over the nominal level, and in every band, with what is wrongly certain."""
     figure = new_figure(9.6, 4.8)
     left, right = figure.subplots(1, 2)
     _levels(left, coverage_at(found, _NOMINAL))
     _bands(right, coverage_rows(found)[:-1])
     n = len(found.true)
-    figure.suptitle(f"{n} replicate{'' if n == 1 else 's'} with a known truth", fontsize=10)
+    figure.suptitle(f"{n} replicate{'' if n == 1 else 's'} of known absorption", fontsize=10)
     return figure
 
 
 def _levels(axes: Axes, proportions: tuple[Proportion, ...]) -> None:
     percent = 100.0 * _NOMINAL
-    axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="as promised")
+    axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="nominal")
     if proportions[0].of:
         low, high = (
             100.0 * np.array([getattr(s, n) for s in proportions]) for n in ("low", "high")
         )
         axes.fill_between(
-            *(percent, low, high), color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
+            percent, low, high, color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
         )
         values = [100.0 * s.value for s in proportions]
         axes.plot(percent, values, "o-", color=OKABE_ITO[0], ms=3.5, lw=1.4, label="found")
     axes.set_xlabel("level of the interval (%)")
-    axes.set_ylabel("intervals that hold the truth (%)")
+    axes.set_ylabel("intervals that hold the true value (%)")
     axes.set_xlim(0, 100)
     axes.set_ylim(0, 101)
     axes.grid(alpha=0.25)
@@ -92,7 +92,7 @@ def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8.5)
 
 
-PROMISED = 0.95
+_NOMINAL_COVERAGE = 0.95
 _TOLERATED_WRONG = 0.05
 COLUMNS = (
     *("band_hz", "values", "hold", "hold_low", "hold_high"),
@@ -113,7 +113,7 @@ def coverage_table(rows: Sequence[CoverageRow]) -> str:
     lines = [
         "             95 % intervals      called           of these        median    "
         "median |error|",
-        "   band      hold the truth   identifiable     outside theirs     width    "
+        "   band     hold true value   identifiable     outside theirs     width    "
         "answer  prior  uniform",
     ]
     for name, hold, identifiable, outside, width, error, prior, uniform in map(_cells, rows):
@@ -135,13 +135,13 @@ def _cells(row: CoverageRow) -> list[str]:
 
 
 def verdict(row: CoverageRow) -> str:
-    """Return in words whether the intervals of all bands together hold what they promise."""
+    """Return in words whether the intervals of all bands together have their nominal coverage."""
     if not row.holds.of:
         return "No absorption was fitted: nothing can be said of intervals."
-    share = f"{100 * row.holds.value:.0f} % of 95 % intervals hold the truth"
-    if row.holds.low <= PROMISED <= row.holds.high:
-        first = f"{share}, which so many replicates cannot tell from 95 %."
-    elif row.holds.value < PROMISED:
+    share = f"{100 * row.holds.value:.0f} % of 95 % intervals hold the true value"
+    if row.holds.low <= _NOMINAL_COVERAGE <= row.holds.high:
+        first = f"{share}, which so many replicates cannot distinguish from 95 %."
+    elif row.holds.value < _NOMINAL_COVERAGE:
         first = f"{share}: they are too narrow for this campaign. Do not rely on them."
     else:
         first = f"{share}: they are wider than they need be for this campaign."
@@ -157,11 +157,11 @@ def coverage_text(result: CoverageResult) -> str:
     """Return the table, what it means, and what was doubtful or refused."""
     rows = coverage_rows(result.found)
     lines = [
-        f"{result.done} of {result.requested} replicates; made by "
+        f"{result.done} of {result.requested} replicates; simulated by "
         + _counts(result.syntheses.items())
     ]
     if result.done < result.requested:
-        lines.append("The calibration is not complete: run it again, or the other slices.")
+        lines.append("The estimate is not complete: run it again, or the other slices.")
     lines += ["", coverage_table(rows), "", verdict(rows[-1])]
     if result.findings:
         lines.append("Findings: " + _counts(result.findings.items()))

@@ -1,15 +1,10 @@
-"""Responses that a room would give under a known truth, by a road apart from the fit's own.
+"""Synthetic recordings of a room whose absorption is known, simulated independently of the fit.
 
 Boxes whose walls are smooth and rooms that are convex: pressures of an own enumeration of image
 sources. Boxes that scatter: these, thinned, and noise that an own tracer of rays modulates. All
 else: a trace of roomfit's with other seeds, whose image sources add as pressures and whose rays
-fill with Gaussian noise.
-
-Made responses as a measuring chain would have written them, and a campaign that names them.
-
-Room parameters of made responses, as somebody would have written them into a table.
-
-Responses of any room from a trace of its own: image sources as pressures, rays as noise.
+fill with Gaussian noise. Responses are then recorded as by a measuring chain, and tables of room
+parameters derived from them; both are written as files that a campaign names.
 """
 
 from __future__ import annotations
@@ -70,7 +65,11 @@ def traced_pressures(
     Image sources are followed as far as the fit's own, with another enumeration for moved points;
     rays are others, and three times as many. What rays bring is Gaussian noise with their energy.
     """
-    scene = _true_scene(plan, synthetic, pairs)
+    sources = [s.name for s in synthetic.sources]
+    receivers = [r.name for r in synthetic.receivers]
+    index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
+    air = replace(plan.campaign.air, speed_of_sound_m_s=synthetic.speed_of_sound_m_s)
+    scene = Scene(plan.room, synthetic.sources, synthetic.receivers, index, air)
     priors = tuple(
         replace(k, scattering=row, fit_scattering=False)
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
@@ -96,20 +95,10 @@ def traced_pressures(
     return found
 
 
-def _true_scene(
-    plan: CoveragePlan, synthetic: SyntheticRoom, pairs: tuple[tuple[str, str], ...]
-) -> Scene:
-    sources = [s.name for s in synthetic.sources]
-    receivers = [r.name for r in synthetic.receivers]
-    index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
-    air = replace(plan.campaign.air, speed_of_sound_m_s=synthetic.speed_of_sound_m_s)
-    return Scene(plan.room, synthetic.sources, synthetic.receivers, index, air)
-
-
 def _energies(
     plan: CoveragePlan, synthetic: SyntheticRoom, paths: Paths, factors: FloatArray | None
 ) -> FloatArray:
-    """Return what every path brings in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
+    """Return the energy of every path in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
     struck = hits(paths).astype(np.float64)
     attenuation = attenuation_per_m(plan.campaign.air, plan.grid)
     out: FloatArray = np.empty((len(plan.grid), len(paths)))
@@ -146,12 +135,12 @@ def _pressure(
         impulse_grid = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
         spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
         echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
-    made = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
+    specular = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
     flat = np.zeros(len(plan.grid))
     if not caught.size:
-        return made
+        return specular
     noise = modulated_noise(echogram, _BIN_S, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
-    return np.asarray(made + noise)
+    return np.asarray(specular + noise)
 
 
 BOX, SCATTERING_BOX = "images of a box", "images and scattered noise of a box"
@@ -169,16 +158,10 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sound:
-    """Pressures of every pair after an impulse at time 0, and the road they came by.
+    """Pressures of every pair after an impulse at time 0."""
 
-    Attributes
-    ----------
-    synthesis : str
-    pressure : mapping of (source, receiver) to float array, shape (n_samples,)
-        In the unit in which a unit source's direct sound is ``1 / (4 pi r)``.
-    """
-
-    synthesis: str
+    synthesis: str  # how they were simulated
+    # by (source, receiver), (n_samples,): a unit source's direct sound is 1 / (4 pi r)
     pressure: dict[Pair, FloatArray]
 
 
@@ -191,8 +174,8 @@ def synthetic_sound(
 ) -> Sound:
     """Return the pressures of all pairs.
 
-    Files last until the slowest band has fallen to its noise, as long as the measured ones at most,
-    and as long as their image sources can be counted.
+    They last until the slowest band has fallen to its noise, as long as the recordings at most,
+    and as long as their image sources can be enumerated.
     """
     synthesis = synthesis_of(plan, synthetic)
     duration_s = _duration_s(plan, synthetic, synthesis)
@@ -206,7 +189,7 @@ def synthetic_sound(
 
 
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
-    """Return by which road the sound of a room is made."""
+    """Return how the sound of a room is simulated."""
     known = [plan.directivities.get(s.name) for s in synthetic.sources]
     first_order = all(d is None or isinstance(d, FirstOrder | UnknownDirectivity) for d in known)
     even = first_order and not any(d is not None for d in known)
@@ -255,7 +238,7 @@ def _box(
 ) -> dict[Pair, FloatArray]:
     owner = plan.room.surface_material
     lengths = plan.room.shoebox_m
-    assert lengths is not None  # noqa: S101 - the road says that it is a box
+    assert lengths is not None  # noqa: S101 - `synthesis_of` says that it is a box
     box = SyntheticBox(
         lengths,
         plan.grid.centres_hz,
@@ -282,8 +265,15 @@ def _box(
             )
             for r, energy in zip(own, echo.energy, strict=True):
                 found[source.name, r] = scattered_response(
-                    *(box, scattering, source.position_m, at[r], energy),
-                    *(duration_s, rate_hz, flat, rng),
+                    box,
+                    scattering,
+                    source.position_m,
+                    at[r],
+                    energy,
+                    duration_s,
+                    rate_hz,
+                    flat,
+                    rng,
                 )
     return found
 
@@ -296,7 +286,7 @@ def _convex(
     rate_hz: float,
 ) -> dict[Pair, FloatArray]:
     cells = convex_cells(plan.room)
-    assert cells is not None  # noqa: S101 - the road says that it is convex
+    assert cells is not None  # noqa: S101 - `synthesis_of` says that it is convex
     room = SyntheticPolyhedron(
         cells,
         plan.grid.centres_hz,
@@ -311,10 +301,10 @@ def _convex(
         own = [r for s, r in pairs if s == source.name]
         if own:
             receivers_m = np.array([at[r] for r in own])
-            made = pressure_responses(
+            pressures = pressure_responses(
                 room, source.position_m, receivers_m, duration_s, rate_hz, np.zeros(len(plan.grid))
             )
-            found.update({(source.name, r): p for r, p in zip(own, made, strict=True)})
+            found.update({(source.name, r): p for r, p in zip(own, pressures, strict=True)})
     return found
 
 
@@ -331,8 +321,8 @@ def synthetic_table(
 ) -> str:
     """Return a table of the same pairs, parameters and stated spreads as the user's.
 
-    Values come from the made responses by roomfit's own analysis, in the fitted bands; to each the
-    error is added that its stated spread owns. Where a response does not hold a parameter the cell
+    Values come from the synthetic responses by roomfit's own analysis, in the fitted bands; to each
+    an error of its stated spread is added. Where a response does not hold a parameter the cell
     stays empty.
     """
     bands = plan.campaign.bands
@@ -373,15 +363,16 @@ def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
 
 
 def _distance_m(synthetic: SyntheticRoom, measured: TabulatedPair) -> float:
-    def place(points: tuple[Point, ...], name: str) -> FloatArray:
+    def position(points: tuple[Point, ...], name: str) -> FloatArray:
         return next(p.position_m for p in points if p.name == name)
 
-    step = place(synthetic.receivers, measured.receiver) - place(synthetic.sources, measured.source)
+    receiver_m = position(synthetic.receivers, measured.receiver)
+    step = receiver_m - position(synthetic.sources, measured.source)
     return float(np.linalg.norm(step))
 
 
 def _possible(name: ValueName, values: FloatArray) -> FloatArray:
-    """Leave out what an added error has driven where no room is."""
+    """Clip or leave out what an added error has driven out of the possible range."""
     if name == "D50_percent":
         return np.clip(values, 0.0, 100.0)
     if name.endswith("_dB"):
@@ -423,7 +414,7 @@ def synthetic_campaign(
 ) -> Campaign:
     """Write WAV files and a table into a folder; return the campaign that reads them.
 
-    It says of room, places, air and materials what the user's own says.
+    It says of room, positions, air and materials what the user's own says.
     """
     import soundfile
 
@@ -467,7 +458,7 @@ def recorded(
     """Return a response behind a loudspeaker with levels of its own, late, and in noise.
 
     The noise of each band lies so far below the loudest 10 ms, or four periods of the band's
-    width, of what is heard in that band.
+    width, of the sound in that band.
 
     Parameters
     ----------
