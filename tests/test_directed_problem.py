@@ -24,7 +24,7 @@ from roomfit.objective.directivity import (
 )
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
-from roomfit.response.directivity import FirstOrder, amplitude_and_slope, with_directivity
+from roomfit.response.directivity import FirstOrder, amplitude_and_slope, directivity_factors
 from roomfit.solvers.least_squares import BandFit
 
 B = np.array([0.5, -0.4, 0.3])
@@ -104,7 +104,8 @@ def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
     """
     case, b = directed_case(coherent=coherent), B
     scene, paths = small_paths()
-    weighted = with_directivity(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    factors = directivity_factors(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    weighted = replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
     whole = small_problem(paths=weighted)
     plain: EnergyProblem | CoherentProblem = whole.energies
     if coherent:

@@ -252,7 +252,7 @@ def test_a_fitted_source_is_found_and_absorption_with_it(tmp_path: Path) -> None
 @pytest.mark.slow
 def test_an_omnidirectional_source_may_be_fitted_without_harm(tmp_path: Path) -> None:
     """b near zero; intervals still hold the walls."""
-    fit, estimates, found = coherent_answer(
+    _fit, estimates, found = coherent_answer(
         case_of(tmp_path, 'directivity = "fit"', directional=False)
     )
     assert near(found, np.zeros(3))
@@ -263,7 +263,7 @@ def test_an_omnidirectional_source_may_be_fitted_without_harm(tmp_path: Path) ->
 @pytest.mark.slow
 def test_a_directional_source_taken_for_omnidirectional_is_found_out(tmp_path: Path) -> None:
     """The finding names the source and tells where it sends."""
-    fit, estimates, found = coherent_answer(case_of(tmp_path, "", directional=True))
+    fit, _estimates, found = coherent_answer(case_of(tmp_path, "", directional=True))
     (finding,) = (f for f in fit.findings if f.code == Code.SOURCE_NOT_OMNIDIRECTIONAL)
     assert finding.severity == "serious"
     assert finding.evidence["source"] == "LS1"

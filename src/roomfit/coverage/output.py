@@ -5,13 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from html import escape
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from roomfit.coverage.estimate import CoverageResult
 from roomfit.coverage.statistics import (
     CoverageRow,
     CoverageSample,
@@ -21,6 +20,9 @@ from roomfit.coverage.statistics import (
 )
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.frames import html_table
+
+if TYPE_CHECKING:
+    from roomfit.coverage.estimate import CoverageResult
 
 _NOMINAL = np.concatenate((np.linspace(0.05, 0.95, 19), [0.98, 0.99]))
 

@@ -38,7 +38,8 @@ from roomfit.synthetic.boxes import (
     modulated_noise,
     octave_shares,
     pressure_response,
-    scattered_response,
+    specular_box,
+    with_diffuse_noise,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
@@ -264,16 +265,10 @@ def _box(
                 box, scattering, source.position_m, receivers_m, duration_s, rng
             )
             for r, energy in zip(own, echo.energy, strict=True):
-                found[source.name, r] = scattered_response(
-                    box,
-                    scattering,
-                    source.position_m,
-                    at[r],
-                    energy,
-                    duration_s,
-                    rate_hz,
-                    flat,
-                    rng,
+                ends = (source.position_m, at[r], duration_s, rate_hz)
+                specular = pressure_response(specular_box(box, scattering), *ends, flat)
+                found[source.name, r] = with_diffuse_noise(
+                    specular, energy, box, rate_hz, flat, rng
                 )
     return found
 

@@ -13,7 +13,6 @@ from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import logit
 
 
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverageSample:
     """Answers to campaigns whose absorption is known."""

@@ -308,7 +308,9 @@ def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
 def _smooth_normal(plan: CoveragePlan, sd: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers (n, n_grid) that run smoothly over the bands of the grid."""
     sd_per_octave = plan.campaign.settings.smoothness_per_octave
-    correlation = _CORRELATION if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
+    correlation = (
+        _CORRELATION if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
+    )
     step = correlation if plan.grid.kind == "octave" else correlation ** (1.0 / 3.0)
     drawn = rng.standard_normal((n, len(plan.grid)))
     for band in range(1, len(plan.grid)):

@@ -307,15 +307,3 @@ def _random_means(
         widths = _widths(unknowns, pairs, fixed, drawn)
         row[: len(drawn) + 1] = widths[:, unknowns.number >= 0].mean(axis=(1, 2))
     return out
-
-
-def mean_widths(found: Design) -> FloatArray:
-    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
-    return np.asarray(found.widths[:, found.to_find].mean(axis=(1, 2)))
-
-
-def widest(found: Design, step: int = 0) -> tuple[int, int]:
-    """Return material and band of the widest interval after so many of the chosen pairs."""
-    widths = found.widths[step]
-    material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
-    return int(material), int(band)

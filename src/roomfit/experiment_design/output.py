@@ -7,7 +7,7 @@ import io
 from collections.abc import Iterable, Iterator
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -17,7 +17,6 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.experiment_design.design import Design, mean_widths, widest
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.frames import html_findings, html_table
@@ -25,11 +24,26 @@ from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.typing import FloatArray
 
+if TYPE_CHECKING:
+    from roomfit.experiment_design.design import Design
+
 COLUMNS = (
     *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
     *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
     *("distance_m", "mean_width95"),
 )
+
+
+def mean_widths(design: Design) -> FloatArray:
+    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
+    return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
+
+
+def widest(design: Design, step: int = 0) -> tuple[int, int]:
+    """Return material and band of the widest interval after so many of the chosen pairs."""
+    widths = design.widths[step]
+    material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
+    return int(material), int(band)
 
 
 def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:

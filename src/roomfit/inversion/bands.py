@@ -206,7 +206,9 @@ def fit_bands(
             solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
             fit = fit_band(problem, solver, refiner, progress=done)
             if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
-                fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
+                fit, starts = from_random_starts(
+                    problem, fit, np.random.default_rng(seed), settings.n_random_starts
+                )
             if watch is not None:
                 watch(band, problem, fit)
         if method == "auto":

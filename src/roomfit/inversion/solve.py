@@ -40,7 +40,7 @@ from roomfit.inversion.systematics import (
     with_tracing_noise,
 )
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.coherent import SPEED_SD, FittedGeometry
+from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import DirectedProblem
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import has_data_in_band
@@ -98,7 +98,7 @@ def relative_speed_sd(air: Air, settings: Settings) -> float:
     """
     temperature_sd_c = settings.temperature_sd_c
     if temperature_sd_c is None:
-        return SPEED_SD
+        return settings.speed_of_sound_sd
     return max(0.5 * temperature_sd_c / (273.15 + air.temperature_c), 1e-6)
 
 
@@ -173,6 +173,7 @@ def estimate_pressures(
             positions="fixed" if settings.positions == "fixed" else "fit",
             delays=settings.reflection_delays,
             model="coherent" if settings.model == "coherent" else "auto",
+            end_s=settings.coherent_until_s,
             late_end_s=traced.fit_until_s,
             speed_sd=relative_speed_sd(scene.air, settings),
         ),

@@ -7,19 +7,21 @@ import io
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
-from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
 from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
 from roomfit.report.frames import html_findings, html_table
 from roomfit.report.text import findings_text
 from roomfit.report.wording import decay_time_key, parameter
 from roomfit.signals.iso3382 import ValueName
+
+if TYPE_CHECKING:
+    from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
 
 COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),
