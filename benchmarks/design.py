@@ -25,10 +25,10 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.experiment_design.campaign import design_arguments
+from roomfit.experiment_design.candidates import compatible_positions
 from roomfit.experiment_design.choose import CRITERIA, Rules, random_design
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import design_gain, design_map, mean_widths
-from roomfit.experiment_design.positions import compatible_positions
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import load_campaign

@@ -17,7 +17,15 @@ from hypothesis import strategies as st
 import roomfit
 from roomfit.errors import InputError
 from roomfit.experiment_design.campaign import design_arguments
-from roomfit.experiment_design.candidates import even_part
+from roomfit.experiment_design.candidates import (
+    Region,
+    compatible_positions,
+    even_part,
+    grid_positions,
+    least_source_distance_m,
+    region_of,
+    spread_positions,
+)
 from roomfit.experiment_design.choose import Rules, allowed, choose, random_design, score
 from roomfit.experiment_design.information import (
     PairInformation,
@@ -28,14 +36,6 @@ from roomfit.experiment_design.information import (
     interval_widths,
     material_widths,
     without_geometry,
-)
-from roomfit.experiment_design.positions import (
-    Region,
-    compatible_positions,
-    grid_positions,
-    least_source_distance_m,
-    region_of,
-    spread_positions,
 )
 from roomfit.findings import Code
 from roomfit.io.campaign import Campaign
@@ -199,7 +199,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
             if b not in held:
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
     assert not allowed(rules, [5], held)[5]
-    with pytest.raises(InputError, match="leave no place"):
+    with pytest.raises(InputError, match="leave no position"):
         choose(known, found, replace(rules, most_sources=1), 25, "mean", held, rng=fresh())
 
 

@@ -25,8 +25,7 @@ from roomfit.materials.priors import uniform_scattering
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
 from roomfit.prediction.decay import eyring_time_s
-from roomfit.prediction.predict import predict
-from roomfit.prediction.prediction import Predicted
+from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene
 from roomfit.synthetic.boxes import add_noise

@@ -44,12 +44,11 @@ if TYPE_CHECKING:
     from roomfit.materials.priors import Scattering, uniform_scattering
     from roomfit.prediction.campaign import predict_arguments, room_posterior
     from roomfit.prediction.changes import Change, read_change
-    from roomfit.prediction.predict import predict
-    from roomfit.prediction.prediction import Predicted
+    from roomfit.prediction.predict import Predicted, predict
     from roomfit.report.html import report_html
     from roomfit.report.text import answer_text
     from roomfit.response.energy import energy_rows, weigh
-    from roomfit.results import Answer
+    from roomfit.results import Answer, absorption_posterior
     from roomfit.scene import Point, Room, Scene
     from roomfit.signals.decay import room_parameters
     from roomfit.signals.iso3382 import MeasuredValues
@@ -92,7 +91,7 @@ _HOME = {
     "read_campaign": "io.campaign",
     "read_parameters": "io.iso3382",
     "read_response": "io.responses",
-    "ResponseSpec": "measurement",
+    "ResponseSpec": "io.responses.spec",
     "read_result": "io.results",
     "write_result": "io.results",
     "read_room": "io.rooms",
@@ -122,8 +121,9 @@ _HOME = {
     "Paths": "tracing.paths",
     "TraceSettings": "tracing.paths",
     "Answer": "results",
+    "absorption_posterior": "results",
     "AbsorptionPosterior": "uncertainty.posterior",
-    "Predicted": "prediction.prediction",
+    "Predicted": "prediction.predict",
     "smooth_over_bands": "uncertainty.smoothing",
 }
 

@@ -47,8 +47,7 @@ from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import PairChoice, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
-from roomfit.prediction.predict import predict
-from roomfit.prediction.prediction import Predicted
+from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.figures import write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Answer

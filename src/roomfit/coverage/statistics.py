@@ -93,7 +93,8 @@ def _median(values: FloatArray, counted: BoolArray) -> float:
 def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
     """Return a proportion of values that come in groups, with its 95 % interval.
 
-    Values of one replicate are correlated, so that they count less than as many independent ones. The interval is that of [1]_ for the effective number: the number over the design effect,
+    Values of one replicate are correlated, so that they count less than as many independent ones.
+    The interval is that of [1]_ for the effective number: the number over the design effect,
     the variance of a group's sum over what independent values would have [2]_, never below one.
 
     Parameters

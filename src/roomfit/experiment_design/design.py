@@ -18,6 +18,7 @@ from roomfit.experiment_design.candidates import (
     DesignOptions,
     design_candidates,
     information_of_candidates,
+    least_source_distance_m,
 )
 from roomfit.experiment_design.choose import Criterion, choose, random_design
 from roomfit.experiment_design.information import (
@@ -27,7 +28,6 @@ from roomfit.experiment_design.information import (
     interval_widths,
     material_widths,
 )
-from roomfit.experiment_design.positions import least_source_distance_m
 from roomfit.experiment_design.prior import (
     PriorInformation,
     information_from_fit,

@@ -21,7 +21,7 @@ from roomfit.report.wording import decay_time_key, parameter
 from roomfit.signals.iso3382 import ValueName
 
 if TYPE_CHECKING:
-    from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
+    from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
 
 COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -16,22 +17,15 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.inversion.measurements import observe
-from roomfit.measurement import Measurement
+from roomfit.measurement import Measurement, Use
 from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
 from roomfit.prediction.changes import Change, change_text, changed_draws
-from roomfit.prediction.decay import follow_decay
-from roomfit.prediction.pair import (
+from roomfit.prediction.decay import (
     RELATIVE,
     PairNumbers,
+    follow_decay,
     levels_at,
     pair_numbers,
-)
-from roomfit.prediction.prediction import (
-    Predicted,
-    PredictedDecay,
-    PredictedPair,
-    PredictedValue,
-    Use,
 )
 from roomfit.scene import Scene, position_findings
 from roomfit.settings import Settings
@@ -40,8 +34,106 @@ from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedValue:
+    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
+
+    predicted: FloatArray  # at the most likely absorption
+    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
+    upper95: FloatArray
+    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
+    # part of the spread, from reflections that interfere, from the number of rays, and from the
+    # error that the model is granted
+    sd_rest: FloatArray
+    measured: FloatArray
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    jnd: FloatArray  # predicted minus measured in just noticeable differences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedDecay:
+    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
+
+    time_s: FloatArray  # (n_times,), after emission
+    predicted_db: FloatArray
+    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
+    upper_db: FloatArray
+    measured_db: FloatArray | None  # NaN beyond its usable part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedPair:
+    """What is predicted between one source and one receiver; twice where it was measured twice."""
+
+    source: str
+    receiver: str
+    use: Use | None  # of its measurement; None where there is none
+    parameters: Mapping[ValueName, PredictedValue]
+    decay: PredictedDecay
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """Predictions for a room under a given absorption."""
+
+    bands: Bands
+    materials: tuple[str, ...]
+    absorption: FloatArray  # (n_materials, n_bands), changes included, as the two bounds
+    lower95: FloatArray
+    upper95: FloatArray
+    changes: tuple[str, ...]  # in words
+    pairs: tuple[PredictedPair, ...]
+    # over the pairs, each counted once; over those measured, where some are
+    mean: Mapping[ValueName, PredictedValue]
+    findings: tuple[Finding, ...]
+    n_draws: int
+    seed: int
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return the mean over the pairs, every pair, and all findings."""
+        from roomfit.prediction.output import predict_text
+
+        return predict_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the mean over the pairs and all findings in HTML, for notebooks."""
+        from roomfit.prediction.output import predicted_html
+
+        return predicted_html(self)
+
+    def plot(self, pair: int = 0) -> Figure:
+        """Return the energy decay curves of one pair, predicted and measured, in every band.
+
+        Parameters
+        ----------
+        pair : int
+            Index into `pairs`.
+        """
+        from roomfit.prediction.output import predicted_decay_figure
+
+        return predicted_decay_figure(self, self.pairs[pair])
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.prediction.output import COLUMNS, predicted_rows
+        from roomfit.report.frames import data_frame
+
+        rows = ((*texts, *values) for texts, values in predicted_rows(self))
+        return data_frame(COLUMNS, rows, "predicted.csv")
 
 
 @one_blas_thread
@@ -99,8 +191,9 @@ def predict(
 
     Examples
     --------
-    ``roomfit.predict(scene, roomfit.read_result("result.json"))`` for the room of the result;
-    ``roomfit predict`` calls ``roomfit.predict(**roomfit.predict_arguments(campaign, result))``.
+    ``roomfit.predict(scene, roomfit.absorption_posterior(answer))`` after an identification of the
+    same room; ``roomfit.predict(**roomfit.predict_arguments(campaign, result))`` is what the
+    command line does.
     """
     began = time.perf_counter()
     settings = Settings() if settings is None else settings
