@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import write_other_box
-from roomfit.coverage.report import coverage_table, verdict
+from roomfit.coverage.output import coverage_table, verdict
 from roomfit.coverage.statistics import (
     CoverageSample,
     coverage_rows,

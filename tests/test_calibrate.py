@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -16,7 +18,9 @@ import roomfit.coverage.simulate
 import roomfit.io.campaign
 from roomfit.bands import bands_between
 from roomfit.cache import json_text
-from roomfit.coverage.calibrate import (
+from roomfit.commands import estimate_coverage_to_folder
+from roomfit.coverage.estimate import (
+    CoverageResult,
     Found,
     Replicate,
     estimate_coverage,
@@ -24,12 +28,7 @@ from roomfit.coverage.calibrate import (
     replicate_path,
     write_replicate,
 )
-from roomfit.coverage.report import (
-    coverage_json,
-    coverage_text,
-    estimate_coverage_to_folder,
-    result_text,
-)
+from roomfit.coverage.output import coverage_json
 from roomfit.coverage.simulate import (
     BOX,
     CONVEX,
@@ -49,7 +48,7 @@ from roomfit.coverage.statistics import (
     grouped_proportion,
     scaled_errors,
 )
-from roomfit.coverage.truth import (
+from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
     TabulatedPair,
@@ -441,7 +440,7 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     assert reported == json.loads(json_text(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
     assert reported["all"]["hold"]["of"] == 12
-    assert "2 of 2 replicates" in result_text(result)
+    assert "2 of 2 replicates" in str(result)
     # the same seed anywhere else; only the seconds may differ
     estimate_coverage(campaign, tmp_path / "b", replace(asked, first=1))
     again = json.loads(replicate_path(tmp_path / "b", 1).read_text())
@@ -477,14 +476,29 @@ def test_tables_alone_are_calibrated_too(tmp_path):
 
 
 def test_refused_replicates_are_counted_and_told_without_their_folder():
-    rows = coverage_rows(made(np.random.default_rng(1), 1.0, n=3))
+    found = made(np.random.default_rng(1), 1.0, n=3)
     why = "the decay is cut short\n  where   /gone/0001.wav\n  found   12 dB\n  needed  15 dB"
     for refused, said in (
         ((why,), "1 replicate was refused; the first: the decay is cut short (12 dB)"),
         (("no sound", why), "2 replicates were refused; the first: no sound"),
     ):
-        text = coverage_text(rows, 5, 5, {BOX: 5}, {}, refused)
-        assert text.splitlines()[-1] == said
+        result = CoverageResult(5, 5, refused, {BOX: 5}, {}, found, "prior")
+        assert str(result).splitlines()[-1] == said
+
+
+def test_an_estimate_of_coverage_shows_itself(monkeypatch):
+    found = made(np.random.default_rng(1), 1.0, n=20)
+    result = CoverageResult(20, 20, (), {BOX: 20}, {}, found, "prior")
+    together = coverage_rows(found)[-1]
+    share = f"{100 * together.holds.value:.0f} ("
+    assert share in str(result) and share in result._repr_html_()
+    assert len(result.plot().axes) == 2
+    monkeypatch.setitem(
+        sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: rows[: len(columns)])
+    )
+    rows = result.to_dataframe()
+    assert [row[0] for row in rows] == [500.0, 1000.0, "all"]
+    assert rows[-1][2] == together.holds.value
 
 
 def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):

@@ -48,7 +48,7 @@ from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
-from roomfit.prediction.setup import directed_as_found
+from roomfit.prediction.campaign import room_posterior
 from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
@@ -357,11 +357,11 @@ def test_the_result_tells_b_and_predicts_with_it(tmp_path: Path) -> None:
     assert np.all(np.abs(b[0] - B) <= 3.0 * sd[0])
     assert "Directivity of LS1" in (tmp_path / "out" / "report.html").read_text()
     posterior = read_result(tmp_path / "out" / "result.json")
-    directed, doubts = directed_as_found(read_campaign(asked), posterior.bands, posterior)
-    predicted = directed.directivities["LS1"]
+    known = in_the_room(read_campaign(asked), posterior)
+    predicted = known.directivities["LS1"]
     assert isinstance(predicted, FirstOrderBands)
     np.testing.assert_allclose(predicted.b, b)
-    assert not doubts
+    assert not known.findings
     length = float(np.linalg.norm(b[0]))
     known = f"directivity = {{aim = {b[0].tolist()}, b = {length}}}"
     rest = "".join(
@@ -380,21 +380,29 @@ def test_the_result_tells_b_and_predicts_with_it(tmp_path: Path) -> None:
             )
 
 
+def in_the_room(campaign: Campaign, found: AbsorptionPosterior) -> AbsorptionPosterior:
+    """Return what a result says of the materials and sources of a campaign in the same room."""
+    priors = material_priors(replace(campaign, bands=found.bands), found.materials)
+    return room_posterior(found, priors, found.bands, source_directivities(campaign, found.bands))
+
+
 def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Path) -> None:
     """The told mean where there is one; omnidirectional, with a finding, where there is none."""
-    bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((1, 2), 0.5)
-    alone = AbsorptionPosterior(("walls",), bands, half, half, half, np.zeros((2, 1, 1)))
+    bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((3, 2), 0.5)
+    alone = AbsorptionPosterior(
+        ("walls", "carpet", "tiles"), bands, half, half, half, np.zeros((2, 3, 3))
+    )
     specified = "directivity = {aim = [0, 0, 2], b = 0.5, b_sd = 0.1}"
     asked = read_campaign(campaign(tmp_path, specified, directional=False))
-    directed, doubts = directed_as_found(asked, bands, alone)
-    predicted = directed.directivities["LS1"]
+    known = in_the_room(asked, alone)
+    predicted = known.directivities["LS1"]
     assert isinstance(predicted, FirstOrderBands)
     np.testing.assert_allclose(predicted.b, [[0.0, 0.0, 0.5]] * 2)
-    assert not doubts
+    assert not known.findings
     asked = read_campaign(campaign(tmp_path, 'directivity = "fit"', directional=False))
-    directed, doubts = directed_as_found(asked, bands, alone)
-    assert directed.directivities["LS1"] == "omni"
-    assert [f.code for f in doubts] == [Code.DIRECTIVITY_NOT_KNOWN]
+    known = in_the_room(asked, alone)
+    assert "LS1" not in known.directivities
+    assert [f.code for f in known.findings] == [Code.DIRECTIVITY_NOT_KNOWN]
 
 
 def _kept_apart(text: str) -> str:

@@ -47,8 +47,8 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.coverage.report import estimate_coverage_to_folder, result_text
-    from roomfit.coverage.truth import CoverageSettings
+    from roomfit.commands import estimate_coverage_to_folder
+    from roomfit.coverage.synthetic_room import CoverageSettings
 
     settings = CoverageSettings(
         replicates=options.replicates,
@@ -63,5 +63,5 @@ def run(options: argparse.Namespace) -> None:
         result = estimate_coverage_to_folder(
             options.campaign, options.out, settings, progress=progress
         )
-    say(result_text(result))
+    say(str(result))
     say(f"\ncalibration.json, calibration.csv and calibration.png are in {options.out}")

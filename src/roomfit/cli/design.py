@@ -30,21 +30,22 @@ def add(commands: Commands) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    from roomfit.commands import criterion_of, design_to_folder
-    from roomfit.experiment_design.output import design_text
+    from roomfit.commands import design_to_folder
 
-    criterion = criterion_of(options.criterion)
+    wanted = {
+        "n_candidates": options.candidates,
+        "number": options.choose,
+        "most_sources": options.sources,
+        "criterion": options.criterion,
+    }
     with progress_line("choosing where to measure") as progress:
-        answer = design_to_folder(
+        design = design_to_folder(
             options.campaign,
             options.out,
-            candidates=options.candidates,
-            choose_n=options.choose,
-            most_sources=options.sources,
-            criterion=criterion,
+            {name: value for name, value in wanted.items() if value is not None},
             result_file=options.result,
             overwrite=options.overwrite,
             progress=progress,
         )
-    say(design_text(answer))
+    say(str(design))
     say(f"\ndesign.json, design.csv and pictures are in {options.out}")

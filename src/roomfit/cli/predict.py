@@ -38,8 +38,8 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.commands import predict_to_folder
-    from roomfit.prediction.output import predict_text
-    from roomfit.prediction.setup import pair_choice, read_change
+    from roomfit.prediction.campaign import pair_choice
+    from roomfit.prediction.changes import read_change
 
     changes = [read_change(text) for text in options.changes or []]
     pairs = pair_choice(options.pairs)
@@ -54,5 +54,5 @@ def run(options: argparse.Namespace) -> None:
             use_cache=not options.no_cache,
             progress=progress,
         )
-    say(predict_text(predicted))
+    say(str(predicted))
     say(f"\npredicted.json, predicted.csv and pictures are in {options.out}")

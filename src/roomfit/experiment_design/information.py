@@ -382,11 +382,11 @@ def _problems(
     problems: list[EnergyProblem | CoherentProblem] = []
     for f in filters:
         energies = expected_problem(
-            *(f, in_band(binned, f.centre_hz), direct_s),
-            *(
-                _absorption(expected_measurement, f.band, typical[:, f.band]),
-                expected_measurement.decay_range_db,
-            ),
+            f,
+            in_band(binned, f.centre_hz),
+            direct_s,
+            _absorption(expected_measurement, f.band, typical[:, f.band]),
+            expected_measurement.decay_range_db,
             timing_sd_s,
             periods=_PRESSURE_PERIODS if expected_measurement.coherent else _ENERGY_PERIODS,
         )
@@ -398,13 +398,15 @@ def _problems(
         )
         problems.append(
             coherent_problem(
-                *(expected_measurement.bands, f.band, energies, f.attenuation_per_m),
-                *(
-                    paths_at(images, weights, f.band),
-                    binned,
-                    _pair_geometry(expected_measurement, c),
-                ),
-                *(None, FIT_END_S),
+                expected_measurement.bands,
+                f.band,
+                energies,
+                f.attenuation_per_m,
+                paths_at(images, weights, f.band),
+                binned,
+                _pair_geometry(expected_measurement, c),
+                None,
+                FIT_END_S,
             )
         )
     return problems

@@ -13,13 +13,13 @@ from typing import Any
 
 import numpy as np
 
-from roomfit._checks import float_array
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError, located
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
+from roomfit.response.directivity import FirstOrderBands
 from roomfit.results import Answer, ComparedPair, certificate_distance
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
@@ -62,6 +62,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_logit_sd=sd,
             scattering=_read_scattering(content, table.names),
             directivities=_read_directivities(content),
+            chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=_specified(content.get("posterior", {})),
         )
 
@@ -70,25 +71,6 @@ def _specified(posterior_content: dict[str, Any]) -> BoolArray | None:
     """Return which materials' priors were specified; None of a file that does not say so."""
     flags = posterior_content.get("prior_specified")
     return None if flags is None else np.array(flags, dtype=np.bool_)
-
-
-def read_misfit(path: Path) -> FloatArray | None:
-    """Return phi of every band of a ``result.json``, None for a table without it.
-
-    Raises
-    ------
-    InputError
-        There is no such file, or phi is no list of numbers.
-    """
-    path = Path(path)
-    table = read_material_table(path)
-    if path.suffix.lower() == ".csv":
-        return None
-    misfit = json.loads(path.read_text(encoding="utf-8")).get("fit", {}).get("phi")
-    if misfit is None:
-        return None
-    with located(str(path)):
-        return float_array("fit.phi", misfit, (len(table.bands),), low=0.0)
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
@@ -103,11 +85,11 @@ def _posterior_table(posterior: Any, name: str) -> FloatArray:
         ) from error
 
 
-def _read_directivities(content: dict[str, Any]) -> dict[str, FloatArray]:
-    """Return b, shape (n_bands, 3), of every source whose directivity was fitted."""
+def _read_directivities(content: dict[str, Any]) -> dict[str, FirstOrderBands]:
+    """Return the directivity of every source for which it was fitted."""
     try:
         by_source = content.get("directivity", {})
-        return {name: np.array(one["b"], dtype=np.float64) for name, one in by_source.items()}
+        return {name: FirstOrderBands(np.array(one["b"])) for name, one in by_source.items()}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "the directivity of the result is no table of numbers",

@@ -8,11 +8,13 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit._checks import bool_array, float_array, unique_names
+from roomfit._checks import bool_array, float_array, read_only, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
+from roomfit.response.directivity import Directivity, FirstOrder, FirstOrderBands
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
@@ -33,11 +35,14 @@ class AbsorptionPosterior:
     # (n_materials, n_bands), prior of logit absorption: it gives the data's part of the covariance
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
-    scattering: FloatArray | None = None  # (n_materials, n_bands), with which absorption was found
-    # of source to vectors b, (n_bands, 3), of first-order directivities found with the absorption
-    directivities: Mapping[str, FloatArray] | None = None
+    # (n_materials, n_bands), with which absorption was found; a row of NaN where unspecified
+    scattering: FloatArray | None = None
+    # by source, those that are not omnidirectional, in these bands
+    directivities: Mapping[str, Directivity] | None = None
+    chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
     # (n_materials,), whether the prior was specified; None: unknown
     prior_specified: BoolArray | None = None
+    findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -45,12 +50,15 @@ class AbsorptionPosterior:
         for name in ("absorption", "lower95", "upper95"):
             values = float_array(name, getattr(self, name), (n, m), low=0.0, high=1.0)
             object.__setattr__(self, name, values)
-        limits = {"prior_logit_mean": -50.0, "prior_logit_sd": 0.0, "scattering": 0.0}
-        for name, low in limits.items():
+        for name, low in (("prior_logit_mean", -50.0), ("prior_logit_sd", 0.0)):
             value = getattr(self, name)
             if value is not None:
-                high = 1.0 if name == "scattering" else 50.0
-                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
+                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=50.0))
+        if self.scattering is not None:
+            object.__setattr__(self, "scattering", _scattering(self.scattering, (n, m)))
+        if self.chi2_reduced is not None:
+            misfit = float_array("reduced chi-square", self.chi2_reduced, (m,), low=0.0)
+            object.__setattr__(self, "chi2_reduced", misfit)
         if self.prior_specified is not None:
             flags = bool_array("prior_specified", self.prior_specified, (n,))
             object.__setattr__(self, "prior_specified", flags)
@@ -67,11 +75,30 @@ class AbsorptionPosterior:
                 needed="a symmetric matrix per band without negative eigenvalues",
             )
         object.__setattr__(self, "logit_covariance", covariance)
-        found = {
-            name: float_array(f"directivity of {name}", b, (m, 3), low=-1e3, high=1e3)
-            for name, b in (self.directivities or {}).items()
-        }
-        object.__setattr__(self, "directivities", MappingProxyType(found))
+        for name, directivity in (self.directivities or {}).items():
+            found = _n_bands(directivity)
+            if found not in (None, m):
+                raise InputError(
+                    f"the directivity of {name} is of other bands than the absorption",
+                    found=f"{found} bands",
+                    needed=f"{m}",
+                )
+        object.__setattr__(self, "directivities", MappingProxyType(dict(self.directivities or {})))
+
+
+def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Check coefficients; NaN, for unspecified, passes where it fills a row."""
+    unspecified = np.isnan(np.asarray(values, dtype=np.float64)).all(axis=-1, keepdims=True)
+    float_array("scattering", np.where(unspecified, 0.0, values), shape, low=0.0, high=1.0)
+    return read_only(np.array(values, dtype=np.float64))
+
+
+def _n_bands(directivity: Directivity) -> int | None:
+    if isinstance(directivity, FirstOrder):
+        return None
+    if isinstance(directivity, FirstOrderBands):
+        return len(directivity.b)
+    return len(directivity.centres_hz)
 
 
 def covariance_from_intervals(
