@@ -113,6 +113,6 @@ def test_responses_that_cannot_hear_a_wall_say_nothing_of_it(tmp_path, monkeypat
     """Of the L's end at y = 6 m only those around the corner's near side have an echo."""
     scene, responses = l_shaped_echoes(tmp_path)
     assert outline_findings(scene, responses) == ()
-    monkeypatch.setattr("roomfit.inversion.room_outline._is_met", lambda *_: True)
+    monkeypatch.setattr("roomfit.inversion.room_outline._is_reached", lambda *_: True)
     (finding,) = outline_findings(scene, responses)
     assert finding.evidence["metres_outward"] == pytest.approx(0.5, abs=0.05)
