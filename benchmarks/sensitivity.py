@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from _wrongly_told import FAULTS, Fault, true_absorption_of, write_misspecified
+from _misspecified import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
