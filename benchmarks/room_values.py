@@ -213,7 +213,8 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
 def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
-    return fit_bands(problems, case.priors, areas, Settings(), None)
+    fitted = fit_bands(problems, case.priors, areas, Settings())
+    return tuple(band.estimate for band in fitted)
 
 
 def absorption_of(answers: tuple[BandAnswer, ...]) -> np.ndarray:

@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coherent_cases import estimates_of
 from roomfit.findings import Code
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.geometry_checks import delay_findings, position_consistency_findings
@@ -76,10 +77,10 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     """
     campaign, true = box
     fit = fitted(campaign)
-    assert [a.model for a in fit.answers if a is not None] == ["coherent", "coherent"]
+    assert [a.model for a in estimates_of(fit) if a is not None] == ["coherent", "coherent"]
     assert np.all(np.diff(fit.log_likelihoods, axis=1) > 10.0)
     found, low, high = (
-        np.stack([getattr(a, name) for a in fit.answers], axis=1)
+        np.stack([getattr(a, name) for a in estimates_of(fit)], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
     assert Code.MEASUREMENT_OUTLIER not in {f.code for f in fit.findings}
@@ -88,7 +89,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     assert np.sum((true < low) | (true > high)) <= 2
     energies = fitted(campaign, model="energy")
     assert energies.geometry is None
-    plain = np.stack([a.absorption for a in energies.answers if a is not None], axis=1)
+    plain = np.stack([a.absorption for a in estimates_of(energies) if a is not None], axis=1)
     assert np.median(np.abs(plain - true)) > np.median(np.abs(found - true))
     geometry = fit.geometry
     assert geometry is not None
@@ -113,7 +114,7 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
     reported = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
     assert len(reported) == 1
     assert names[1] in reported[0]
-    found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
+    found = np.stack([a.absorption for a in estimates_of(fit) if a is not None], axis=1)
     assert np.median(np.abs(found - true)) < 0.05
 
 

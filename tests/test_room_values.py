@@ -249,7 +249,8 @@ def test_absorption_is_found_again_from_values_alone():
     problems = value_problems(
         scene, bands, priors, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
     )
-    (answer,) = fit_bands(problems, priors, np.ones(3), Settings(), None)
+    (band,) = fit_bands(problems, priors, np.ones(3), Settings())
+    answer = band.estimate
 
     assert answer.chi2_reduced < 0.1
     sd = np.sqrt(np.diag(answer.logit_covariance))

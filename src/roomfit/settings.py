@@ -44,6 +44,17 @@ class Settings:
     receiver_radius_m: float = 0.5  # of the spheres in which rays are counted
     default_scattering: float = 0.1  # scattering coefficient of walls where it is unspecified
     n_draws: int = 128  # draws of the absorption behind a prediction's intervals
+    n_random_starts: int = 3  # of energies alone: do they end in one minimum?
+    n_scattering_rays: int = 20_000  # rays a source of the trials that choose the scattering
+    # Image sources of every order are enumerated as long as they stay below these numbers a pair:
+    # where they are all there is, as in a box of smooth walls, and for pressures.
+    most_images: int = 400_000
+    most_coherent_images: int = 60_000
+    most_triangles_for_images: int = 600  # a furnished room's images end within milliseconds
+    # Pressures are added in windows that end by this time after emission; later ones add little
+    # information and need many more images.
+    coherent_until_s: float = 0.2
+    speed_of_sound_sd: float = 2e-3  # relative, where temperature_sd_c is unspecified
 
     def __post_init__(self) -> None:
         for key, value, known in (
@@ -65,6 +76,13 @@ class Settings:
             ("receiver_radius_m", 0.01, 5.0),
             ("default_scattering", 0.0, 1.0),
             ("n_draws", 2, 10**6),
+            ("n_random_starts", 0, 1000),
+            ("n_scattering_rays", 1, 10**8),
+            ("most_images", 1, 10**8),
+            ("most_coherent_images", 1, 10**8),
+            ("most_triangles_for_images", 0, 10**7),
+            ("coherent_until_s", 0.01, 10.0),
+            ("speed_of_sound_sd", 1e-6, 0.2),
             ("smoothness_per_octave", 1e-6, 1e6),
             ("temperature_sd_c", 0.0, 100.0),
         ):

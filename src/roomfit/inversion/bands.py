@@ -1,17 +1,14 @@
-"""Every band of a campaign fitted, with its intervals.
-
-Energies of a band fitted from random starts as well: do they end in one place?
-"""
+"""Bands fitted one by one, energies also from random starts: do they end in one minimum?"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate, certified_fit
+from roomfit.certified.certificate import Certificate, affordable_certificate, certified_fit
 from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import EnergyProblem
@@ -149,18 +146,35 @@ def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
 """Number of a band, its problem and its fit to the same fit, less sure."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBand:
+    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
+
+    estimate: BandAnswer
+    problem: BandProblem | None = None  # None, as the fit, where only the prior is known
+    fit: BandFit | None = None
+
+
+def refined(
+    band: FittedBand, refine: Refine | None, progress: Progress | None = None
+) -> BandAnswer:
+    """Return the estimate of a band with better intervals, where there are data and a wish."""
+    if refine is None or band.problem is None or band.fit is None:
+        return band.estimate
+    return refine(band.problem, band.fit, band.estimate, progress)
+
+
 def fit_bands(
     problems: Iterable[BandProblem | None],
     priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
     settings: Settings,
-    progress: Progress | None,
+    progress: Progress | None = None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
     shared_covariance: SharedCovariance | None = None,
-    refine: Refine | None = None,
-) -> tuple[BandAnswer, ...]:
-    """Fit one band after the other; where there is no problem, what was known is the answer.
+) -> Iterator[FittedBand]:
+    """Fit one band after the other, each when it is asked for; without a problem, take the prior.
 
     Parameters
     ----------
@@ -174,38 +188,34 @@ def fit_bands(
         Called with every band that was fitted, its problem and its fit.
     shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
-    refine : callable, optional
-        Makes better intervals while a band's problem is at hand.
     """
     method, seed = settings.method, settings.seed
     n_bands = priors[0].prior_logit_mean.size
-    answers: list[BandAnswer] = []
     for band, problem in enumerate(problems):
         if problem is None:
-            answers.append(prior_only_band(priors, band, areas_m2))
+            yield FittedBand(prior_only_band(priors, band, areas_m2))
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
+        starts: Starts | None = None
+        proof: Certificate | None = None
+        model = "energy" if problem.is_gamma().any() else "values"
         if method == "certified":
             fit, proof = certified_fit(problem, progress=done)
-            noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-            own = band_answer(problem.parameters, noisy, areas_m2, "energy")
-            own = own if refine is None else refine(problem, fit, own, None)
-            answers.append(replace(own, certificate=proof))
-            continue
-        solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
-        fit = fit_band(problem, solver, refiner, progress=done)
-        starts: Starts | None = None
-        if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
-            fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
-        if watch is not None:
-            watch(band, problem, fit)
-        model = "energy" if problem.is_gamma().any() else "values"
-        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-        own = replace(band_answer(problem.parameters, noisy, areas_m2, model), starts=starts)
+            model = "energy"
+        else:
+            solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
+            fit = fit_band(problem, solver, refiner, progress=done)
+            if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
+                fit, starts = from_random_starts(
+                    problem, fit, np.random.default_rng(seed), settings.n_random_starts
+                )
+            if watch is not None:
+                watch(band, problem, fit)
         if method == "auto":
-            own = replace(own, certificate=affordable_certificate(problem, fit.vector))
-        answers.append(own if refine is None else refine(problem, fit, own, done))
-    return tuple(answers)
+            proof = affordable_certificate(problem, fit.vector)
+        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
+        own = band_answer(problem.parameters, noisy, areas_m2, model)
+        yield FittedBand(replace(own, starts=starts, certificate=proof), problem, fit)
 
 
 def _solvers(

@@ -32,8 +32,9 @@ from roomfit.inversion.model_checks import (
     schroeder_findings,
 )
 from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
-from roomfit.inversion.solve import BandFits, solve
+from roomfit.inversion.solve import BandFits, estimate_energies, estimate_pressures
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
+from roomfit.inversion.trace_plan import is_coherent
 from roomfit.materials.priors import MaterialPrior, complete_priors, prior_logits
 from roomfit.measurement import Measurement
 from roomfit.objective.observation import (
@@ -114,7 +115,10 @@ def identify(
     priors = complete_priors(scene.room.materials, materials, bands)
     start = _eyring_start(measured)
     traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
-    fits = solve(
+    pressures = is_coherent(measured.responses, settings) and (
+        traced.far_images or settings.model == "coherent"
+    )
+    fits = (estimate_pressures if pressures else estimate_energies)(
         measured,
         priors,
         traced,

@@ -10,8 +10,14 @@ from dataclasses import dataclass, replace
 
 from roomfit.air import Air
 from roomfit.findings import Finding
-from roomfit.inversion.bands import fit_bands
-from roomfit.inversion.coherent import CoherentTask, fit_coherent
+from roomfit.inversion.bands import fit_bands, refined
+from roomfit.inversion.coherent import (
+    CoherentTask,
+    coherent_estimates,
+    decided,
+    energy_estimates,
+    fit_coherent,
+)
 from roomfit.inversion.directivity import (
     DirectivityScore,
     EnergyTask,
@@ -26,10 +32,14 @@ from roomfit.inversion.directivity import (
 from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
-from roomfit.inversion.systematics import air_error, shared_steps, with_tracing_noise
-from roomfit.inversion.trace_plan import is_coherent
+from roomfit.inversion.systematics import (
+    air_error,
+    shared_steps,
+    widened_by_neighbours,
+    with_tracing_noise,
+)
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.coherent import SPEED_SD, FittedGeometry
+from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import DirectedProblem, FittedDirectivity
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import has_data_in_band
@@ -87,12 +97,12 @@ def relative_speed_sd(air: Air, settings: Settings) -> float:
     """
     temperature_sd_c = settings.temperature_sd_c
     if temperature_sd_c is None:
-        return SPEED_SD
+        return settings.speed_of_sound_sd
     return max(0.5 * temperature_sd_c / (273.15 + air.temperature_c), 1e-6)
 
 
-def solve(
-    measurements: Measurements,
+def estimate_energies(
+    measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     traced: TracedPaths,
     start: FloatArray,
@@ -100,7 +110,7 @@ def solve(
     refine: Refine | None,
     progress: Progress | None,
 ) -> BandFits:
-    """Fit every band.
+    """Estimate the absorption of every band by window energies and room parameters.
 
     Parameters
     ----------
@@ -114,56 +124,92 @@ def solve(
     InputError
         A directivity is to be fitted where it cannot.
     """
-    scene, bands = measurements.scene, measurements.bands
-    unknown = directivity_parameters(measurements, settings)
-    tested = omnidirectional(measurements) if unknown is None else None
-    values: tuple[RoomValuesProblem | None, ...] = (None,) * len(bands)
-    if measurements.values:
-        values = value_problems(scene, bands, priors, measurements.values, traced.binned, start)
-    areas_m2 = material_areas_m2(scene.room)
-    coherent = is_coherent(measurements.responses, settings)
-    if not coherent or not (traced.far_images or settings.model == "coherent"):
-        task = EnergyTask(
-            scene, bands, priors, measurements.responses, traced.paths, traced.binned, start
-        )
-        directivities = directed_energies(task, unknown)
-        scores: dict[int, DirectivityScore] = {}
-        answers = fit_bands(
-            _joined(energy_problems(task, directivities), values),
-            priors,
-            areas_m2,
-            settings,
-            progress,
-            watch=None if tested is None else score_sources(task, tested, scores),
-            shared_covariance=shared_error_covariance(task),
-            refine=refine,
-        )
-        found = band_directivities(unknown, directivities, answers)
-        return BandFits(answers, None, source_findings(tested, scores), found)
-    coherent_task = CoherentTask(
-        scene,
-        bands,
+    scene, bands = measured.scene, measured.bands
+    unknown = directivity_parameters(measured, settings)
+    tested = omnidirectional(measured) if unknown is None else None
+    task = EnergyTask(scene, bands, priors, measured.responses, traced.paths, traced.binned, start)
+    directivities = directed_energies(task, unknown)
+    scores: dict[int, DirectivityScore] = {}
+    fitted = fit_bands(
+        _joined(
+            energy_problems(task, directivities), _value_problems(measured, priors, traced, start)
+        ),
         priors,
-        measurements.responses,
+        material_areas_m2(scene.room),
+        settings,
+        progress,
+        watch=None if tested is None else score_sources(task, tested, scores),
+        shared_covariance=shared_error_covariance(task),
+    )
+    estimates = tuple(refined(band, refine) for band in fitted)
+    found = band_directivities(unknown, directivities, estimates)
+    return BandFits(estimates, None, source_findings(tested, scores), found)
+
+
+def estimate_pressures(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+    settings: Settings,
+    refine: Refine | None,
+    progress: Progress | None,
+) -> BandFits:
+    """Estimate the absorption of every band by partly coherent image sources where they explain it.
+
+    The parameters are those of `estimate_energies`.
+    """
+    scene = measured.scene
+    unknown = directivity_parameters(measured, settings)
+    values = _value_problems(measured, priors, traced, start)
+    task = CoherentTask(
+        scene,
+        measured.bands,
+        priors,
+        measured.responses,
         start,
         CoherentOptions(
             positions="fixed" if settings.positions == "fixed" else "fit",
             delays=settings.reflection_delays,
             model="coherent" if settings.model == "coherent" else "auto",
+            end_s=settings.coherent_until_s,
             late_end_s=traced.fit_until_s,
             speed_sd=relative_speed_sd(scene.air, settings),
         ),
         tuple(() if v is None else (_sharing(v),) for v in values),
         unknown,
-        tested,
-        refine=refine,
+        omnidirectional(measured) if unknown is None else None,
     )
-    fit = fit_coherent(coherent_task, traced, part(progress, 0.0, 0.95))
-    alone = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
-    rest = fit_bands(alone, priors, areas_m2, settings, part(progress, 0.95, 1.0), refine=refine)
-    answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
-    found = band_directivities(unknown, fit.directed, answers)
-    return BandFits(answers, fit.geometry, fit.findings, found)
+    fit = fit_coherent(task, traced, part(progress, 0.0, 0.75))
+    n = len(fit.fits)
+    coherent: list[BandAnswer | None] = []
+    for i, band in enumerate(coherent_estimates(fit)):
+        done = part(progress, 0.75 + 0.2 * i / n, 0.75 + 0.2 * (i + 1) / n)
+        coherent.append(None if band is None else refined(band, refine, done))
+    areas_m2 = material_areas_m2(scene.room)
+    energy = [None if b is None else refined(b, refine) for b in energy_estimates(fit)]
+    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
+    # where no response has data, room parameters or the prior
+    alone = [None if e is not None else v for e, v in zip(chosen, values, strict=True)]
+    rest = fit_bands(alone, priors, areas_m2, settings, part(progress, 0.95, 1.0))
+    estimates = tuple(
+        refined(r, refine) if e is None else e for e, r in zip(chosen, rest, strict=True)
+    )
+    directed = tuple(None if b is None else b.directed for b in fit.state.bands)
+    found = band_directivities(unknown, directed, estimates)
+    return BandFits(estimates, fit.geometry, fit.findings, found)
+
+
+def _value_problems(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+) -> tuple[RoomValuesProblem | None, ...]:
+    scene, bands = measured.scene, measured.bands
+    if not measured.values:
+        return (None,) * len(bands)
+    return value_problems(scene, bands, priors, measured.values, traced.binned, start)
 
 
 def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:

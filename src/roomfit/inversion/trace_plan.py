@@ -56,15 +56,11 @@ def cached_trace(
     return found
 
 
-_MOST_IMAGES_PER_PAIR = 400_000
 _IMAGE_ORDER, _ANY_ORDER = 3, 1000
 # A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
 # box, where they cost little, as far as energies are compared.
 _COHERENT_UNTIL_S = 0.22
-_MOST_COHERENT_IMAGES_PER_PAIR = 60_000
 _LEAST_COHERENT_S = 0.03
-# A room of so many triangles is furnished: its images end within milliseconds of work.
-_MOST_TRIANGLES_FOR_IMAGES = 600
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,7 +136,7 @@ def plan_trace(
     images_alone = (
         scene.room.shoebox_m is not None
         and not np.any(scattering.coefficients)
-        and n_images <= _MOST_IMAGES_PER_PAIR
+        and n_images <= settings.most_images
     )
     fineness = TraceSettings(
         duration_s=duration_s,
@@ -152,7 +148,7 @@ def plan_trace(
     )
     until_s = 0.0
     if coherent and not images_alone:
-        until_s = images_until_s or _images_until_s(scene, duration_s)
+        until_s = images_until_s or _images_until_s(scene, duration_s, settings)
     if until_s > 0.0:
         fineness = replace(
             fineness,
@@ -185,14 +181,14 @@ def _few_images() -> Finding:
     )
 
 
-def _images_until_s(scene: Scene, duration_s: float) -> float:
+def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float:
     """Return how long image sources of every order can be had; 0 where it is not worth while."""
     c = speed_of_sound_m_s(scene.air)
     volume = volume_m3(scene.room.mesh)
-    affordable_s = (_MOST_COHERENT_IMAGES_PER_PAIR * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    affordable_s = (settings.most_coherent_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
     longest_s = min(duration_s, float(affordable_s))
     if scene.room.shoebox_m is None:
-        if len(scene.room.mesh.triangles) > _MOST_TRIANGLES_FOR_IMAGES:
+        if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
             return 0.0
         longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
     return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0

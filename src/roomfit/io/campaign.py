@@ -211,6 +211,13 @@ class SettingsTable(Table):
     receiver_radius_m: float | None = None
     default_scattering: float | None = None
     n_draws: int | None = None
+    n_random_starts: int | None = None
+    n_scattering_rays: int | None = None
+    most_images: int | None = None
+    most_coherent_images: int | None = None
+    most_triangles_for_images: int | None = None
+    coherent_until_s: float | None = None
+    speed_of_sound_sd: float | None = None
 
 
 class CampaignTable(Table):
