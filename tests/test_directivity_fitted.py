@@ -314,6 +314,7 @@ def test_what_cannot_be_fitted_is_refused(tmp_path: Path) -> None:
     ):
         case = case_of(tmp_path, specified, directional=False)
         path = campaign(tmp_path, specified, directional=False, more=more)
+        (tmp_path / "t.csv").write_text("source,receiver,parameter,500\nLS1,MP1,T30,0.28\n")
         with pytest.raises(InputError, match=words):
             unknown_directivities(read_campaign(path), case.scene)
     nowhere = "directivity = {aim = [0, 0, 0], b = 0.5, b_sd = 0.1}"

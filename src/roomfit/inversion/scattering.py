@@ -46,7 +46,7 @@ _MAX_SWEEPS = 2
 # More unknown coefficients than these get one value in common.
 _MAX_SEPARATE = 3
 # Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
-_FIT_RAYS, _FIT_S = 20_000, 0.3
+_FIT_S = 0.3
 
 # For unspecified coefficients: values, middle bands, rays and duration.
 _ASSUMED = (0.05, 0.2, 0.4)
@@ -250,7 +250,7 @@ def chosen_scattering(
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
         return priors, ()
-    quick = _quick(trace_settings, _FIT_RAYS, _FIT_S)
+    quick = _quick(trace_settings, settings.n_scattering_rays, _FIT_S)
     every = slice(0, len(measurements.bands))
     trial = _energy_fit(measurements, priors, settings, quick, start, every)
     if trial is None:
@@ -346,7 +346,7 @@ def scattering_checks(
         return ()
     last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)
-    quick = _quick(trace_settings, _FIT_RAYS, _TRIAL_S)
+    quick = _quick(trace_settings, settings.n_scattering_rays, _TRIAL_S)
     trial = _energy_fit(measurements, priors, settings, quick, start, chosen)
     if trial is None:
         return ()
