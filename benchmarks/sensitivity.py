@@ -74,8 +74,8 @@ def line(name: str, done: list[Outcome]) -> str:
     codes = " ".join(f"{code}:{n}" for code, n in sorted(counts.items()))
     return (
         f"{name:<24} {np.median(error):6.3f} {np.quantile(error, 0.9):6.3f} {covered.mean():6.2f}"
-        f" {np.median(high - low):6.3f} {is_identifiable.mean():6.2f} {wrong.sum():6d} {far.sum():5d}"
-        f" {np.median(np.abs(baseline - true)):6.3f}  {codes}"
+        f" {np.median(high - low):6.3f} {is_identifiable.mean():6.2f} {wrong.sum():6d}"
+        f" {far.sum():5d} {np.median(np.abs(baseline - true)):6.3f}  {codes}"
     )
 
 

@@ -27,7 +27,6 @@ from roomfit.objective.directivity import (
     DirectivityParameters,
     FittedDirectivity,
     UnknownDirectivities,
-    directed,
     directed_band,
     directivity_prior,
     vectors_of,
@@ -57,10 +56,10 @@ from roomfit.uncertainty.gaussian import BandAnswer
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
-# Gain that contradicts an omnidirectional source, for each band and in addition: a third of that by
-# chance where three windows count as one, and 9 in six bands. Six omnidirectional sources in three
-# boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5
-# one gained 4, the others 21 to 52.
+# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 9 in
+# six bands. Chance gives a third of the gain where three windows count as one. Six omnidirectional
+# sources in three boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all; of six
+# with |b| = 0.5 one gained 4, the others 21 to 52.
 _GAIN_PER_BAND, _GAIN = 0.5, 6.0
 
 DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
@@ -101,7 +100,8 @@ def directivity_score(
            Proc. Camb. Phil. Soc. 44, 50-57 (1948).
     """
     inflation = np.ones(problem.measured().size) if factor is None else factor
-    gains, steps = _second_order_gains(_with_directivity(problem, directivity, inflation), fit)
+    free = InflatedVariance(_with_directivity(problem, directivity), inflation)
+    gains, steps = _second_order_gains(free, fit)
     for s, name in enumerate(directivity.unknown.sources):
         if gains[s] > _BY_CHANCE:
             own = slice(3 * s, 3 * s + 3)
@@ -112,20 +112,13 @@ def directivity_score(
                 directivity, unknown=unknown, source=np.where(directivity.source == s, 0, -1)
             )
             plain = InflatedVariance(problem, inflation)
-            gains[s], steps[s] = _full_gain(
-                _with_directivity(problem, alone, inflation), plain, fit, steps[s]
-            )
+            free = InflatedVariance(_with_directivity(problem, alone), inflation)
+            gains[s], steps[s] = _full_gain(free, plain, fit, steps[s])
     return gains, vectors_of(directivity.unknown, steps.ravel())
 
 
-def _with_directivity(
-    problem: EnergyProblem, directivity: BandDirectivities, inflation: FloatArray
-) -> InflatedVariance:
-    """Return the problem with the directivity of some sources unknown."""
-    unknown = with_unknown(problem, directivity.unknown)
-    return InflatedVariance(
-        directed(unknown, directivity.unknown, directivity.source, directivity.departure), inflation
-    )
+def _with_directivity(problem: EnergyProblem, directivity: BandDirectivities) -> BandProblem:
+    return with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
 
 
 def _second_order_gains(free: InflatedVariance, fit: BandFit) -> tuple[FloatArray, FloatArray]:
@@ -137,12 +130,12 @@ def _second_order_gains(free: InflatedVariance, fit: BandFit) -> tuple[FloatArra
     size = len(free.parameters.blocks[-1].labels)
     found = free.predict(np.concatenate((fit.vector, np.zeros(size))))
     n_data, misfit = found.expected.size, max(fit.chi2_reduced, 1.0)
-    spread = free.correlation_length() * fit.variance[:n_data] * misfit
+    variance = free.correlation_length() * fit.variance[:n_data] * misfit
     residual = fit.measured[:n_data] - found.expected
     gains, steps = np.zeros(size // 3), np.zeros((size // 3, 3))
     for s in range(size // 3):
         own = found.jacobian[:, n + 3 * s : n + 3 * s + 3]
-        weighed = own / spread[:, None]
+        weighed = own / variance[:, None]
         # all other unknowns are at their optimum: only b has a slope there
         score = weighed.T @ residual
         cross = weighed.T @ found.jacobian[:, :n]
@@ -346,7 +339,7 @@ def directed_energies(
         directivity, fit = None, None
         if problem is not None:
             directivity = _directed_band(task, parameters, problem, band)
-            whole = _with_prior(problem, directivity)
+            whole = _with_directivity(problem, directivity)
             fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         directivities.append(directivity)
         fits.append(fit)
@@ -361,7 +354,7 @@ def energy_problems(
         if problem is None or directivity is None:
             yield problem
         else:
-            yield _with_prior(problem, directivity)
+            yield _with_directivity(problem, directivity)
 
 
 def score_sources(
@@ -382,10 +375,6 @@ def _problems(task: EnergyTask) -> Iterator[EnergyProblem | None]:
     return band_problems(
         task.scene, task.bands, task.priors, task.measured, task.binned, task.start
     )
-
-
-def _with_prior(problem: EnergyProblem, directivity: BandDirectivities) -> BandProblem:
-    return with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
 
 
 def _directed_band(
