@@ -56,8 +56,8 @@ from roomfit.uncertainty.gaussian import BandAnswer
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
-# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 9 in
-# six bands. Chance gives a third of the gain where three windows count as one. Six omnidirectional
+# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 9
+# in six bands. Chance gives a third of it where three windows count as one. Six omnidirectional
 # sources in three boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all; of six
 # with |b| = 0.5 one gained 4, the others 21 to 52.
 _GAIN_PER_BAND, _GAIN = 0.5, 6.0
@@ -164,7 +164,6 @@ def source_findings(
 
     Parameters
     ----------
-    tested_sources : DirectivityParameters or None
     scores : mapping from band to DirectivityScore
     """
     if tested_sources is None or not scores:

@@ -92,7 +92,6 @@ def schroeder_findings(bands: Bands, decay_s: FloatArray, volume_m3: float) -> t
 
     Parameters
     ----------
-    bands : Bands
     decay_s : float array, shape (n_bands,)
         Reverberation time of each band; NaN where unknown.
     volume_m3 : float
@@ -222,8 +221,6 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandAnswer]) -> tuple[s
     ----------
     method : str
         As specified: "auto", "least-squares", ...
-    bands : Bands
-    answers : sequence of BandAnswer, one a band
     """
     sentences = []
     if method == "auto":

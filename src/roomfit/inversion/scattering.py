@@ -83,7 +83,10 @@ class Retracer:
         """
         best_fraction, best = 0.0, None
         for paths, binned in self._traced:
-            if not _can_be_weighed(paths, scattering):
+            # both kinds of reflection must have been drawn wherever the coefficient is to change
+            sampled = paths.sampling_scattering
+            is_drawn = (sampled > 0.0) & (sampled < 1.0)
+            if not np.all(is_drawn | (sampled == scattering.coefficients)):
                 continue
             band = rows_for_band(binned.rows, paths, scattering)
             if band.effective_sample_fraction > best_fraction:
@@ -95,13 +98,6 @@ class Retracer:
         binned = bin_paths(self._scene, self._bands, paths, self._settings.duration_s)
         self._traced = [*self._traced, (paths, binned)][-_KEPT_TRACES:]
         return binned
-
-
-def _can_be_weighed(paths: Paths, scattering: Scattering) -> bool:
-    """Whether paths were drawn with some of both kinds of reflection wherever s is to change."""
-    sampled = paths.sampling_scattering
-    inside = (sampled > 0.0) & (sampled < 1.0)
-    return bool(np.all(inside | (sampled == scattering.coefficients)))
 
 
 def choose_scattering(
@@ -377,7 +373,10 @@ def _energy_fit(
     scene, bands = measurements.scene, measurements.bands
     own = Bands(bands.kind, bands.centres_hz[chosen])
     known = in_bands(priors, np.arange(chosen.start, chosen.stop))
-    responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in observed)
+    responses = []
+    for m in observed:
+        noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
+        responses.append(replace(m, noise=NoiseEstimate(*noise)))
     retracer = Retracer(scene, own, trace_settings)
 
     def fit(coefficients: FloatArray) -> FloatArray:
@@ -385,7 +384,7 @@ def _energy_fit(
         columns, column_of_band = np.unique(coefficients, axis=1, return_inverse=True)
         for number, column in enumerate(columns.T):
             binned = retracer.at(Scattering(scene.room.materials, column))
-            problems = band_problems(scene, own, known, responses, binned, start[chosen])
+            problems = band_problems(scene, own, known, tuple(responses), binned, start[chosen])
             for band, problem in enumerate(problems):
                 if problem is not None and column_of_band.reshape(-1)[band] == number:
                     found = fit_band(problem, gauss_newton, few_gauss_newton_steps)
@@ -394,10 +393,6 @@ def _energy_fit(
 
     default = np.full(len(priors), settings.default_scattering)
     return fit, specified_scattering(known, default, len(own))
-
-
-def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
-    return NoiseEstimate(*(getattr(noise, f.name)[chosen] for f in fields(NoiseEstimate)))
 
 
 def specified_scattering(

@@ -55,7 +55,6 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
 
     Parameters
     ----------
-    room : Room
     tolerance_m : float
         How far from the surface the image of a wall may lie.
     """
@@ -139,7 +138,7 @@ def _candidate_normals(room: Room) -> list[FloatArray]:
 
 
 def _add(directions: list[FloatArray], new: FloatArray) -> None:
-    """Append a direction unless it, or its opposite, is there."""
+    """Append a direction unless it, or its opposite, is among them."""
     known = np.array(directions).reshape(-1, 3)
     if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
         directions.append(new)
@@ -207,9 +206,6 @@ def mirror_findings(
 
     Parameters
     ----------
-    measurements : Measurements
-    bands : Bands
-    priors : tuple of MaterialPrior
     absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
     trials : sequence of tuples of MirrorTrial, one a band
         Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands whose
