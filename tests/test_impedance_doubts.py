@@ -11,8 +11,9 @@ from images_reference import l_shaped_room
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.data import Observed, level_at, model_error
+from roomfit.impedance.diagnostics import estimated_noise
 from roomfit.impedance.fit import polish
-from roomfit.impedance.identify import identify_impedance, wave_problem
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
 from roomfit.impedance.laws import absorption_normal
 from roomfit.impedance.problem import (
     Whitened,
@@ -21,7 +22,7 @@ from roomfit.impedance.problem import (
     robust_covariance,
     start_of,
 )
-from roomfit.impedance.result import estimated_noise, material_answer
+from roomfit.impedance.result import material_impedance
 from roomfit.impedance.wave_model import (
     Nuisances,
     at_rest,
@@ -34,6 +35,8 @@ from simulated_rooms.hall import hall_room
 from simulated_rooms.impedance_box import box_scene, noisy, rms_by_material, true_r0
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
+# data by the image model itself
+ROUGH = ImpedanceSettings(random_starts=0, model_error=0.02)
 TAU_S = 0.005
 F_HZ = np.arange(200.0, 801.0, 20.0)
 
@@ -97,7 +100,8 @@ def test_noise_that_nobody_told_is_found_as_a_function_of_frequency():
     truth = 0.01 * np.sqrt(np.mean(np.abs(p) ** 2)) * (F_HZ / 400.0) ** 1.66
     data = p + truth * normal_numbers(rng, p.shape)
     data[2, 15] += 0.1 * np.abs(p).max()
-    problem = wave_problem(scene, Observed(F_HZ, TAU_S, data), None, EXACT, model_error=0.002)
+    settings = ImpedanceSettings(model_error=0.002)
+    problem = wave_problem(scene, Observed(F_HZ, TAU_S, data), None, EXACT, settings)
     fit = polish(problem, start_with(problem, r0))
     found = estimated_noise(fit)
     assert found.shape == p.shape and np.ptp(found, axis=0).max() == 0.0
@@ -124,7 +128,7 @@ def test_files_that_were_cut_one_by_one_have_each_a_clock_of_their_own():
     observed = noisy(F_HZ, TAU_S, p * np.exp(-2j * np.pi * f * late_s[:, None]), 40.0, rng)
     answer = identify_impedance(
         scene, observed, None, Nuisances(0.0, 0.0, delay_sd_s=1e-4, delay="pair"),
-        rng=rng, n_random_starts=0, model_error=0.02,
+        rng=rng, settings=ROUGH,
     )  # fmt: skip
     assert answer.verdict.word == "identified"
     delays = [n for n in answer.nuisances if n.name.startswith("delay of S")]
@@ -166,7 +170,7 @@ def test_the_interval_of_absorption_holds_it_even_where_a_wall_is_nearly_matched
     """20,000 true walls about what was found: 95 % lie within, by a spread of 0.2 %."""
     rng = np.random.default_rng(9)
     spread = 0.05**2 * np.array([[[1.0, 0.3], [0.3, 0.7]]])
-    reported = material_answer("wall", "spline", np.array([size + 0.0j]), spread)
+    reported = material_impedance("wall", "spline", np.array([size + 0.0j]), spread)
     off = rng.multivariate_normal([0.0, 0.0], spread[0], size=20_000)
     true = absorption_normal(size + off[:, 0] + 1j * off[:, 1])
     low, high = reported.absorption_normal_lower95[0], reported.absorption_normal_upper95[0]
@@ -188,9 +192,7 @@ def test_spectra_of_sources_that_are_taken_for_flat_are_the_cause_that_is_named(
     rng = np.random.default_rng(6)
     scene, data, _ = coloured_data(rng)
     nuisances = Nuisances(0.0, 0.0, "pair")
-    answer = identify_impedance(
-        scene, data, None, nuisances, rng=rng, n_random_starts=0, model_error=0.02
-    )
+    answer = identify_impedance(scene, data, None, nuisances, rng=rng, settings=ROUGH)
     assert answer.verdict.word == "does not fit"
     assert answer.verdict.cause.startswith("sources whose spectra")
 
@@ -203,7 +205,7 @@ def test_files_that_were_each_made_equally_loud_tell_walls_with_spectra_unknown_
     data = Observed(F_HZ, TAU_S, data.pressure / loudest, data.noise / loudest)
     answer = identify_impedance(
         scene, data, None, Nuisances(0.0, 0.0, "pair-spectrum"),
-        rng=rng, n_random_starts=0, model_error=0.02,
+        rng=rng, settings=ROUGH,
     )  # fmt: skip
     assert answer.verdict.word == "identified"
     assert rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, F_HZ).max() <= 0.04
@@ -239,7 +241,7 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
     r0 = true_r0(Observed(f, tau_s, np.ones((1, len(f)))), room.materials)
     p = predicted_pressure(model, r0, at_rest(model))
     answer = identify_impedance(
-        scene(places), noisy(f, tau_s, p, 40.0, rng), rng=rng, n_random_starts=0
+        scene(places), noisy(f, tau_s, p, 40.0, rng), rng=rng, settings=ImpedanceSettings(0)
     )
     assert answer.verdict.word == "identified"
     # as A10 of docs/impedance.md, with a third of its data

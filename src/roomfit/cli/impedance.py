@@ -17,10 +17,9 @@ def impedance(
 ) -> None:
     """Find the acoustic impedance of a measured room's walls over frequency, with intervals."""
     from roomfit.cli.progress import progress_bar
-    from roomfit.impedance.campaign import impedance_to_folder
-    from roomfit.impedance.output import impedance_text
+    from roomfit.impedance.output import impedance_to_folder
 
     with progress_bar("identifying impedances") as progress:
-        answer = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)
-    typer.echo(impedance_text(answer))
+        result = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)
+    typer.echo(str(result))
     typer.echo(f"\nresult.json, impedance.csv and pictures are in {out}")
