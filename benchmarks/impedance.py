@@ -210,7 +210,7 @@ def a6() -> None:
     rng = np.random.default_rng(2)
     p = predicted_pressure(model, TRUE, at_rest(model))
     observed = noisy(F_HZ, TAU_S, p, 40.0, rng)
-    assert observed.noise is not None, "noisy tells it"
+    assert observed.noise is not None, "noisy specifies it"
     for name, pairs, phase in (("one pair", 1, True), ("levels", 6, False)):
         one = Observed(
             F_HZ[40:41], TAU_S,
@@ -304,13 +304,13 @@ def other_rooms(seeds: int = 40) -> None:
     )
 
 
-def hexahedron(places: FloatArray) -> Scene:
+def hexahedron(shares: FloatArray) -> Scene:
     room = room_of(slanted_cells())
     two = np.array([0, 0, 0, 0, 0, 1])  # the last wall, of wool
     room = replace(room, materials=("plaster", "wool"), surface_material=two)
     low = room.mesh.vertices_m.min(axis=0)
     size = np.ptp(room.mesh.vertices_m, axis=0)
-    at = low + places * size
+    at = low + shares * size
     sources = tuple(Point(f"S{i}", p) for i, p in enumerate(at[:2]))
     receivers = tuple(Point(f"R{i}", p) for i, p in enumerate(at[2:]))
     pairs = np.array([(0, 0), (1, 1), (0, 2), (1, 0), (0, 1), (1, 2)])

@@ -15,12 +15,13 @@ from roomfit.findings import Code
 from roomfit.impedance.campaign import (
     identify_campaign_impedance,
     impedance_arguments,
+    impedance_to_folder,
     read_spectrum,
 )
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import r0_of_impedance
-from roomfit.impedance.output import impedance_content, impedance_to_folder
+from roomfit.impedance.output import impedance_content
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from roomfit.io.campaign import read_campaign
 from roomfit.signals.response import ImpulseResponse
@@ -258,7 +259,7 @@ def test_spectra_that_do_not_belong_together_are_refused(finished, tmp_path):
         identify_campaign_impedance(read_campaign(tmp_path / "campaign.toml"))
 
 
-def test_too_few_pairs_are_told_before_any_computing(tmp_path):
+def test_too_few_pairs_are_reported_before_any_computing(tmp_path):
     """One pair at one frequency: a result all the same, with nothing but what is not known."""
     np.savez(tmp_path / "pair0.npz", f=np.array([500.0]), tau=TAU_S, p=np.ones(1, complex))
     text = campaign_text()
@@ -285,7 +286,7 @@ def pressures_of(folder, responses, more):
     return impedance_arguments(read_campaign(folder / "campaign.toml"))
 
 
-def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_tells_them(tmp_path):
+def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_them(tmp_path):
     """Files of two sources, in which emission lies 50 and 11 ms after the first sample.
 
     In one of them the direct sound is blocked, so that its own onset would be that of a reflection.

@@ -1,4 +1,4 @@
-"""How sure walls are: the model's own error, untold noise, clocks, and what is too much."""
+"""How sure walls are: the model's own error, unspecified noise, clocks, and what is too much."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def normal_numbers(rng, shape):
 
 @pytest.mark.parametrize("factor", [0.05, 0.1, 0.25])
 def test_the_error_of_the_model_is_found_from_what_a_linear_fit_leaves(factor):
-    """Rows with errors of a known size, seen through a fit that took a fifth of them away.
+    """Rows with errors of a known size, observed through a fit that took a fifth of them away.
 
     1200 rows of which 240 are fitted: the size has a spread of some 1 / sqrt(2 960) = 2.3 %, to
     which noise and the prior add; 15 % is never left by chance.
@@ -93,7 +93,7 @@ def test_where_noise_hides_the_error_of_the_model_half_of_the_allowance_is_belie
     assert marginal_likelihood_error(replace(problem, model_error=0.0), linear) == 0.0
 
 
-def test_noise_that_nobody_told_is_found_as_a_function_of_frequency():
+def test_noise_that_is_unspecified_is_found_as_a_function_of_frequency():
     """Noise that grows tenfold from 200 to 800 Hz, and one pair with a spectral line of its own."""
     rng = np.random.default_rng(4)
     scene, p, r0 = box_data()
@@ -209,13 +209,13 @@ def test_files_that_were_each_made_equally_loud_tell_walls_with_spectra_unknown_
     )  # fmt: skip
     assert answer.verdict.word == "identified"
     assert rms_by_material(np.array([m.r0 for m in answer.materials]) - r0, F_HZ).max() <= 0.04
-    # what is told to be flat is missed by far
+    # the error is not taken to be less than the median of its prior
     assert answer.model_error >= 0.01
     assert sum(n.name.startswith("gain") for n in answer.nuisances) == 6
 
 
 def test_a_room_that_is_not_convex_gives_back_its_walls():
-    """Data of paths up to 1.4 times the length that the fit takes, from places 10 mm off."""
+    """Data of paths up to 1.4 times the length that the fit takes, from positions 10 mm off."""
     rng = np.random.default_rng(8)
     shape = l_shaped_room()
     room = replace(
@@ -225,7 +225,7 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
             [int(s.name == "ceiling") for s in shape.mesh.surfaces], dtype=np.int64
         ),
     )
-    places = np.array(
+    positions_m = np.array(
         [(1.0, 1.0, 1.2), (2.2, 4.1, 1.6), (2.1, 3.2, 1.7), (4.6, 0.8, 0.9), (1.3, 2.4, 0.6)]
     )
     pairs = np.array([(0, 0), (0, 1), (1, 2), (1, 0), (0, 2)])
@@ -236,12 +236,14 @@ def test_a_room_that_is_not_convex_gives_back_its_walls():
         return Scene(room, tuple(points[:2]), tuple(points[2:]), pairs, air)
 
     f, tau_s = np.arange(300.0, 801.0, 25.0), 0.004
-    longer = wave_model(scene(places + 0.01 * rng.normal(size=places.shape)), f, 1.4 * tau_s)
+    longer = wave_model(
+        scene(positions_m + 0.01 * rng.normal(size=positions_m.shape)), f, 1.4 * tau_s
+    )
     model = replace(longer, tau_s=tau_s)
     r0 = true_r0(Observed(f, tau_s, np.ones((1, len(f)))), room.materials)
     p = predicted_pressure(model, r0, at_rest(model))
     answer = identify_impedance(
-        scene(places), noisy(f, tau_s, p, 40.0, rng), rng=rng, settings=ImpedanceSettings(0)
+        scene(positions_m), noisy(f, tau_s, p, 40.0, rng), rng=rng, settings=ImpedanceSettings(0)
     )
     assert answer.verdict.word == "identified"
     # as A10 of docs/impedance.md, with a third of its data

@@ -57,7 +57,7 @@ def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_pl
 
 
 def image_data(rng, *, walls=WALLS, snr_db=40.0, move_m=0.0, speed_m_s=343.0, n_pairs=6):
-    """Damped spectra of the same box made by the model itself at other places, and the truth."""
+    """Damped spectra of the same box by the model itself at other positions, and the true R0."""
     scene = box_scene(walls, move_m=move_m, speed_m_s=speed_m_s, rng=rng, n_pairs=n_pairs)
     model = wave_model(scene, F_HZ, TAU_S)
     empty = Observed(F_HZ, TAU_S, np.ones((n_pairs, len(F_HZ))))
@@ -128,7 +128,7 @@ def test_levels_over_a_whole_band_are_allowed_and_called_weaker():
 
 
 @pytest.mark.parametrize(("n_pairs", "phase"), [(1, True), (3, True), (6, False)])
-def test_a_single_frequency_that_cannot_tell_is_refused_before_any_computing(n_pairs, phase):
+def test_a_single_frequency_that_determines_nothing_is_refused_before_any_computing(n_pairs, phase):
     p = np.ones((n_pairs, 1), dtype=complex)
     answer = identified(
         Observed(np.array([500.0]), TAU_S, p, 0.01 * np.ones((n_pairs, 1)), phase), n_pairs=n_pairs
@@ -179,7 +179,7 @@ def test_auto_finds_the_laws_that_made_the_walls():
     assert mass[3] <= 0.297 <= mass[4]
 
 
-def test_noise_that_is_not_told_is_estimated_and_makes_the_verdict_weaker():
+def test_noise_that_is_unspecified_is_estimated_and_makes_the_verdict_weaker():
     observed, r0 = image_data(np.random.default_rng(17))
     answer = identified(Observed(F_HZ, TAU_S, observed.pressure), nuisances=EXACT)
     assert answer.verdict.weaker

@@ -160,7 +160,7 @@ def hexahedron_scene(move=None):
     return Scene(room, (Point("s", at[0]),), (Point("r", at[1]),), np.array([[0, 0]]), air)
 
 
-def test_moved_paths_are_those_found_at_the_moved_places():
+def test_moved_paths_are_those_found_at_the_moved_positions():
     """In a slanted room, by unfolded normals; plane against spherical in numpy and scipy."""
     f = np.array([150.0, 400.0])
     move = np.array([[1e-3, -2e-3, 1.5e-3], [-1e-3, 2e-3, 1e-3]])

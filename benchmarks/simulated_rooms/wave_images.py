@@ -91,7 +91,7 @@ def spherical_wave(
     length_m: FloatArray,
     wavenumber_per_m: ComplexArray | None,
 ) -> ComplexArray:
-    """Return ``R + (1 - R) F(w)`` by the error function of scipy, or R where no wavenumber is told.
+    """Return ``R + (1 - R) F(w)`` by the error function of scipy, or R without a wavenumber.
 
     Written for ``exp(-j w t)``, hence the conjugates; see
     `roomfit.impedance.wave_kernels`.

@@ -17,7 +17,7 @@ def impedance(
 ) -> None:
     """Find the acoustic impedance of a measured room's walls over frequency, with intervals."""
     from roomfit.cli.progress import progress_bar
-    from roomfit.impedance.output import impedance_to_folder
+    from roomfit.impedance.campaign import impedance_to_folder
 
     with progress_bar("identifying impedances") as progress:
         result = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)

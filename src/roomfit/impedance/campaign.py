@@ -16,6 +16,7 @@ import numpy as np
 
 from roomfit._checks import nearest
 from roomfit.air import speed_of_sound_m_s
+from roomfit.cache import check_output_folder
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import refuse
@@ -25,14 +26,14 @@ from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import LAWS, Parameter
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import GainMode, Nuisances
-from roomfit.io.campaign import Campaign, MaterialTable
+from roomfit.io.campaign import Campaign, MaterialTable, input_files, read_campaign
 from roomfit.io.measurements import from_emission
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
 from roomfit.measurement import LATENCY_SD_S, MeasuredFile, MeasuredSpectrum
 from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset
-from roomfit.typing import ComplexArray, FloatArray, Progress
+from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
 _KELVIN = 293.15
 
@@ -119,6 +120,31 @@ def identify_campaign_impedance(
     )
     findings = (*given.findings, *result.findings)
     return replace(result, findings=findings, seed=campaign.seed)
+
+
+def impedance_to_folder(
+    campaign_file: Path,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ImpedanceResult:
+    """Identify impedances and write result.json, impedance.csv and pictures into a folder.
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, a file or the output folder is not as needed.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.impedance.output import write_impedance
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file)
+    result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
+    write_impedance(out, result, input_files(campaign), overwrite=overwrite)
+    return result
 
 
 def impedance_arguments(campaign: Campaign) -> ImpedanceArguments:

@@ -9,25 +9,24 @@ from collections.abc import Iterable, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure, FigureBase
 
 from roomfit.cache import (
-    check_output_folder,
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.impedance.campaign import identify_campaign_impedance
-from roomfit.impedance.result import COLUMNS, ImpedanceResult, MaterialImpedance, column
-from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure, png
-from roomfit.typing import ComplexArray, FloatArray, Progress, part
+from roomfit.typing import ComplexArray, FloatArray
+
+if TYPE_CHECKING:
+    from roomfit.impedance.result import ImpedanceResult, MaterialImpedance
 
 # What the command writes, and so may remove when it writes over an earlier result.
 OWN_FILES = ("result.json", "impedance.csv", "impedance_*.png", "spectra_[0-9]*.png")
@@ -35,44 +34,41 @@ _PAIRS_A_PICTURE = 6
 _MOST_PICTURES = 6
 
 
-def impedance_to_folder(
-    campaign_file: Path,
-    out: Path,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> ImpedanceResult:
-    """Identify impedances and write result.json, impedance.csv and pictures into a folder.
+def write_impedance(
+    out: Path, result: ImpedanceResult, inputs: Iterable[Path], *, overwrite: bool = False
+) -> None:
+    """Write result.json, impedance.csv and pictures into a folder, all of it or nothing.
 
-    Nothing is written before everything is known, and then all of it or nothing.
+    Parameters
+    ----------
+    out : Path
+    result : ImpedanceResult
+    inputs : iterable of Path
+        Files whose digests result.json shall name.
+    overwrite : bool
+        Write into a folder that is not empty, after removing an earlier result.
 
     Raises
     ------
     InputError
-        Something in the campaign, the room, a file or the output folder is not as needed.
+        The folder is not empty, and `overwrite` is false.
     StoreError
         The disk refuses.
     """
-    check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file)
-    result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite, own=OWN_FILES) as folder:
-        _write(folder, result, input_files(campaign))
-    return result
-
-
-def _write(folder: Path, result: ImpedanceResult, inputs: Iterable[Path]) -> None:
-    write_text_atomically(folder / "impedance.csv", _csv(result))
-    write_json_atomically(folder / "result.json", impedance_content(result, inputs))
-    for material in result.materials:
-        # without what a path gives a meaning to
-        name = "".join(c if c.isalnum() or c in "-_." else "_" for c in material.name)[:60]
-        picture = png(walls_figure(result, [material]))
-        write_bytes_atomically(folder / f"impedance_{name}.png", picture)
-    firsts = range(0, len(result.pairs) if result.evaluations else 0, _PAIRS_A_PICTURE)
-    for number, first in enumerate(firsts[:_MOST_PICTURES], start=1):
-        own = range(len(result.pairs))[first : first + _PAIRS_A_PICTURE]
-        write_bytes_atomically(folder / f"spectra_{number}.png", png(spectra_figure(result, own)))
+        write_text_atomically(folder / "impedance.csv", _csv(result))
+        write_json_atomically(folder / "result.json", impedance_content(result, inputs))
+        for material in result.materials:
+            # without what a path gives a meaning to
+            name = "".join(c if c.isalnum() or c in "-_." else "_" for c in material.name)[:60]
+            picture = png(walls_figure(result, [material]))
+            write_bytes_atomically(folder / f"impedance_{name}.png", picture)
+        firsts = range(0, len(result.pairs) if result.evaluations else 0, _PAIRS_A_PICTURE)
+        for number, first in enumerate(firsts[:_MOST_PICTURES], start=1):
+            own = range(len(result.pairs))[first : first + _PAIRS_A_PICTURE]
+            write_bytes_atomically(
+                folder / f"spectra_{number}.png", png(spectra_figure(result, own))
+            )
 
 
 def impedance_content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[str, Any]:
@@ -111,8 +107,7 @@ def impedance_content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[s
 
 def _material(result: ImpedanceResult, material: MaterialImpedance) -> dict[str, Any]:
     content: dict[str, Any] = {"frequency_hz": numbers(result.frequency_hz), "model": material.kind}
-    for name in COLUMNS:
-        content[name] = numbers_or_null(column(material, name))
+    content |= {name: numbers_or_null(values) for name, values in material.columns().items()}
     content["identified"] = [bool(b) for b in material.identified]
     content["parameters"] = {
         p.name: {"unit": p.unit, "value": p.value, "lower95": p.lower95, "upper95": p.upper95}
@@ -143,9 +138,9 @@ def _csv(result: ImpedanceResult) -> str:
     """Return one row a material and frequency; cells of Z are empty where it is not shown."""
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["material", "frequency_hz", *COLUMNS, "identified"])
+    writer.writerow(["material", "frequency_hz", *result.materials[0].columns(), "identified"])
     for material in result.materials:
-        columns = [column(material, name) for name in COLUMNS]
+        columns = material.columns().values()
         for j, frequency in enumerate(result.frequency_hz):
             cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
             identified = "true" if material.identified[j] else "false"
@@ -167,7 +162,7 @@ def walls_figure(result: ImpedanceResult, materials: Sequence[MaterialImpedance]
 
 
 def _draw_wall(figure: FigureBase, result: ImpedanceResult, material: MaterialImpedance) -> None:
-    f, panels = result.frequency_hz, figure.subplots(2, 2, sharex=True)
+    f, columns, panels = result.frequency_hz, material.columns(), figure.subplots(2, 2, sharex=True)
     (size, angle), (absorption, z) = panels
     # |R0| has the interval of 1 - |R0|**2
     lower = np.sqrt(1.0 - material.absorption_normal_upper95)
@@ -188,7 +183,7 @@ def _draw_wall(figure: FigureBase, result: ImpedanceResult, material: MaterialIm
         (z, "z_real", "real part", OKABE_ITO[0]),
         (z, "z_imag", "imaginary part", OKABE_ITO[1]),
     ):
-        limits = [column(material, name + end) for end in ("", "_lower95", "_upper95")]
+        limits = [columns[name + end] for end in ("", "_lower95", "_upper95")]
         _band(axes, f, limits, colour, label)
     absorption.set_ylabel("absorption coefficient")
     absorption.set_ylim(-0.02, 1.02)

@@ -29,12 +29,17 @@ _STEP = 1e-6
 # Of a table of a material in text.
 _ROWS = 8
 
-_QUANTITIES = (
-    "r0_real", "r0_imag", "absorption_normal", "absorption_random",
-    "admittance_real", "admittance_imag", "z_real", "z_imag",
-)  # fmt: skip
-COLUMNS = tuple(name + end for name in _QUANTITIES for end in ("", "_lower95", "_upper95"))
-"""Columns of a material over frequency in result.json, impedance.csv and data frames."""
+# Name of a column, field of `MaterialImpedance`, part of the complex number.
+_COLUMNS = (
+    ("r0_real", "r0", "real"),
+    ("r0_imag", "r0", "imag"),
+    ("absorption_normal", "absorption_normal", "real"),
+    ("absorption_random", "absorption_random", "real"),
+    ("admittance_real", "admittance", "real"),
+    ("admittance_imag", "admittance", "imag"),
+    ("z_real", "impedance", "real"),
+    ("z_imag", "impedance", "imag"),
+)
 
 
 class LawParameter(NamedTuple):
@@ -83,15 +88,13 @@ class MaterialImpedance:
             if isinstance(value, np.ndarray):
                 read_only(value)
 
-
-def column(material: MaterialImpedance, name: str) -> FloatArray:
-    """Return one of the `COLUMNS` of a material, shape (n_frequencies,)."""
-    for axis in ("real", "imag"):
-        field, found, end = name.partition(f"_{axis}")
-        if found:
-            values = getattr(material, {"z": "impedance"}.get(field, field) + end)
-            return np.asarray(getattr(values, axis))
-    return np.asarray(getattr(material, name))
+    def columns(self) -> dict[str, FloatArray]:
+        """Return all quantities in real numbers by their names in result.json and impedance.csv."""
+        return {
+            name + end: np.asarray(getattr(getattr(self, field + end), part))
+            for name, field, part in _COLUMNS
+            for end in ("", "_lower95", "_upper95")
+        }
 
 
 Word = Literal["identified", "not identifiable", "does not fit"]
@@ -235,7 +238,7 @@ class ImpedanceResult:
                 {
                     "material": m.name,
                     "frequency_hz": self.frequency_hz,
-                    **{name: column(m, name) for name in COLUMNS},
+                    **m.columns(),
                     "identified": m.identified,
                 }
             )
