@@ -453,19 +453,15 @@ def _wall_model(table: MaterialTable) -> WallModel:
                 found=repr(name),
                 needed=f'r0 for impedance = "{kind}": a number, or [real, imaginary]',
             )
-        start = _start_r0(value)
+        parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
+        if len(parts) != 2:
+            raise InputError(
+                "r0 of impedance_start is not a complex number",
+                found=repr(value),
+                needed="a number, or [real, imaginary]",
+            )
+        start = complex(*parts)
     return WallModel(kind, start)
-
-
-def _start_r0(value: float | list[float]) -> complex:
-    parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
-    if len(parts) != 2:
-        raise InputError(
-            "r0 of impedance_start is not a complex number",
-            found=repr(value),
-            needed="a number, or [real, imaginary]",
-        )
-    return complex(*parts)
 
 
 def _parameter(

@@ -17,7 +17,12 @@ from scipy.linalg import cho_factor, cho_solve
 from roomfit._checks import read_only
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import mean_free_path_m
-from roomfit.impedance.data import MODEL_ERROR, Observed, standard_deviation
+from roomfit.impedance.data import (
+    MODEL_ERROR,
+    Observed,
+    complex_frequency_hz,
+    standard_deviation,
+)
 from roomfit.impedance.laws import Curve
 from roomfit.impedance.wave_model import (
     Gradients,
@@ -176,8 +181,7 @@ def source_number(pairs: IntArray) -> IntArray:
 
 def by_delay(problem: Problem) -> ComplexArray:
     """Return the derivative of the logarithm of a pressure by a delay in its own unit."""
-    model = problem.model
-    f = model.frequency_hz - 0.5j / (math.pi * model.tau_s)
+    f = complex_frequency_hz(problem.observed)
     return np.asarray(-2j * np.pi * f * problem.nuisances.delay_sd_s)
 
 
@@ -236,15 +240,10 @@ def _cost(problem: Problem, fit: Whitened, share: float) -> float:
     gained = float(slope @ np.linalg.solve(changed, slope))
     squares = float(weight @ fit.residual**2) - gained
     prior = (math.log(share / _MEDIAN) / _LOG_SD) ** 2
-    return _free_share(problem) * float(np.sum(np.log(variance))) + float(size) + squares + prior
-
-
-def _free_share(problem: Problem) -> float:
-    """Return the share of the rows that unknown spectra of sources leave."""
-    if not has_free_spectra(problem.nuisances):
-        return 1.0
+    # of the rows, unknown spectra of sources leave a share
     pairs = problem.model.scene.pairs
-    return 1.0 - len(np.unique(pairs[:, 0])) / len(pairs)
+    taken = len(np.unique(pairs[:, 0])) / len(pairs) if has_free_spectra(problem.nuisances) else 0.0
+    return (1.0 - taken) * float(np.sum(np.log(variance))) + float(size) + squares + prior
 
 
 def _relative_variance(problem: Problem, factor: float) -> FloatArray:
