@@ -225,5 +225,9 @@ def test_a_model_for_a_wall_that_is_not_there_is_refused():
         )
     with pytest.raises(InputError, match="more than it receives"):
         WallModel("spline", start_r0=0.9 + 0.9j)
+    with pytest.raises(InputError, match="random_starts is out of range"):
+        ImpedanceSettings(random_starts=-1)
+    with pytest.raises(InputError, match="model_error is out of range"):
+        ImpedanceSettings(model_error=float("nan"))
     with pytest.raises(InputError, match="pressures and model disagree"):
         identify_impedance(box_scene(n_pairs=3), observed, rng=np.random.default_rng(1))

@@ -118,23 +118,24 @@ def fit_with_other_rays(
 
 def summarise(fits: Sequence[IndependentFit]) -> tuple[IndependentRow, ...]:
     """Return one row for every number of pairs, materials and rays."""
-    keys = sorted({(fit.pairs, fit.materials, fit.rays) for fit in fits})
-    return tuple(_row([f for f in fits if (f.pairs, f.materials, f.rays) == key]) for key in keys)
-
-
-def _row(fits: Sequence[IndependentFit]) -> IndependentRow:
-    off = np.array([fit.off for fit in fits])
-    largest = np.max(np.abs(off), axis=1)
-    return IndependentRow(
-        fits[0].rays,
-        fits[0].materials,
-        fits[0].pairs,
-        len(fits),
-        float(np.median([fit.paths for fit in fits])),
-        float(np.sqrt(np.mean(off**2))),
-        float(np.median(largest)),
-        float(np.max(largest)),
-    )
+    rows = []
+    for pairs, materials, rays in sorted({(fit.pairs, fit.materials, fit.rays) for fit in fits}):
+        own = [f for f in fits if (f.pairs, f.materials, f.rays) == (pairs, materials, rays)]
+        off = np.array([fit.off for fit in own])
+        largest = np.max(np.abs(off), axis=1)
+        rows.append(
+            IndependentRow(
+                rays=rays,
+                materials=materials,
+                pairs=pairs,
+                repeats=len(own),
+                median_paths=float(np.median([fit.paths for fit in own])),
+                rms_error=float(np.sqrt(np.mean(off**2))),
+                median_largest_error=float(np.median(largest)),
+                worst_error=float(np.max(largest)),
+            )
+        )
+    return tuple(rows)
 
 
 def _rows(paths: Paths, division: Division, pairs: int) -> EnergyRows:

@@ -211,14 +211,10 @@ def _annealing_and_simplex(problem: PaperProblem, rng: np.random.Generator) -> F
     return anneal(partial(error, problem.squares), problem.true_absorption.size, rng)
 
 
-def _simplex(problem: PaperProblem, rng: np.random.Generator) -> Fit:
+def _simplex(
+    problem: PaperProblem, rng: np.random.Generator, settings: SimplexSettings | None = None
+) -> Fit:
     first = random_simplex(problem.true_absorption.size, rng)
-    return downhill_simplex(partial(error, problem.squares), first)
-
-
-def _simplex_as_printed(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    first = random_simplex(problem.true_absorption.size, rng)
-    settings = SimplexSettings(order="as-printed")
     return downhill_simplex(partial(error, problem.squares), first, settings)
 
 
@@ -248,7 +244,9 @@ METHODS: Mapping[str, Method] = MappingProxyType(
         "annealing+simplex": Method(_annealing_and_simplex, "annealing + simplex", "annealing"),
         "simplex": Method(_simplex, "simplex", "simplex"),
         "simplex-as-printed": Method(
-            _simplex_as_printed, "simplex, order as printed", "as printed"
+            partial(_simplex, settings=SimplexSettings(order="as-printed")),
+            "simplex, order as printed",
+            "as printed",
         ),
         "least-squares": Method(_least_squares, "least squares", "least squares"),
         "least-squares-one-random-start": Method(
