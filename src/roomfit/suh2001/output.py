@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
+from importlib.metadata import version
 from pathlib import Path
 from typing import Any, TypeAlias
 
@@ -17,7 +18,6 @@ from matplotlib.figure import Figure
 from matplotlib.layout_engine import ConstrainedLayoutEngine
 from matplotlib.ticker import LogFormatterSciNotation, MultipleLocator
 
-import roomfit
 from roomfit.cache import (
     check_output_folder,
     whole_output_folder,
@@ -85,7 +85,7 @@ def paper_json(result: PaperResult) -> dict[str, Any]:
     return {
         "format": "roomfit-paper",
         "format_version": 1,
-        "roomfit": roomfit.__version__,
+        "roomfit": version("roomfit"),
         "room": RECONSTRUCTED,
         "rays": N_RAYS,
         "seeds": result.seeds,
