@@ -22,12 +22,12 @@ PLACES = 8  # two sources, six receivers
 
 
 class Case(NamedTuple):
-    """A room as it was told, the measurement, and the truth.
+    """A room as specified, the measurement, and the truth.
 
     Attributes
     ----------
     scene : Scene
-        With the positions and the speed of sound that are told: wrong by `move_m` and `speed`.
+        With the specified positions and speed of sound: wrong by `move_m` and `speed`.
     observed : Observed
     r0 : complex array, shape (n_materials, n_frequencies)
     kinds : tuple of str
@@ -73,9 +73,9 @@ def random_wall(f: ComplexArray, rng: np.random.Generator) -> tuple[str, Complex
     return name, r0_of_impedance(z)
 
 
-def _apart(places: FloatArray, sides: FloatArray, pairs: FloatArray) -> bool:
+def _apart(positions_m: FloatArray, sides: FloatArray, pairs: FloatArray) -> bool:
     """Whether every pair stands far enough apart for a sum of modes."""
-    steps = np.abs(places[pairs[:, 0]] - places[2 + pairs[:, 1]])
+    steps = np.abs(positions_m[pairs[:, 0]] - positions_m[2 + pairs[:, 1]])
     near = np.linalg.norm(steps, axis=1).min()
     return bool(near > 0.8 and steps.max(axis=1).min() > 0.12 * sides.max())
 
@@ -96,22 +96,22 @@ def random_case(seed: int, n_materials: int | None = None, n_pairs: int | None =
     f = complex_frequency_hz(Observed(F_HZ, TAU_S, np.ones((1, len(F_HZ)), dtype=complex)))
     walls = {m: random_wall(f, rng) for m in sorted(set(names))}
     pairs = np.array([(0, 0), (1, 1), (0, 2), (1, 3), (0, 4), (1, 5)][:pairs_wanted])
-    places = rng.uniform(0.1, 0.9, size=(PLACES, 3)) * sides
-    while not _apart(places, sides, pairs):
-        places = rng.uniform(0.1, 0.9, size=(PLACES, 3)) * sides
+    positions_m = rng.uniform(0.1, 0.9, size=(PLACES, 3)) * sides
+    while not _apart(positions_m, sides, pairs):
+        positions_m = rng.uniform(0.1, 0.9, size=(PLACES, 3)) * sides
     own = np.array([walls[m][1] for m in names])
     lengths = (float(sides[0]), float(sides[1]), float(sides[2]))
     field = exact_box_pressure(
         lengths,
         np.asarray((1.0 - own) / (1.0 + own)),
         damped_wavenumber_per_m(F_HZ, TAU_S, SPEED_M_S),
-        places[pairs[:, 0]],
-        places[2 + pairs[:, 1]],
+        positions_m[pairs[:, 0]],
+        positions_m[2 + pairs[:, 1]],
     )
     snr_db = float(rng.choice([20.0, 40.0]))
     move_m, speed = (0.01, 0.003 * rng.choice([-1.0, 1.0])) if rng.random() < 0.5 else (0.0, 0.0)
     room = room_from_mesh(shoebox_mesh(lengths), dict(zip(SURFACES, names, strict=True)), lengths)
-    specified = places + rng.normal(size=places.shape) * move_m
+    specified = positions_m + rng.normal(size=positions_m.shape) * move_m
     points = [Point(f"P{i}", p) for i, p in enumerate(specified)]
     air = Air(speed_of_sound_m_s=SPEED_M_S * (1.0 + speed), attenuation="none")
     scene = Scene(room, tuple(points[:2]), tuple(points[2:]), pairs, air)

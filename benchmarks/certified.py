@@ -25,11 +25,10 @@ from roomfit.suh2001.room import (
     arrivals_ms,
     division_rows,
     error,
-    ill_defined_edges_s,
-    paper_edges_s,
     paper_scene,
     squares_problem,
     trace_paper_room,
+    whole_windows_s,
     window_energies,
 )
 from roomfit.tracing.paths import Paths
@@ -47,9 +46,9 @@ def problem_of(
     own: Paths, other: Paths, division: Division, window_ms: int, case: int = _CASE
 ) -> SquaresProblem:
     """Return the model of one trace with the data of another."""
-    edges = ill_defined_edges_s(0)
+    edges = whole_windows_s(0, 50)
     if window_ms == 5:
-        edges = paper_edges_s(arrivals_ms(own, case)[1])
+        edges = whole_windows_s(arrivals_ms(own, case)[1], 5)
     truth = np.array(division.true_absorption)
     measured = window_energies(division_rows(other, case, edges, division), truth)
     return squares_problem(division_rows(own, case, edges, division), measured)

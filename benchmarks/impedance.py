@@ -18,7 +18,7 @@ from _impedance_rooms import random_case
 from roomfit.air import Air
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import continuation, distance, distinct, multistart, polish
-from roomfit.impedance.identify import identify_impedance, wave_problem
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wave_problem
 from roomfit.impedance.laws import (
     absorption_normal,
     impedance_of_r0,
@@ -28,7 +28,7 @@ from roomfit.impedance.laws import (
 )
 from roomfit.impedance.problem import layout_of, start_of
 from roomfit.impedance.problem import r0_of as r0_matrix
-from roomfit.impedance.result import ImpedanceAnswer
+from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import (
     Nuisances,
     State,
@@ -76,7 +76,7 @@ def exact() -> ComplexArray:
 FIELD = exact()
 
 
-def found(answer: ImpedanceAnswer) -> ComplexArray:
+def found(answer: ImpedanceResult) -> ComplexArray:
     return np.array([m.r0 for m in answer.materials])
 
 
@@ -87,10 +87,10 @@ def fit(
     starts: int = 0,
     *,
     spherical: bool = True,
-) -> ImpedanceAnswer:
+) -> ImpedanceResult:
     return identify_impedance(
         scene, observed, None, nuisances,
-        rng=np.random.default_rng(1), n_random_starts=starts, spherical=spherical,
+        rng=np.random.default_rng(1), settings=ImpedanceSettings(starts, spherical),
     )  # fmt: skip
 
 
@@ -98,7 +98,7 @@ def formatted(values: FloatArray, digits: int = 4) -> str:
     return " / ".join(f"{v:.{digits}f}" for v in np.atleast_1d(values))
 
 
-def errors(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) -> str:
+def errors(answer: ImpedanceResult, true: ComplexArray, f: FloatArray = F_HZ) -> str:
     r0 = found(answer)
     absorbed = rms_by_material(absorption_normal(r0) - absorption_normal(true), f)
     z = impedance_of_r0(true)
@@ -129,7 +129,7 @@ def a2() -> None:
         print("A2", "spherical" if spherical else "plane", errors(answer, TRUE))
 
 
-def inside(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) -> FloatArray:
+def inside(answer: ImpedanceResult, true: ComplexArray, f: FloatArray = F_HZ) -> FloatArray:
     """Share of frequencies above 200 Hz whose intervals hold the truth: real, imaginary, alpha."""
     own = f > 200.0
     rows = []
@@ -149,7 +149,7 @@ def inside(answer: ImpedanceAnswer, true: ComplexArray, f: FloatArray = F_HZ) ->
 
 
 @cache
-def seeds_at(snr_db: float, seed: int) -> ImpedanceAnswer:
+def seeds_at(snr_db: float, seed: int) -> ImpedanceResult:
     observed = noisy(F_HZ, TAU_S, FIELD, snr_db, np.random.default_rng(seed))
     return fit(observed, box_scene(), EXACT)
 
@@ -210,7 +210,7 @@ def a6() -> None:
     rng = np.random.default_rng(2)
     p = predicted_pressure(model, TRUE, at_rest(model))
     observed = noisy(F_HZ, TAU_S, p, 40.0, rng)
-    assert observed.noise is not None, "noisy tells it"
+    assert observed.noise is not None, "noisy specifies it"
     for name, pairs, phase in (("one pair", 1, True), ("levels", 6, False)):
         one = Observed(
             F_HZ[40:41], TAU_S,
@@ -304,13 +304,13 @@ def other_rooms(seeds: int = 40) -> None:
     )
 
 
-def hexahedron(places: FloatArray) -> Scene:
+def hexahedron(shares: FloatArray) -> Scene:
     room = room_of(slanted_cells())
     two = np.array([0, 0, 0, 0, 0, 1])  # the last wall, of wool
     room = replace(room, materials=("plaster", "wool"), surface_material=two)
     low = room.mesh.vertices_m.min(axis=0)
     size = np.ptp(room.mesh.vertices_m, axis=0)
-    at = low + places * size
+    at = low + shares * size
     sources = tuple(Point(f"S{i}", p) for i, p in enumerate(at[:2]))
     receivers = tuple(Point(f"R{i}", p) for i, p in enumerate(at[2:]))
     pairs = np.array([(0, 0), (1, 1), (0, 2), (1, 0), (0, 1), (1, 2)])
@@ -384,7 +384,8 @@ def the_papers_way(seeds: int = 15) -> None:
         )
     observed = Observed(F_HZ[[at]], TAU_S, data, np.full(data.shape, 1e-4 * np.sqrt(scale / 6)))
     began = time.perf_counter()
-    x = wave_problem(box_scene(), observed, None, EXACT, spherical=False, model_error=0.0)
+    settings = ImpedanceSettings(spherical=False, model_error=0.0)
+    x = wave_problem(box_scene(), observed, None, EXACT, settings)
     x = replace(x, model=model)
     start, _, n_evaluations = continuation(x, start_of(x))
     off = np.abs(r0_matrix(x, layout_of(x), start) - true).max()

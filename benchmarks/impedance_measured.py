@@ -15,12 +15,11 @@ from pathlib import Path
 import numpy as np
 
 from measured_rooms import DELFT_SHIFT_M, bras_campaign, dechorate_campaign, delft_campaign
-from roomfit.impedance.campaign import campaign_pressures, identify_campaign_impedance
+from roomfit.impedance.campaign import identify_campaign_impedance, impedance_arguments
 from roomfit.impedance.identify import wave_problem
 from roomfit.impedance.problem import source_spectra
 from roomfit.impedance.wave_model import at_rest, predicted_pressure
 from roomfit.io.campaign import read_campaign
-from roomfit.io.rooms import read_room
 
 TAU_S = 0.012
 _ALTERNATIONS = 30
@@ -31,11 +30,9 @@ def left_over(campaign_file: Path, r0: float) -> float:
 
     The spectrum of the source and a gain of each pair are fitted in turn.
     """
-    campaign = read_campaign(campaign_file)
-    room, _ = read_room(campaign.room)
-    measured = campaign_pressures(campaign, room)
+    measured = impedance_arguments(read_campaign(campaign_file))
     problem = wave_problem(measured.scene, measured.observed, None, measured.nuisances)
-    walls = np.full((len(room.materials), len(measured.observed.frequency_hz)), r0, dtype=complex)
+    walls = np.full((len(measured.walls), len(measured.observed.frequency_hz)), r0, dtype=complex)
     p = predicted_pressure(problem.model, walls, at_rest(problem.model), spherical=False)
     d = measured.observed.pressure
     own = np.ones((len(d), 1), dtype=complex)

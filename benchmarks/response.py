@@ -29,11 +29,11 @@ from roomfit.suh2001.room import (
     SPEED_OF_SOUND_M_S,
     TRUE_ABSORPTION,
     arrivals_ms,
-    paper_edges_s,
     paper_scene,
     residuals,
     squares_problem,
     trace_paper_room,
+    whole_windows_s,
 )
 from roomfit.tracing.image_sources import trace_images
 
@@ -118,7 +118,7 @@ def paper_evaluation() -> None:
     scene = two_material_scene()
     paths = trace_paper_room(scene)
     _, first_reflection_ms = arrivals_ms(paths, 0)
-    rows = energy_rows(paths, 0, paper_edges_s(first_reflection_ms), SPEED_OF_SOUND_M_S)
+    rows = energy_rows(paths, 0, whole_windows_s(first_reflection_ms, 5), SPEED_OF_SOUND_M_S)
     truth = np.array(TRUE_ABSORPTION)
     measured = weigh(rows, truth[:, None], np.zeros(1)).energy[0]
     problem = squares_problem(rows, measured)

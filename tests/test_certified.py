@@ -23,13 +23,13 @@ from roomfit.suh2001.room import (
     DIVISIONS,
     SquaresProblem,
     division_rows,
-    ill_defined_edges_s,
     paper_problem,
     paper_scene,
     residuals,
     squares_problem,
     trace_paper_room,
     walls_apart_problem,
+    whole_windows_s,
     window_energies,
 )
 from roomfit.suh2001.searches import fit_least_squares
@@ -365,7 +365,7 @@ def test_answers_far_apart_are_two_clusters(paths: Paths) -> None:
     truth = np.array([0.20, 0.65, 0.35, 0.50])
     other = trace_paper_room(paper_scene(), 18_000, "sobol", 5)
     own_rows, other_rows = (
-        division_rows(p, 1, ill_defined_edges_s(0), DIVISIONS[4]) for p in (paths, other)
+        division_rows(p, 1, whole_windows_s(0, 50), DIVISIONS[4]) for p in (paths, other)
     )
     problem = squares_problem(own_rows, window_energies(other_rows, truth))
     found = certify(squares_global_problem(problem), SearchSettings(1e-6, width=0.05))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import re
+import sys
 
 import numpy as np
 import pytest
@@ -12,17 +13,17 @@ import soundfile
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.impedance.campaign import (
-    campaign_pressures,
     identify_campaign_impedance,
+    impedance_arguments,
     impedance_to_folder,
+    read_spectrum,
 )
-from roomfit.impedance.data import Observed, damped_noise, damped_spectrum, read_spectrum
-from roomfit.impedance.identify import identify_impedance
+from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import r0_of_impedance
-from roomfit.impedance.output import impedance_text
+from roomfit.impedance.output import impedance_content
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from roomfit.io.campaign import read_campaign
-from roomfit.io.rooms import read_room
 from roomfit.signals.response import ImpulseResponse
 from simulated_rooms.impedance_box import PAIRS, RECEIVERS_M, SOURCES_M, box_scene, noisy, true_r0
 
@@ -95,19 +96,17 @@ def test_a_campaign_of_spectra_gives_walls_files_and_pictures(finished):
     assert pictures == [
         "impedance_plaster.png", "impedance_slots.png", "impedance_wool.png", "spectra_1.png"
     ]  # fmt: skip
-    text = impedance_text(answer)
+    text = str(answer)
     assert text.startswith("Identified") and "wool (spline)" in text
 
 
 def test_the_same_by_hand_in_python_is_the_same(finished):
     """The command adds nothing to `identify_impedance` but reading and writing."""
     folder, answer, _ = finished
-    campaign = read_campaign(folder / "campaign.toml")
-    room, _ = read_room(campaign.room)
-    read = campaign_pressures(campaign, room)
+    read = impedance_arguments(read_campaign(folder / "campaign.toml"))
     other = identify_impedance(
         box_scene(), read.observed, None, Nuisances(speed_sd=0.0), rng=np.random.default_rng(1),
-        n_random_starts=1,
+        settings=ImpedanceSettings(random_starts=1),
     )  # fmt: skip
     for mine, theirs in zip(answer.materials, other.materials, strict=True):
         np.testing.assert_array_equal(mine.r0, theirs.r0)
@@ -209,7 +208,7 @@ def spectrum_file(folder, **changed):
         ({"p": np.ones(len(F_HZ))}, "without phase"),
         ({"p": np.full(len(F_HZ), np.nan + 0j)}, "not finite"),
         ({"p": np.zeros(len(F_HZ), complex)}, "0 everywhere"),
-        ({"noise": np.ones(2)}, "disagree"),
+        ({"noise": np.ones(2)}, "wrong shape"),
         ({"noise": -1.0}, "out of range"),
         ({"tau": -1.0}, "out of range"),
     ],
@@ -232,7 +231,7 @@ def test_levels_are_read_as_such(tmp_path):
 @pytest.mark.parametrize(
     ("more", "words"),
     [
-        ("[materials.wool.impedance_start]\nr0 = 1.2\n", "more than it gets"),
+        ("[materials.wool.impedance_start]\nr0 = 1.2\n", "more than it receives"),
         ("[materials.wool.impedance_start]\nr1 = 0.2\n", "unknown key of impedance_start"),
         ('[materials.wool]\nimpedance = "miki"\nimpedance_start = {thickness = 0.1}\n',
          "thickness_m"),
@@ -260,7 +259,7 @@ def test_spectra_that_do_not_belong_together_are_refused(finished, tmp_path):
         identify_campaign_impedance(read_campaign(tmp_path / "campaign.toml"))
 
 
-def test_too_few_pairs_are_told_before_any_computing(tmp_path):
+def test_too_few_pairs_are_reported_before_any_computing(tmp_path):
     """One pair at one frequency: a result all the same, with nothing but what is not known."""
     np.savez(tmp_path / "pair0.npz", f=np.array([500.0]), tau=TAU_S, p=np.ones(1, complex))
     text = campaign_text()
@@ -272,8 +271,8 @@ def test_too_few_pairs_are_told_before_any_computing(tmp_path):
     assert [f["code"] for f in content["findings"]] == ["too-few-data"]
     assert content["materials"]["wool"]["z_real"] == [None]
     assert content["fit"]["chi2"] is None
-    assert content["materials"]["wool"]["identified"] == [False]
-    assert "Not identifiable" in impedance_text(answer)
+    assert impedance_content(answer, ())["materials"]["wool"]["identified"] == [False]
+    assert "Not identifiable" in str(answer)
 
 
 def pressures_of(folder, responses, more):
@@ -284,12 +283,10 @@ def pressures_of(folder, responses, more):
     text = text[: [m.start() for m in re.finditer(r"\[\[measurements\]\]", text)][len(responses)]]
     grid = "[impedance]\nfrom_hz = 200\nto_hz = 800\nstep_hz = 20\ntau_s = 0.006\n"
     (folder / "campaign.toml").write_text(text + grid)
-    campaign = read_campaign(folder / "campaign.toml")
-    room, _ = read_room(campaign.room)
-    return campaign_pressures(campaign, room)
+    return impedance_arguments(read_campaign(folder / "campaign.toml"))
 
 
-def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_tells_them(tmp_path):
+def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_them(tmp_path):
     """Files of two sources, in which emission lies 50 and 11 ms after the first sample.
 
     In one of them the direct sound is blocked, so that its own onset would be that of a reflection.
@@ -319,3 +316,31 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_tells_them(tm
     without = pressures_of(tmp_path, late, 'level = "absolute"\n')
     assert without.nuisances.gain == "known" and without.nuisances.delay_sd_s == 2e-5
     assert [f.code for f in without.findings] == [Code.TIME_ZERO_MISMATCH] * 5
+
+
+def test_a_result_shows_itself_as_text_table_and_figure(finished):
+    _, answer, _ = finished
+    shown = answer._repr_html_()
+    assert shown.count("<table>") == 3 and "<caption>wool (spline)</caption>" in shown
+    assert answer.verdict.sentence in shown
+    # two by two panels a material
+    assert len(answer.plot("wool").subfigs[0].axes) == 4
+    assert len(answer.plot().subfigs) == 3
+    with pytest.raises(InputError, match="did you mean 'wool'"):
+        answer.plot("wol")
+
+
+def test_a_data_frame_without_pandas_says_what_to_install(finished, monkeypatch):
+    _, answer, _ = finished
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        answer.to_dataframe()
+
+
+def test_a_data_frame_has_the_columns_and_rows_of_the_table(finished):
+    pandas = pytest.importorskip("pandas")
+    folder, answer, _ = finished
+    table = pandas.read_csv(folder / "out" / "impedance.csv")
+    frame = answer.to_dataframe()
+    assert list(frame.columns) == list(table.columns)
+    pandas.testing.assert_frame_equal(frame, table, rtol=1e-5)

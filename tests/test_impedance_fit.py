@@ -10,7 +10,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.impedance.data import Observed, complex_frequency_hz
 from roomfit.impedance.fit import WallModel
-from roomfit.impedance.identify import identify_impedance
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
 from simulated_rooms.impedance_box import WALLS, box_scene, noisy, rms_by_material, true_r0
@@ -38,7 +38,7 @@ def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_pl
     def errors(spherical):
         answer = identify_impedance(
             scene, observed, None, EXACT, rng=np.random.default_rng(1),
-            spherical=spherical, n_random_starts=0,
+            settings=ImpedanceSettings(0, spherical),
         )  # fmt: skip
         found = found_r0(answer)
         off = rms_by_material(found - r0, f)
@@ -57,7 +57,7 @@ def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_pl
 
 
 def image_data(rng, *, walls=WALLS, snr_db=40.0, move_m=0.0, speed_m_s=343.0, n_pairs=6):
-    """Damped spectra of the same box made by the model itself at other places, and the truth."""
+    """Damped spectra of the same box by the model itself at other positions, and the true R0."""
     scene = box_scene(walls, move_m=move_m, speed_m_s=speed_m_s, rng=rng, n_pairs=n_pairs)
     model = wave_model(scene, F_HZ, TAU_S)
     empty = Observed(F_HZ, TAU_S, np.ones((n_pairs, len(F_HZ))))
@@ -65,10 +65,10 @@ def image_data(rng, *, walls=WALLS, snr_db=40.0, move_m=0.0, speed_m_s=343.0, n_
     return noisy(F_HZ, TAU_S, predicted_pressure(model, r0, at_rest(model)), snr_db, rng), r0
 
 
-def identified(observed, *, walls=WALLS, n_pairs=6, **more):
+def identified(observed, *, walls=WALLS, n_pairs=6, random_starts=1, spherical=True, **more):
     return identify_impedance(
         box_scene(walls, n_pairs=n_pairs), observed, rng=np.random.default_rng(2),
-        n_random_starts=more.pop("n_random_starts", 1), model_error=0.02, **more,
+        settings=ImpedanceSettings(random_starts, spherical, model_error=0.02), **more,
     )  # fmt: skip
 
 
@@ -128,7 +128,7 @@ def test_levels_over_a_whole_band_are_allowed_and_called_weaker():
 
 
 @pytest.mark.parametrize(("n_pairs", "phase"), [(1, True), (3, True), (6, False)])
-def test_a_single_frequency_that_cannot_tell_is_refused_before_any_computing(n_pairs, phase):
+def test_a_single_frequency_that_determines_nothing_is_refused_before_any_computing(n_pairs, phase):
     p = np.ones((n_pairs, 1), dtype=complex)
     answer = identified(
         Observed(np.array([500.0]), TAU_S, p, 0.01 * np.ones((n_pairs, 1)), phase), n_pairs=n_pairs
@@ -154,13 +154,13 @@ def test_walls_in_which_sound_runs_along_do_not_fit():
     walls["wool"] = bulk_reacting(f, 5e3, 0.1, 343.0)
     p = image_pressure(model, walls, at_rest(model))
     observed = noisy(F_HZ, TAU_S, p, 40.0, np.random.default_rng(15))
-    answer = identified(observed, nuisances=EXACT, spherical=False, n_random_starts=0)
+    answer = identified(observed, nuisances=EXACT, spherical=False, random_starts=0)
     assert answer.verdict.word == "does not fit"
     assert "locally" in answer.verdict.cause
     walls["wool"] = locally_reacting(z[scene.room.materials.index("wool")])
     p = image_pressure(model, walls, at_rest(model))
     observed = noisy(F_HZ, TAU_S, p, 40.0, np.random.default_rng(15))
-    other = identified(observed, nuisances=EXACT, spherical=False, n_random_starts=0)
+    other = identified(observed, nuisances=EXACT, spherical=False, random_starts=0)
     assert other.verdict.word == "identified"
 
 
@@ -169,7 +169,7 @@ def test_auto_finds_the_laws_that_made_the_walls():
     wanted = {"wool": WallModel("auto"), "slots": WallModel("resonator")}
     answer = identify_impedance(
         box_scene(), observed, wanted, EXACT, rng=np.random.default_rng(3),
-        n_random_starts=0, model_error=0.02,
+        settings=ImpedanceSettings(0, model_error=0.02),
     )  # fmt: skip
     kinds = {m.name: m.kind for m in answer.materials}
     assert kinds == {"slots": "resonator", "plaster": "spline", "wool": "miki"}
@@ -179,7 +179,7 @@ def test_auto_finds_the_laws_that_made_the_walls():
     assert mass[3] <= 0.297 <= mass[4]
 
 
-def test_noise_that_is_not_told_is_estimated_and_makes_the_verdict_weaker():
+def test_noise_that_is_unspecified_is_estimated_and_makes_the_verdict_weaker():
     observed, r0 = image_data(np.random.default_rng(17))
     answer = identified(Observed(F_HZ, TAU_S, observed.pressure), nuisances=EXACT)
     assert answer.verdict.weaker
@@ -211,9 +211,8 @@ def test_few_frequencies_and_a_wall_that_does_not_change_with_them_are_enough():
     r0 = np.tile(np.array([0.5 - 0.2j, 0.95, 0.3 + 0.3j])[:, None], (1, 5))
     observed = noisy(f, TAU_S, predicted_pressure(model, r0, at_rest(model)), 40.0, rng)
     walls = {name: WallModel("constant") for name in scene.room.materials}
-    answer = identify_impedance(
-        scene, observed, walls, EXACT, rng=rng, n_random_starts=1, model_error=0.02
-    )
+    settings = ImpedanceSettings(1, model_error=0.02)
+    answer = identify_impedance(scene, observed, walls, EXACT, rng=rng, settings=settings)
     assert answer.verdict.word == "identified"
     assert rms_by_material(found_r0(answer) - r0, f).max() <= 0.01
 
@@ -224,7 +223,11 @@ def test_a_model_for_a_wall_that_is_not_there_is_refused():
         identify_impedance(
             box_scene(n_pairs=2), observed, {"wod": WallModel()}, rng=np.random.default_rng(1)
         )
-    with pytest.raises(InputError, match="more than it gets"):
+    with pytest.raises(InputError, match="more than it receives"):
         WallModel("spline", start_r0=0.9 + 0.9j)
+    with pytest.raises(InputError, match="random_starts is out of range"):
+        ImpedanceSettings(random_starts=-1)
+    with pytest.raises(InputError, match="model_error is out of range"):
+        ImpedanceSettings(model_error=float("nan"))
     with pytest.raises(InputError, match="pressures and model disagree"):
         identify_impedance(box_scene(n_pairs=3), observed, rng=np.random.default_rng(1))

@@ -22,14 +22,12 @@ from roomfit.impedance.laws import (
     spline,
 )
 from roomfit.impedance.problem import Problem, data_rows, layout_of, prior_rows, start_of
+from roomfit.impedance.wave_kernels import boundary_loss, reflect
 from roomfit.impedance.wave_model import (
     Nuisances,
     State,
     at_rest,
-    boundary_loss,
-    plane_reflection,
     predicted_pressure,
-    spherical_reflection,
     wave_model,
     wavenumber_per_m,
 )
@@ -49,11 +47,19 @@ from simulated_rooms.polyhedral_rooms import room_of, slanted_cells
 from simulated_rooms.wave_images import image_pressure, locally_reacting
 
 
+def plane_reflection(r0, cosine):
+    """Return the reflection of plane waves by the compiled kernel."""
+    r0, out = np.asarray(r0, dtype=np.complex128), np.empty(len(r0), dtype=np.complex128)
+    reflect(r0, r0, cosine, r0, 1.0, False, out)
+    return out
+
+
 def test_a_passive_wall_gives_back_no_more_than_it_gets_at_any_angle():
     rng = np.random.default_rng(1)
-    radius, phase, cosine = rng.random((3, 100_000))  # as many as it takes to meet grazing ones
+    radius, phase = rng.random((2, 100))
     r0 = np.sqrt(radius) * np.exp(2j * np.pi * phase)
-    sizes = [abs(plane_reflection(complex(r), c)[0]) for r, c in zip(r0, cosine, strict=True)]
+    # as many angles as it takes to meet grazing ones
+    sizes = [np.abs(plane_reflection(r0, cosine)).max() for cosine in rng.random(1000)]
     # two divisions and two products of numbers of size 1
     assert max(sizes) <= 1.0 + 1e-14
 
@@ -62,7 +68,7 @@ def test_reflection_in_r0_is_that_of_the_impedance():
     z = np.array([0.3 + 2j, 70 - 30j, 1.0, 5 - 1j])
     for cosine in (0.0, 0.2, 1.0):
         expected = (z * cosine - 1.0) / (z * cosine + 1.0)
-        found = [plane_reflection(complex(r), cosine)[0] for r in r0_of_impedance(z)]
+        found = plane_reflection(r0_of_impedance(z), cosine)
         np.testing.assert_allclose(found, expected, atol=1e-14)
     np.testing.assert_allclose(impedance_of_r0(r0_of_impedance(z)), z, rtol=1e-12)
 
@@ -154,7 +160,7 @@ def hexahedron_scene(move=None):
     return Scene(room, (Point("s", at[0]),), (Point("r", at[1]),), np.array([[0, 0]]), air)
 
 
-def test_moved_paths_are_those_found_at_the_moved_places():
+def test_moved_paths_are_those_found_at_the_moved_positions():
     """In a slanted room, by unfolded normals; plane against spherical in numpy and scipy."""
     f = np.array([150.0, 400.0])
     move = np.array([[1e-3, -2e-3, 1.5e-3], [-1e-3, 2e-3, 1e-3]])
@@ -254,9 +260,6 @@ def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
         r0 = r0_of_impedance(z)
         found = predicted_pressure(model, r0, at_rest(model), spherical=wave is not None)
         np.testing.assert_allclose(found, expected, atol=1e-6 * np.abs(expected).max())
-    one = spherical_reflection(complex(r0_of_impedance(z)[0, 0]), 0.3, complex(2.5 * k[0]))
-    there = locally_reacting(z[0], k)(np.array([0.3]), np.array([2.5]))[0, 0]
-    assert one == pytest.approx(there, rel=1e-6)
 
 
 @pytest.mark.parametrize(
@@ -265,8 +268,8 @@ def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
         (lambda: Observed(np.array([2.0, 1.0]), 0.01, np.ones((1, 2))), "out of order"),
         (lambda: Observed(np.array([1.0, 2.0]), 0.01, np.ones((1, 3))), "disagree"),
         (lambda: Observed(np.array([1.0, 2.0]), 0.0, np.ones((1, 2))), "time constant"),
-        (lambda: Observed(np.array([1.0]), 0.01, np.array([[np.nan]])), "disagree"),
-        (lambda: spline(np.arange(100.0, 300.0, 10.0), 1.2), "more than it gets"),
+        (lambda: Observed(np.array([1.0]), 0.01, np.array([[np.nan]])), "not finite"),
+        (lambda: spline(np.arange(100.0, 300.0, 10.0), 1.2), "more than it receives"),
         (lambda: Nuisances(gain="loud"), "unknown kind of gain"),
         (lambda: Nuisances(position_sd_m=2.0), "out of range"),
     ],

@@ -95,7 +95,7 @@ def test_other_rays_bring_errors_that_fall_with_their_number(content: dict[str, 
 
 
 @pytest.mark.slow
-def test_the_two_answers_of_the_walls_taken_apart_are_told(content: dict[str, Any]) -> None:
+def test_the_two_answers_of_the_walls_taken_apart_are_reported(content: dict[str, Any]) -> None:
     """South and north exchanged, both without error."""
     first, second = (a["absorption"] for a in content["walls_apart"]["answers"])
     assert content["walls_apart"]["materials"][3:] == ["south", "north"]
@@ -186,7 +186,7 @@ def test_a_record_shows_the_worst_seed_and_counts_only_what_is_within_0_005(
 
 
 @pytest.mark.slow
-def test_a_failing_task_is_heard_of_and_the_rest_dropped() -> None:
+def test_a_failing_task_is_reported_and_the_rest_dropped() -> None:
     """The error itself comes through, from a process as well."""
     with pytest.raises(InputError, match="trace setting"), worker_pool(2) as pool:
         in_pool(pool, [partial(measurement_part, -1, 0)])
@@ -195,7 +195,7 @@ def test_a_failing_task_is_heard_of_and_the_rest_dropped() -> None:
 
 
 def test_the_same_rays_find_the_truth_and_others_do_not() -> None:
-    """A model of 3,000 rays against the mean of two other traces: off, and by how much is told."""
+    """A model of 3,000 rays against the mean of two other traces: off, by a reported amount."""
     parts = [measurement_part(4_096, seed) for seed in (1, 2)]
     measurement = mean_measurement(parts)
     for key, energies in measurement.items():
@@ -227,9 +227,9 @@ def test_every_problem_of_the_paper_is_certified(content: dict[str, Any]) -> Non
         found = proven[name]
         assert found["status"] == "certified"
         truth = np.array(wanted.true_absorption)
-        held = [
+        covered = [
             np.all((np.array(c["lower"]) <= truth) & (truth <= np.array(c["upper"])))
             for c in found["clusters"]
         ]
-        assert any(held)
+        assert any(covered)
     assert len(proven["walls_apart"]["clusters"]) == 2

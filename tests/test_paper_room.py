@@ -30,12 +30,12 @@ from roomfit.suh2001.room import (
     grouped_rows,
     in_unit,
     joined_rows,
-    paper_edges_s,
     paper_scene,
     residuals,
     squares_problem,
     trace_paper_room,
     walls_apart_problem,
+    whole_windows_s,
     window_energies,
 )
 from roomfit.suh2001.searches import fit_least_squares
@@ -146,7 +146,7 @@ def test_the_derivative_of_the_residuals_is_their_slope(
 
 def test_merging_equal_rows_and_grouping_walls_change_no_energy(paths: dict[str, Paths]) -> None:
     """Seven planes with the absorption of their groups against the groups themselves."""
-    rows = energy_rows(paths["paper"], 2, paper_edges_s(22), 341.0)
+    rows = energy_rows(paths["paper"], 2, whole_windows_s(22, 5), 341.0)
     for division in (*DIVISIONS.values(), WALLS_APART):
         truth = np.array(division.true_absorption)
         grouped = grouped_rows(rows, division.materials, np.array(division.group))

@@ -29,8 +29,8 @@ if TYPE_CHECKING:
     from roomfit.impedance.campaign import identify_campaign_impedance
     from roomfit.impedance.data import Observed
     from roomfit.impedance.fit import WallModel
-    from roomfit.impedance.identify import identify_impedance
-    from roomfit.impedance.result import ImpedanceAnswer
+    from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
+    from roomfit.impedance.result import ImpedanceResult
     from roomfit.impedance.wave_model import Nuisances
     from roomfit.inversion.identify import identify
     from roomfit.io.campaign import Campaign, read_campaign
@@ -98,9 +98,10 @@ _HOME = {
     "PolygonSpec": "io.rooms.model",
     "RoomSpec": "io.rooms.model",
     "Finding": "findings",
-    "ImpedanceAnswer": "impedance.result",
+    "ImpedanceResult": "impedance.result",
     "WallModel": "impedance.fit",
     "identify_impedance": "impedance.identify",
+    "ImpedanceSettings": "impedance.identify",
     "Nuisances": "impedance.wave_model",
     "Observed": "impedance.data",
     "catalogue": "materials.catalogue",

@@ -19,11 +19,10 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.impedance.campaign import impedance_to_folder
-    from roomfit.impedance.output import impedance_text
 
     with progress_line("identifying impedances") as progress:
-        answer = impedance_to_folder(
+        result = impedance_to_folder(
             options.campaign, options.out, overwrite=options.overwrite, progress=progress
         )
-    say(impedance_text(answer))
+    say(str(result))
     say(f"\nresult.json, impedance.csv and pictures are in {options.out}")

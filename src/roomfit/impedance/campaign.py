@@ -1,40 +1,32 @@
-"""Measured pressures of a campaign behind one exponential window, pair by pair.
+"""From a campaign file to the arguments of `identify_impedance`: scene, spectra, walls, nuisances.
 
-Use case: the impedances of a measured room's walls.
-
-Impulse responses of a campaign on the clock of emission, and their damped spectra.
-
-What a campaign file says of the impedance of walls.
+Impulse responses are set to the time of emission, multiplied by an exponential window and
+transformed; damped spectra (NumPy archives) are taken as they are.
 """
 
 from __future__ import annotations
 
+import zipfile
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
 from roomfit._checks import nearest
 from roomfit.air import speed_of_sound_m_s
-from roomfit.cache import check_output_folder, whole_output_folder, write_bytes_atomically
-from roomfit.errors import InputError, located
+from roomfit.cache import check_output_folder
+from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import refuse
-from roomfit.impedance.data import (
-    DampedSpectrum,
-    Observed,
-    damped_noise,
-    damped_spectrum,
-    read_spectrum,
-)
+from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
 from roomfit.impedance.fit import WallModel
-from roomfit.impedance.identify import identify_impedance
+from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import LAWS, Parameter
-from roomfit.impedance.output import write_impedance
-from roomfit.impedance.result import ImpedanceAnswer
+from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import GainMode, Nuisances
+from roomfit.inversion.measurements import from_emission
 from roomfit.io.campaign import (
     Campaign,
     MaterialTable,
@@ -43,77 +35,13 @@ from roomfit.io.campaign import (
     input_files,
     read_campaign,
 )
-from roomfit.io.measurements import from_emission
-from roomfit.io.responses import read_response
+from roomfit.io.measurements import read_file
 from roomfit.io.rooms import read_room
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
-
-class DampedResponses(NamedTuple):
-    """Spectra of impulse responses behind an exponential window.
-
-    Attributes
-    ----------
-    pressure : tuple of complex arrays, shape (n_frequencies,)
-        One a file.
-    noise : tuple of float arrays or None
-        rms by the silent end of each file; None where a file has none.
-    findings : tuple of Finding
-    """
-
-    pressure: tuple[ComplexArray, ...]
-    noise: tuple[FloatArray | None, ...]
-    findings: tuple[Finding, ...]
-
-
-def damped_responses(
-    scene: Scene, files: Sequence[MeasuredFile], frequency_hz: FloatArray, tau_s: float
-) -> DampedResponses:
-    """Read responses, put them on the clock of emission, and return their damped spectra.
-
-    Parameters
-    ----------
-    scene : Scene
-        Its first pairs are those of the files, in their order.
-    files : sequence of MeasuredFile
-    frequency_hz : float array, shape (n_frequencies,)
-    tau_s : float
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, holds no direct sound, or ends before the window does.
-    """
-    speed = speed_of_sound_m_s(scene.air)
-    travel_s = [float(d) / speed for d in distances_m(scene)[: len(files)]]
-    findings: list[Finding] = []
-    raw = []
-    for file in files:
-        response, doubts = read_response(file.response)
-        raw.append(response)
-        findings += doubts
-    pressure, noise = [], []
-    for file, response, direct_s in zip(
-        files, from_emission(files, raw, travel_s), travel_s, strict=True
-    ):
-        where = str(file.response.path)
-        check_travel(response, direct_s, where)
-        if file.response.time_zero == "emission":
-            onset_s = find_onset(response, where)
-            name = f"{file.source} to {file.receiver} ({file.response.path.name})"
-            rate_hz = response.sampling_rate_hz
-            findings += compare_onset(onset_s, direct_s, speed, name, rate_hz)
-        with located(where):
-            pressure.append(damped_spectrum(response, frequency_hz, tau_s, direct_s))
-        noise.append(damped_noise(response, frequency_hz, tau_s, direct_s))
-    return DampedResponses(tuple(pressure), tuple(noise), tuple(findings))
-
-
-DEFAULT_IMPEDANCE_POSITION_SD_M = 0.01
-DEFAULT_SPEED_SD = 0.01
 _KELVIN = 293.15
 
 # A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
@@ -131,24 +59,112 @@ _GAINS: dict[str | None, GainMode] = {
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CampaignPressures:
-    """The pairs of a campaign that are fitted, their pressures, and what may be wrong with them."""
+class ImpedanceArguments:
+    """The arguments of `identify_impedance` that a campaign gives, and doubts about its files."""
 
     scene: Scene
     observed: Observed
+    walls: dict[str, WallModel]
     nuisances: Nuisances
-    findings: tuple[Finding, ...]
+    settings: ImpedanceSettings
+    findings: tuple[Finding, ...]  # of the room and the files
 
 
-def campaign_pressures(campaign: Campaign, room: Room) -> CampaignPressures:
-    """Read everything that is to be fitted.
+def identify_campaign_impedance(
+    campaign: Campaign, *, progress: Progress | None = None
+) -> ImpedanceResult:
+    """Return the impedance of every material of a campaign's room.
+
+    The same as `impedance_arguments`, then `roomfit.identify_impedance` with the campaign's seed.
+    What is marked for validation is not read.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        From `roomfit.read_campaign`; its table ``[impedance]`` says what is fitted.
+    progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
 
     Raises
     ------
     InputError
-        Nothing that tells of phases or levels, positions that cannot be, files that cannot be read
-        or do not belong together, or a pair that was measured twice.
+        Something in the campaign, the room or a file is not as needed.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> from roomfit.io.campaign import read_campaign
+    >>> text = '''
+    ... [room]
+    ... shoebox = [5, 4, 3]
+    ... [sources.S]
+    ... position = [1.2, 1.1, 1.3]
+    ... [receivers.R]
+    ... position = [3.7, 2.8, 2.1]
+    ... [[measurements]]
+    ... source = "S"
+    ... receiver = "R"
+    ... spectrum = "pair.npz"
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     np.savez(file.with_name("pair.npz"), f=[500.0], tau=0.01, p=[0.1 - 0.2j])
+    ...     result = identify_campaign_impedance(read_campaign(file))
+    >>> result.verdict.sentence
+    'Not identifiable: too few data.'
     """
+    given = impedance_arguments(campaign)
+    result = identify_impedance(
+        given.scene,
+        given.observed,
+        given.walls,
+        given.nuisances,
+        rng=np.random.default_rng(campaign.settings.seed),
+        settings=given.settings,
+        progress=progress,
+    )
+    findings = (*given.findings, *result.findings)
+    return replace(result, findings=findings, seed=campaign.settings.seed)
+
+
+def impedance_to_folder(
+    campaign_file: Path,
+    out: Path,
+    *,
+    overwrite: bool = False,
+    progress: Progress | None = None,
+) -> ImpedanceResult:
+    """Identify impedances and write result.json, impedance.csv and pictures into a folder.
+
+    Raises
+    ------
+    InputError
+        Something in the campaign, the room, a file or the output folder is not as needed.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.impedance.output import write_impedance
+
+    check_output_folder(out, overwrite=overwrite)
+    campaign = read_campaign(campaign_file)
+    result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
+    write_impedance(out, result, input_files(campaign), overwrite=overwrite)
+    return result
+
+
+def impedance_arguments(campaign: Campaign) -> ImpedanceArguments:
+    """Read the room and everything that is to be fitted.
+
+    Raises
+    ------
+    InputError
+        No pressures, positions that cannot be, files that cannot be read or do not belong together,
+        a pair that was measured twice, a directional source, or a wall model that is none.
+    """
+    room, room_findings = read_room(campaign.room)
+    walls = _wall_models(campaign, room.materials)
     files = [m for m in campaign.measurements if m.use == "fit"]
     spectra = [s for s in campaign.spectra if s.use == "fit"]
     if not files and not spectra:
@@ -156,18 +172,16 @@ def campaign_pressures(campaign: Campaign, room: Room) -> CampaignPressures:
             "the campaign holds no pressures",
             where=str(campaign.path),
             needed="impulse responses (file) or damped spectra (spectrum)",
-            hint="room parameters tell no impedance",
+            hint="room parameters do not determine impedances",
         )
     scene = _scene(campaign, room, [*files, *spectra])
-    _refuse_directivity(campaign, scene)
     read = [read_spectrum(s.path) for s in spectra]
     frequency_hz, tau_s = _grid(campaign, spectra, read)
-    damped = damped_responses(scene, files, frequency_hz, tau_s)
-    pressure, noise = list(damped.pressure), list(damped.noise)
+    pressure, noise, findings = _damped_responses(scene, files, frequency_hz, tau_s)
     for one in read:
         own = (one.frequency_hz >= frequency_hz[0]) & (one.frequency_hz <= frequency_hz[-1])
-        pressure.append(one.pressure[own])
-        noise.append(None if one.noise is None else one.noise[own])
+        pressure.append(one.pressure[0, own])
+        noise.append(None if one.noise is None else one.noise[0, own])
     known = [n for n in noise if n is not None]
     observed = Observed(
         frequency_hz,
@@ -176,7 +190,14 @@ def campaign_pressures(campaign: Campaign, room: Room) -> CampaignPressures:
         np.array(known) if len(known) == len(noise) else None,
         all(one.has_phase for one in read),
     )
-    return CampaignPressures(scene, observed, _nuisances(campaign, files, spectra), damped.findings)
+    return ImpedanceArguments(
+        scene=scene,
+        observed=observed,
+        walls=walls,
+        nuisances=_nuisances(campaign, files, spectra),
+        settings=ImpedanceSettings(random_starts=campaign.impedance.random_starts),
+        findings=(*room_findings, *findings),
+    )
 
 
 def _scene(
@@ -195,10 +216,18 @@ def _scene(
     sources = tuple(s for s in campaign.sources if s.name in {p[0] for p in pairs})
     receivers = tuple(r for r in campaign.receivers if r.name in {p[1] for p in pairs})
     refuse(position_findings(room, sources, receivers))
+    for source in sources:
+        directivity = campaign.directivities.get(source.name, "omni")
+        if directivity != "omni":
+            raise InputError(
+                "impedances need sources that radiate alike in all directions",
+                where=f"{campaign.path}, sources.{source.name}.directivity",
+                found=repr(directivity),
+                needed='"omni"; a directivity is refused so that no result pretends to obey it',
+            )
     if campaign.impedance.positions == "fixed":
         sources, receivers = (
-            tuple(type(p)(p.name, p.position_m, 0.0) for p in points)
-            for points in (sources, receivers)
+            tuple(replace(p, position_sd_m=0.0) for p in points) for points in (sources, receivers)
         )
     source_at = {s.name: i for i, s in enumerate(sources)}
     receiver_at = {r.name: i for i, r in enumerate(receivers)}
@@ -206,20 +235,113 @@ def _scene(
     return Scene(room, sources, receivers, indices, campaign.air)
 
 
-def _refuse_directivity(campaign: Campaign, scene: Scene) -> None:
-    for source in scene.sources:
-        directivity = campaign.directivities.get(source.name, "omni")
-        if directivity != "omni":
+def _damped_responses(
+    scene: Scene, files: Sequence[MeasuredFile], frequency_hz: FloatArray, tau_s: float
+) -> tuple[list[ComplexArray], list[FloatArray | None], list[Finding]]:
+    """Read responses, set them to the time of emission, and return their damped spectra.
+
+    The first pairs of the scene are those of the files, in their order.
+
+    Returns
+    -------
+    pressure : list of complex arrays, shape (n_frequencies,)
+        One a file.
+    noise : list of float arrays or None
+        rms by the silent end of each file; None where a file has none.
+    findings : list of Finding
+    """
+    speed = speed_of_sound_m_s(scene.air)
+    travel_s = [float(d) / speed for d in distances_m(scene)[: len(files)]]
+    measured = [read_file(file) for file in files]
+    findings = [finding for m in measured for finding in m.findings]
+    pressure, noise = [], []
+    for m, response, direct_s in zip(
+        measured, from_emission(measured, travel_s), travel_s, strict=True
+    ):
+        check_travel(response, direct_s, m.where)
+        if m.time_zero == "emission":
+            onset_s = find_onset(response, m.where)
+            name = f"{m.source} to {m.receiver} ({m.name})"
+            findings += compare_onset(onset_s, direct_s, speed, name, response.sampling_rate_hz)
+        with located(m.where):
+            pressure.append(damped_spectrum(response, frequency_hz, tau_s, direct_s))
+        noise.append(damped_noise(response, frequency_hz, tau_s, direct_s))
+    return pressure, noise, findings
+
+
+def read_spectrum(path: Path) -> Observed:
+    """Return the damped spectrum of a pair, pressure of shape (1, n_frequencies).
+
+    The archive holds ``f`` (Hz, rising), ``tau`` (s), ``p`` (complex, ``exp(+j w t)``) and perhaps
+    ``noise`` (rms, one number or one a frequency). Where only levels were measured, ``magnitude``
+    (``|p|``, not in decibels) stands in place of ``p``.
+
+    Raises
+    ------
+    InputError
+        No such file, no NumPy archive, arrays missing, of unlike shape, out of order or not finite.
+    StoreError
+        The disk refuses.
+    """
+    arrays = _arrays(Path(path))
+    has_phase = "p" in arrays
+    with located(str(path)):
+        if has_phase == ("magnitude" in arrays):
             raise InputError(
-                "impedances need sources that radiate alike in all directions",
-                where=f"{campaign.path}, sources.{source.name}.directivity",
-                found=repr(directivity),
-                needed='"omni"; a directivity is refused so that no answer pretends to obey it',
+                "a spectrum needs pressures or magnitudes",
+                found=", ".join(sorted(arrays)) or "nothing",
+                needed="p (complex), or magnitude",
             )
+        for name, meaning in (("f", "f (Hz)"), ("tau", "tau (s), the window's time constant")):
+            if name not in arrays:
+                raise InputError(
+                    "a spectrum lacks an array", found=", ".join(sorted(arrays)), needed=meaning
+                )
+        if np.size(arrays["tau"]) != 1:
+            raise InputError("tau is not one number", found=f"{np.shape(arrays['tau'])}")
+        pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
+        wanted = np.complexfloating if has_phase else np.number
+        if not np.issubdtype(pressure.dtype, wanted):
+            raise InputError(
+                "pressures without phase" if has_phase else "magnitude holds no numbers",
+                found=f"an array of type {pressure.dtype}",
+                needed="p of complex numbers, or magnitude in its stead",
+            )
+        noise = arrays.get("noise")
+        if noise is not None:
+            noise = np.reshape(noise, (1, -1))
+            noise = np.broadcast_to(noise, (1, pressure.size)) if noise.size == 1 else noise
+        tau_s = float(np.reshape(arrays["tau"], ()))
+        return Observed(arrays["f"], tau_s, pressure[None], noise, has_phase)
+
+
+def _arrays(path: Path) -> dict[str, Any]:
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            if not isinstance(file, np.lib.npyio.NpzFile):
+                raise ValueError("a single array")
+            return {name: file[name] for name in file.files}
+    except FileNotFoundError:
+        raise InputError(
+            "the spectrum does not exist",
+            where=str(path),
+            hint="paths in a campaign are relative to the campaign file",
+        ) from None
+    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
+        raise InputError(
+            "the spectrum is not a NumPy archive of arrays",
+            where=str(path),
+            found=str(error),
+            needed="a file of numpy.savez with f, tau and p",
+        ) from error
+    except OSError as error:
+        raise StoreError(
+            "the spectrum cannot be read", where=str(path), found=str(error)
+        ) from error
 
 
 def _grid(
-    campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[DampedSpectrum]
+    campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[Observed]
 ) -> tuple[FloatArray, float]:
     """Return the frequencies and the window: those of the spectra where there are any."""
     table = campaign.impedance
@@ -260,31 +382,28 @@ def _grid(
 def _nuisances(
     campaign: Campaign, files: list[MeasuredFile], spectra: list[MeasuredSpectrum]
 ) -> Nuisances:
-    table = campaign.impedance
+    table, usual = campaign.impedance, Nuisances()
     speed_sd = 0.0
     if table.speed_of_sound == "fit":
-        kelvin = campaign.temperature_sd_c
+        kelvin = campaign.settings.temperature_sd_c
         # c grows as the root of the absolute temperature
-        speed_sd = DEFAULT_SPEED_SD if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
+        speed_sd = usual.speed_sd if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
     gain = _gain(campaign, files, spectra)
-    # an onset that was found in each file is off in each; a clock is one of a source
+    # an onset that was found in each file errs in each; a clock is one of a source
     own = any(m.response.time_zero == "direct" for m in files)
-    delays = [_latency_sd_s(m) for m in files]
+    delays = [
+        LATENCY_SD_S[m.response.time_zero] if m.latency_sd_s is None else m.latency_sd_s
+        for m in files
+    ]
     # a spectrum for each source and frequency holds any delay of the source
     known = gain in ("spectrum", "pair-spectrum") and not own
     return Nuisances(
-        position_sd_m=0.0 if table.positions == "fixed" else DEFAULT_IMPEDANCE_POSITION_SD_M,
+        position_sd_m=0.0 if table.positions == "fixed" else usual.position_sd_m,
         speed_sd=speed_sd,
         gain=gain,
         delay_sd_s=0.0 if known else max(delays, default=0.0),
         delay="pair" if own else "source",
     )
-
-
-def _latency_sd_s(file: MeasuredFile) -> float:
-    if file.latency_sd_s is not None:
-        return file.latency_sd_s
-    return LATENCY_SD_S[file.response.time_zero]
 
 
 def _gain(
@@ -299,20 +418,13 @@ def _gain(
             where=str(campaign.path),
             found=", ".join(sorted(modes)),
             needed="one kind of level for all pressures",
-            hint="say gain under [impedance]",
+            hint="specify gain under [impedance]",
         )
     return modes.pop()
 
 
-def wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallModel]:
-    """Return how each material's R0 is to run over frequency; what is not told is a spline.
-
-    Raises
-    ------
-    InputError
-        A material that the room does not have, a start that is not passive, an unknown number of a
-        law, or bounds out of order.
-    """
+def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, WallModel]:
+    """Return how each material's R0 depends on frequency; what is unspecified is a spline."""
     found = {name: WallModel() for name in materials}
     for name, table in campaign.materials.items():
         where = f"{campaign.path}, materials.{name}"
@@ -346,19 +458,15 @@ def _wall_model(table: MaterialTable) -> WallModel:
                 found=repr(name),
                 needed=f'r0 for impedance = "{kind}": a number, or [real, imaginary]',
             )
-        start = _start_r0(value)
+        parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
+        if len(parts) != 2:
+            raise InputError(
+                "r0 of impedance_start is not a complex number",
+                found=repr(value),
+                needed="a number, or [real, imaginary]",
+            )
+        start = complex(*parts)
     return WallModel(kind, start)
-
-
-def _start_r0(value: float | list[float]) -> complex:
-    parts = [float(v) for v in value] if isinstance(value, list) else [float(value), 0.0]
-    if len(parts) != 2:
-        raise InputError(
-            "r0 of impedance_start is not a complex number",
-            found=repr(value),
-            needed="a number, or [real, imaginary]",
-        )
-    return complex(*parts)
 
 
 def _parameter(
@@ -389,80 +497,3 @@ def _parameter(
             needed="a lowest below the highest",
         )
     return Parameter(name, usual.unit, *numbers)
-
-
-# What the command writes, and so may remove when it writes over an earlier result.
-OWN_FILES = ("result.json", "impedance.csv", "impedance_*.png", "spectra_[0-9]*.png")
-_PAIRS_A_PICTURE = 6
-_MOST_PICTURES = 6
-
-
-def identify_campaign_impedance(
-    campaign: Campaign, *, progress: Progress | None = None
-) -> ImpedanceAnswer:
-    """Return the impedance of every material of a campaign's room.
-
-    Impulse responses are multiplied by an exponential window and transformed; damped spectra are
-    taken as they are. What is marked for validation is not read.
-
-    Raises
-    ------
-    InputError
-        Something in the campaign, the room or a file is not as needed.
-    """
-    room, room_findings = read_room(campaign.room)
-    walls = wall_models(campaign, room.materials)
-    pressures = campaign_pressures(campaign, room)
-    answer = identify_impedance(
-        pressures.scene,
-        pressures.observed,
-        walls,
-        pressures.nuisances,
-        rng=np.random.default_rng(campaign.seed),
-        n_random_starts=campaign.impedance.random_starts,
-        progress=progress,
-    )
-    findings = (*room_findings, *pressures.findings, *answer.findings)
-    return replace(answer, findings=findings, seed=campaign.seed)
-
-
-def impedance_to_folder(
-    campaign_file: Path,
-    out: Path,
-    *,
-    overwrite: bool = False,
-    progress: Progress | None = None,
-) -> ImpedanceAnswer:
-    """Identify impedances and write result.json, impedance.csv and pictures into a folder.
-
-    Nothing is written before everything is known, and then all of it or nothing.
-
-    Raises
-    ------
-    InputError
-        Something in the campaign, the room, a file or the output folder is not as needed.
-    StoreError
-        The disk refuses.
-    """
-    from roomfit.impedance.output import spectra_figure, wall_figure
-    from roomfit.report.figures import png
-
-    check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file)
-    answer = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
-    with whole_output_folder(out, overwrite=overwrite, own=OWN_FILES) as folder:
-        write_impedance(folder, answer, input_files(campaign))
-        for material in answer.materials:
-            name = f"impedance_{_safe(material.name)}.png"
-            write_bytes_atomically(folder / name, png(wall_figure(answer, material)))
-        if answer.evaluations:
-            for number in range(min(-(-len(answer.pairs) // _PAIRS_A_PICTURE), _MOST_PICTURES)):
-                own = range(len(answer.pairs))[number * _PAIRS_A_PICTURE :][:_PAIRS_A_PICTURE]
-                picture = png(spectra_figure(answer, own))
-                write_bytes_atomically(folder / f"spectra_{number + 1}.png", picture)
-    return answer
-
-
-def _safe(name: str) -> str:
-    """Return a name without what a path gives a meaning to."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]

@@ -1,21 +1,17 @@
-"""Damped spectra of one pair from a NumPy archive.
+"""Pressures behind an exponential window, and the standard deviation of their residuals.
 
-Measured pressures of all pairs behind an exponential window, and how far they can be trusted.
-
-Spectra behind an exponential window, from impulse responses.
+The damped spectrum of an impulse response is that of the response times ``exp(-t / tau)``: a
+pressure at the complex frequency ``f - j / (2 pi tau)``, to which early sound contributes most.
 """
 
 from __future__ import annotations
 
-import zipfile
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from roomfit._checks import float_array, read_only
-from roomfit.errors import InputError, StoreError
+from roomfit.errors import InputError
 from roomfit.signals.response import ImpulseResponse, times_s
 from roomfit.typing import ComplexArray, FloatArray
 
@@ -33,17 +29,28 @@ class Observed:
     The spectrum of an impulse response times ``exp(-t / tau)``, with time from emission and
     ``exp(+j w t)``; the direct sound alone is ``exp(-j k r) / (4 pi r)`` up to a gain.
 
-    Attributes
+    Parameters
     ----------
     frequency_hz : float array, shape (n_frequencies,)
-        Rising, above 0.
+        Rising, 1 Hz to 100 kHz.
     tau_s : float
-        Time constant of the window, above 0.
+        Time constant of the window, 1e-4 to 10 s.
     pressure : complex array, shape (n_pairs, n_frequencies)
-        Where `has_phase` is false, magnitudes.
-    noise : float array, shape (n_pairs, n_frequencies), or None
-        rms of the complex noise, in the unit of the pressure; None where it is not known.
+        Finite and not 0 everywhere; where `has_phase` is false, magnitudes.
+    noise : float array, shape (n_pairs, n_frequencies), optional
+        rms of the complex noise, in the unit of the pressure, 0 or more; None where unknown.
     has_phase : bool
+
+    Raises
+    ------
+    InputError
+        Shapes that disagree, or a value out of its range.
+
+    Examples
+    --------
+    >>> observed = Observed([250.0, 500.0], 0.01, [[0.1 - 0.2j, 0.05j]])
+    >>> observed.pressure.shape, observed.noise is None
+    ((1, 2), True)
     """
 
     frequency_hz: FloatArray
@@ -54,10 +61,14 @@ class Observed:
 
     def __post_init__(self) -> None:
         f = float_array("frequencies (Hz)", self.frequency_hz, (None,), low=1.0, high=1e5)
-        if len(f) == 0 or (np.diff(f) <= 0.0).any():
+        falls = np.flatnonzero(np.diff(f) <= 0.0)
+        if len(f) == 0 or len(falls):
+            at = int(falls[0]) if len(falls) else 0
             raise InputError(
                 "frequencies are out of order",
-                found=f"{len(f)} of them" if len(f) == 0 else first_fall(f),
+                found=f"{f[at + 1]:g} Hz after {f[at]:g} Hz at index {at + 1}"
+                if len(f)
+                else "none of them",
                 needed="each above the one before, at least one",
             )
         if not 1e-4 <= self.tau_s <= 10.0:
@@ -67,12 +78,20 @@ class Observed:
                 needed="1e-4 to 10 s",
             )
         p = np.array(self.pressure, dtype=np.complex128)
-        if p.ndim != 2 or p.shape[1] != len(f) or not np.isfinite(p).all() or not p.any():
+        if p.ndim != 2 or p.shape[1] != len(f):
             raise InputError(
                 "pressures and frequencies disagree",
                 found=f"pressures of shape {p.shape}, {len(f)} frequencies",
-                needed=f"finite numbers, not all 0, of shape (pairs, {len(f)})",
+                needed=f"shape (pairs, {len(f)})",
             )
+        if not np.isfinite(p).all():
+            pair, at = np.argwhere(~np.isfinite(p))[0]
+            raise InputError(
+                "pressures are not finite everywhere",
+                found=f"{p[pair, at]} of pair {pair} at {f[at]:g} Hz",
+            )
+        if not p.any():
+            raise InputError("pressures are 0 everywhere", needed="what was measured, not silence")
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "pressure", read_only(p))
         if self.noise is not None:
@@ -107,7 +126,7 @@ def model_error(
 def standard_deviation(
     observed: Observed, free_path_m: float, speed_m_s: float, factor: float = MODEL_ERROR
 ) -> FloatArray:
-    """Return the rms by which a perfect fit still misses: noise, and the error of image sources.
+    """Return the rms residual of a perfect fit: noise, and the error of image sources.
 
     Parameters
     ----------
@@ -125,157 +144,6 @@ def standard_deviation(
     return np.asarray(np.sqrt(model**2 + np.square(noise)))
 
 
-def first_fall(f: FloatArray) -> str:
-    """Return in words where frequencies first do not rise."""
-    at = int(np.flatnonzero(np.diff(f) <= 0.0)[0])
-    return f"{f[at + 1]:g} Hz after {f[at]:g} Hz at index {at + 1}"
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DampedSpectrum:
-    """What a file ``spectrum = "pair.npz"`` holds.
-
-    Attributes
-    ----------
-    frequency_hz : float array, shape (n_frequencies,)
-    tau_s : float
-        Time constant of the exponential window.
-    pressure : complex array, shape (n_frequencies,)
-    noise : float array, shape (n_frequencies,), or None
-        rms, in the unit of the pressure.
-    has_phase : bool
-        False where the file holds levels.
-    """
-
-    frequency_hz: FloatArray
-    tau_s: float
-    pressure: ComplexArray
-    noise: FloatArray | None
-    has_phase: bool
-
-
-def read_spectrum(path: Path) -> DampedSpectrum:
-    """Return the damped spectrum of a pair.
-
-    The archive holds ``f`` (Hz, rising), ``tau`` (s), ``p`` (complex, ``exp(+j w t)``) and perhaps
-    ``noise`` (rms, one number or one a frequency). Where only levels were measured, ``magnitude``
-    (``|p|``, not in decibels) stands in place of ``p``.
-
-    Raises
-    ------
-    InputError
-        No such file, no NumPy archive, arrays missing, of unlike shape, out of order or not finite.
-    StoreError
-        The disk refuses.
-    """
-    path = Path(path)
-    arrays = _arrays(path)
-    where = str(path)
-    if ("p" in arrays) == ("magnitude" in arrays):
-        raise InputError(
-            "a spectrum needs pressures or magnitudes",
-            where=where,
-            found=", ".join(sorted(arrays)) or "nothing",
-            needed="p (complex), or magnitude",
-        )
-    for name in ("f", "tau"):
-        if name not in arrays:
-            raise InputError(
-                "a spectrum lacks an array",
-                where=where,
-                found=", ".join(sorted(arrays)),
-                needed={"f": "f (Hz)", "tau": "tau (s), the window's time constant"}[name],
-            )
-    f = float_array(f"f of {path.name}", arrays["f"], (None,), low=1.0, high=1e5, unit="Hz")
-    if len(f) == 0 or (np.diff(f) <= 0.0).any():
-        raise InputError(
-            "frequencies are out of order",
-            where=where,
-            found=first_fall(f) if len(f) else "none of them",
-            needed="each above the one before, at least one",
-        )
-    if np.size(arrays["tau"]) != 1:
-        raise InputError("tau is not one number", where=where, found=f"{np.shape(arrays['tau'])}")
-    tau = float_array("tau", np.reshape(arrays["tau"], ()), (), low=1e-4, high=10.0, unit="s")
-    return DampedSpectrum(
-        f,
-        float(tau),
-        _pressure(arrays, len(f), where),
-        _noise(arrays, len(f), where),
-        "p" in arrays,
-    )
-
-
-def _arrays(path: Path) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("a single array")
-            return {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise InputError(
-            "the spectrum does not exist",
-            where=str(path),
-            hint="paths in a campaign are relative to the campaign file",
-        ) from None
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise InputError(
-            "the spectrum is not a NumPy archive of arrays",
-            where=str(path),
-            found=str(error),
-            needed="a file of numpy.savez with f, tau and p",
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            "the spectrum cannot be read", where=str(path), found=str(error)
-        ) from error
-
-
-def _pressure(arrays: dict[str, Any], n: int, where: str) -> ComplexArray:
-    name = "p" if "p" in arrays else "magnitude"
-    values = np.asarray(arrays[name])
-    if not np.issubdtype(values.dtype, np.number):
-        raise InputError(f"{name} holds no numbers", where=where, found=str(values.dtype))
-    if name == "p" and not np.issubdtype(values.dtype, np.complexfloating):
-        raise InputError(
-            "pressures without phase",
-            where=where,
-            found=f"p of type {values.dtype}",
-            needed="complex numbers, or magnitude in place of p",
-        )
-    if values.shape != (n,):
-        raise InputError(
-            f"{name} and f disagree",
-            where=where,
-            found=f"{name} of shape {values.shape}, f of shape ({n},)",
-            needed="one number a frequency",
-        )
-    if not np.isfinite(values).all():
-        at = int(np.flatnonzero(~np.isfinite(values))[0])
-        raise InputError(
-            f"{name} is not finite everywhere", where=where, found=f"{values[at]} at index {at}"
-        )
-    if not values.any():
-        raise InputError(
-            f"{name} is 0 everywhere", where=where, needed="what was measured, not silence"
-        )
-    return read_only(np.array(values, dtype=np.complex128))
-
-
-def _noise(arrays: dict[str, Any], n: int, where: str) -> FloatArray | None:
-    if "noise" not in arrays:
-        return None
-    noise = np.asarray(arrays["noise"], dtype=np.float64)
-    if noise.shape not in ((), (n,)):
-        raise InputError(
-            "noise and f disagree",
-            where=where,
-            found=f"noise of shape {noise.shape}, f of shape ({n},)",
-            needed="one number, or one a frequency",
-        )
-    return float_array("noise (rms)", np.broadcast_to(noise, (n,)), (n,), low=0.0)
-
-
 # Times tau after which nothing of a window is left, exp(-12) = 6e-6.
 _WINDOW = 12.0
 # So long before the direct sound a response may begin: filters ring both ways.
@@ -290,7 +158,7 @@ def damped_spectrum(
 
     ``sum h exp(-t / tau) exp(-j w t)``: a response whose direct sound is a single sample of
     ``1 / (4 pi r)`` gives ``exp(-j k r) / (4 pi r)`` with the complex wavenumber of the window.
-    What comes more than 2 ms before the direct sound is no sound and left out.
+    What lies more than 2 ms before the direct sound is left out.
 
     Parameters
     ----------
@@ -298,7 +166,7 @@ def damped_spectrum(
     frequency_hz : float array, shape (n_frequencies,)
     tau_s : float
     direct_s : float
-        When the direct sound arrives, after emission.
+        Arrival of the direct sound after emission.
 
     Raises
     ------
@@ -326,7 +194,7 @@ def damped_spectrum(
 def damped_noise(
     response: ImpulseResponse, frequency_hz: FloatArray, tau_s: float, direct_s: float
 ) -> FloatArray | None:
-    """Return the rms noise of a damped spectrum by what the end of the file holds.
+    """Return the rms noise of a damped spectrum, from the silent end of the response.
 
     Windows of the same length and weight are laid side by side over its last half; the lowest
     third of them counts, so that what is left of the decay does not.
@@ -334,7 +202,7 @@ def damped_noise(
     Returns
     -------
     float array, shape (n_frequencies,), or None
-        None where the file is too short.
+        None where the response is too short.
     """
     t = times_s(response)
     window_s = min(_WINDOW * tau_s, 0.25 * (t[-1] - direct_s))
@@ -344,14 +212,14 @@ def damped_noise(
     count = (len(t) - first) // max(n, 1)
     if count < _LEAST_PARTS or n < 8:
         return None
-    # at the window's start, as the sound that is measured
+    # weighed as the response itself, from its direct sound on
     clock = direct_s + np.arange(n) / response.sampling_rate_hz
     parts = np.reshape(response.pressure[len(t) - count * n :], (count, n))
     power = np.array(
         [np.abs(_transformed(part, clock, frequency_hz, tau_s)) ** 2 for part in parts]
     )
     quiet = np.argsort(power.sum(axis=1))[: max(count // 3, _LEAST_PARTS)]
-    # few windows: neighbouring frequencies tell the same
+    # few windows: neighbouring frequencies are averaged
     mean = power[quiet].mean(axis=0)
     near = np.abs(np.log(frequency_hz[:, None] / frequency_hz)) <= 0.2
     return np.asarray(np.sqrt((near @ mean) / near.sum(axis=1)))

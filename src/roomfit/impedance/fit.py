@@ -1,13 +1,11 @@
-"""From measured pressures to reflection coefficients: a homotopy in smoothness, then rounds.
+"""From measured pressures to reflection coefficients: continuation in smoothness, then rounds.
 
-Each material's R0 begins nearly constant over frequency and is let loose step by step. Steps weigh
-short paths with plane waves at the walls; what all paths with spherical waves have over those is
-computed between them and held, round after round, until nothing moves. How rough each material may
-be follows from its own evidence, so that a smooth wall lends no roughness from a resonator.
-
-From splines to physical laws: fitted to the spline first, then to the data, then judged.
-
-Several starts, of which the best are refined: do they agree?
+Several starts each lead to a first minimum at few frequencies, in which R0 begins nearly constant
+over frequency and is allowed to vary step by step. The lowest is polished: steps weigh short paths
+with plane waves at the walls; the difference to all paths with spherical waves is computed between
+them and fixed, round after round, until nothing moves. How rough each material may be follows from
+its own marginal likelihood, so that a smooth wall takes no roughness from a resonator. Physical
+laws are fitted to the spline first, then to the data, then judged.
 """
 
 from __future__ import annotations
@@ -21,13 +19,14 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.impedance.data import Observed, complex_frequency_hz
+from roomfit.impedance.data import complex_frequency_hz
 from roomfit.impedance.laws import (
     LAWS,
     Curve,
     LawCurve,
     Parameter,
     Spline,
+    check_passive,
     constant,
     law_curve,
     spline,
@@ -72,48 +71,23 @@ _SETTLED = 5e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpedanceFit:
-    """What a fit found.
-
-    Attributes
-    ----------
-    problem : Problem
-    layout : Layout
-    x : float array, shape (n_unknowns,)
-    r0 : complex array, shape (n_materials, n_frequencies)
-        Passive.
-    state : State
-    correction : complex array, shape (n_pairs, n_frequencies)
-    roughness_sd : float array, shape (n_materials,)
-    normal : float array, shape (n_unknowns, n_unknowns)
-        ``J^T J`` of data and priors.
-    residual : float array, shape (n_rows,)
-        Of the data, in standard deviations.
-    effective : float
-        How many numbers the data determined.
-    covariance : float array, shape (n_unknowns, n_unknowns)
-        With the model's own error as it is in this room.
-    model_error : float
-        That error, see `roomfit.impedance.problem.marginal_likelihood_error`.
-    evaluations, rounds : int
-    ending : Ending
-        Converged where R0 moved no more from one round to the next.
-    """
+    """What a fit found."""
 
     problem: Problem
     layout: Layout
-    x: FloatArray
-    r0: ComplexArray
+    x: FloatArray  # (n_unknowns,)
+    r0: ComplexArray  # (n_materials, n_frequencies), passive
     state: State
-    correction: ComplexArray
-    roughness_sd: FloatArray
-    normal: FloatArray
-    residual: FloatArray
-    effective: float
-    covariance: FloatArray
-    model_error: float
+    correction: ComplexArray  # (n_pairs, n_frequencies)
+    roughness_sd: FloatArray  # (n_materials,)
+    normal: FloatArray  # (n_unknowns, n_unknowns), J^T J of data and priors
+    residual: FloatArray  # (n_rows,), of the data, in standard deviations
+    effective: float  # how many numbers the data determined
+    covariance: FloatArray  # (n_unknowns, n_unknowns), with the model error as it is in this room
+    model_error: float  # that error, see `roomfit.impedance.problem.marginal_likelihood_error`
     evaluations: int
     rounds: int
-    ending: Ending
+    ending: Ending  # converged where R0 moved no more from one round to the next
 
 
 def reduced_chi2(fit: ImpedanceFit) -> float:
@@ -132,9 +106,9 @@ def descend(
     gain: float = 1e-4,
     walls_only: bool = False,
 ) -> Minimum:
-    """Return the nearest minimum with smoothness and correction held.
+    """Return the nearest minimum with smoothness and correction fixed.
 
-    With `walls_only`, positions, speed of sound, gains and delays are held as well.
+    With `walls_only`, positions, speed of sound, gains and delays are fixed as well.
     """
 
     def rows(at: FloatArray) -> Linear:
@@ -173,7 +147,7 @@ def continuation(
     layout = layout_of(problem)
     nothing = np.zeros_like(problem.observed.pressure)
     rough = np.full(len(problem.curves), stages[0])
-    # far from the truth, the speed of sound would leave for good before the walls have settled
+    # far from the truth, the speed of sound would run away before the walls have converged
     found = descend(problem, layout, x, rough, nothing, gain=1e-2, walls_only=True)
     x, cost, evaluations = found.x, found.cost, found.evaluations
     for stage in stages:
@@ -306,16 +280,28 @@ _WORTH_TRYING = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallModel:
-    """How R0 of one material is to run over frequency.
+    """How R0, the reflection coefficient of one material, is to depend on frequency.
 
-    Attributes
+    Parameters
     ----------
     kind : str
-        spline, constant, miki, resonator, panel, or auto: the best of all by the data.
+        "spline" (any smooth course), "constant", a physical law ("miki": porous layer before a
+        rigid wall, "resonator": perforated plate before a cavity, "panel": mass on a spring of
+        air), or "auto": the best of all by the data.
     start_r0 : complex
-        Where a spline or a constant begins.
+        Where a spline or a constant starts, ``|start_r0| <= 1``.
     parameters : mapping of name to Parameter
-        Starts and bounds of a law that differ from the usual ones.
+        Starts and bounds of a law that differ from those in `roomfit.impedance.laws.LAWS`.
+
+    Raises
+    ------
+    InputError
+        An unknown kind, or a start that is not passive.
+
+    Examples
+    --------
+    >>> WallModel("miki").kind
+    'miki'
     """
 
     kind: str = "spline"
@@ -327,45 +313,24 @@ class WallModel:
             raise InputError(
                 "unknown model of a wall", found=repr(self.kind), needed=", ".join(KINDS)
             )
-        if not abs(self.start_r0) <= 1.0:
-            raise InputError(
-                "a wall cannot give back more than it gets",
-                found=f"a start of |R0| = {abs(self.start_r0):.4g}",
-                needed="|R0| <= 1",
-            )
+        check_passive(self.start_r0)
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
 
-def first_curves(problem_walls: Mapping[str, WallModel], frequency_hz: FloatArray) -> list[Curve]:
-    """Return the curves with which a search begins: a spline for everything but a constant."""
-    curves: list[Curve] = []
-    for wall in problem_walls.values():
-        make = constant if wall.kind == "constant" else spline
-        curves.append(make(frequency_hz, wall.start_r0))
-    return curves
-
-
-class Chosen(NamedTuple):
-    """A fit, and for each material that was to be chosen, what each law came to.
-
-    Attributes
-    ----------
-    fit : ImpedanceFit
-    tried : mapping of material to mapping of kind to float
-        Twice the negative logarithm of the probability over that of the spline, by Schwarz; below
-        0 is better than the spline. Only of laws tried on the data.
-    """
-
-    fit: ImpedanceFit
-    tried: Mapping[str, Mapping[str, float]]
+def first_curves(walls: Sequence[WallModel], frequency_hz: FloatArray) -> list[Curve]:
+    """Return the curves with which a search starts: a spline for everything but a constant."""
+    return [
+        (constant if wall.kind == "constant" else spline)(frequency_hz, wall.start_r0)
+        for wall in walls
+    ]
 
 
 def with_laws(
     fit: ImpedanceFit, walls: Mapping[str, WallModel], rng: np.random.Generator
-) -> Chosen:
+) -> ImpedanceFit:
     """Return the fit with physical laws in place of splines, where wanted or better.
 
-    Every law is first fitted to the spline's R0 from many starts. A law that was asked for is then
+    Every law is first fitted to the spline's R0 from many starts. A law that was specified is then
     fitted to the data with the rest. Of "auto", the law nearest to the spline is, and stays where
     the misfit grows by less than the numbers that it saves are worth [1]_.
 
@@ -378,19 +343,16 @@ def with_laws(
     if with_law:
         curves = {i: _nearest_law(fit, i, [w.kind], w, rng)[0] for i, w in with_law.items()}
         fit = _replaced(fit, curves)
-    tried: dict[str, dict[str, float]] = {}
-    for i, (name, wall) in enumerate(walls.items()):
+    for i, wall in enumerate(walls.values()):
         if wall.kind != "auto":
             continue
         curve, misfit = _nearest_law(fit, i, ["constant", *LAWS], wall, rng)
-        tried[name] = {}
         if misfit > _WORTH_TRYING:
             continue
         other = _replaced(fit, {i: curve})
-        tried[name][curve.kind] = _schwarz(other) - _schwarz(fit)
-        if tried[name][curve.kind] < 0.0:
+        if _schwarz(other) - _schwarz(fit) < 0.0:
             fit = other
-    return Chosen(fit, tried)
+    return fit
 
 
 def _schwarz(fit: ImpedanceFit) -> float:
@@ -487,17 +449,10 @@ _LARGEST_START = 0.95
 
 
 class Start(NamedTuple):
-    """Where one start led at first sight, with plane waves and short paths.
+    """The minimum that one start led to, with plane waves, short paths and few frequencies."""
 
-    Attributes
-    ----------
-    x : float array, shape (n_unknowns,)
-    r0 : complex array, shape (n_materials, n_frequencies kept)
-    cost : float
-    """
-
-    x: FloatArray
-    r0: ComplexArray
+    x: FloatArray  # (n_unknowns,)
+    r0: ComplexArray  # (n_materials, n_frequencies kept)
     cost: float
 
 
@@ -509,8 +464,8 @@ def multistart(
 ) -> tuple[Start, ...]:
     """Return where the usual start and random ones lead, lowest cost first.
 
-    The usual start is that of the curves (0.8 unless told); random ones are even over the disc of
-    passive walls, each material for itself. All at fewer frequencies, with plane waves.
+    The usual start is that of the curves (0.8 unless specified); random ones are even over the disc
+    of passive walls, each material for itself. All at fewer frequencies, with plane waves.
     """
     thin = thinned(problem)
     layout = layout_of(thin)
@@ -565,12 +520,11 @@ def thinned(problem: Problem) -> Problem:
     return replace(
         problem,
         model=at_frequencies(problem.model, chosen),
-        observed=Observed(
-            observed.frequency_hz[chosen],
-            observed.tau_s,
-            observed.pressure[:, chosen],
-            None if observed.noise is None else observed.noise[:, chosen],
-            observed.has_phase,
+        observed=replace(
+            observed,
+            frequency_hz=observed.frequency_hz[chosen],
+            pressure=observed.pressure[:, chosen],
+            noise=None if observed.noise is None else observed.noise[:, chosen],
         ),
         sd=problem.sd[:, chosen],
         curves=tuple(c.at(chosen) for c in problem.curves),

@@ -1,10 +1,10 @@
-"""The whole way: from a scene and measured pressures to impedances and a verdict."""
+"""The acoustic impedance of a room's walls from measured pressures: from data to a verdict."""
 
 from __future__ import annotations
 
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -17,6 +17,12 @@ from roomfit.impedance.data import (
     Observed,
     level_at,
     standard_deviation,
+)
+from roomfit.impedance.diagnostics import (
+    data_findings,
+    estimated_noise,
+    judged_result,
+    result_without_fit,
 )
 from roomfit.impedance.fit import (
     SAME_WITHIN,
@@ -34,20 +40,50 @@ from roomfit.impedance.fit import (
     with_laws,
 )
 from roomfit.impedance.problem import Problem, start_of
-from roomfit.impedance.result import (
-    ImpedanceAnswer,
-    answer_without_fit,
-    data_findings,
-    estimated_noise,
-    judged_answer,
-)
+from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
 from roomfit.scene import Scene
-from roomfit.typing import FloatArray, Progress
+from roomfit.typing import FloatArray, Progress, part
 
-N_RANDOM_STARTS = 3
 # Another minimum whose cost at first sight is at most this many times the lowest is followed, too.
 _RIVAL = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class ImpedanceSettings:
+    """How impedances are searched for, and with which image model.
+
+    Parameters
+    ----------
+    random_starts : int
+        Random walls from which the search starts besides the usual ones, 0 or more.
+    spherical : bool
+        False takes waves at the walls as plane, which errs 5 times as much: for comparison.
+    model_error : float, optional
+        rms error of the image model itself, relative to the level, times wavenumber and mean free
+        path, 0 or more; left out: 0.16, or 1.3 with plane waves, as measured against exact wave
+        fields. Less only for data that another image model made.
+
+    Raises
+    ------
+    InputError
+        A negative number.
+
+    Examples
+    --------
+    >>> ImpedanceSettings(random_starts=10).spherical
+    True
+    """
+
+    random_starts: int = 3
+    spherical: bool = True
+    model_error: float | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("random_starts", "model_error"):
+            value = getattr(self, name)
+            if value is not None and not value >= 0:
+                raise InputError(f"{name} is out of range", found=f"{value:g}", needed="0 or more")
 
 
 @one_blas_thread
@@ -58,72 +94,96 @@ def identify_impedance(
     nuisances: Nuisances | None = None,
     *,
     rng: np.random.Generator,
-    spherical: bool = True,
-    model_error: float | None = None,
-    n_random_starts: int = N_RANDOM_STARTS,
+    settings: ImpedanceSettings | None = None,
     progress: Progress | None = None,
-) -> ImpedanceAnswer:
+) -> ImpedanceResult:
     """Return the reflection coefficient, absorption and impedance of every material of a room.
+
+    Pressures of image sources with spherical waves at locally reacting walls are fitted to the
+    measured ones by least squares, the reflection coefficient R0 of each material being a smooth
+    curve over frequency or a physical law; positions, speed of sound, gains and clocks are
+    estimated with them. The method and its limits are described in docs/impedance.md.
 
     Parameters
     ----------
     scene : Scene
-        Pairs in the order of the pressures.
+        Room, positions (m) and air; its pairs in the order of the pressures.
     observed : Observed
+        Damped spectra, shape (n_pairs, n_frequencies); frequencies in Hz, pressures in any unit.
     walls : mapping of material to WallModel, optional
         Materials that are left out are splines.
     nuisances : Nuisances, optional
         What may be wrong about the measurement; left out: positions by 10 mm a coordinate unless
-        the scene tells more, the speed of sound by 1 %, gains known.
+        the scene specifies less, the speed of sound by 1 %, gains known.
     rng : numpy Generator
-        Draws starts.
-    spherical : bool
-        False takes waves at the walls for plane, which is 5 times as wrong: for comparison.
-    model_error : float, optional
-        Error of the image model itself, relative, times wavenumber and mean free path; left out:
-        0.16, or 1.3 with plane waves, as measured against exact wave fields. Less only for data
-        that another image model made.
-    n_random_starts : int
+        Draws starts; the same generator gives the same result.
+    settings : ImpedanceSettings, optional
     progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Returns
+    -------
+    ImpedanceResult
+        Of every material R0, absorption (0 to 1), admittance and impedance (relative to those of
+        air), each with its 95 % interval, shape (n_frequencies,), and a verdict. Where the data
+        cannot determine the unknowns, nothing is fitted and the verdict says so.
 
     Raises
     ------
     InputError
-        Data, walls and scene do not belong together.
+        Data, walls and scene do not belong together, or there are more paths than minutes suffice
+        for.
+
+    References
+    ----------
+    The spherical reflection is that of C. F. Chien, W. W. Soroka, J. Sound Vib. 43, 9-20 (1975);
+    see `roomfit.impedance.wave_kernels`.
+
+    Examples
+    --------
+    A box with one material of R0 = 0.6 at every frequency; pressures by the image model itself.
+
+    >>> from roomfit.air import Air
+    >>> from roomfit.geometry.mesh import shoebox_mesh
+    >>> from roomfit.impedance.wave_model import at_rest, predicted_pressure, wave_model
+    >>> from roomfit.scene import Point, Scene, room_from_mesh
+    >>> sides = dict.fromkeys(("west", "east", "south", "north", "floor", "ceiling"), "walls")
+    >>> room = room_from_mesh(shoebox_mesh((5.0, 4.0, 3.0)), sides, (5.0, 4.0, 3.0))
+    >>> sources = (Point("S", [1.2, 1.1, 1.3]),)
+    >>> receivers = (Point("R1", [3.7, 2.8, 2.1]), Point("R2", [1.0, 2.9, 0.8]))
+    >>> scene = Scene(room, sources, receivers, [[0, 0], [0, 1]], Air())
+    >>> f = np.arange(200.0, 301.0, 20.0)
+    >>> model = wave_model(scene, f, 0.004)
+    >>> p = predicted_pressure(model, np.full((1, 6), 0.6 + 0j), at_rest(model))
+    >>> result = identify_impedance(
+    ...     scene,
+    ...     Observed(f, 0.004, p, np.full(p.shape, 1e-4)),
+    ...     {"walls": WallModel("constant")},
+    ...     Nuisances(position_sd_m=0.0, speed_sd=0.0),
+    ...     rng=np.random.default_rng(1),
+    ...     settings=ImpedanceSettings(random_starts=1),
+    ... )
+    >>> result.verdict.word, bool(abs(result.materials[0].r0[0] - 0.6) < 0.01)
+    ('identified', True)
     """
     began = time.perf_counter()
     models = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
+    settings = settings or ImpedanceSettings()
     bare = model_without_paths(scene, observed.frequency_hz, observed.tau_s)
-    problem = _problem(bare, observed, walls, nuisances, spherical, model_error)
+    problem = _problem(bare, observed, walls or {}, nuisances or Nuisances(), settings)
     findings = data_findings(problem, models)
     if findings:
-        return answer_without_fit(problem, findings, time.perf_counter() - began)
+        return result_without_fit(problem, findings, time.perf_counter() - began)
     problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
-    starts = multistart(problem, n_random_starts, rng, _part(progress, 0.0, 0.3))
-    fit = polish(problem, starts[0].x, progress=_part(progress, 0.3, 0.6))
+    starts = multistart(problem, settings.random_starts, rng, part(progress, 0.0, 0.3))
+    fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:
         fit = _with_estimated_noise(fit)
-    fit = with_laws(fit, models, rng).fit
+    fit = with_laws(fit, models, rng)
     if progress is not None:
         progress(0.9)
-    return judged_answer(fit, starts, rivals, observed, time.perf_counter() - began, _again)
-
-
-def _check_names(scene: Scene, walls: Mapping[str, WallModel]) -> None:
-    for name in walls:
-        if name not in scene.room.materials:
-            raise InputError(
-                "a model is told for a wall that does not exist",
-                found=repr(name),
-                needed=", ".join(scene.room.materials),
-            )
-
-
-def _part(progress: Progress | None, low: float, high: float) -> Progress | None:
-    if progress is None:
-        return None
-    return lambda share: progress(low + (high - low) * min(share, 1.0))
+    return judged_result(fit, starts, rivals, observed, time.perf_counter() - began, _refit)
 
 
 def wave_problem(
@@ -131,37 +191,35 @@ def wave_problem(
     observed: Observed,
     walls: Mapping[str, WallModel] | None = None,
     nuisances: Nuisances | None = None,
-    *,
-    spherical: bool = True,
-    model_error: float | None = None,
+    settings: ImpedanceSettings | None = None,
 ) -> Problem:
-    """Return what `identify_impedance` solves first; arguments as there.
-
-    Raises
-    ------
-    InputError
-        Data, walls and scene do not belong together.
-    """
+    """Return what `identify_impedance` solves first; arguments and errors as there."""
     model = wave_model(scene, observed.frequency_hz, observed.tau_s)
-    return _problem(model, observed, walls, nuisances, spherical, model_error)
+    settings = settings or ImpedanceSettings()
+    return _problem(model, observed, walls or {}, nuisances or Nuisances(), settings)
 
 
 def _problem(
     model: WaveModel,
     observed: Observed,
-    walls: Mapping[str, WallModel] | None,
-    nuisances: Nuisances | None,
-    spherical: bool,
-    model_error: float | None,
+    walls: Mapping[str, WallModel],
+    nuisances: Nuisances,
+    settings: ImpedanceSettings,
 ) -> Problem:
-    scene = model.scene
-    models = {name: (walls or {}).get(name, WallModel()) for name in scene.room.materials}
-    _check_names(scene, walls or {})
-    usual = MODEL_ERROR if spherical else PLANE_MODEL_ERROR
-    factor = usual if model_error is None else model_error
+    materials = model.scene.room.materials
+    for name in walls:
+        if name not in materials:
+            raise InputError(
+                "a model is specified for a wall that does not exist",
+                found=repr(name),
+                needed=", ".join(materials),
+            )
+    usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
+    factor = usual if settings.model_error is None else settings.model_error
     sd = _deviation(model, observed, factor)
+    models = [walls.get(name, WallModel()) for name in materials]
     curves = tuple(first_curves(models, observed.frequency_hz))
-    return Problem(model, observed, sd, curves, nuisances or Nuisances(), spherical, factor)
+    return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
 def _deviation(model: WaveModel, observed: Observed, factor: float) -> FloatArray:
@@ -187,14 +245,14 @@ def _rivals(
 
 
 def _with_estimated_noise(fit: ImpedanceFit) -> ImpedanceFit:
-    """Return the fit with the noise that its own residual tells."""
+    """Return the fit with the noise that its own residual shows."""
     problem = fit.problem
     observed = replace(problem.observed, noise=estimated_noise(fit))
     sd = _deviation(problem.model, observed, problem.model_error)
     return polish(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)
 
 
-def _again(problem: Problem) -> ImpedanceFit:
+def _refit(problem: Problem) -> ImpedanceFit:
     """Return the fit of a changed problem, from the start of its curves."""
     thin = thinned(problem)
     x, _, _ = continuation(thin, start_of(thin))

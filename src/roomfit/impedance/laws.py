@@ -1,10 +1,6 @@
-"""How the reflection coefficient of a material may run over frequency; splines.
+"""The impedance of locally reacting walls over frequency: splines, physical laws, and absorption.
 
-Physical laws of walls as curves of R0 over frequency.
-
-Impedance of locally reacting walls, and what it makes of sound that strikes them.
-
-Impedances are normalised by that of the air (rho c) and follow ``exp(+j w t)``. Frequencies may be
+Impedances are relative to that of air (rho c) and follow ``exp(+j w t)``. Frequencies may be
 complex, ``f - j / (2 pi tau)``, for spectra behind an exponential window.
 """
 
@@ -20,7 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from roomfit.errors import InputError
-from roomfit.logit import expit, logit
+from roomfit.logit import expit
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
@@ -28,7 +24,7 @@ _CLOSEST_KNOTS_HZ = 25.0
 
 
 class Curve(Protocol):
-    """R0 over frequency as a function of real numbers x."""
+    """R0 over frequency as a function of n real numbers x."""
 
     @property
     def kind(self) -> str:
@@ -36,11 +32,11 @@ class Curve(Protocol):
 
     @property
     def start(self) -> FloatArray:
-        """Where to begin, shape (n,)."""
+        """Starting point of a fit, shape (n,)."""
 
     @property
     def roughness(self) -> FloatArray:
-        """Rows whose products with x are wanted small, shape (n_rows, n)."""
+        """Rows whose products with x are small a priori, shape (n_rows, n)."""
 
     @property
     def prior_sd(self) -> float:
@@ -56,26 +52,16 @@ class Curve(Protocol):
         """Return the curve at some of its frequencies."""
 
     def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
-        """Return R0 and slope where it must be held passive, between the frequencies as well."""
+        """Return R0 and slope where it must be passive, between the frequencies as well."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spline:
-    """R0 as a combination of real functions of frequency: x holds real, then imaginary parts.
+    """R0 as a combination of real functions of frequency: x holds real, then imaginary parts."""
 
-    Attributes
-    ----------
-    kind : str
-        "spline", or "constant" where the one function is 1.
-    basis : float array, shape (n_frequencies, n_functions)
-    dense : float array, shape (n_places, n_functions)
-        The functions on a finer grid, where R0 is held passive.
-    start_r0 : complex
-    """
-
-    kind: str
-    basis: FloatArray
-    dense: FloatArray
+    kind: str  # "spline", or "constant" where the one function is 1
+    basis: FloatArray  # (n_frequencies, n_functions)
+    dense: FloatArray  # (n_points, n_functions): on a finer grid, where R0 must be passive
     start_r0: complex = 0.8
 
     @property
@@ -123,7 +109,7 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     InputError
         A start that is not passive.
     """
-    _check_passive(start_r0)
+    check_passive(start_r0)
     if len(frequency_hz) < 4:
         eye = np.eye(len(frequency_hz))
         return Spline("spline", eye, eye, start_r0)
@@ -143,14 +129,15 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
 
 def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
     """Return a reflection coefficient that does not change with frequency."""
-    _check_passive(start_r0)
+    check_passive(start_r0)
     return Spline("constant", np.ones((len(frequency_hz), 1)), np.ones((1, 1)), start_r0)
 
 
-def _check_passive(r0: complex) -> None:
+def check_passive(r0: complex) -> None:
+    """Refuse a reflection coefficient above 1, or not a number."""
     if not abs(r0) <= 1.0:
         raise InputError(
-            "a wall cannot give back more than it gets",
+            "a wall cannot reflect more than it receives",
             found=f"a start of |R0| = {abs(r0):.4g}",
             needed="|R0| <= 1",
         )
@@ -183,7 +170,7 @@ def impedance_of_r0(r0: ComplexArray) -> ComplexArray:
 
 
 def absorption_normal(r0: ComplexArray) -> FloatArray:
-    """Return the share of energy that a wall takes at normal incidence, ``1 - |R0|**2``."""
+    """Return the absorption coefficient at normal incidence, ``1 - |R0|**2``."""
     return np.asarray(1.0 - np.abs(r0) ** 2)
 
 
@@ -357,26 +344,21 @@ LAWS: Mapping[str, tuple[Law, tuple[Parameter, ...]]] = MappingProxyType(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LawCurve:
-    """R0 by a physical law; x are its parameters through a logistic curve between their bounds.
+    """R0 by a physical law; x are its parameters through a logistic curve between their bounds."""
 
-    Attributes
-    ----------
-    kind : str
-        A key of `LAWS`.
-    frequency_hz : complex array, shape (n_frequencies,)
-        At the window, see `roomfit.impedance.data.complex_frequency_hz`.
-    speed_m_s : float
-    parameters : tuple of Parameter
-    """
-
-    kind: str
-    frequency_hz: ComplexArray
+    kind: str  # a key of `LAWS`
+    frequency_hz: ComplexArray  # (n_frequencies,), by `roomfit.impedance.data.complex_frequency_hz`
     speed_m_s: float
     parameters: tuple[Parameter, ...]
 
     @property
     def start(self) -> FloatArray:
-        return self.x_of(np.array([p.start for p in self.parameters]))
+        low, high = self._log_bounds()
+        # a little off the ends, where the slope vanishes
+        share = np.clip(
+            (np.log([p.start for p in self.parameters]) - low) / (high - low), 0.01, 0.99
+        )
+        return np.asarray(np.log(share / (1.0 - share)))
 
     @property
     def roughness(self) -> FloatArray:
@@ -387,17 +369,13 @@ class LawCurve:
         # nearly even over the range on a scale of logarithms, and never stuck at its ends
         return 3.0
 
+    def _log_bounds(self) -> tuple[FloatArray, FloatArray]:
+        return np.log([p.low for p in self.parameters]), np.log([p.high for p in self.parameters])
+
     def values(self, x: FloatArray) -> FloatArray:
         """Return the law's parameters in their units, shape (..., n)."""
-        low = np.log([p.low for p in self.parameters])
-        high = np.log([p.high for p in self.parameters])
+        low, high = self._log_bounds()
         return np.asarray(np.exp(low + (high - low) * expit(x)))
-
-    def x_of(self, values: FloatArray) -> FloatArray:
-        """Return the x of parameters within their bounds, kept a little off the ends."""
-        low = np.log([p.low for p in self.parameters])
-        high = np.log([p.high for p in self.parameters])
-        return logit((np.log(values) - low) / (high - low), 0.01)
 
     def r0(self, x: FloatArray) -> ComplexArray:
         law, _ = LAWS[self.kind]
@@ -426,7 +404,7 @@ def law_curve(
     speed_m_s: float,
     specified: Mapping[str, Parameter] | None = None,
 ) -> LawCurve:
-    """Return a law with its usual starts and bounds, or those that were told."""
+    """Return a law with its usual starts and bounds, or the specified ones."""
     _, usual = LAWS[kind]
     return LawCurve(
         kind, frequency_hz, speed_m_s, tuple((specified or {}).get(p.name, p) for p in usual)

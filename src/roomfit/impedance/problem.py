@@ -1,12 +1,7 @@
-"""Measured against predicted pressures: weighted residuals, priors, and their Jacobians.
+"""Least squares of pressures: the unknowns of a problem, weighted residuals, priors and Jacobians.
 
-All unknowns of a problem in one row, and what they stand for.
-
-How wrong the image model is in the room at hand, by what a fit leaves.
-
-What is known of a measurement, and what is to be found.
-
-Levenberg-Marquardt over rows of data and rows of prior knowledge.
+Besides, how wrong the image model is in the room at hand, by the residual of a fit, and the
+Levenberg-Marquardt method over rows of data and priors.
 """
 
 from __future__ import annotations
@@ -20,7 +15,12 @@ import numpy as np
 from roomfit._checks import read_only
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import mean_free_path_m
-from roomfit.impedance.data import MODEL_ERROR, Observed, standard_deviation
+from roomfit.impedance.data import (
+    MODEL_ERROR,
+    Observed,
+    complex_frequency_hz,
+    standard_deviation,
+)
 from roomfit.impedance.laws import Curve
 from roomfit.impedance.wave_model import (
     Gradients,
@@ -36,29 +36,15 @@ from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Problem:
-    """What is known of a measurement, and what is to be found.
-
-    Attributes
-    ----------
-    model : WaveModel
-    observed : Observed
-    sd : float array, shape (n_pairs, n_frequencies)
-        From `roomfit.impedance.data.standard_deviation`.
-    curves : tuple of Curve
-        One a material.
-    nuisances : Nuisances
-    spherical : bool
-    model_error : float
-        With which `sd` was made.
-    """
+    """What is known of a measurement, and what is to be found."""
 
     model: WaveModel
     observed: Observed
-    sd: FloatArray
-    curves: tuple[Curve, ...]
+    sd: FloatArray  # (n_pairs, n_frequencies), by `roomfit.impedance.data.standard_deviation`
+    curves: tuple[Curve, ...]  # one a material
     nuisances: Nuisances
     spherical: bool = True
-    model_error: float = MODEL_ERROR
+    model_error: float = MODEL_ERROR  # with which `sd` was made
 
     def __post_init__(self) -> None:
         n_pairs, n_f = self.observed.pressure.shape
@@ -85,49 +71,38 @@ class Problem:
 
 
 class Layout(NamedTuple):
-    """Where each unknown stands in the row of all.
+    """Position of each unknown in the vector of all.
 
-    Attributes
-    ----------
-    curves : tuple of slice
-        One a material.
-    source, receiver : int arrays, shape (n, 2)
-        Point and axis of each coordinate that may move.
-    source_sd_m, receiver_sd_m : float arrays, shape (n,)
-    moves_source, moves_receiver, speed, gain, delay : slice
-        Moves, speed and delays in units of their standard deviations; gain: logarithms of all
-        sizes, then all phases.
-    gain_of_pair, delay_of_pair : int arrays, shape (n_pairs,)
-    size : int
+    Shifts, speed and delays are in units of their prior standard deviations; gains are logarithms
+    of all magnitudes, then all phases.
     """
 
-    curves: tuple[slice, ...]
-    source: IntArray
-    receiver: IntArray
-    source_sd_m: FloatArray
-    receiver_sd_m: FloatArray
+    curves: tuple[slice, ...]  # one a material
+    source: IntArray  # (n, 2), point and axis of each coordinate that may move
+    receiver: IntArray  # likewise
+    source_sd_m: FloatArray  # (n,)
+    receiver_sd_m: FloatArray  # (n,)
     moves_source: slice
     moves_receiver: slice
     speed: slice
     gain: slice
     delay: slice
-    gain_of_pair: IntArray
-    delay_of_pair: IntArray
+    gain_of_pair: IntArray  # (n_pairs,)
+    delay_of_pair: IntArray  # (n_pairs,)
     size: int
 
 
 def layout_of(problem: Problem) -> Layout:
-    """Return where each unknown of a problem stands."""
+    """Return the position of each unknown of a problem."""
     scene, nuisances = problem.model.scene, problem.nuisances
     at = 0
-    slices: list[slice] = []
 
     def take(n: int) -> slice:
         nonlocal at
         at += n
         return slice(at - n, at)
 
-    slices = [take(len(c.start)) for c in problem.curves]
+    curves = tuple(take(len(c.start)) for c in problem.curves)
     axes: list[IntArray] = []
     sds: list[FloatArray] = []
     for points, used in ((scene.sources, scene.pairs[:, 0]), (scene.receivers, scene.pairs[:, 1])):
@@ -145,16 +120,25 @@ def layout_of(problem: Problem) -> Layout:
     by_pair = nuisances.gain in ("pair", "pair-spectrum")
     gains = groups.get("pair" if by_pair else nuisances.gain, np.zeros(0, dtype=np.int64))
     delays = groups[nuisances.delay]
-    moves = take(len(axes[0])), take(len(axes[1]))
-    speed = take(1 if nuisances.speed_sd > 0.0 else 0)
-    gain = take(2 * len(np.unique(gains)))
-    delay = take(len(np.unique(delays)) if nuisances.delay_sd_s > 0.0 else 0)
-    position_blocks = axes[0], axes[1], sds[0], sds[1]
-    return Layout(tuple(slices), *position_blocks, *moves, speed, gain, delay, gains, delays, at)
+    return Layout(
+        curves=curves,
+        source=axes[0],
+        receiver=axes[1],
+        source_sd_m=sds[0],
+        receiver_sd_m=sds[1],
+        moves_source=take(len(axes[0])),
+        moves_receiver=take(len(axes[1])),
+        speed=take(1 if nuisances.speed_sd > 0.0 else 0),
+        gain=take(2 * len(np.unique(gains))),
+        delay=take(len(np.unique(delays)) if nuisances.delay_sd_s > 0.0 else 0),
+        gain_of_pair=gains,
+        delay_of_pair=delays,
+        size=at,
+    )
 
 
 def start_of(problem: Problem) -> FloatArray:
-    """Return the row of unknowns with which a fit begins."""
+    """Return the unknowns with which a fit starts, shape (n_unknowns,)."""
     layout = layout_of(problem)
     x = np.zeros(layout.size)
     for place, curve in zip(layout.curves, problem.curves, strict=True):
@@ -170,7 +154,7 @@ def r0_of(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
 
 
 def state_of(problem: Problem, layout: Layout, x: FloatArray) -> State:
-    """Return where source and receivers are and how fast sound is."""
+    """Return the shifts of sources and receivers and the change of the speed of sound."""
     rest = at_rest(problem.model)
     source, receiver = rest.source_m.copy(), rest.receiver_m.copy()
     source[tuple(layout.source.T)] = x[layout.moves_source] * layout.source_sd_m
@@ -195,8 +179,7 @@ def source_number(pairs: IntArray) -> IntArray:
 
 def by_delay(problem: Problem) -> ComplexArray:
     """Return the derivative of the logarithm of a pressure by a delay in its own unit."""
-    model = problem.model
-    f = model.frequency_hz - 0.5j / (math.pi * model.tau_s)
+    f = complex_frequency_hz(problem.observed)
     return np.asarray(-2j * np.pi * f * problem.nuisances.delay_sd_s)
 
 
@@ -207,27 +190,18 @@ _GRID = np.geomspace(0.06, 6.0, 47)
 
 
 class Whitened(NamedTuple):
-    """A fit where it ended, linear: what its evidence needs.
+    """A fit at its end, linearised: what its marginal likelihood needs."""
 
-    Attributes
-    ----------
-    residual : float array, shape (n_rows,)
-        Of the data, in standard deviations.
-    jacobian : float array, shape (n_rows, n_unknowns)
-    normal : float array, shape (n_unknowns, n_unknowns)
-        ``J^T J`` of data and priors.
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
-    normal: FloatArray
+    residual: FloatArray  # (n_rows,), of the data, in standard deviations
+    jacobian: FloatArray  # (n_rows, n_unknowns)
+    normal: FloatArray  # (n_unknowns, n_unknowns), J^T J of data and priors
 
 
 def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
-    """Return the factor of the model's own error that makes what was measured most probable.
+    """Return the factor of the model's own error under which the data are most probable.
 
-    The restricted likelihood [1]_: unknowns of the fit integrated out, so that what they have taken
-    from the residual is not missed, times a normal prior of the logarithm. Where noise hides the
+    The restricted likelihood [1]_: unknowns of the fit integrated out, which accounts for what they
+    have taken from the residual, times a normal prior of the logarithm. Where noise hides the
     error, the prior is what remains. Where a spectrum of each source is free it takes up what the
     model gets wrong for all pairs alike, so that the residual shows too little: there the error is
     not taken to be less than the prior's median.
@@ -253,7 +227,7 @@ def marginal_likelihood_error(problem: Problem, fit: Whitened) -> float:
 
 def _cost(problem: Problem, fit: Whitened, share: float) -> float:
     """Return twice the negative logarithm of likelihood times prior, but for a constant."""
-    variance = relative_variance(problem, share * problem.model_error)
+    variance = _relative_variance(problem, share * problem.model_error)
     weight = 1.0 / variance
     changed = fit.normal + fit.jacobian.T @ ((weight - 1.0)[:, None] * fit.jacobian)
     # at the minimum the slopes of data and priors cancel
@@ -264,21 +238,16 @@ def _cost(problem: Problem, fit: Whitened, share: float) -> float:
     gained = float(slope @ np.linalg.solve(changed, slope))
     squares = float(weight @ fit.residual**2) - gained
     prior = (math.log(share / _MEDIAN) / _LOG_SD) ** 2
-    return _free_share(problem) * float(np.sum(np.log(variance))) + float(size) + squares + prior
-
-
-def _free_share(problem: Problem) -> float:
-    """Return the share of the rows that unknown spectra of sources leave."""
-    if not has_free_spectra(problem.nuisances):
-        return 1.0
+    # of the rows, unknown spectra of sources leave a share
     pairs = problem.model.scene.pairs
-    return 1.0 - len(np.unique(pairs[:, 0])) / len(pairs)
+    taken = len(np.unique(pairs[:, 0])) / len(pairs) if has_free_spectra(problem.nuisances) else 0.0
+    return (1.0 - taken) * float(np.sum(np.log(variance))) + float(size) + squares + prior
 
 
-def relative_variance(problem: Problem, factor: float) -> FloatArray:
+def _relative_variance(problem: Problem, factor: float) -> FloatArray:
     """Return the variance of each row of data for another model error, (n_rows,).
 
-    Relative to the variance with which the rows were weighed.
+    Relative to the variance of the rows' weights.
     """
     model = problem.model
     free_path_m = mean_free_path_m(model.scene.room.mesh)
@@ -290,9 +259,9 @@ def relative_variance(problem: Problem, factor: float) -> FloatArray:
 def robust_covariance(
     problem: Problem, fit: Whitened, factor: float, effective: float
 ) -> FloatArray:
-    """Return the covariance of what a fit found where the model's error is another than weighed.
+    """Return the covariance of the unknowns for another model error than that of the weights.
 
-    ``N^-1 (J^T V J + P^T P) N^-1`` [1]_, V the variance of the rows over what they were weighed by;
+    ``N^-1 (J^T V J + P^T P) N^-1`` [1]_, V the variance of the rows over that of their weights;
     wider where the data fit even worse than that.
 
     References
@@ -300,7 +269,7 @@ def robust_covariance(
     .. [1] H. White, "A heteroskedasticity-consistent covariance matrix estimator", Econometrica
            48, 817-838 (1980).
     """
-    variance = relative_variance(problem, factor)
+    variance = _relative_variance(problem, factor)
     inverse = np.linalg.pinv(fit.normal, hermitian=True)
     spread = fit.normal + fit.jacobian.T @ ((variance - 1.0)[:, None] * fit.jacobian)
     free = max(len(fit.residual) - effective, 1.0)
@@ -332,7 +301,7 @@ def data_rows(problem: Problem, layout: Layout, x: FloatArray, correction: Compl
     """Return the residuals of the pressures in units of their standard deviation.
 
     Real parts first, then imaginary ones (levels: one row each). `correction`, of shape (n_pairs,
-    n_frequencies), is added to the pressures of the short paths and held.
+    n_frequencies), is added to the pressures of the short paths and fixed.
     """
     state = state_of(problem, layout, x)
     moving = layout.delay.start > layout.curves[-1].stop
@@ -340,11 +309,11 @@ def data_rows(problem: Problem, layout: Layout, x: FloatArray, correction: Compl
     pressure = g.pressure + correction
     slope = _slopes(problem, layout, x, g._replace(pressure=pressure))
     factor = factor_of(problem, layout, x)
-    return whitened(problem, factor * pressure, factor[:, :, None] * slope)
+    return _whitened(problem, factor * pressure, factor[:, :, None] * slope)
 
 
-def whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) -> Linear:
-    """Return residuals and Jacobian of predicted pressures, spectra of sources taken out."""
+def _whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) -> Linear:
+    """Return residuals and Jacobian of predicted pressures, spectra of sources projected out."""
     observed = problem.observed
     weight = math.sqrt(2.0) / problem.sd
     if not observed.has_phase:
@@ -431,7 +400,7 @@ def _slopes(problem: Problem, layout: Layout, x: FloatArray, g: Gradients) -> Co
 
 
 def prior_rows(problem: Problem, layout: Layout, x: FloatArray, roughness_sd: FloatArray) -> Linear:
-    """Return what is believed of the unknowns beforehand as residuals of unit variance.
+    """Return the priors of the unknowns as residuals of unit variance.
 
     Parameters
     ----------

@@ -31,10 +31,17 @@ def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues,
             needed="impulse responses (file) or room parameters",
             hint="roomfit impedance reads this campaign",
         )
-    return (*map(_read_file, campaign.measurements), *_read_tables(campaign))
+    return (*map(read_file, campaign.measurements), *_read_tables(campaign))
 
 
-def _read_file(file: MeasuredFile) -> Measurement:
+def read_file(file: MeasuredFile) -> Measurement:
+    """Read one impulse response that a campaign names, with what is doubtful about it.
+
+    Raises
+    ------
+    InputError, StoreError
+        See `roomfit.io.responses.read_response`.
+    """
     spec = file.response
     response, findings = read_response(spec)
     chosen = (spec.channel, spec.variable, spec.measurement, spec.receiver_index)

@@ -1,7 +1,7 @@
 """The paper's problem with other rays for the measurement than for the model.
 
 The paper makes "measurement" and model with the same rays, so that the error is exactly 0 at the
-truth, however few the rays. A real room does not know the model's rays.
+truth, however few the rays. A measurement in a real room has nothing to do with the model's rays.
 """
 
 from __future__ import annotations
@@ -19,15 +19,14 @@ from roomfit.suh2001.room import (
     DIVISIONS,
     PRINTED_ARRIVALS_MS,
     Division,
-    SquaresProblem,
     division_rows,
     joined_rows,
-    paper_edges_s,
     paper_scene,
     residuals,
     squares_problem,
     trace_paper_room,
     uniform_absorption,
+    whole_windows_s,
     window_energies,
 )
 from roomfit.suh2001.searches import fit_least_squares, starts
@@ -46,67 +45,37 @@ Key = tuple[int, int]
 
 @dataclass(frozen=True, slots=True)
 class IndependentSettings:
-    """How much is traced.
+    """How much is traced."""
 
-    Attributes
-    ----------
-    measurement_rays : int
-        Rays of each part of the measurement.
-    measurement_parts : int
-        Independent traces whose mean is the measurement.
-    model_rays : tuple of int
-        Numbers of rays of the model, for each source.
-    repeats : int
-        Models with other rays, for each number.
-    """
-
-    measurement_rays: int = 262_144
-    measurement_parts: int = 4
+    measurement_rays: int = 262_144  # of each part of the measurement
+    measurement_parts: int = 4  # independent traces whose mean is the measurement
+    # of the model, for each source
     model_rays: tuple[int, ...] = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
-    repeats: int = 8
+    repeats: int = 8  # models with other rays, for each number
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IndependentFit:
-    """One fit with other rays than the measurement's.
-
-    Attributes
-    ----------
-    rays, materials, pairs : int
-    paths : int
-        How many paths the model recorded within the windows.
-    off : float array, shape (n_materials,)
-        Found minus true absorption.
-    """
+    """One fit with other rays than the measurement's."""
 
     rays: int
     materials: int
     pairs: int
-    paths: int
-    off: FloatArray
+    paths: int  # that the model recorded within the windows
+    off: FloatArray  # (n_materials,), found minus true absorption
 
 
 @dataclass(frozen=True, slots=True)
 class IndependentRow:
-    """All repeats of one number of rays, materials and pairs.
-
-    Attributes
-    ----------
-    rays, materials, pairs, repeats : int
-    median_paths : float
-    rms_error : float
-        Root mean square error of an absorption, over materials and repeats.
-    median_largest_error, worst_error : float
-        Of the largest error among the materials: its median and its maximum over repeats.
-    """
+    """All repeats of one number of rays, materials and pairs."""
 
     rays: int
     materials: int
     pairs: int
     repeats: int
     median_paths: float
-    rms_error: float
-    median_largest_error: float
+    rms_error: float  # of an absorption, over materials and repeats
+    median_largest_error: float  # of the largest among the materials, over repeats
     worst_error: float
 
 
@@ -137,49 +106,43 @@ def fit_with_other_rays(
     for (materials, pairs), measured in measurement.items():
         division = DIVISIONS[materials]
         rows = _rows(paths, division, pairs)
-        found = _fit(squares_problem(rows, measured), pairs, rng)
-        fits.append(
-            IndependentFit(
-                n_rays, materials, pairs, len(rows), found - np.array(division.true_absorption)
-            )
-        )
+        problem, windows_s = squares_problem(rows, measured), _windows_s(PAIRS[pairs][0])
+        uniform = uniform_absorption(problem.measured[: windows_s.size - 1], windows_s)
+        points = starts(uniform, len(problem.rows.materials), _RANDOM_STARTS, rng)
+        found = fit_least_squares(partial(residuals, problem), points).x
+        off = found - np.array(division.true_absorption)
+        fits.append(IndependentFit(n_rays, materials, pairs, len(rows), off))
     return tuple(fits)
 
 
 def summarise(fits: Sequence[IndependentFit]) -> tuple[IndependentRow, ...]:
     """Return one row for every number of pairs, materials and rays."""
-    keys = sorted({(fit.pairs, fit.materials, fit.rays) for fit in fits})
-    return tuple(_row([f for f in fits if (f.pairs, f.materials, f.rays) == key]) for key in keys)
-
-
-def _row(fits: Sequence[IndependentFit]) -> IndependentRow:
-    off = np.array([fit.off for fit in fits])
-    largest = np.max(np.abs(off), axis=1)
-    return IndependentRow(
-        fits[0].rays,
-        fits[0].materials,
-        fits[0].pairs,
-        len(fits),
-        float(np.median([fit.paths for fit in fits])),
-        float(np.sqrt(np.mean(off**2))),
-        float(np.median(largest)),
-        float(np.max(largest)),
-    )
+    rows = []
+    for pairs, materials, rays in sorted({(fit.pairs, fit.materials, fit.rays) for fit in fits}):
+        own = [f for f in fits if (f.pairs, f.materials, f.rays) == (pairs, materials, rays)]
+        off = np.array([fit.off for fit in own])
+        largest = np.max(np.abs(off), axis=1)
+        rows.append(
+            IndependentRow(
+                rays=rays,
+                materials=materials,
+                pairs=pairs,
+                repeats=len(own),
+                median_paths=float(np.median([fit.paths for fit in own])),
+                rms_error=float(np.sqrt(np.mean(off**2))),
+                median_largest_error=float(np.median(largest)),
+                worst_error=float(np.max(largest)),
+            )
+        )
+    return tuple(rows)
 
 
 def _rows(paths: Paths, division: Division, pairs: int) -> EnergyRows:
     return joined_rows(
-        [division_rows(paths, case, _edges_s(case), division) for case in PAIRS[pairs]]
+        [division_rows(paths, case, _windows_s(case), division) for case in PAIRS[pairs]]
     )
 
 
-def _edges_s(case: int) -> FloatArray:
-    # the printed arrival, not the trace's own: few rays hear the first reflection late
-    return paper_edges_s(PRINTED_ARRIVALS_MS[CASES[case]][1])
-
-
-def _fit(problem: SquaresProblem, pairs: int, rng: np.random.Generator) -> FloatArray:
-    edges_s = _edges_s(PAIRS[pairs][0])
-    uniform = uniform_absorption(problem.measured[: edges_s.size - 1], edges_s)
-    points = starts(uniform, len(problem.rows.materials), _RANDOM_STARTS, rng)
-    return fit_least_squares(partial(residuals, problem), points).x
+def _windows_s(case: int) -> FloatArray:
+    # the printed arrival, not the trace's own: of few rays the first reflection arrives late
+    return whole_windows_s(PRINTED_ARRIVALS_MS[CASES[case]][1], 5)

@@ -2,7 +2,7 @@
 
 A grid's minimum need not be one of the function: where a narrow valley runs askew to the grid, the
 points next to it alternate between its floor and its flanks, and a point of the grid may lie below
-its neighbours although the valley falls all the way. Only descents tell.
+its neighbours although the valley falls all the way. Only descents show the true minima.
 """
 
 from __future__ import annotations
@@ -25,41 +25,22 @@ _CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Minima:
-    """Distinct ends of descents, lowest error first.
+    """Distinct ends of descents, lowest error first."""
 
-    Attributes
-    ----------
-    x : float array, shape (n_minima, n)
-    error : float array, shape (n_minima,)
-    descents : tuple of int, n_minima long
-        How many descents ended there.
-    """
-
-    x: FloatArray
-    error: FloatArray
-    descents: tuple[int, ...]
+    x: FloatArray  # (n_minima, n)
+    error: FloatArray  # (n_minima,)
+    descents: tuple[int, ...]  # how many descents ended there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Landscape:
-    """An error function of two unknowns as a grid shows it, and as it is.
+    """An error function of two unknowns on a grid, and its true minima."""
 
-    Attributes
-    ----------
-    grid : float array, shape (n_points,)
-    errors : float array, shape (n_points, n_points)
-        First unknown along the first axis.
-    four_neighbours, eight_neighbours : tuple of (float, float)
-        Minima of the grid, lowest first.
-    minima : Minima
-        Where descents from every grid point end.
-    """
-
-    grid: FloatArray
-    errors: FloatArray
-    four_neighbours: tuple[tuple[float, float], ...]
+    grid: FloatArray  # (n_points,)
+    errors: FloatArray  # (n_points, n_points), first unknown along the first axis
+    four_neighbours: tuple[tuple[float, float], ...]  # minima of the grid, lowest first
     eight_neighbours: tuple[tuple[float, float], ...]
-    minima: Minima
+    minima: Minima  # ends of the descents from every grid point
 
 
 def landscape(error: ErrorFunction, residuals: ResidualFunction, n_points: int = 21) -> Landscape:
@@ -105,7 +86,7 @@ def grid_minima(
     errors : float array, shape (n_points, n_points)
     grid : float array, shape (n_points,)
     neighbours : {4, 8}
-        Those along the axes, or the diagonal ones as well. Beyond the wall there are none.
+        Those along the axes, or the diagonal ones as well. Beyond the box there are none.
     """
     n = len(grid)
     walled = np.pad(errors, 1, constant_values=np.inf)
@@ -153,15 +134,15 @@ def descend(
     """Return the foot of the slope on which a point lies, and the error there.
 
     Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than
-    `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it is to
-    tell how many minima there are.
+    `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it counts
+    the minima.
 
     Parameters
     ----------
     residuals : callable
     start : float array, shape (n,)
-        Taken into the box by 0.001 where it lies on a wall: a black wall (absorption 1) has no
-        slope by any path that meets it twice.
+        Moved into the box by 0.001 where it lies on a bound: at absorption 1 a wall has no slope
+        by any path that meets it twice.
     """
     x = np.clip(start, 1e-3, 1.0 - 1e-3)
     r, jacobian = residuals(x)
@@ -180,7 +161,7 @@ def descend(
 
 
 def _damped_step(x: FloatArray, r: FloatArray, jacobian: FloatArray, longest: float) -> FloatArray:
-    """Return a step damped until it is short enough, in the unknowns that no wall holds."""
+    """Return a step damped until it is short enough, in the unknowns that are at no bound."""
     slope = jacobian.T @ r
     free = ~(((x <= 0.0) & (slope > 0.0)) | ((x >= 1.0) & (slope < 0.0)))
     step = np.zeros_like(x)

@@ -1,10 +1,8 @@
-"""Repeat every result of Suh (2001) on the reconstructed room, and what the paper left open.
+"""Every result of Suh (2001) on the reconstructed room, and what the paper left open.
 
-A proof for every problem of the paper: where its error function can be lowest, and how low.
-
-Figures 2 to 5 and Table 2 of Suh (2001), on the reconstructed room.
-
-Every search of the paper's problems over many seeds, and how often it finds the truth.
+Figures 2 to 5 and Table 2; every search of its problems over many seeds, and how often it finds the
+true absorption; a certificate for every problem: where its error can be lowest, and how low; and
+the same with other rays for the measurement than for the model.
 """
 
 from __future__ import annotations
@@ -16,6 +14,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass, field
 from functools import partial
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 
@@ -57,13 +56,12 @@ from roomfit.suh2001.room import (
     division_rows,
     error,
     exchanged_walls,
-    paper_edges_s,
     paper_problem,
     paper_scene,
     residuals,
-    response_edges_s,
     trace_paper_room,
     walls_apart_problem,
+    whole_windows_s,
     window_energies,
 )
 from roomfit.suh2001.searches import fit_least_squares, starts
@@ -75,72 +73,38 @@ _WALLS_APART_STARTS = 60
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CaseResponse:
-    """Energy responses of one case at the true absorption (Figures 2 and 3).
-
-    Attributes
-    ----------
-    name : str
-    direct_ms, first_reflection_ms : int
-        1 ms bins of arrival.
-    fine : float array, shape (200,)
-        Energy of each 1 ms bin from emission on, in the paper's unit.
-    edges_s : float array, shape (n_windows + 1,)
-    windows : float array, shape (n_windows,)
-        Energy of each 5 ms window from the first reflection on.
-    """
+    """Energy responses of one case at the true absorption (Figures 2 and 3)."""
 
     name: str
-    direct_ms: int
+    direct_ms: int  # 1 ms bin of arrival
     first_reflection_ms: int
-    fine: FloatArray
-    edges_s: FloatArray
-    windows: FloatArray
+    fine: FloatArray  # (200,), energy of each 1 ms bin from emission on, in the paper's unit
+    edges_s: FloatArray  # (n_windows + 1,)
+    windows: FloatArray  # (n_windows,), energy of each 5 ms window from the first reflection on
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Table2:
-    """Errors of the paper beside ours, row by row.
+    """Errors of the paper beside ours, row by row."""
 
-    Attributes
-    ----------
-    absorption : float array, shape (n_rows, 2)
-    paper, ours : float arrays, shape (n_rows,)
-        Ours after the common factor.
-    common_factor : float
-        What ours was multiplied by; near 1, for the unit of energy was found in the same way.
-    max_relative_error : float
-        Over the rows whose error in the paper is above 10.
-    """
-
-    absorption: FloatArray
-    paper: FloatArray
-    ours: FloatArray
-    common_factor: float
-    max_relative_error: float
+    absorption: FloatArray  # (n_rows, 2)
+    paper: FloatArray  # (n_rows,)
+    ours: FloatArray  # (n_rows,), after the common factor
+    common_factor: float  # near 1, for the unit of energy was found in the same way
+    max_relative_error: float  # over the rows whose error in the paper is above 10
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WallsApart:
-    """Case 1 with four separate walls: what answers there are, and how well each explains.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    true_absorption : float array, shape (n_materials,)
-    answers : Minima
-        With the room's mirror symmetry made exact.
-    mirrored_error_of_trace : float
-        Error of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is
-        all that speaks against it.
-    error_of_silence : float
-        Sum of the squared measured energies, to compare with.
-    """
+    """Case 1 with four separate walls: its minima, and their errors."""
 
     materials: tuple[str, ...]
-    true_absorption: FloatArray
-    answers: Minima
+    true_absorption: FloatArray  # (n_materials,)
+    answers: Minima  # with the room's mirror symmetry made exact
+    # Of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is all the
+    # evidence against it
     mirrored_error_of_trace: float
-    error_of_silence: float
+    error_of_silence: float  # sum of the squared measured energies, to compare with
 
 
 def paper_paths() -> dict[str, Paths]:
@@ -151,23 +115,18 @@ def paper_paths() -> dict[str, Paths]:
 
 def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
     """Return Figures 2 and 3 as numbers."""
-    return tuple(_case_response(paths, case, name) for case, name in enumerate(CASES))
-
-
-def _case_response(paths: Paths, case: int, name: str) -> CaseResponse:
-    true_absorption = np.array(TRUE_ABSORPTION)
-    direct_ms, first_reflection_ms = arrivals_ms(paths, case)
-    edges_s = paper_edges_s(first_reflection_ms)
-    fine = division_rows(paths, case, response_edges_s(), DIVISIONS[2])
-    windows = division_rows(paths, case, edges_s, DIVISIONS[2])
-    return CaseResponse(
-        name,
-        direct_ms,
-        first_reflection_ms,
-        window_energies(fine, true_absorption),
-        edges_s,
-        window_energies(windows, true_absorption),
-    )
+    found = []
+    for case, name in enumerate(CASES):
+        direct_ms, first_reflection_ms = arrivals_ms(paths, case)
+        edges_s = whole_windows_s(first_reflection_ms, 5)
+        fine, windows = (
+            window_energies(
+                division_rows(paths, case, edges, DIVISIONS[2]), np.array(TRUE_ABSORPTION)
+            )
+            for edges in (whole_windows_s(0, 1), edges_s)
+        )
+        found.append(CaseResponse(name, direct_ms, first_reflection_ms, fine, edges_s, windows))
+    return tuple(found)
 
 
 def table2(problem: PaperProblem) -> Table2:
@@ -226,43 +185,23 @@ _EXACT = 1e-12
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Run:
-    """One search.
+    """One search."""
 
-    Attributes
-    ----------
-    found : float array, shape (n_materials,)
-    evaluations : int
-    seconds : float
-        Wall-clock time.
-    """
-
-    found: FloatArray
+    found: FloatArray  # (n_materials,)
     evaluations: int
-    seconds: float
+    seconds: float  # wall-clock time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Record:
-    """All searches of one problem by one method.
-
-    Attributes
-    ----------
-    problem, method : str
-    true_absorption : float array, shape (n_materials,)
-    worst_found : float array, shape (n_materials,)
-        Of the seed with the largest error in any absorption.
-    largest_error : float
-        That error.
-    successes, seeds : int
-    median_evaluations, median_seconds : float
-    """
+    """All searches of one problem by one method."""
 
     problem: str
     method: str
-    true_absorption: FloatArray
-    worst_found: FloatArray
-    largest_error: float
-    successes: int
+    true_absorption: FloatArray  # (n_materials,)
+    worst_found: FloatArray  # (n_materials,), of the seed with the largest error
+    largest_error: float  # of any absorption
+    successes: int  # within `FOUND_WITHIN`
     seeds: int
     median_evaluations: float
     median_seconds: float
@@ -272,14 +211,10 @@ def _annealing_and_simplex(problem: PaperProblem, rng: np.random.Generator) -> F
     return anneal(partial(error, problem.squares), problem.true_absorption.size, rng)
 
 
-def _simplex(problem: PaperProblem, rng: np.random.Generator) -> Fit:
+def _simplex(
+    problem: PaperProblem, rng: np.random.Generator, settings: SimplexSettings | None = None
+) -> Fit:
     first = random_simplex(problem.true_absorption.size, rng)
-    return downhill_simplex(partial(error, problem.squares), first)
-
-
-def _simplex_as_printed(problem: PaperProblem, rng: np.random.Generator) -> Fit:
-    first = random_simplex(problem.true_absorption.size, rng)
-    settings = SimplexSettings(order="as-printed")
     return downhill_simplex(partial(error, problem.squares), first, settings)
 
 
@@ -296,30 +231,33 @@ def _least_squares_once(problem: PaperProblem, rng: np.random.Generator) -> Fit:
     return fit_least_squares(partial(residuals, problem.squares), start)
 
 
-METHODS: Mapping[str, Callable[[PaperProblem, np.random.Generator], Fit]] = MappingProxyType(
-    {
-        "annealing+simplex": _annealing_and_simplex,
-        "simplex": _simplex,
-        "simplex-as-printed": _simplex_as_printed,
-        "least-squares": _least_squares,
-        "least-squares-one-random-start": _least_squares_once,
-    }
-)
+class Method(NamedTuple):
+    """A search, and what figures and tables call it."""
+
+    search: Callable[[PaperProblem, np.random.Generator], Fit]
+    label: str
+    heading: str  # at most 13 characters
 
 
-LABELS: Mapping[str, str] = MappingProxyType(
+METHODS: Mapping[str, Method] = MappingProxyType(
     {
-        "annealing+simplex": "annealing + simplex",
-        "simplex": "simplex",
-        "simplex-as-printed": "simplex, order as printed",
-        "least-squares": "least squares",
-        "least-squares-one-random-start": "least squares, one random start",
+        "annealing+simplex": Method(_annealing_and_simplex, "annealing + simplex", "annealing"),
+        "simplex": Method(_simplex, "simplex", "simplex"),
+        "simplex-as-printed": Method(
+            partial(_simplex, settings=SimplexSettings(order="as-printed")),
+            "simplex, order as printed",
+            "as printed",
+        ),
+        "least-squares": Method(_least_squares, "least squares", "least squares"),
+        "least-squares-one-random-start": Method(
+            _least_squares_once, "least squares, one random start", "one start"
+        ),
     }
 )
 
 
 def searches_of_table2(problem: PaperProblem, seed: int = 0) -> dict[str, Fit]:
-    """Return the way of each method through case 1, from where Table 2 of the paper begins.
+    """Return the trail of each method through case 1, from the first points of Table 2.
 
     The simplexes start with the first three points of the table as vertices, least squares with
     the first one; annealing starts where its seed says.
@@ -336,13 +274,12 @@ def searches_of_table2(problem: PaperProblem, seed: int = 0) -> dict[str, Fit]:
 
 def search_seeds(problem: PaperProblem, method: str, seeds: range) -> tuple[Run, ...]:
     """Return one run for each seed."""
-    return tuple(_timed(problem, method, seed) for seed in seeds)
-
-
-def _timed(problem: PaperProblem, method: str, seed: int) -> Run:
-    started_s = time.perf_counter()
-    fit = METHODS[method](problem, np.random.default_rng(seed))
-    return Run(fit.x, fit.evaluations, time.perf_counter() - started_s)
+    runs = []
+    for seed in seeds:
+        started_s = time.perf_counter()
+        fit = METHODS[method].search(problem, np.random.default_rng(seed))
+        runs.append(Run(fit.x, fit.evaluations, time.perf_counter() - started_s))
+    return tuple(runs)
 
 
 def record(problem: PaperProblem, method: str, runs: Sequence[Run]) -> Record:
@@ -404,8 +341,8 @@ def squares_global_problem(
     )
 
 
-# In the paper's unit of energy squared, where black walls err by hundreds: data that the model's
-# own rays have made have an error of 0 at the truth.
+# In the paper's unit of energy squared, where black walls err by hundreds: with the model's own
+# rays the error is 0 at the truth.
 DELTA = 1e-8
 _MAX_SECONDS = 120.0
 
@@ -438,19 +375,10 @@ _FINE = 201
 
 @dataclass(frozen=True, slots=True)
 class PaperSettings:
-    """How much of it to do.
+    """How much of it to do."""
 
-    Attributes
-    ----------
-    seeds : int
-        Searches of every problem by every method.
-    workers : int
-        Processes; 1 stays in this one.
-    independent : IndependentSettings
-    """
-
-    seeds: int = 50
-    workers: int = 2
+    seeds: int = 50  # searches of every problem by every method
+    workers: int = 2  # processes; 1 stays in this one
     independent: IndependentSettings = field(default_factory=IndependentSettings)
 
     def __post_init__(self) -> None:
@@ -459,36 +387,17 @@ class PaperSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperResult:
-    """Everything that `roomfit paper` found out.
-
-    Attributes
-    ----------
-    seeds : int
-    responses : tuple of CaseResponse
-    table2 : Table2
-    landscapes : mapping of problem name to Landscape
-        Problems of two materials.
-    ill_defined_fine : float array, shape (201, 201)
-        The error function of Figure 5 on a grid ten times finer, to show its valley.
-    case1_searches : mapping of method to Fit
-        One search of case 1 by each method, from where Table 2 begins.
-    records : tuple of Record
-    walls_apart : WallsApart
-    certificates : mapping of problem name to Certificate
-        Of every problem, and of "walls_apart".
-    independent_settings : IndependentSettings
-    independent : tuple of IndependentRow
-    """
+    """Everything that `roomfit paper` finds."""
 
     seeds: int
     responses: tuple[CaseResponse, ...]
     table2: Table2
-    landscapes: Mapping[str, Landscape]
-    ill_defined_fine: FloatArray
-    case1_searches: Mapping[str, Fit]
+    landscapes: Mapping[str, Landscape]  # by name, of the problems of two materials
+    ill_defined_fine: FloatArray  # (201, 201): the error of Figure 5, on a grid ten times finer
+    case1_searches: Mapping[str, Fit]  # by method, one search each from the start of Table 2
     records: tuple[Record, ...]
     walls_apart: WallsApart
-    certificates: Mapping[str, Certificate]
+    certificates: Mapping[str, Certificate]  # by name, of every problem and of "walls_apart"
     independent_settings: IndependentSettings
     independent: tuple[IndependentRow, ...]
 

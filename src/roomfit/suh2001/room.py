@@ -1,20 +1,14 @@
-"""The problems of Suh (2001) by name, and those that the paper leaves open.
-
-The error function of Suh (2001), equation (1): squared differences of window energies.
-
-The gabled room of Suh (2001), reconstructed from the arrival times and Table 2 of the paper.
+"""The gabled room of Suh (2001) and its problems: minimise the error of equation (1).
 
 The paper's drawing of the room is lost; floor plan, heights and ridge were inferred from the
-numbers that its text carries, and whatever shows this room must say so: `RECONSTRUCTED`.
-Seven planes, each a material of its own; coarser divisions come from `DIVISIONS`.
-
-Table 2 of Suh (2001): the search in case 1, as printed.
+numbers in its text (arrival times and Table 2), and whatever shows this room must say so:
+`RECONSTRUCTED`. Seven planes, each a material of its own; coarser divisions come from `DIVISIONS`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 from typing import Literal
 
@@ -40,18 +34,11 @@ _NO_AIR = np.zeros(1)
 class SquaresProblem:
     """One band, no air, no noise: find the absorption whose window energies are the measured ones.
 
-    Rows, hits and windows stand open, for methods that need more than a function to call.
-
-    Attributes
-    ----------
-    rows : EnergyRows
-        The windows of all pairs end to end.
-    measured : float array, shape (n_windows,)
-        M of equation (1), in the unit of the rows' weights.
+    Rows, hits and windows are public, for methods that need more than a function to call.
     """
 
-    rows: EnergyRows
-    measured: FloatArray
+    rows: EnergyRows  # the windows of all pairs end to end
+    measured: FloatArray  # (n_windows,), M of equation (1), in the unit of the rows' weights
 
     def __post_init__(self) -> None:
         measured = float_array("measured energy", self.measured, (self.rows.n_windows,), low=0.0)
@@ -129,36 +116,12 @@ def grouped_rows(rows: EnergyRows, materials: tuple[str, ...], group: IntArray) 
         Index into `materials` for each material of the rows.
     """
     membership = np.asarray(group)[:, None] == np.arange(len(materials))
-    return EnergyRows(
-        materials,
-        rows.n_windows,
-        rows.offsets,
-        rows.weight_per_m2,
-        rows.hits.astype(np.int64) @ membership,
-        rows.length_m,
-        rows.batch,
-        rows.n_batches,
-    )
+    return replace(rows, materials=materials, hits=rows.hits.astype(np.int64) @ membership)
 
 
 def in_unit(rows: EnergyRows, unit_per_m2: float) -> EnergyRows:
-    """Return the same rows with energies counted in another unit.
-
-    Parameters
-    ----------
-    unit_per_m2 : float
-        How many of the new unit make 1/m2.
-    """
-    return EnergyRows(
-        rows.materials,
-        rows.n_windows,
-        rows.offsets,
-        rows.weight_per_m2 * unit_per_m2,
-        rows.hits,
-        rows.length_m,
-        rows.batch,
-        rows.n_batches,
-    )
+    """Return the same rows in a unit of energy of which `unit_per_m2` make 1/m2."""
+    return replace(rows, weight_per_m2=rows.weight_per_m2 * unit_per_m2)
 
 
 RECONSTRUCTED = "Room reconstructed from the arrival times and Table 2 of the paper."
@@ -190,20 +153,11 @@ Shape = Literal["paper", "disproportionate"]
 
 @dataclass(frozen=True, slots=True)
 class Division:
-    """How the seven planes are divided into materials.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    group : tuple of int
-        Material of each of `PLANES`.
-    true_absorption : tuple of float
-        Absorption of each material in the test problems.
-    """
+    """How the seven planes are divided into materials."""
 
     materials: tuple[str, ...]
-    group: tuple[int, ...]
-    true_absorption: tuple[float, ...]
+    group: tuple[int, ...]  # material of each of `PLANES`
+    true_absorption: tuple[float, ...]  # of each material in the test problems
 
 
 DIVISIONS = {
@@ -258,13 +212,13 @@ def paper_scene(shape: Shape = "paper") -> Scene:
     faces = [Face(outlines[name], Surface(name)) for name in PLANES]
     mesh, _ = build_mesh(corners * stretch, faces)
     room = Room(mesh, PLANES, np.arange(len(PLANES)))
-    return Scene(
-        room,
-        _points("S", _SOURCES_M, stretch),
-        _points("R", _RECEIVERS_M, stretch),
-        np.array([(i, i) for i in range(len(CASES))]),
-        Air(speed_of_sound_m_s=SPEED_OF_SOUND_M_S, attenuation="none"),
+    sources, receivers = (
+        tuple(Point(f"{letter}{i}", np.array(p) * stretch) for i, p in enumerate(positions_m, 1))
+        for letter, positions_m in (("S", _SOURCES_M), ("R", _RECEIVERS_M))
     )
+    pairs = np.array([(i, i) for i in range(len(CASES))])
+    air = Air(speed_of_sound_m_s=SPEED_OF_SOUND_M_S, attenuation="none")
+    return Scene(room, sources, receivers, pairs, air)
 
 
 def trace_paper_room(
@@ -295,44 +249,22 @@ def trace_paper_room(
 
 
 def arrivals_ms(paths: Paths, pair: int) -> tuple[int, int]:
-    """Return the 1 ms bins in which the direct sound and the first reflection are first heard."""
+    """Return the 1 ms bins in which the direct sound and the first reflection arrive."""
     own = paths.pair == pair
     bins = np.floor(1e3 * paths.length_m[own] / SPEED_OF_SOUND_M_S).astype(int)
     reflected = hits(paths)[own].any(axis=1)
     return int(bins[~reflected].min()), int(bins[reflected].min())
 
 
-def response_edges_s() -> FloatArray:
-    """Return the edges of 1 ms bins from emission on (Figure 2), shape (201,)."""
-    return _milliseconds(0, 1)
+def whole_windows_s(first_ms: int, step_ms: int) -> FloatArray:
+    """Return the edges of whole windows of some length from a 1 ms bin on, shape (n_windows + 1,).
 
-
-def paper_edges_s(first_reflection_ms: int) -> FloatArray:
-    """Return the windows of equation (1): 5 ms from the first reflection, whole ones only."""
-    return _milliseconds(first_reflection_ms, 5)
-
-
-def ill_defined_edges_s(first_ms: int) -> FloatArray:
-    """Return windows of 50 ms from a 1 ms bin on, whole ones only.
-
-    For Figure 5 that bin is the one of the direct sound, as the 5 ms windows begin with the first
-    reflection. The paper does not say so; from emission on (0 ms) is the other way to read it.
+    Figure 2 has windows of 1 ms from emission on, equation (1) of 5 ms from the first reflection.
+    Figure 5 has 50 ms from the direct sound on, as the 5 ms windows start with the first
+    reflection; the paper does not say so, and from emission on (0 ms) is the other way to read it.
     """
-    return _milliseconds(first_ms, 50)
-
-
-def _milliseconds(first: int, step: int) -> FloatArray:
-    count: IntArray = np.arange(first, round(1e3 * DURATION_S) + 1, step)
+    count: IntArray = np.arange(first_ms, round(1e3 * DURATION_S) + 1, step_ms)
     return count / 1e3
-
-
-def _points(
-    letter: str, positions_m: tuple[tuple[float, float, float], ...], stretch: FloatArray
-) -> tuple[Point, ...]:
-    return tuple(
-        Point(f"{letter}{i}", np.array(position) * stretch)
-        for i, position in enumerate(positions_m, start=1)
-    )
 
 
 EXTREME_ABSORPTION = (0.01, 0.99)
@@ -354,47 +286,25 @@ Windows = Literal["reflections", "direct", "emission"]
 
 @dataclass(frozen=True, slots=True)
 class Specification:
-    """What makes a problem.
+    """What makes a problem."""
 
-    Attributes
-    ----------
-    case : int
-        Pair of the scene, 0 to 2.
-    division : Division
-    true_absorption : tuple of float
-    shape : {"paper", "disproportionate"}
-    windows : {"reflections", "direct", "emission"}
-        5 ms from the first reflection on, or 50 ms from the direct sound or from emission on.
-    in_paper : bool
-        Whether the paper names it.
-    """
-
-    case: int
+    case: int  # pair of the scene, 0 to 2
     division: Division
     true_absorption: tuple[float, ...]
     shape: Shape = "paper"
+    # 5 ms from the first reflection on, or 50 ms from the direct sound or from emission on
     windows: Windows = "reflections"
-    in_paper: bool = True
+    in_paper: bool = True  # whether the paper names it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PaperProblem:
-    """A problem ready to be solved.
-
-    Attributes
-    ----------
-    name : str
-    true_absorption : float array, shape (n_materials,)
-    squares : SquaresProblem
-        Energies in the paper's unit; measured by the same rays that the model has.
-    uniform_start : float
-        Absorption which on all walls alike explains the decay.
-    """
+    """A problem ready to be solved."""
 
     name: str
-    true_absorption: FloatArray
-    squares: SquaresProblem
-    uniform_start: float
+    true_absorption: FloatArray  # (n_materials,)
+    squares: SquaresProblem  # energies in the paper's unit; measured by the rays of the model
+    uniform_start: float  # absorption which on all walls alike explains the decay
 
 
 def _specifications() -> dict[str, Specification]:
@@ -412,7 +322,7 @@ def _specifications() -> dict[str, Specification]:
         "extreme_and_disproportionate": Specification(0, two, extreme, "disproportionate"),
         "three_materials": Specification(0, DIVISIONS[3], DIVISIONS[3].true_absorption),
     }
-    # case 3 is the only one off the room's plane of symmetry, where every wall can be told apart
+    # case 3 is the only one off the room's plane of symmetry, where all walls can be distinguished
     for number in (4, 5, 6, 7):
         division = DIVISIONS[number]
         named[MATERIAL_PROBLEMS[number]] = Specification(
@@ -434,9 +344,9 @@ def paper_problem(name: str, paths: Paths) -> PaperProblem:
     paths : Paths
     """
     wanted = SPECIFICATIONS[name]
-    edges_s = problem_edges_s(paths, wanted)
-    rows = division_rows(paths, wanted.case, edges_s, wanted.division)
-    return _prepared(name, rows, edges_s, wanted)
+    windows_s = _windows_s(paths, wanted)
+    rows = division_rows(paths, wanted.case, windows_s, wanted.division)
+    return _prepared(name, rows, windows_s, wanted)
 
 
 def walls_apart_problem(paths: Paths, *, mirrored: bool) -> PaperProblem:
@@ -455,39 +365,44 @@ def walls_apart_problem(paths: Paths, *, mirrored: bool) -> PaperProblem:
         exchangeable to the last digit, as they are in the room.
     """
     wanted = Specification(0, WALLS_APART, WALLS_APART.true_absorption, in_paper=False)
-    edges_s = problem_edges_s(paths, wanted)
-    rows = division_rows(paths, 0, edges_s, WALLS_APART)
+    windows_s = _windows_s(paths, wanted)
+    rows = division_rows(paths, 0, windows_s, WALLS_APART)
     if mirrored:
         rows = in_unit(_with_mirror_images(rows), 0.5)
-    return _prepared("walls_apart", rows, edges_s, wanted)
+    return _prepared("walls_apart", rows, windows_s, wanted)
 
 
 def exchanged_walls(materials: tuple[str, ...]) -> list[int]:
-    """Return the order of materials in which south and north have changed places."""
+    """Return the order of materials in which south and north are exchanged."""
     other = {"south": "north", "north": "south"}
     return [materials.index(other.get(name, name)) for name in materials]
 
 
-def problem_edges_s(paths: Paths, wanted: Specification) -> FloatArray:
-    """Return the windows of a problem, shape (n_windows + 1,)."""
+def _windows_s(paths: Paths, wanted: Specification) -> FloatArray:
     direct_ms, first_reflection_ms = arrivals_ms(paths, wanted.case)
     if wanted.windows == "reflections":
-        return paper_edges_s(first_reflection_ms)
-    return ill_defined_edges_s(direct_ms if wanted.windows == "direct" else 0)
+        return whole_windows_s(first_reflection_ms, 5)
+    return whole_windows_s(direct_ms if wanted.windows == "direct" else 0, 50)
 
 
-def division_rows(paths: Paths, case: int, edges_s: FloatArray, division: Division) -> EnergyRows:
-    """Return the rows of one pair in the paper's unit of energy, hits counted by material."""
-    rows = energy_rows(paths, case, edges_s, SPEED_OF_SOUND_M_S)
+def division_rows(paths: Paths, case: int, windows_s: FloatArray, division: Division) -> EnergyRows:
+    """Return the rows of one pair in the paper's unit of energy, hits counted by material.
+
+    Parameters
+    ----------
+    windows_s : float array, shape (n_windows + 1,)
+        Edges of the windows, from emission.
+    """
+    rows = energy_rows(paths, case, windows_s, SPEED_OF_SOUND_M_S)
     grouped = grouped_rows(rows, division.materials, np.array(division.group))
     return in_unit(grouped, ENERGY_UNIT_PER_M2)
 
 
-def uniform_absorption(energy: FloatArray, edges_s: FloatArray, shape: Shape = "paper") -> float:
-    """Return the absorption that Eyring's law reads from the decay of one pair's windows."""
+def uniform_absorption(energy: FloatArray, windows_s: FloatArray, shape: Shape = "paper") -> float:
+    """Return the absorption by Eyring's law from the decay of one pair's windows."""
     room = paper_scene(shape).room
     return eyring_absorption(
-        decay_rate_per_s(energy, edges_s),
+        decay_rate_per_s(energy, windows_s),
         volume_m3(room.mesh),
         float(np.sum(material_areas_m2(room))),
         SPEED_OF_SOUND_M_S,
@@ -495,25 +410,24 @@ def uniform_absorption(energy: FloatArray, edges_s: FloatArray, shape: Shape = "
 
 
 def _prepared(
-    name: str, rows: EnergyRows, edges_s: FloatArray, wanted: Specification
+    name: str, rows: EnergyRows, windows_s: FloatArray, wanted: Specification
 ) -> PaperProblem:
     true_absorption = np.array(wanted.true_absorption)
     squares = squares_problem(rows, window_energies(rows, true_absorption))
-    start = uniform_absorption(squares.measured, edges_s, wanted.shape)
+    start = uniform_absorption(squares.measured, windows_s, wanted.shape)
     return PaperProblem(name, true_absorption, squares, start)
 
 
 def _with_mirror_images(rows: EnergyRows) -> EnergyRows:
     exchanged = rows.hits[:, exchanged_walls(rows.materials)]
-    return EnergyRows(
-        rows.materials,
-        rows.n_windows,
-        2 * rows.offsets,
-        np.repeat(rows.weight_per_m2, 2),
-        np.stack((rows.hits, exchanged), axis=1).reshape(-1, len(rows.materials)),
-        np.repeat(rows.length_m, 2),
-        np.repeat(rows.batch, 2),
-        rows.n_batches,
+    return replace(
+        rows,
+        offsets=2 * rows.offsets,
+        weight_per_m2=np.repeat(rows.weight_per_m2, 2),
+        hits=np.stack((rows.hits, exchanged), axis=1).reshape(-1, len(rows.materials)),
+        length_m=np.repeat(rows.length_m, 2),
+        batch=np.repeat(rows.batch, 2),
+        path=None,
     )
 
 

@@ -1,0 +1,495 @@
+"""From a fit to a result: enough data, noise by the residual, misfit and its cause, the verdict."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+
+from roomfit.findings import Code, Finding
+from roomfit.geometry.mesh import mean_free_path_m
+from roomfit.impedance.data import Observed, level_at, model_error
+from roomfit.impedance.fit import ImpedanceFit, Start, WallModel, reduced_chi2, share_in_best
+from roomfit.impedance.laws import LAWS, LawCurve
+from roomfit.impedance.problem import Problem, data_rows, factor_of, layout_of, source_spectra
+from roomfit.impedance.result import (
+    Z95,
+    FoundNuisance,
+    ImpedanceResult,
+    LawParameter,
+    MaterialImpedance,
+    Verdict,
+    material_impedance,
+)
+from roomfit.impedance.wave_model import Nuisances, gradients, has_free_spectra
+from roomfit.scene import Scene
+from roomfit.typing import BoolArray, ComplexArray, FloatArray
+
+# Frequencies from which a curve couples them, so that phases can be done without.
+_COUPLED = 4
+# How far the image model's error moves a soft wall's R0, over what the residual shows of it: most
+# probable for 26 boxes with walls at random, see docs/impedance.md.
+_OFFSET = 2.4
+
+# Of squares over what is expected; the allowance for the model's own error is a generous one, so
+# that good fits come to between 0.2 and 1.2.
+CHI2_LIMIT = 1.6
+OCTAVE_CHI2_LIMIT = 2.5
+# Share of frequencies at which a material must be identified.
+ENOUGH_FREQUENCIES = 0.8
+# A cause that frees very many numbers must lower the squares to this share of them.
+_FAR_BETTER = 0.2
+# Noise estimated from what a fit leaves: above this share of the level it does not fit.
+LOUDEST_ESTIMATED_NOISE = 0.15
+
+# Frequencies that are taken together differ by less in their logarithm, and give at least so many
+# residuals.
+_NEAR = 0.2
+_LEAST = 24
+# Medians over means of squares of normal numbers: of complex ones, and of real ones.
+_COMPLEX_MEDIAN, _REAL_MEDIAN = math.log(2.0), 0.4549364
+# Of the error that is allowed to the model: no noise is less.
+_FLOOR = 1e-3
+
+_DB = 20.0 / np.log(10.0)
+
+Again = Callable[[Problem], ImpedanceFit]
+"""Fits a changed problem from the start of its curves."""
+
+
+def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Finding, ...]:
+    """Return a serious finding where the data cannot determine the unknowns, whatever they say.
+
+    Two numbers a pair and frequency (levels: one), less the gains that are unknown, must be at
+    least the numbers of the walls; and frequency by frequency, where nothing couples them, one pair
+    more than materials [1]_: with as many there are other exact solutions.
+
+    References
+    ----------
+    .. [1] docs/impedance.md
+    """
+    observed = problem.observed
+    n_pairs, n_f = observed.pressure.shape
+    n_materials = len(problem.curves)
+    frequencies = "one frequency" if n_f == 1 else f"{n_f} frequencies"
+    evidence = {"pairs": n_pairs, "frequencies": n_f}
+    if n_f < _COUPLED and not observed.has_phase:
+        sentence = (
+            f"Levels without phase at {frequencies} do not distinguish a wall from others that "
+            "reflect as much with another phase. Give phases, or levels over a whole band."
+        )
+        return (Finding(Code.TOO_FEW_DATA, sentence, evidence),)
+    if n_f < _COUPLED and n_pairs < n_materials + 1:
+        sentence = (
+            f"{n_pairs} pair{'s' * (n_pairs != 1)} at {frequencies} cannot distinguish "
+            f"{n_materials} materials: {n_materials + 1} pairs are needed, or "
+            "frequencies that a smooth curve couples."
+        )
+        return (Finding(Code.TOO_FEW_DATA, sentence, {**evidence, "materials": n_materials}),)
+    needed = sum(
+        len(LAWS[wall.kind][1]) if wall.kind in LAWS else len(curve.start)
+        for wall, curve in zip(walls.values(), problem.curves, strict=True)
+    )
+    data = (2 if observed.has_phase else 1) * n_pairs * n_f
+    if has_free_spectra(problem.nuisances):
+        data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
+    gain = layout_of(problem).gain
+    needed += gain.stop - gain.start
+    if data >= needed:
+        return ()
+    sentence = (
+        f"{data} numbers were measured, besides what the gains take, and {needed} are unknown: "
+        "measure more pairs, or specify the gain or the laws of some walls."
+    )
+    return (Finding(Code.TOO_FEW_DATA, sentence, {"data": data, "unknowns": needed}),)
+
+
+def estimated_noise(fit: ImpedanceFit) -> FloatArray:
+    """Return the rms noise of every pair and frequency, by the residual of a fit without noise.
+
+    A smooth function of frequency, the same for all pairs: medians of the squared residuals over
+    neighbours in frequency and over pairs, so that a few bad pairs or frequencies do not count,
+    averaged once more; half of the error that is allowed to the model itself is taken off.
+
+    Returns
+    -------
+    float array, shape (n_pairs, n_frequencies)
+        In the unit of the pressure.
+    """
+    problem = fit.problem
+    n_pairs, n_f = problem.sd.shape
+    # each row has the variance of one, of real and imaginary part or of the level
+    square = np.reshape(fit.residual**2, (-1, n_pairs, n_f)).mean(axis=0) * problem.sd**2
+    free = max(1.0 - fit.effective / len(fit.residual), 1e-2)
+    near = _neighbours(problem.observed.frequency_hz, n_pairs)
+    usual = _COMPLEX_MEDIAN if problem.observed.has_phase else _REAL_MEDIAN
+    middle = np.array([np.median(square[:, own]) for own in near]) / (usual * free)
+    smooth = (near @ middle) / near.sum(axis=1)
+    allowed = np.mean(problem.sd**2, axis=0)
+    noise = np.sqrt(np.maximum(smooth - 0.5 * allowed, _FLOOR * allowed))
+    return np.tile(noise, (n_pairs, 1))
+
+
+def _neighbours(frequency_hz: FloatArray, n_pairs: int) -> BoolArray:
+    """Return which frequencies are taken together with each, (n_frequencies, n_frequencies)."""
+    apart = np.abs(np.log(frequency_hz[:, None] / frequency_hz))
+    least = min(math.ceil(_LEAST / n_pairs), len(frequency_hz))
+    enough = np.sort(apart, axis=1)[:, least - 1]
+    return np.asarray(apart <= np.maximum(enough, _NEAR)[:, None])
+
+
+def judged_result(
+    fit: ImpedanceFit,
+    starts: tuple[Start, ...],
+    rivals: tuple[ImpedanceFit, ...],
+    observed: Observed,
+    seconds: float,
+    again: Again,
+) -> ImpedanceResult:
+    """Return the result of a fit with its verdict.
+
+    Parameters
+    ----------
+    fit : ImpedanceFit
+    starts : tuple of Start
+    rivals : tuple of ImpedanceFit
+        Other minima that explain the data as well.
+    observed : Observed
+        As it was given; `fit` may hold an estimate of the noise.
+    seconds : float
+    again : callable
+        To look for the cause where the model does not fit.
+    """
+    problem = fit.problem
+    materials = _material_impedances(fit)
+    weaker = _weaker_findings(problem, observed)
+    verdict, doubts = _verdict(fit, rivals, observed, materials, again)
+    return ImpedanceResult(
+        frequency_hz=problem.observed.frequency_hz,
+        tau_s=problem.observed.tau_s,
+        materials=materials,
+        verdict=replace(verdict, weaker=bool(weaker)),
+        findings=(*weaker, *doubts),
+        nuisances=_found_nuisances(fit),
+        chi2=reduced_chi2(fit),
+        model_error=fit.model_error,
+        condition=_wall_condition(fit),
+        agreeing_starts=round(share_in_best(starts) * len(starts)),
+        n_starts=len(starts),
+        pairs=_pair_names(problem.model.scene),
+        measured=problem.observed.pressure,
+        predicted=_predicted_pairs(fit),
+        expected_rms=problem.sd,
+        ending=fit.ending.advice,
+        evaluations=fit.evaluations,
+        rounds=fit.rounds,
+        seconds=seconds,
+    )
+
+
+def result_without_fit(
+    problem: Problem, findings: tuple[Finding, ...], seconds: float
+) -> ImpedanceResult:
+    """Return the result where the data cannot determine the unknowns: nothing but that."""
+    observed = problem.observed
+    n_f = len(observed.frequency_hz)
+    nothing, unbounded = np.zeros(n_f, dtype=np.complex128), np.tile(1e6 * np.eye(2), (n_f, 1, 1))
+    cause = "too few data"
+    return ImpedanceResult(
+        frequency_hz=observed.frequency_hz,
+        tau_s=observed.tau_s,
+        materials=tuple(
+            material_impedance(name, "none", nothing, unbounded)
+            for name in problem.model.scene.room.materials
+        ),
+        verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}.", False),
+        findings=findings,
+        nuisances=(),
+        chi2=math.nan,
+        model_error=math.nan,
+        condition=math.nan,
+        agreeing_starts=0,
+        n_starts=0,
+        pairs=_pair_names(problem.model.scene),
+        measured=observed.pressure,
+        predicted=np.zeros_like(observed.pressure),
+        expected_rms=problem.sd,
+        ending="nothing was fitted",
+        evaluations=0,
+        rounds=0,
+        seconds=seconds,
+    )
+
+
+def _pair_names(scene: Scene) -> tuple[tuple[str, str], ...]:
+    return tuple((scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs)
+
+
+def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
+    """Return every material with its intervals.
+
+    Besides noise, the intervals cover what the image model itself gets wrong. That does not average
+    out over frequencies and pairs. A wave front that is not plane strikes as if its angle were
+    another by some ``1 / (k r)``, and R changes with the cosine as ``1 - R0**2``: R0 is taken to be
+    off by ``|1 - R0**2|`` times 2.4 of the model's own error as it is found in the room, see
+    `model_error`.
+    """
+    problem = fit.problem
+    model, frequency_hz = problem.model, problem.observed.frequency_hz
+    free_path_m = mean_free_path_m(model.scene.room.mesh)
+    share = model_error(frequency_hz, free_path_m, model.speed_m_s, _OFFSET * fit.model_error)
+    found = []
+    for i, name in enumerate(model.scene.room.materials):
+        block, curve = fit.layout.curves[i], problem.curves[i]
+        own = fit.covariance[block, block]
+        slope = curve.slope(fit.x[block])
+        parts = np.stack([slope.real, slope.imag], axis=1)
+        off = share * np.abs(1.0 - fit.r0[i] ** 2)
+        covariance = np.einsum("fai,ij,fbj->fab", parts, own, parts)
+        covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
+        parameters: tuple[LawParameter, ...] = ()
+        if isinstance(curve, LawCurve):
+            own = own + _law_model_covariance(parts, off, frequency_hz)
+            parameters = _law_parameters(curve, fit.x[block], own)
+        found.append(material_impedance(name, curve.kind, fit.r0[i], covariance, parameters))
+    return tuple(found)
+
+
+def _law_model_covariance(
+    parts: FloatArray, off: FloatArray, frequency_hz: FloatArray
+) -> FloatArray:
+    """Return the covariance of a law's numbers from errors of R0 that are alike over an octave."""
+    n_f = len(frequency_hz)
+    octaves = max(float(np.log2(frequency_hz[-1] / frequency_hz[0])), 1.0)
+    inverse = np.linalg.pinv(parts.reshape(2 * n_f, -1))
+    scaled = inverse * np.repeat(off, 2) * np.sqrt(0.5 * max(n_f / octaves, 1.0))
+    return np.asarray(scaled @ scaled.T)
+
+
+def _law_parameters(
+    curve: LawCurve, x: FloatArray, covariance: FloatArray
+) -> tuple[LawParameter, ...]:
+    reach = Z95 * np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    value, lower, upper = (curve.values(at) for at in (x, x - reach, x + reach))
+    return tuple(
+        LawParameter(p.name, p.unit, float(value[i]), float(lower[i]), float(upper[i]))
+        for i, p in enumerate(curve.parameters)
+    )
+
+
+def _found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
+    """Return every nuisance of a fit with its interval, in the order of the unknowns."""
+    problem, layout, x = fit.problem, fit.layout, fit.x
+    sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
+    scene, nuisances = problem.model.scene, problem.nuisances
+    found: list[FoundNuisance] = []
+
+    def add(name: str, unit: str, at: int, scale: float, middle: float = 0.0) -> None:
+        value, reach = middle + x[at] * scale, Z95 * sd[at] * scale
+        found.append(FoundNuisance(name, unit, value, value - reach, value + reach, scale))
+
+    for moves, axes, sds, points in (
+        (layout.moves_source, layout.source, layout.source_sd_m, scene.sources),
+        (layout.moves_receiver, layout.receiver, layout.receiver_sd_m, scene.receivers),
+    ):
+        for n, (point, axis) in enumerate(axes):
+            add(f"{'xyz'[axis]} of {points[point].name}", "m", moves.start + n, float(sds[n]))
+    if layout.speed.stop > layout.speed.start:
+        speed = problem.model.speed_m_s
+        add("speed of sound", "m/s", layout.speed.start, nuisances.speed_sd * speed, speed)
+    n_gains = (layout.gain.stop - layout.gain.start) // 2
+    for n in range(n_gains):
+        add(f"gain {n + 1}", "dB", layout.gain.start + n, _DB)
+        add(f"phase of gain {n + 1}", "rad", layout.gain.start + n_gains + n, 1.0)
+    for n in range(layout.delay.stop - layout.delay.start):
+        source, receiver = scene.pairs[np.flatnonzero(layout.delay_of_pair == n)[0]]
+        name = scene.sources[source].name
+        if nuisances.delay == "pair":
+            name += f" to {scene.receivers[receiver].name}"
+        add(f"delay of {name}", "s", layout.delay.start + n, nuisances.delay_sd_s)
+    return tuple(found)
+
+
+def _predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
+    """Return the predicted pressures with gains and delays, (n_pairs, n_frequencies)."""
+    problem = fit.problem
+    short = gradients(problem.model, fit.r0, fit.state, with_geometry=False).pressure
+    predicted = factor_of(problem, fit.layout, fit.x) * (short + fit.correction)
+    if has_free_spectra(problem.nuisances):
+        return np.asarray(predicted * source_spectra(problem, predicted))
+    return np.asarray(predicted)
+
+
+def _wall_condition(fit: ImpedanceFit) -> float:
+    """Return how unequally the data determine the walls: 1 is equally well, infinite not at all.
+
+    Largest over smallest singular value of the weighted Jacobian by the walls' numbers, without
+    priors of theirs, after what the other unknowns can explain.
+    """
+    jacobian = data_rows(fit.problem, fit.layout, fit.x, fit.correction).jacobian
+    n = fit.layout.curves[-1].stop
+    own, other = jacobian[:, :n], jacobian[:, n:]
+    if other.shape[1]:
+        weak: FloatArray = np.eye(other.shape[1])
+        explained = np.linalg.solve(other.T @ other + weak, other.T @ own)
+        own = own - other @ explained
+    singular = np.linalg.svd(own, compute_uv=False)
+    return float(singular[0] / max(singular[-1], 1e-300))
+
+
+def _weaker_findings(problem: Problem, observed: Observed) -> list[Finding]:
+    """Return what makes a verdict weaker: noise that was estimated, and missing phases."""
+    findings = []
+    if observed.noise is None and problem.observed.noise is not None:
+        share = _noise_over_level(problem.observed)
+        findings.append(
+            Finding(
+                Code.NOISE_ESTIMATED,
+                f"The noise was unspecified; what the fit leaves ({share:.1%} of the level) was "
+                "taken for it. A model that does not fit cannot be distinguished from noise then.",
+                {"noise_over_level": share},
+            )
+        )
+    if not observed.has_phase:
+        sentence = (
+            "Only levels were given. Other walls than those found may explain them; phases would "
+            "show which."
+        )
+        findings.append(Finding(Code.LEVELS_ONLY, sentence, {}))
+    return findings
+
+
+def _noise_over_level(observed: Observed) -> float:
+    noise = 0.0 if observed.noise is None else float(observed.noise.mean())
+    return noise / float(np.mean(level_at(observed)))
+
+
+def _verdict(
+    fit: ImpedanceFit,
+    rivals: tuple[ImpedanceFit, ...],
+    observed: Observed,
+    materials: tuple[MaterialImpedance, ...],
+    again: Again,
+) -> tuple[Verdict, list[Finding]]:
+    chi2 = reduced_chi2(fit)
+    loud = (
+        observed.noise is None and _noise_over_level(fit.problem.observed) > LOUDEST_ESTIMATED_NOISE
+    )
+    if loud or not _fits(fit):
+        cause = (
+            "what the fit leaves is larger than any noise should be"
+            if loud
+            else _likely_cause(fit, again)
+        )
+        sentence = (
+            f"The model does not fit: it leaves {chi2:.1f} times the expected squares."
+            f" Likely cause: {cause}."
+        )
+        finding = Finding(
+            Code.IMPEDANCE_DOES_NOT_FIT,
+            sentence + " Do not use the walls found.",
+            {"chi2": chi2, "cause": cause},
+        )
+        return Verdict("does not fit", cause, sentence, False), [finding]
+    unsure = [m.name for m in materials if float(np.mean(m.identified)) < ENOUGH_FREQUENCIES]
+    if rivals or unsure:
+        cause = (
+            "other walls explain the data as well"
+            if rivals
+            else f"the data hardly depend on {', '.join(unsure)}"
+        )
+        sentence = f"Not identifiable: {cause}."
+        finding = Finding(
+            Code.IMPEDANCE_NOT_IDENTIFIABLE,
+            sentence + " More pairs, or pairs nearer to the walls concerned, would help.",
+            {"rivals": len(rivals), "materials": unsure},
+        )
+        return Verdict("not identifiable", cause, sentence, False), [finding]
+    sentence = f"Identified: the residual is {chi2:.2f} of what noise and model error allow."
+    return Verdict("identified", "", sentence, False), []
+
+
+def _chi2_by_octave(fit: ImpedanceFit) -> list[tuple[float, float]]:
+    """Return the upper end (Hz) of each octave of the data, and its mean square residual."""
+    f = fit.problem.observed.frequency_hz
+    n_pairs = len(fit.problem.observed.pressure)
+    square = np.reshape(fit.residual**2, (-1, n_pairs, len(f))).mean(axis=(0, 1))
+    share = max(1.0 - fit.effective / len(fit.residual), 1e-3)
+    edges = [float(f[0])]
+    while edges[-1] < f[-1]:
+        edges.append(2.0 * edges[-1])
+    found = []
+    for low, high in pairwise(edges):
+        own = (f >= low) & (f <= high)
+        if own.any():
+            found.append((float(min(high, f[-1])), float(square[own].mean()) / share))
+    return found
+
+
+def _fits(fit: ImpedanceFit) -> bool:
+    """Return whether a fit leaves no more than noise and the model's own error."""
+    worst = max((c for _, c in _chi2_by_octave(fit)), default=0.0)
+    return reduced_chi2(fit) <= CHI2_LIMIT and worst <= OCTAVE_CHI2_LIMIT
+
+
+def _likely_cause(fit: ImpedanceFit, again: Again) -> str:
+    """Return why a model does not fit, by what makes it fit."""
+    octaves = _chi2_by_octave(fit)
+    rest = [c for _, c in octaves[1:]]
+    if rest and octaves[0][1] > OCTAVE_CHI2_LIMIT and max(rest) <= CHI2_LIMIT:
+        return (
+            f"low frequency: only below {octaves[0][0]:.0f} Hz, where image sources are a "
+            "poor picture of waves"
+        )
+    nuisances = fit.problem.nuisances
+    before = reduced_chi2(fit)
+    for cause, freed in (
+        ("positions or the speed of sound", _free_geometry(nuisances)),
+        ("the gain", _free_gain(nuisances)),
+        ("positions and the gain", _free_gain(_free_geometry(nuisances))),
+    ):
+        if freed == nuisances:
+            continue
+        other = again(replace(fit.problem, nuisances=freed))
+        after = reduced_chi2(other)
+        if _fits(other) or after < 0.1 * before:
+            return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
+    if not has_free_spectra(nuisances) and _spectra_are_identifiable(fit.problem):
+        spectra = replace(
+            _free_geometry(nuisances),
+            gain="pair-spectrum" if nuisances.gain == "pair" else "spectrum",
+        )
+        after = reduced_chi2(again(replace(fit.problem, nuisances=spectra)))
+        # so many free numbers make any fit better
+        if after < _FAR_BETTER * before:
+            return (
+                "sources whose spectra are not flat or not the specified ones: the residual falls "
+                f"from {before:.1f} to {after:.1f} with them free"
+            )
+    return (
+        "walls that do not react locally (thick soft layers), patches, scattering, a loudspeaker "
+        "that does not radiate alike in all directions, or another room than was described: "
+        "neither positions nor gains explain it"
+    )
+
+
+def _spectra_are_identifiable(problem: Problem) -> bool:
+    """Whether each source was measured at two positions and more, phases and all."""
+    counts = np.unique(problem.model.scene.pairs[:, 0], return_counts=True)[1]
+    return problem.observed.has_phase and bool(counts.min() >= 2)
+
+
+def _free_geometry(nuisances: Nuisances) -> Nuisances:
+    return replace(
+        nuisances,
+        position_sd_m=max(nuisances.position_sd_m, 0.02),
+        least_position_sd_m=max(nuisances.least_position_sd_m, 0.02),
+        speed_sd=max(nuisances.speed_sd, 0.01),
+    )
+
+
+def _free_gain(nuisances: Nuisances) -> Nuisances:
+    return replace(nuisances, gain="source") if nuisances.gain in ("known", "common") else nuisances
