@@ -437,13 +437,8 @@ def _filtered(
         columns = np.concatenate((level, moved), axis=1)
     else:
         columns = np.zeros((len(edges_s), 0, grid.n))
-    starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
-    edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
-    n_windows = int(starts[-1]) - len(edges_s)
-    energy, slopes = np.zeros(n_windows), np.zeros((n_windows, columns.shape[1]))
-    window_products(starts, edges, pressure, columns, energy, slopes)
-    energy /= grid.rate_hz
-    slopes /= grid.rate_hz
+    energy, slopes = integrated_products(pressure, columns, grid, edges_s)
+    n_windows = energy.size
     by_times = np.zeros((n_windows, 8 + n_materials))
     if derivative:
         shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
@@ -455,6 +450,26 @@ def _filtered(
         by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
     by_level = 0.5 * slopes[:, :n_materials] if derivative else np.zeros((n_windows, n_materials))
     return CoherentResponse(energy, by_level, by_times)
+
+
+def integrated_products(
+    pressure: FloatArray, derivatives: FloatArray, grid: BandGrid, edges_s: tuple[FloatArray, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals of y^2, (n_windows,), and of 2 y dy, (n_windows, n_columns).
+
+    Parameters
+    ----------
+    pressure : float array, shape (n_observations, n_grid)
+    derivatives : float array, shape (n_observations, n_columns, n_grid)
+    edges_s : tuple of float arrays, one an observation
+        Window edges; the windows of all observations follow each other.
+    """
+    starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
+    edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
+    n_windows = int(starts[-1]) - len(edges_s)
+    energy, slopes = np.zeros(n_windows), np.zeros((n_windows, derivatives.shape[1]))
+    window_products(starts, edges, pressure, derivatives, energy, slopes)
+    return energy / grid.rate_hz, slopes / grid.rate_hz
 
 
 def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:

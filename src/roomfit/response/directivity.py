@@ -28,7 +28,7 @@ from roomfit.response.coherent import (
     ImagePaths,
     Times,
     image_energies,
-    window_products,
+    integrated_products,
 )
 from roomfit.response.energy import EnergyRows
 from roomfit.scene import Point
@@ -106,13 +106,8 @@ def coherent_slopes(
         images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
     )
     pressure = fft.irfft(fft.rfft(impulses, axis=-1, workers=2) * grid.filter, grid.n, workers=2)
-    starts = np.concatenate(([0], np.cumsum([e.size for e in edges_s]))).astype(np.int64)
-    edges = (np.concatenate(edges_s) - grid.first_s) * grid.rate_hz
-    n_windows = int(starts[-1]) - len(edges_s)
-    energy, slopes = np.zeros(n_windows), np.zeros((n_windows, 3))
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
-    window_products(starts, edges, own, moved, energy, slopes)
-    return np.asarray(slopes / grid.rate_hz)
+    return integrated_products(own, moved, grid, edges_s)[1]
 
 
 def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
