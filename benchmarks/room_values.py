@@ -202,9 +202,9 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
         binned,
         start(case),
         names=case.names,
-        model_error_jnd=case.model_error_jnd,
     )
-    return solved(case, problems)
+    error = case.model_error_jnd
+    return solved(case, tuple(p and replace(p, model_error_jnd=error) for p in problems))
 
 
 def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:

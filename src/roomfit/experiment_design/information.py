@@ -404,7 +404,7 @@ def _problems(
                     binned,
                     _pair_geometry(expected_measurement, c),
                 ),
-                *(None, FIT_END_S),
+                FIT_END_S,
             )
         )
     return problems

@@ -30,7 +30,6 @@ from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
     Geometry,
-    JointPrior,
     Marginal,
     Parameters,
     fitted_columns,
@@ -196,8 +195,11 @@ def _correction(
         n_bins = observed.spreading.shape[1]
         total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
         binned_energies(
-            *(problem.coherent_bins[own], problem.coherent.hits[own], energy[own]),
-            *(total, by_hits),
+            problem.coherent_bins[own],
+            problem.coherent.hits[own],
+            energy[own],
+            total,
+            by_hits,
         )
         less.append(observed.spreading @ total)
         less_by_hits.append(in_windows(observed.spreading, by_hits))
@@ -440,7 +442,6 @@ def coherent_problem(
     paths: Paths,
     binned: BinnedPaths,
     geometry: Geometry,
-    joint: JointPrior | None,
     end_s: float = np.inf,
 ) -> CoherentProblem:
     """Return the partly coherent problem of a band from its energy problem, not coherent yet.
@@ -453,8 +454,6 @@ def coherent_problem(
         Energy attenuation of the air in the band.
     geometry : Geometry
         With one row of columns for each observation.
-    joint : JointPrior or None
-        What lower bands determine of the geometry.
     end_s : float
         Pressures add in the windows that end by then.
     """
@@ -471,7 +470,7 @@ def coherent_problem(
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
     n_bins = [o.spreading.shape[1] for o in observed]
     bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
-    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)), joint)
+    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)))
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
     return CoherentProblem(
         energies,

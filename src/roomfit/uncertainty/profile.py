@@ -86,8 +86,11 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     order = np.argsort(line.moves)
     centre = float(fit.vector[entry])
     return Profile(
-        *(entry, centre + np.array(line.moves)[order], np.array(line.rises)[order]),
-        *(centre + ends[0], centre + ends[1]),
+        entry,
+        centre + np.array(line.moves)[order],
+        np.array(line.rises)[order],
+        centre + ends[0],
+        centre + ends[1],
         not found_bent,
         line.evaluations,
     )

@@ -253,8 +253,24 @@ def walk_points(
     for p in range(len(points)):
         here[:] = points[p]
         now = start = _log_density(
-            *(here, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
-            *(measured, signal, background, slopes, curvature, weight, energies),
+            here,
+            away,
+            zero,
+            farthest,
+            first,
+            low,
+            high,
+            prior,
+            prior_mean,
+            data,
+            pull,
+            measured,
+            signal,
+            background,
+            slopes,
+            curvature,
+            weight,
+            energies,
         )
         for s in range(len(sizes)):
             for i in range(n):
@@ -263,8 +279,24 @@ def walk_points(
                     step += root[i, j] * noise[s, p, j]
                 trial[i] = here[i] + sizes[s] * step
             there = _log_density(
-                *(trial, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
-                *(measured, signal, background, slopes, curvature, weight, energies),
+                trial,
+                away,
+                zero,
+                farthest,
+                first,
+                low,
+                high,
+                prior,
+                prior_mean,
+                data,
+                pull,
+                measured,
+                signal,
+                background,
+                slopes,
+                curvature,
+                weight,
+                energies,
             )
             if chances[s, p] < there - now:  # false where both are minus infinity, whose gap is nan
                 now = there
@@ -450,13 +482,26 @@ class Surrogate:
         block = absorption_of(self.parameters)
         w = _no_windows(n) if self.windows is None else self.windows
         gain = walk_points(
-            *(here, root, sizes, rng.standard_normal((steps, *here.shape))),
-            *(np.log(rng.random((steps, len(here)))), FARTHEST_FREE, first),
-            *(np.array(block.lower[columns]), np.array(block.upper[columns])),
-            *(np.array(self.centre), np.array(self.prior), np.array(self.prior_mean)),
-            *(np.array(self.data), np.array(self.pull)),
-            *(np.array(w.measured), np.array(w.signal), np.array(w.noise), np.array(w.slopes)),
-            *(np.array(w.curvature), np.array(w.weight)),
+            here,
+            root,
+            sizes,
+            rng.standard_normal((steps, *here.shape)),
+            np.log(rng.random((steps, len(here)))),
+            FARTHEST_FREE,
+            first,
+            np.array(block.lower[columns]),
+            np.array(block.upper[columns]),
+            np.array(self.centre),
+            np.array(self.prior),
+            np.array(self.prior_mean),
+            np.array(self.data),
+            np.array(self.pull),
+            np.array(w.measured),
+            np.array(w.signal),
+            np.array(w.noise),
+            np.array(w.slopes),
+            np.array(w.curvature),
+            np.array(w.weight),
             np.array(w.energies),
         )
         return here, gain
@@ -486,8 +531,14 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
     data = (directions * np.maximum(size, 0.0)) @ directions.T
     free = data + prior + 1e-6 * np.eye(n)
     return Surrogate(
-        *(parameters, np.array(fit.vector[:n]), None if inner.size else _windows(posterior, fit)),
-        *(data / np.outer(slope, slope), pull, prior, means, np.asarray(np.linalg.inv(free))),
+        parameters,
+        np.array(fit.vector[:n]),
+        None if inner.size else _windows(posterior, fit),
+        data / np.outer(slope, slope),
+        pull,
+        prior,
+        means,
+        np.asarray(np.linalg.inv(free)),
     )
 
 
@@ -499,8 +550,13 @@ def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
     slopes = _signal_slopes(problem, found, fit.vector)
     weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
     return Windows(
-        *(problem.measured(), found.signal, found.expected - found.signal, slopes),
-        *(_curvature(problem, slopes, fit.vector), weight, energies),
+        problem.measured(),
+        found.signal,
+        found.expected - found.signal,
+        slopes,
+        _curvature(problem, slopes, fit.vector),
+        weight,
+        energies,
     )
 
 
@@ -598,7 +654,9 @@ def sample(
     walkers = max(2 * n + 2, 12)
     quiet = _Quiet(posterior)
     sampler = emcee.EnsembleSampler(
-        *(walkers, n, quiet),
+        walkers,
+        n,
+        quiet,
         moves=[
             (_surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng), 0.8),
             (emcee.moves.DEMove(), 0.2),
