@@ -50,7 +50,7 @@ from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
-from roomfit.uncertainty.combinations import band_combinations
+from roomfit.uncertainty.combinations import determined
 from roomfit.uncertainty.gaussian import BandAnswer
 from roomfit.uncertainty.posterior import rto_draws
 
@@ -269,7 +269,8 @@ def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
-    found = band_combinations(absorption, covariance, prior_logits(case.priors), areas, 1)
+    names, priors = case.scene.room.materials, prior_logits(case.priors)
+    found = determined(names, absorption, covariance, priors, areas, 1).combinations
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)

@@ -28,7 +28,6 @@ from roomfit.objective.energy import (
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.objective.parameters import (
     GEOMETRY,
-    Block,
     Geometry,
     Marginal,
     Parameters,
@@ -36,6 +35,7 @@ from roomfit.objective.parameters import (
     geometry_block,
     local_roots,
     physical_values,
+    position_of,
     times_of,
 )
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
@@ -162,8 +162,10 @@ def _with_gamma(problem: CoherentProblem, gamma: FloatArray) -> CoherentProblem:
 
 def _predict(problem: CoherentProblem, vector: FloatArray) -> Prediction:
     values, slopes = physical_values(problem.parameters, vector)
-    n_leading = vector.size - _n_geometry(problem.parameters)
-    plain = predict_windows(_plain(problem), vector[:n_leading])
+    n_leading = position_of(problem.parameters, GEOMETRY)
+    leading = Parameters(tuple(b for b in problem.parameters.blocks if b.name != GEOMETRY))
+    # all paths as energies, with the unknowns that these have
+    plain = predict_windows(replace(problem.energies, parameters=leading), vector[:n_leading])
     extra, by_absorption, by_times = _correction(problem, values)
     gains = np.append(values["gain"], 1.0)
     gain = gains[_gain_of_window(problem)]
@@ -321,22 +323,9 @@ def _early_windows(problem: CoherentProblem) -> IntArray:
     return np.concatenate(own)
 
 
-def _plain(problem: CoherentProblem) -> EnergyProblem:
-    """Return all paths as energies, with the unknowns that these have."""
-    return replace(problem.energies, parameters=Parameters(_leading(problem.parameters)))
-
-
 def _gain_of_window(problem: CoherentProblem) -> IntArray:
     observed = problem.energies.observations
     return np.repeat([o.gain for o in observed], [o.energy.size for o in observed])
-
-
-def _leading(parameters: Parameters) -> tuple[Block, ...]:
-    return tuple(b for b in parameters.blocks if b.name != GEOMETRY)
-
-
-def _n_geometry(parameters: Parameters) -> int:
-    return sum(int(b.fitted.sum()) for b in parameters.blocks if b.name == GEOMETRY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -176,7 +176,6 @@ def fit_band(
 
     Parameters
     ----------
-    problem : BandProblem
     solver, refiner : Solver
         Minimise the first round's squares, and those of the rounds that follow.
 
@@ -216,7 +215,6 @@ def score_band(
 
     Parameters
     ----------
-    problem : BandProblem
     start : float array, shape (n_free,)
     rounds : int
         How often the weights are renewed at most.

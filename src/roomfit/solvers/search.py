@@ -200,7 +200,6 @@ def downhill_simplex(
         Takes a point of the unit box, shape (n,).
     start : float array, shape (n + 1, n)
         Vertices of the first simplex, within the unit box, not all in one plane.
-    settings : SimplexSettings, optional
 
     Returns
     -------
@@ -396,8 +395,6 @@ def anneal(
         Takes a point of the unit box, shape (n,).
     n : int
         Number of unknowns.
-    rng : numpy.random.Generator
-    settings : AnnealingSettings, optional
 
     Returns
     -------

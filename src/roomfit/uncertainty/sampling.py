@@ -148,7 +148,6 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
 
     Parameters
     ----------
-    problem : BandProblem
     fit : BandFit
         Its answer.
     """
@@ -339,7 +338,7 @@ def _log_density(
     weight: FloatArray,
     energies: BoolArray,
 ) -> float:
-    """Return `roomfit.uncertainty.sampling.Surrogate.log_density` of one point; `away` is scratch.
+    """Return the log density of a `Surrogate` at one point, up to a constant; `away` is scratch.
 
     Minus infinity far outside, and where a window's likelihood is no number.
     """
@@ -404,19 +403,6 @@ class Windows:
     weight: FloatArray
     energies: BoolArray  # (n_data,)
 
-    def log_likelihood(self, away: FloatArray) -> FloatArray:
-        """Return it, up to a constant, at exponents this far from the centre, (n_points, n)."""
-        change = away @ self.slopes.T
-        change += 0.5 * np.einsum("pi,wij,pj->pw", away, self.curvature, away, optimize=True)
-        with np.errstate(over="ignore", invalid="ignore"):
-            grown = self.signal * np.exp(np.where(self.energies, change, 0.0)) + self.noise
-            ratio = self.measured / np.where(self.energies, grown, 1.0)
-            gamma = -np.log(np.where(self.energies, grown, 1.0)) - ratio
-            off = self.measured - self.noise - self.signal - change
-            each = np.where(self.energies, gamma, -0.5 * off**2)
-            found = each @ self.weight
-        return np.where(np.isfinite(found), found, -np.inf)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surrogate:
@@ -439,17 +425,6 @@ class Surrogate:
     prior: FloatArray  # (n_kept, n_kept)
     prior_mean: FloatArray  # (n_kept,)
     covariance: FloatArray  # (n_kept, n_kept), of the free numbers, Gaussian at the centre
-
-    def log_density(self, kept: FloatArray) -> FloatArray:
-        """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
-        away = exponents(self.parameters, kept) - exponents(self.parameters, self.centre[None])
-        off = kept - self.prior_mean
-        found = -0.5 * np.einsum("pi,ij,pj->p", off, self.prior, off)
-        if self.windows is not None:
-            found += self.windows.log_likelihood(away)
-        else:
-            found += away @ self.pull - 0.5 * np.einsum("pi,ij,pj->p", away, self.data, away)
-        return np.where(np.all(np.abs(kept) < FARTHEST_FREE, axis=1), found, -np.inf)
 
     @property
     def usual_steps(self) -> tuple[int, ...]:
@@ -630,12 +605,8 @@ def sample(
 
     Parameters
     ----------
-    posterior : LogPosterior
-    near : Surrogate
     rng : numpy Generator
         The only source of chance: equal generators give equal draws.
-    settings : SamplingSettings, optional
-    progress : callable, optional
 
     Raises
     ------
