@@ -53,7 +53,7 @@ from roomfit.settings import Settings
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
-from roomfit.uncertainty.combinations import band_combinations
+from roomfit.uncertainty.combinations import determined
 from roomfit.uncertainty.gaussian import BandAnswer
 from roomfit.uncertainty.posterior import rto_draws
 
@@ -205,9 +205,9 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
         binned,
         start(case),
         names=case.names,
-        model_error_jnd=case.model_error_jnd,
     )
-    return solved(case, problems)
+    error = case.model_error_jnd
+    return solved(case, tuple(p and replace(p, model_error_jnd=error) for p in problems))
 
 
 def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
@@ -273,7 +273,8 @@ def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
-    found = band_combinations(absorption, covariance, prior_logits(case.priors), areas, 1)
+    names, priors = case.scene.room.materials, prior_logits(case.priors)
+    found = determined(names, absorption, covariance, priors, areas, 1).combinations
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)

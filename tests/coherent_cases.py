@@ -67,7 +67,7 @@ def small_problem(centre_hz: float = CENTRE_HZ, paths: Paths | None = None) -> C
         paths = trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
     binned = bin_paths(scene, bands, paths, END_S)
     energies = energy_problem(bands, scene, in_band(binned, centre_hz))
-    return coherent_problem(bands, 0, energies, 0.0, paths, binned, small_geometry(), None)
+    return coherent_problem(bands, 0, energies, 0.0, paths, binned, small_geometry())
 
 
 def small_paths() -> tuple[Scene, Paths]:

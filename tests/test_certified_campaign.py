@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -198,3 +200,13 @@ def test_open_searches_and_several_answers_are_findings(
     assert proof.sentence in reported
     assert reported.count("gain of LS1") == 2
     assert [f.code for f in certificate_findings(bands, [two])] == [Code.MULTIPLE_MINIMA_CERTIFIED]
+
+
+def test_an_identification_loads_the_global_search_only_where_it_is_asked_for() -> None:
+    """No module that a fit imports imports it."""
+    code = (
+        "import sys, roomfit.inversion.identify; "
+        "print([m for m in sys.modules if m.startswith('roomfit.certified')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"

@@ -20,6 +20,8 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.typing import FloatArray
+from roomfit.uncertainty.gaussian import band_answer
+from roomfit.uncertainty.intervals import Refinement
 
 USES = {
     "main path": least_squares._GAUSS_NEWTON,
@@ -129,3 +131,16 @@ def test_the_evaluations_of_a_band_are_all_that_were_made() -> None:
     Counting.made = 0
     start = np.zeros(case.matrix.shape[1])
     assert score_band(problem, start, rounds=12).evaluations == Counting.made
+
+
+def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> None:
+    """Counted by the problem itself, over a fit, one exchange of materials and its profiles."""
+    case = linear_case(3, n_geometry=0, n_data=6)
+    problem = Counting(0.2 * case.matrix, case.observed, case.sd, case.parameters)
+    Counting.made = 0
+    fit = fit_band(problem, gauss_newton, few_gauss_newton_steps)
+    answer = band_answer(problem.parameters, fit, np.ones(3), "energy")
+    refine = Refinement("profile", np.ones(3), 1, exchanges=(np.array([1, 0, 2]),))
+    refined = refine(problem, fit, answer)
+    assert refined.profiles
+    assert refined.evaluations == Counting.made > fit.evaluations

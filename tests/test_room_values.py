@@ -142,10 +142,9 @@ def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
         "S", "R1", bands.centres_hz, {"T20_s": np.array([T]), "T30_s": np.array([T])}, {}
     )
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
-    (problem,) = value_problems(
-        scene, bands, priors, [measured], binned, np.full(1, 0.3), model_error_jnd=0.0
-    )
+    (problem,) = value_problems(scene, bands, priors, [measured], binned, np.full(1, 0.3))
     assert problem is not None
+    problem = replace(problem, model_error_jnd=0.0)
     bank = FilterBank(bands)
     none = replace(rows, weight_per_m2=np.zeros(n))
     return replace(
@@ -246,9 +245,9 @@ def test_absorption_is_found_again_from_values_alone():
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     measured = measured_from(scene, bands, values, names)
     # a model held for right, so that the prior has no say
-    problems = value_problems(
-        scene, bands, priors, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
-    )
+    (problem,) = value_problems(scene, bands, priors, measured, binned, np.full(1, 0.25))
+    assert problem is not None
+    problems = [replace(problem, model_error_jnd=0.0)]
     (band,) = fit_bands(problems, priors, np.ones(3), Settings())
     answer = band.estimate
 

@@ -49,14 +49,7 @@ _TOUCHING = 1e-9
 def certify(
     global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
 ) -> Certificate:
-    """Return a proof of how low the misfit can be, and where.
-
-    Parameters
-    ----------
-    global_problem : GlobalProblem
-    settings : SearchSettings
-    progress : callable, optional
-    """
+    """Return a proof of how low the misfit can be, and where."""
     return certificate_of(global_problem, search(global_problem, settings, progress=progress))
 
 
@@ -254,7 +247,6 @@ def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certific
 
     Parameters
     ----------
-    problem : BandProblem
     vector : float array, shape (n_free,)
         The fit; its weights are kept.
     """

@@ -338,13 +338,7 @@ def is_convex(
         if low[i] < VANISHING:
             return False
         stiff[i], pull = _least_slopes(
-            *(
-                kind,
-                measured[i],
-                global_problem[4][i],
-                low[i] * (1.0 - 1e-10),
-                high[i] * (1.0 + 1e-10),
-            )
+            kind, measured[i], global_problem[4][i], low[i] * (1.0 - 1e-10), high[i] * (1.0 + 1e-10)
         )
         # a part that bends down is taken off in full: (x + y)(x + y)' <= 2 x x' + 2 y y'
         factor = stiff[i] if stiff[i] >= 0.0 else 2.0 * stiff[i]

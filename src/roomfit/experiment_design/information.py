@@ -405,7 +405,6 @@ def _problems(
                 paths_at(images, weights, f.band),
                 binned,
                 _pair_geometry(expected_measurement, c),
-                None,
                 FIT_END_S,
             )
         )

@@ -171,7 +171,7 @@ def prepared_bands(
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
             *(bands, b, own.problem, float(attenuation[b]), paths_at(paths, weights, b)),
-            *(binned, geometry, None, task.settings.end_s),
+            *(binned, geometry, task.settings.end_s),
         )
         out.append(
             CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)

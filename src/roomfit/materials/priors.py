@@ -118,10 +118,6 @@ def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
 
     Those of its leader where a material is tied.
 
-    Parameters
-    ----------
-    priors : tuple of MaterialPrior
-
     Returns
     -------
     float array, shape (2, n_materials, n_bands)

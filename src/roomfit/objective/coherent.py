@@ -28,15 +28,14 @@ from roomfit.objective.energy import (
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.objective.parameters import (
     GEOMETRY,
-    Block,
     Geometry,
-    JointPrior,
     Marginal,
     Parameters,
     fitted_columns,
     geometry_block,
     local_roots,
     physical_values,
+    position_of,
     times_of,
 )
 from roomfit.objective.problem import Prediction, gamma_log_likelihood
@@ -163,8 +162,10 @@ def _with_gamma(problem: CoherentProblem, gamma: FloatArray) -> CoherentProblem:
 
 def _predict(problem: CoherentProblem, vector: FloatArray) -> Prediction:
     values, slopes = physical_values(problem.parameters, vector)
-    n_leading = vector.size - _n_geometry(problem.parameters)
-    plain = predict_windows(_plain(problem), vector[:n_leading])
+    n_leading = position_of(problem.parameters, GEOMETRY)
+    leading = Parameters(tuple(b for b in problem.parameters.blocks if b.name != GEOMETRY))
+    # all paths as energies, with the unknowns that these have
+    plain = predict_windows(replace(problem.energies, parameters=leading), vector[:n_leading])
     extra, by_absorption, by_times = _correction(problem, values)
     gains = np.append(values["gain"], 1.0)
     gain = gains[_gain_of_window(problem)]
@@ -196,8 +197,11 @@ def _correction(
         n_bins = observed.spreading.shape[1]
         total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
         binned_energies(
-            *(problem.coherent_bins[own], problem.coherent.hits[own], energy[own]),
-            *(total, by_hits),
+            problem.coherent_bins[own],
+            problem.coherent.hits[own],
+            energy[own],
+            total,
+            by_hits,
         )
         less.append(observed.spreading @ total)
         less_by_hits.append(in_windows(observed.spreading, by_hits))
@@ -319,22 +323,9 @@ def _early_windows(problem: CoherentProblem) -> IntArray:
     return np.concatenate(own)
 
 
-def _plain(problem: CoherentProblem) -> EnergyProblem:
-    """Return all paths as energies, with the unknowns that these have."""
-    return replace(problem.energies, parameters=Parameters(_leading(problem.parameters)))
-
-
 def _gain_of_window(problem: CoherentProblem) -> IntArray:
     observed = problem.energies.observations
     return np.repeat([o.gain for o in observed], [o.energy.size for o in observed])
-
-
-def _leading(parameters: Parameters) -> tuple[Block, ...]:
-    return tuple(b for b in parameters.blocks if b.name != GEOMETRY)
-
-
-def _n_geometry(parameters: Parameters) -> int:
-    return sum(int(b.fitted.sum()) for b in parameters.blocks if b.name == GEOMETRY)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -440,7 +431,6 @@ def coherent_problem(
     paths: Paths,
     binned: BinnedPaths,
     geometry: Geometry,
-    joint: JointPrior | None,
     end_s: float = np.inf,
 ) -> CoherentProblem:
     """Return the partly coherent problem of a band from its energy problem, not coherent yet.
@@ -453,8 +443,6 @@ def coherent_problem(
         Energy attenuation of the air in the band.
     geometry : Geometry
         With one row of columns for each observation.
-    joint : JointPrior or None
-        What lower bands determine of the geometry.
     end_s : float
         Pressures add in the windows that end by then.
     """
@@ -471,7 +459,7 @@ def coherent_problem(
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
     n_bins = [o.spreading.shape[1] for o in observed]
     bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
-    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)), joint)
+    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)))
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
     return CoherentProblem(
         energies,

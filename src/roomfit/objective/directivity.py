@@ -62,8 +62,15 @@ def directivity_block(unknown: UnknownDirectivities) -> Block:
     labels = tuple(f"directivity {s} {axis}" for s in unknown.sources for axis in "xyz")
     n = len(labels)
     return Block(
-        *(DIRECTIVITY, labels, "identity", np.zeros(n), np.ones(n, dtype=np.bool_)),
-        *(np.zeros(n), np.ones(n), np.full(n, -1e6), np.full(n, 1e6)),
+        DIRECTIVITY,
+        labels,
+        "identity",
+        np.zeros(n),
+        np.ones(n, dtype=np.bool_),
+        np.zeros(n),
+        np.ones(n),
+        np.full(n, -1e6),
+        np.full(n, 1e6),
     )
 
 
@@ -247,8 +254,13 @@ def _coherent_slopes(
     images = plain.coherent
     amplitude, slope = _image_amplitudes(images, problem.source, problem.coherent_departure, b)
     pressures = coherent_slopes(
-        *(images, values["absorption"], times_of(plain.geometry, values[GEOMETRY]), plain.grid),
-        *(tuple(o.edges_s for o in plain.early), amplitude, slope),
+        images,
+        values["absorption"],
+        times_of(plain.geometry, values[GEOMETRY]),
+        plain.grid,
+        tuple(o.edges_s for o in plain.early),
+        amplitude,
+        slope,
     )
     energy = image_energies(images, values["absorption"]) * images.coherence
     less = 2.0 * (energy * amplitude)[:, None] * slope

@@ -79,7 +79,8 @@ def band_problems(
     for band in range(len(bands)):
         fitted = tuple(m for m in measured if has_data_in_band(m, band))
         coarse = in_band(binned, float(bands.centres_hz[band]))
-        gain_labels = _gain_labels(fitted)
+        labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
+        gain_labels = tuple(dict.fromkeys(label for label in labels if label))
         bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
         observations = tuple(
             _observation(
@@ -88,10 +89,10 @@ def band_problems(
                 m,
                 coarse.edges_s,
                 _timing_sd_s(scene, m),
-                _gain_index(gain_labels, m),
+                gain_labels.index(label) if label else -1,
                 periods,
             )
-            for m in fitted
+            for m, label in zip(fitted, labels, strict=True)
         )
         if sum(o.energy.size for o in observations) <= len(priors) + len(gain_labels):
             yield None
@@ -247,22 +248,12 @@ def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
     return float(np.linalg.norm(sd_m) / speed_of_sound_m_s(scene.air))
 
 
-def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:
-    labels = [_gain_label(m) for m in fitted]
-    return tuple(dict.fromkeys(label for label in labels if label))
-
-
 def _gain_label(m: MeasuredPair) -> str:
     if m.measurement.level == "per-source":
         return m.measurement.source
     if m.measurement.level == "per-file":
         return f"{m.measurement.source} to {m.measurement.receiver}, {m.measurement.where}"
     return ""
-
-
-def _gain_index(labels: tuple[str, ...], m: MeasuredPair) -> int:
-    label = _gain_label(m)
-    return labels.index(label) if label else -1
 
 
 def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float) -> Block:

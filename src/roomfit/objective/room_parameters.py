@@ -38,6 +38,9 @@ _FAMILY = {"EDT_s": 0, "T20_s": 0, "T30_s": 0, "G_dB": 2}
 _EARLY_TO_LATE = 1
 
 
+MODEL_ERROR_JND = 0.3
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ValueObservation:
     """The measured values of one pair in one band."""
@@ -67,7 +70,7 @@ class RoomValuesProblem:
     # only the block "absorption" acts: room parameters know no unknown gain or delay
     parameters: Parameters
     # standard deviation by which the model may be wrong, in just noticeable differences
-    model_error_jnd: float = 0.3
+    model_error_jnd: float = MODEL_ERROR_JND
 
     def __post_init__(self) -> None:
         if not 0.0 <= self.model_error_jnd <= 100.0:
@@ -226,7 +229,6 @@ def _model(
     return np.asarray(np.outer(sd, sd) * (family[:, None] == family[None, :]))
 
 
-MODEL_ERROR_JND = 0.3
 # Room parameters hardly depend on when within half a millisecond a path arrives: TS moves by a
 # fortieth of a just noticeable difference at most, and all others by less.
 _BINS_AS_ONE = 5
@@ -242,7 +244,6 @@ def value_problems(
     *,
     parameters: Sequence[Parameters | None] | None = None,
     names: Sequence[ValueName] = VALUE_NAMES,
-    model_error_jnd: float = MODEL_ERROR_JND,
 ) -> tuple[RoomValuesProblem | None, ...]:
     """Return the problem of every band, over all given values; None where a band has none.
 
@@ -259,8 +260,6 @@ def value_problems(
         absorptions alone.
     names : sequence of str
         Which parameters to fit.
-    model_error_jnd : float
-        See `RoomValuesProblem`.
 
     Raises
     ------
@@ -299,7 +298,6 @@ def value_problems(
                 observations,
                 bin_spreading(bank, coarse),
                 own if shared is None else shared,
-                model_error_jnd,
             )
         )
     return tuple(problems)

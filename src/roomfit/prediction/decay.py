@@ -286,11 +286,12 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
             (as_measured,),
             own,
             np.array([0.5]),
-            model_error_jnd=0.0,
         )
         if problem is None or problem.observations[0].names != VALUE_NAMES:
             sd[:, band] = np.nan
             continue
-        (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+        (covariance,) = value_covariances(
+            replace(problem, model_error_jnd=0.0), start_vector(problem.parameters)
+        )
         sd[:, band] = np.sqrt(np.diag(covariance))
     return sd

@@ -177,7 +177,6 @@ def fit_band(
 
     Parameters
     ----------
-    problem : BandProblem
     solver, refiner : Solver
         Minimise the first round's squares, and those of the rounds that follow.
 
@@ -217,7 +216,6 @@ def score_band(
 
     Parameters
     ----------
-    problem : BandProblem
     start : float array, shape (n_free,)
     rounds : int
         How often the weights are renewed at most.

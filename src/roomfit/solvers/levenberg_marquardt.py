@@ -68,7 +68,6 @@ def levenberg_marquardt(
     residuals : callable
         Residuals and derivative of everything, priors included.
     start : float array, shape (n,)
-    settings : MarquardtSettings
 
     References
     ----------

@@ -1,54 +1,43 @@
-"""Downhill simplex, by equations (2) to (7) of Suh (2001).
+"""Searches of the unit box after Suh (2001): downhill simplex, and simulated annealing with it.
 
-Where that text is incomplete or unusual, this is what is done here:
+Where that text, equations (2) to (10), is incomplete or unusual, this is what is done here. Of the
+simplex:
 
 - A failed contraction: the paper is silent. The simplex shrinks to half its size towards its lowest
   vertex, as Nelder and Mead (1965) have it.
 - The order of operations: as printed, every reflection below the highest vertex is taken, and the
   expansion is tried only where the reflection has *failed*, which doubles a step in a direction
   that has just proved wrong. Nelder and Mead expand where the reflection is the best point so far,
-  and contract where it is no better than the second highest. Both are offered; theirs is the
-  default.
+  and contract where it is no better than the second highest. Theirs is the default.
 - Bounds: a point outside the unit box counts as infinitely bad and is not evaluated. Moving it to
   the wall instead would flatten the simplex into the wall, out of which no reflection leads.
 - Test (7) asks for a small *relative* difference. Where the lowest error is 0, as with data made
   by the model itself, it is met only when rounding ends all differences; a simplex too small for
   further change in any coordinate therefore ends the search under either test.
 
+Of annealing, where the paper gives the rule of acceptance and the schedule alone:
+
+- A next state is the current one plus an even random step in every coordinate, mirrored at the
+  walls of the box. The largest step grows where more than six trials in ten are accepted and
+  shrinks where fewer than four are (Corana et al. 1987); every fifth step may still be as long as
+  half the box, for a walk of short steps alone never leaves a valley before it has cooled.
+- Each temperature gets a fixed number of trials for every unknown. The first temperature is the
+  spread of the error over random points unless it is given: 1e6 is only right for errors of about
+  that size.
+- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
+  quarter of the schedule, since a cold walk may have ended in the wrong valley of two, and the
+  lowest goes on with fresh edges from its own answer until nothing is gained. (A simplex that has
+  lost its shape stops short in more than four or five dimensions; fresh edges cure that.)
+
 References
 ----------
 .. [1] J. S. Suh, "In-situ determination of absorption coefficients in a room" (2001).
 .. [2] J. A. Nelder, R. Mead, "A simplex method for function minimization", Computer Journal 7,
        308-313 (1965).
-
-Simulated annealing combined with the downhill simplex, after Suh (2001), (8) to (10).
-
-The paper gives the rule of acceptance and the schedule (a start of, for example, 1e6, times 0.9)
-and leaves open how the two methods are combined, how a next state is proposed, how many trials a
-temperature gets and where the schedule ends. The choices here:
-
-- A next state is the current one plus an even random step in every coordinate, mirrored at the
-  walls of the box. The largest step grows where more than six trials in ten are accepted and
-  shrinks where fewer than four are (Corana et al. 1987), so that it follows the temperature;
-  every fifth step may still be as long as half the box, for a walk of short steps alone never
-  leaves a valley before it has cooled.
-- Each temperature gets a fixed number of trials for every unknown.
-- The start temperature is the spread of the error over random points unless it is given: 1e6 is
-  only right for errors of about that size.
-- The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
-  quarter of the schedule (a cold walk may have ended in the wrong one of two valleys that it
-  crossed while warm), and the lowest goes on with fresh edges from its own answer until that gains
-  nothing more. (A simplex that has lost its shape stops short in more than four or five
-  dimensions; fresh edges cure that.)
-
-References
-----------
-.. [1] N. Metropolis et al., "Equation of state calculations by fast computing machines", J. Chem.
+.. [3] N. Metropolis et al., "Equation of state calculations by fast computing machines", J. Chem.
        Phys. 21, 1087-1092 (1953).
-.. [2] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
+.. [4] A. Corana et al., "Minimizing multimodal functions of continuous variables with the
        'simulated annealing' algorithm", ACM Trans. Math. Softw. 13, 262-280 (1987).
-
-What every search hands back: where it ended, how much it cost, and how it ended.
 """
 
 from __future__ import annotations
@@ -200,7 +189,6 @@ def downhill_simplex(
         Takes a point of the unit box, shape (n,).
     start : float array, shape (n + 1, n)
         Vertices of the first simplex, within the unit box, not all in one plane.
-    settings : SimplexSettings, optional
 
     Returns
     -------
@@ -396,8 +384,6 @@ def anneal(
         Takes a point of the unit box, shape (n,).
     n : int
         Number of unknowns.
-    rng : numpy.random.Generator
-    settings : AnnealingSettings, optional
 
     Returns
     -------

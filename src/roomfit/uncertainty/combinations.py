@@ -247,7 +247,6 @@ def find_combinations(
         equal rows where two materials are tied.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
         Prior of logit absorption.
-    rng : numpy.random.Generator
     within : float
         Above 0.
     draws : float array, shape (n_draws, n_materials), optional
@@ -368,7 +367,6 @@ def band_sentence(
 
     Parameters
     ----------
-    materials : tuple of str
     combinations : sequence of Combination
         Of one band, the mean of the whole room first.
     left_open : sequence of Undetermined
@@ -463,9 +461,13 @@ def determined(
 
     Parameters
     ----------
-    materials : tuple of str
-    absorption, logit_covariance, logit_prior, areas_m2, seed
-        See `band_combinations`.
+    absorption : float array, shape (n_materials, n_bands)
+    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
+        Of logit absorption between 0 and 1, whatever the bounds of the fit; see
+        `roomfit.uncertainty.posterior.plain_logit_covariance`.
+    logit_prior : float array, shape (2, n_materials, n_bands)
+        Prior mean and standard deviation of logit absorption.
+    areas_m2 : float array, shape (n_materials,)
     samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
         Draws of absorption where the posterior was sampled.
     specified : bool array, shape (n_materials,), optional
@@ -487,39 +489,6 @@ def determined(
     return Determined(tuple(combinations), tuple(sentences), np.stack(shares, axis=-1))
 
 
-def band_combinations(
-    absorption: FloatArray,
-    logit_covariance: FloatArray,
-    logit_prior: FloatArray,
-    areas_m2: FloatArray,
-    seed: int,
-) -> tuple[tuple[Combination, ...], ...]:
-    """Return the combinations of every band, that of the whole room first; see `find_combinations`.
-
-    Parameters
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-        Of logit absorption between 0 and 1, whatever the bounds of the fit; see
-        `roomfit.uncertainty.posterior.plain_logit_covariance`.
-    logit_prior : float array, shape (2, n_materials, n_bands)
-        Prior mean and standard deviation of logit absorption.
-    areas_m2 : float array, shape (n_materials,)
-    seed : int
-    """
-    return tuple(
-        find_combinations(
-            areas_m2,
-            absorption[:, band],
-            covariance,
-            logit_prior[0, :, band],
-            logit_prior[1, :, band],
-            np.random.default_rng(seed),
-        )
-        for band, covariance in enumerate(logit_covariance)
-    )
-
-
 def inseparable_findings(
     materials: tuple[str, ...],
     centres_hz: FloatArray,
@@ -530,11 +499,9 @@ def inseparable_findings(
 
     Parameters
     ----------
-    materials : tuple of str
     centres_hz : float array, shape (n_bands,)
     identifiable : bool array, shape (n_materials, n_bands)
-    found : sequence of tuple of Combination
-        From `band_combinations`.
+    found : sequence of tuple of Combination, one a band
     """
     bands = [
         band

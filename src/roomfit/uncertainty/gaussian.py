@@ -56,7 +56,6 @@ def is_identifiable(
 
     Parameters
     ----------
-    chi2_reduced : float
     lower95, upper95 : float arrays, shape (n_materials,)
         In absorption.
     sd, prior_sd : float arrays, shape (n_materials,)
@@ -159,7 +158,6 @@ def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> Floa
 
     Parameters
     ----------
-    problem : BandProblem
     fit : BandFit
         Its answer.
     errors : float array, shape (n, n_errors)
@@ -180,7 +178,6 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
 
     Parameters
     ----------
-    fit : BandFit
     steps : float array, shape (n_free, n_errors)
         One standard deviation each, independent of each other.
     """

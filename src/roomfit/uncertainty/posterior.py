@@ -182,8 +182,6 @@ def rto_draws(
     covariance_logit : float array, shape (n_materials, n_materials)
         Of logit absorption, prior included; positive definite.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
-    n_draws : int
-    rng : numpy.random.Generator
     prior_sd_scale : float or float array, shape (n_materials,)
         How many times as wide the prior of the draws is as that of the answer: the likelihood
         stays as it is.
@@ -277,10 +275,8 @@ def draw_absorption(
 
     Parameters
     ----------
-    posterior : AbsorptionPosterior
     n_draws : int
         2 or more; an odd number is raised by one.
-    rng : numpy Generator
 
     Returns
     -------
@@ -324,8 +320,6 @@ def band_draws(
         Positive semi-definite: zeros where absorption is fixed, equal rows where two materials are
         tied to each other.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
-    n_draws : int
-    rng : numpy Generator
     specified : bool array, shape (n_materials,), optional
         Whose prior was specified; without it, every prior that does not equal the default.
 

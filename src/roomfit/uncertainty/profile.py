@@ -61,7 +61,6 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
 
     Parameters
     ----------
-    problem : BandProblem
     fit : BandFit
         Its answer; its weights are kept.
     entry : int
@@ -86,8 +85,11 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     order = np.argsort(line.moves)
     centre = float(fit.vector[entry])
     return Profile(
-        *(entry, centre + np.array(line.moves)[order], np.array(line.rises)[order]),
-        *(centre + ends[0], centre + ends[1]),
+        entry,
+        centre + np.array(line.moves)[order],
+        np.array(line.rises)[order],
+        centre + ends[0],
+        centre + ends[1],
         not found_bent,
         line.evaluations,
     )
@@ -215,11 +217,6 @@ def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, Floa
     The signed root of the rise, straight where the likelihood is Gaussian, is interpolated
     without overshooting.
 
-    Parameters
-    ----------
-    found : Profile
-    n_points : int
-
     Returns
     -------
     free, rise : float arrays, shape (n_points,)
@@ -248,7 +245,6 @@ def profile_under(
 
     Parameters
     ----------
-    found : Profile
     sides : tuple of two floats
         Lengths below and above the profile's centre that its interval has by now; the curve is
         stretched to them.

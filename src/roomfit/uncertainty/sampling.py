@@ -148,7 +148,6 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
 
     Parameters
     ----------
-    problem : BandProblem
     fit : BandFit
         Its answer.
     """
@@ -253,8 +252,24 @@ def walk_points(
     for p in range(len(points)):
         here[:] = points[p]
         now = start = _log_density(
-            *(here, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
-            *(measured, signal, background, slopes, curvature, weight, energies),
+            here,
+            away,
+            zero,
+            farthest,
+            first,
+            low,
+            high,
+            prior,
+            prior_mean,
+            data,
+            pull,
+            measured,
+            signal,
+            background,
+            slopes,
+            curvature,
+            weight,
+            energies,
         )
         for s in range(len(sizes)):
             for i in range(n):
@@ -263,8 +278,24 @@ def walk_points(
                     step += root[i, j] * noise[s, p, j]
                 trial[i] = here[i] + sizes[s] * step
             there = _log_density(
-                *(trial, away, zero, farthest, first, low, high, prior, prior_mean, data, pull),
-                *(measured, signal, background, slopes, curvature, weight, energies),
+                trial,
+                away,
+                zero,
+                farthest,
+                first,
+                low,
+                high,
+                prior,
+                prior_mean,
+                data,
+                pull,
+                measured,
+                signal,
+                background,
+                slopes,
+                curvature,
+                weight,
+                energies,
             )
             if chances[s, p] < there - now:  # false where both are minus infinity, whose gap is nan
                 now = there
@@ -307,7 +338,7 @@ def _log_density(
     weight: FloatArray,
     energies: BoolArray,
 ) -> float:
-    """Return `roomfit.uncertainty.sampling.Surrogate.log_density` of one point; `away` is scratch.
+    """Return the log density of a `Surrogate` at one point, up to a constant; `away` is scratch.
 
     Minus infinity far outside, and where a window's likelihood is no number.
     """
@@ -372,19 +403,6 @@ class Windows:
     weight: FloatArray
     energies: BoolArray  # (n_data,)
 
-    def log_likelihood(self, away: FloatArray) -> FloatArray:
-        """Return it, up to a constant, at exponents this far from the centre, (n_points, n)."""
-        change = away @ self.slopes.T
-        change += 0.5 * np.einsum("pi,wij,pj->pw", away, self.curvature, away, optimize=True)
-        with np.errstate(over="ignore", invalid="ignore"):
-            grown = self.signal * np.exp(np.where(self.energies, change, 0.0)) + self.noise
-            ratio = self.measured / np.where(self.energies, grown, 1.0)
-            gamma = -np.log(np.where(self.energies, grown, 1.0)) - ratio
-            off = self.measured - self.noise - self.signal - change
-            each = np.where(self.energies, gamma, -0.5 * off**2)
-            found = each @ self.weight
-        return np.where(np.isfinite(found), found, -np.inf)
-
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Surrogate:
@@ -407,17 +425,6 @@ class Surrogate:
     prior: FloatArray  # (n_kept, n_kept)
     prior_mean: FloatArray  # (n_kept,)
     covariance: FloatArray  # (n_kept, n_kept), of the free numbers, Gaussian at the centre
-
-    def log_density(self, kept: FloatArray) -> FloatArray:
-        """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
-        away = exponents(self.parameters, kept) - exponents(self.parameters, self.centre[None])
-        off = kept - self.prior_mean
-        found = -0.5 * np.einsum("pi,ij,pj->p", off, self.prior, off)
-        if self.windows is not None:
-            found += self.windows.log_likelihood(away)
-        else:
-            found += away @ self.pull - 0.5 * np.einsum("pi,ij,pj->p", away, self.data, away)
-        return np.where(np.all(np.abs(kept) < FARTHEST_FREE, axis=1), found, -np.inf)
 
     @property
     def usual_steps(self) -> tuple[int, ...]:
@@ -450,13 +457,26 @@ class Surrogate:
         block = absorption_of(self.parameters)
         w = _no_windows(n) if self.windows is None else self.windows
         gain = walk_points(
-            *(here, root, sizes, rng.standard_normal((steps, *here.shape))),
-            *(np.log(rng.random((steps, len(here)))), FARTHEST_FREE, first),
-            *(np.array(block.lower[columns]), np.array(block.upper[columns])),
-            *(np.array(self.centre), np.array(self.prior), np.array(self.prior_mean)),
-            *(np.array(self.data), np.array(self.pull)),
-            *(np.array(w.measured), np.array(w.signal), np.array(w.noise), np.array(w.slopes)),
-            *(np.array(w.curvature), np.array(w.weight)),
+            here,
+            root,
+            sizes,
+            rng.standard_normal((steps, *here.shape)),
+            np.log(rng.random((steps, len(here)))),
+            FARTHEST_FREE,
+            first,
+            np.array(block.lower[columns]),
+            np.array(block.upper[columns]),
+            np.array(self.centre),
+            np.array(self.prior),
+            np.array(self.prior_mean),
+            np.array(self.data),
+            np.array(self.pull),
+            np.array(w.measured),
+            np.array(w.signal),
+            np.array(w.noise),
+            np.array(w.slopes),
+            np.array(w.curvature),
+            np.array(w.weight),
             np.array(w.energies),
         )
         return here, gain
@@ -486,8 +506,14 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
     data = (directions * np.maximum(size, 0.0)) @ directions.T
     free = data + prior + 1e-6 * np.eye(n)
     return Surrogate(
-        *(parameters, np.array(fit.vector[:n]), None if inner.size else _windows(posterior, fit)),
-        *(data / np.outer(slope, slope), pull, prior, means, np.asarray(np.linalg.inv(free))),
+        parameters,
+        np.array(fit.vector[:n]),
+        None if inner.size else _windows(posterior, fit),
+        data / np.outer(slope, slope),
+        pull,
+        prior,
+        means,
+        np.asarray(np.linalg.inv(free)),
     )
 
 
@@ -499,8 +525,13 @@ def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
     slopes = _signal_slopes(problem, found, fit.vector)
     weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
     return Windows(
-        *(problem.measured(), found.signal, found.expected - found.signal, slopes),
-        *(_curvature(problem, slopes, fit.vector), weight, energies),
+        problem.measured(),
+        found.signal,
+        found.expected - found.signal,
+        slopes,
+        _curvature(problem, slopes, fit.vector),
+        weight,
+        energies,
     )
 
 
@@ -574,12 +605,8 @@ def sample(
 
     Parameters
     ----------
-    posterior : LogPosterior
-    near : Surrogate
     rng : numpy Generator
         The only source of chance: equal generators give equal draws.
-    settings : SamplingSettings, optional
-    progress : callable, optional
 
     Raises
     ------
@@ -598,7 +625,9 @@ def sample(
     walkers = max(2 * n + 2, 12)
     quiet = _Quiet(posterior)
     sampler = emcee.EnsembleSampler(
-        *(walkers, n, quiet),
+        walkers,
+        n,
+        quiet,
         moves=[
             (_surrogate_move(emcee, near, settings.inner_steps or near.usual_steps, rng), 0.8),
             (emcee.moves.DEMove(), 0.2),

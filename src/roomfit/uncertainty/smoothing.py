@@ -251,8 +251,10 @@ def _profile_ends(
         others = max(1.0 / sd[i] ** 2 - 1.0 / before, 0.0)
         weighed = mean[i] / sd[i] ** 2 - at / before
         ends = profile_under(
-            *(found[leader], (at - free[0], free[1] - at)),
-            *(weighed / others if others > 0.0 else at, others),
+            found[leader],
+            (at - free[0], free[1] - at),
+            weighed / others if others > 0.0 else at,
+            others,
         )
         least = LEAST_SIDE * Z95 * sd[i]
         lower[i], upper[i] = min(ends[0], mean[i] - least), max(ends[1], mean[i] + least)
