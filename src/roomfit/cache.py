@@ -312,21 +312,28 @@ def write_bytes_atomically(path: Path, content: bytes) -> Path:
         The disk refuses.
     """
     path = Path(path)
-    aside = None
     try:
-        handle, aside = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        with os.fdopen(handle, "wb") as stream:
-            stream.write(content)
-            stream.flush()
-            os.fsync(stream.fileno())
-        _give_usual_permissions(Path(aside), 0o666)
-        Path(aside).replace(path)
+        with _whole_file(path) as aside:
+            aside.write_bytes(content)
+            _give_usual_permissions(aside, 0o666)
     except OSError as error:
         raise StoreError("a file cannot be written", where=str(path), found=str(error)) from error
-    finally:
-        if aside is not None:
-            Path(aside).unlink(missing_ok=True)
     return path
+
+
+@contextmanager
+def _whole_file(path: Path) -> Iterator[Path]:
+    """Give a hidden file beside a path, which takes its name when the block ends well."""
+    handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+    os.close(handle)
+    aside = Path(name)
+    try:
+        yield aside
+        with aside.open("r+b") as stream:
+            os.fsync(stream.fileno())
+        aside.replace(path)
+    finally:
+        _remove(aside)
 
 
 def write_text_atomically(path: Path, text: str) -> Path:
@@ -500,17 +507,11 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
     """Write a value and make room for it; return a finding where the disk refuses."""
     if size_bytes(value) > cache.limit_bytes:
         return ()
-    aside: Path | None = None
     try:
         cache.folder.mkdir(parents=True, exist_ok=True)
-        handle, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=cache.folder)
-        os.close(handle)
-        aside = Path(name)
-        save_record(aside, value)
-        with aside.open("rb") as stream:
-            os.fsync(stream.fileno())
-        _make_room(cache, aside)
-        aside.replace(path)
+        with _whole_file(path) as aside:
+            save_record(aside, value)
+            _make_room(cache, aside)
     except OSError as error:
         return (
             Finding(
@@ -520,9 +521,6 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
                 {"kind": kind},
             ),
         )
-    finally:
-        if aside is not None:
-            _remove(aside)
     return ()
 
 

@@ -1,4 +1,4 @@
-"""What all files that are written have in common: findings, provenance, unknown numbers, rows."""
+"""What files have in common: text, findings, provenance, unknown numbers, rows of tables."""
 
 from __future__ import annotations
 
@@ -15,6 +15,15 @@ import numpy as np
 from roomfit.errors import StoreError
 from roomfit.findings import Finding
 from roomfit.typing import FloatArray
+
+
+def decoded(content: bytes) -> str:
+    """Return text, UTF-8 or else Latin-1, with newlines at the ends of lines."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def numbers_or_null(values: FloatArray) -> list[float | None]:

@@ -30,6 +30,7 @@ import soundfile
 from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.io.encoding import decoded
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, pick
@@ -292,7 +293,9 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
         all arrival times.
     """
     where = str(spec.path)
-    lines = _text(content, where).split("\n")
+    if b"\0" in content:
+        raise _not_rew(where, "a binary file")
+    lines = decoded(content).split("\n")
     header = _header(lines, where)
     if "ir is the min phase version" in header.notes:
         raise InputError(
@@ -309,16 +312,6 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     findings += _window_findings(header, spec)
     findings += _clock_findings(pressure, rate_hz, header, spec)
     return Recording(pressure, rate_hz, header.numbers["start_s"], tuple(findings))
-
-
-def _text(content: bytes, where: str) -> str:
-    if b"\0" in content:
-        raise _not_rew(where, "a binary file")
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def _header(lines: list[str], where: str) -> _Header:

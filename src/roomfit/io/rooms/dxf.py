@@ -14,7 +14,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
-from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, finite, read_bytes
+from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, check_corners, finite, read_bytes
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
 _DEEPEST = 20
@@ -191,9 +191,7 @@ def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:
         return [list(entity.wcs_vertices())]
     if kind == "MESH":
         return _mesh_polygons(list(entity.vertices), list(entity.faces), where)
-    if (kind == "POLYLINE" and entity.is_poly_face_mesh) or (
-        kind == "POLYLINE" and entity.is_polygon_mesh
-    ):
+    if kind == "POLYLINE" and (entity.is_poly_face_mesh or entity.is_polygon_mesh):
         from ezdxf.render.mesh import MeshBuilder
 
         mesh = MeshBuilder.from_polyface(entity)
@@ -215,14 +213,7 @@ def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:
 
 def _mesh_polygons(vertices: list[Any], faces: list[Any], where: str) -> list[list[Any]]:
     for face in faces:
-        for corner in face:
-            if not 0 <= corner < len(vertices):
-                raise InputError(
-                    "a face names a corner that does not exist",
-                    where=where,
-                    found=f"corner {corner}",
-                    needed=f"0 to {len(vertices) - 1}",
-                )
+        check_corners(face, len(vertices), where)
     return [[vertices[corner] for corner in face] for face in faces]
 
 

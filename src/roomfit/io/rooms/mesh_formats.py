@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import re
 import struct
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,14 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
-from roomfit.io.rooms.model import RoomModel, finite, read_bytes, read_text, whole
+from roomfit.io.rooms.model import (
+    RoomModel,
+    check_corners,
+    finite,
+    read_bytes,
+    read_text,
+    whole,
+)
 from roomfit.typing import FloatArray
 
 _WORD = re.compile(r'"[^"]*"|\S+')
@@ -238,19 +246,12 @@ def _sheets(n_sheets: int, n: int) -> Finding:
 
 
 def _check_indices(path: Path, this: _Object, surf: _Surf, n_materials: int) -> None:
-    n = len(this.vertices)
-    for corner in surf.corners:
-        if not 0 <= corner < n:
-            raise InputError(
-                "a face names a corner that does not exist",
-                where=f"{path}, object {this.name!r}",
-                found=f"corner {corner}",
-                needed=f"0 to {n - 1}",
-            )
+    where = f"{path}, object {this.name!r}"
+    check_corners(surf.corners, len(this.vertices), where)
     if not -1 <= surf.material < n_materials:
         raise InputError(
             "a face names a material that does not exist",
-            where=f"{path}, object {this.name!r}",
+            where=where,
             found=f"material {surf.material}",
             needed=f"0 to {n_materials - 1}",
         )
@@ -419,14 +420,17 @@ def read_ply(path: Path) -> RoomModel:
     .. [1] G. Turk, "The PLY polygon file format" (1994).
     """
     order, elements, body = _header(path, read_bytes(path))
-    numbers = _TextNumbers(path, body) if order == "" else _BinaryNumbers(path, body, order)
+    take = _numbers(path, body, order)
     surface = Surface(path.stem or "unnamed")
     points: list[list[float]] = []
     faces: list[Face] = []
     for element in elements:
         for number in range(element.count if element.properties else 0):
             where = f"{path}, {element.name} {number}"
-            row = {p.name: _value(p, numbers) for p in element.properties}
+            row = {}
+            for p in element.properties:
+                n = max(int(take(p.count_code, 1)[0]), 0) if p.count_code else 1
+                row[p.name] = take(p.code, n)
             if element.name == "vertex":
                 points.append([_coordinate(row, a, where) for a in "xyz"])
             elif element.name == "face":
@@ -483,44 +487,24 @@ def _code(kind: str, where: str) -> str:
     return _CODES[kind]
 
 
-class _TextNumbers:
-    """The numbers of a PLY file in text, one after the other."""
+def _numbers(path: Path, body: bytes, order: str) -> Callable[[str, int], list[float]]:
+    """Return a function that gives the next n numbers of a type, in text or binary."""
+    words, at = iter(() if order else body.decode("latin-1").split()), 0
 
-    def __init__(self, path: Path, body: bytes) -> None:
-        self._path = path
-        self._words: Iterator[str] = iter(body.decode("latin-1").split())
+    def text(code: str, n: int) -> list[float]:
+        taken = list(islice(words, n))
+        if len(taken) < n:
+            raise _cut_short(path)
+        return [finite(w, str(path)) if code in "fd" else whole(w, str(path)) for w in taken]
 
-    def take(self, code: str, n: int) -> list[float]:
-        """Return the next n numbers of one type."""
-        values = []
-        for _ in range(n):
-            word = next(self._words, None)
-            if word is None:
-                raise _cut_short(self._path)
-            where = str(self._path)
-            values.append(finite(word, where) if code in "fd" else whole(word, where))
-        return values
+    def binary(code: str, n: int) -> list[float]:
+        nonlocal at
+        start, at = at, at + n * struct.calcsize(code)
+        if at > len(body):
+            raise _cut_short(path)
+        return list(struct.unpack_from(f"{order}{n}{code}", body, start))
 
-
-class _BinaryNumbers:
-    """The numbers of a PLY file in binary, one after the other."""
-
-    def __init__(self, path: Path, body: bytes, order: str) -> None:
-        self._path, self._body, self._order, self._next = path, body, order, 0
-
-    def take(self, code: str, n: int) -> list[float]:
-        """Return the next n numbers of one type."""
-        layout = f"{self._order}{n}{code}"
-        if self._next + n * struct.calcsize(code) > len(self._body):
-            raise _cut_short(self._path)
-        values = struct.unpack_from(layout, self._body, self._next)
-        self._next += struct.calcsize(layout)
-        return list(values)
-
-
-def _value(p: _Property, numbers: _TextNumbers | _BinaryNumbers) -> list[float]:
-    n = int(numbers.take(p.count_code, 1)[0]) if p.count_code else 1
-    return numbers.take(p.code, max(n, 0))
+    return binary if order else text
 
 
 def _cut_short(path: Path) -> InputError:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import io
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
+from roomfit.io.encoding import decoded
 from roomfit.typing import FloatArray
 
 METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
@@ -147,11 +148,7 @@ def read_text(path: Path) -> str:
             needed=f"a text file, as {Path(path).suffix or 'its name'} says",
             hint="check that the file's name ends as its format demands",
         )
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
+    return decoded(content)
 
 
 def finite(token: str, where: str) -> float:
@@ -190,6 +187,24 @@ def whole(token: str, where: str) -> int:
         raise InputError(
             "a whole number was expected", where=where, found=repr(token[:40])
         ) from None
+
+
+def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
+    """Refuse a face with a corner that is not there; corners count from 0.
+
+    Raises
+    ------
+    InputError
+        A corner is negative or not below the number of vertices.
+    """
+    for corner in corners:
+        if not 0 <= corner < n_vertices:
+            raise InputError(
+                "a face names a corner that does not exist",
+                where=where,
+                found=f"corner {corner}",
+                needed=f"0 to {n_vertices - 1}",
+            )
 
 
 # What a parser of others may raise on a damaged file; anything else is a fault of this program.
