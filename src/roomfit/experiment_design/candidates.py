@@ -1,4 +1,4 @@
-"""The pairs of source and receiver that could be measured: where, and what each would tell."""
+"""The pairs of source and receiver that could be measured: where, and how informative."""
 
 from __future__ import annotations
 
@@ -393,7 +393,7 @@ _TRACING = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateInformation:
-    """What all candidates would tell."""
+    """The information of all candidates."""
 
     # (n_pairs, n_draws, n_bands, n + 1, n + 1), see `information_of_pairs`
     matrices: FloatArray
@@ -410,7 +410,7 @@ def information_of_candidates(
     directivities: Directivities,
     progress: Progress | None,
 ) -> CandidateInformation:
-    """Trace the candidates of every source at once and return what each of them would tell.
+    """Trace the candidates of every source at once and return the information of each.
 
     Parameters
     ----------
