@@ -7,11 +7,11 @@ from dataclasses import dataclass
 from typing import Literal
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import Certificate
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.response.directivity import FirstOrderBands
+from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
@@ -114,6 +114,8 @@ class Answer:
         the intervals are known.
     logit_prior : float array, shape (2, n_materials, n_bands), or None
         Mean and standard deviation of logit absorption before anything was measured.
+    prior_specified : bool array, shape (n_materials,), or None
+        Whether the campaign specifies that prior, or it is the broad default.
     combinations : tuple of tuples of Combination, one a band
         Means over groups of materials that the data determine, that of the whole room first.
     models : tuple of str, one a band
@@ -180,6 +182,7 @@ class Answer:
     sampling: tuple[Sampled | None, ...] = ()
     prior: FloatArray | None = None
     reasons: tuple[str, ...] = ()
+    prior_specified: BoolArray | None = None
 
 
 def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
@@ -206,6 +209,7 @@ def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
         prior_logit_sd=sd,
         scattering=answer.scattering,
         directivities={d.source: FirstOrderBands(d.b) for d in answer.directivities},
+        prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
     )
 

@@ -18,6 +18,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
 from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import plan_trace
@@ -220,8 +221,8 @@ def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) ->
     mean = (areas @ synthetic.absorption / areas.sum())[plan.columns]
     m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     volume = volume_m3(plan.room.mesh)
-    left = -np.log1p(-np.minimum(mean, 0.999)) * surface_area_m2(plan.room.mesh) + 4.0 * m * volume
-    t60_s = 24.0 * np.log(10.0) / synthetic.speed_of_sound_m_s * volume / left
+    surface, c = surface_area_m2(plan.room.mesh), synthetic.speed_of_sound_m_s
+    t60_s = eyring_time_s(mean, volume, surface, c, m)
     ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
     wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
     reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[synthesis]) ** (1.0 / 3.0)

@@ -37,7 +37,7 @@ from roomfit.findings import Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Level
-from roomfit.prediction.decay import eyring_time_s
+from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene
 from roomfit.settings import Settings
@@ -264,7 +264,7 @@ def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInforma
     """Return the least distance of a receiver from its source, ISO 3382's where unspecified."""
     if options.source_distance_m is not None:
         return options.source_distance_m
-    decay_s = float(np.median(eyring_time_s(scene, known.bands, known.typical)))
+    decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
     volume = volume_m3(scene.room.mesh)
     return least_source_distance_m(volume, speed_of_sound_m_s(scene.air), decay_s)
 

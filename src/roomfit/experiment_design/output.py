@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Iterator
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -17,7 +14,7 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.frames import html_findings, html_table
 from roomfit.report.room_figure import outline_m
@@ -64,13 +61,13 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
     return {
         "format": "roomfit-design",
         "format_version": 1,
-        "bands_hz": numbers(design.bands.centres_hz),
+        "bands_hz": design.bands.centres_hz,
         "chosen": [
             {
                 "source": source,
-                "source_m": numbers(source_m),
+                "source_m": source_m,
                 "receiver": receiver,
-                "receiver_m": numbers(receiver_m),
+                "receiver_m": receiver_m,
                 "mean_width95": float(means[i + 1]),
                 "width95": _by_material(design, design.widths[i + 1]),
             }
@@ -96,22 +93,17 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "findings": [finding_content(f) for f in design.findings],
         "design": {"seed": design.seed, "seconds": round(design.seconds, 3)},
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def design_csv(design: Design) -> str:
     """Return one row a chosen pair: its positions, and the mean width of the intervals after it."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(COLUMNS)
+    rows = []
     for number, source, x, y, z, receiver, *more, width in design_rows(design):
         at, to = ([f"{v:.3f}" for v in values] for values in ((x, y, z), more))
-        writer.writerow([number, source, *at, receiver, *to, f"{width:.4f}"])
-    return stream.getvalue()
+        rows.append([number, source, *at, receiver, *to, f"{width:.4f}"])
+    return csv_text(COLUMNS, rows)
 
 
 def design_rows(design: Design) -> Iterator[tuple[Any, ...]]:
@@ -119,7 +111,7 @@ def design_rows(design: Design) -> Iterator[tuple[Any, ...]]:
     after = mean_widths(design)[1:]
     for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
         distance = float(np.linalg.norm(source_m - receiver_m))
-        ends = (source, *numbers(source_m), receiver, *numbers(receiver_m))
+        ends = (source, *source_m.tolist(), receiver, *receiver_m.tolist())
         yield (i + 1, *ends, distance, float(after[i]))
 
 
@@ -131,8 +123,8 @@ def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
     return found
 
 
-def _by_material(design: Design, table: FloatArray) -> dict[str, list[float]]:
-    return {name: numbers(row) for name, row in zip(design.materials, table, strict=True)}
+def _by_material(design: Design, table: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip(design.materials, table, strict=True))
 
 
 def _widest(design: Design) -> dict[str, Any]:
@@ -140,7 +132,7 @@ def _widest(design: Design) -> dict[str, Any]:
     return {
         "material": design.materials[material],
         "band_hz": float(design.bands.centres_hz[band]),
-        "width95": numbers(design.widths[:, material, band]),
+        "width95": design.widths[:, material, band],
     }
 
 

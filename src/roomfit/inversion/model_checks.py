@@ -15,7 +15,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.materials.priors import MaterialPrior
 from roomfit.settings import Settings
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
@@ -152,15 +152,11 @@ def prior_findings(
     """
     findings = []
     for i, own in enumerate(priors):
-        if own.known is not None or own.tied_to is not None:
+        if own.known is not None or own.tied_to is not None or not own.specified:
             continue
-        plain = unknown_material(own.name, len(bands))
-        given = (own.prior_logit_mean != plain.prior_logit_mean) | (
-            own.prior_logit_sd != plain.prior_logit_sd
-        )
         left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / own.prior_logit_sd
         fitted = np.array([a.model != "prior" for a in answers])
-        bad = np.flatnonzero(given & fitted & (left > NEARLY_THE_PRIOR))
+        bad = np.flatnonzero(fitted & (left > NEARLY_THE_PRIOR))
         if not bad.size:
             continue
         listed = ", ".join(

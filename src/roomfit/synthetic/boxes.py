@@ -20,6 +20,7 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.cache import write_text_atomically
 from roomfit.errors import InputError
+from roomfit.logit import expit
 from roomfit.typing import BoolArray, ComplexArray, FloatArray, IntArray, Progress
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
@@ -359,8 +360,8 @@ def random_plan(rng: np.random.Generator) -> BoxPlan:
     """
     lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
     low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
-    logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
-    absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
+    free = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
+    absorption = expit(np.clip(free, low, high))
 
     def place() -> tuple[float, float, float]:
         x, y, z = rng.uniform(0.6, lengths - 0.6)

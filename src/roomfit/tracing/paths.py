@@ -166,12 +166,12 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
         first,
         **columns,
         n_batches=max(p.n_batches for p in parts),
-        reflections=_joined_reflections(parts),
+        reflections=_reflections_of_all(parts),
         image_transform=_joined_image_transforms(parts),
     )
 
 
-def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
+def _reflections_of_all(parts: Sequence[Paths]) -> Reflections | None:
     if all(p.reflections is None for p in parts):
         return None
     none = np.zeros(0, dtype=np.int32)
