@@ -1,13 +1,13 @@
-"""What a wrong description of a room does to the answer: wider intervals, findings, or neither.
+"""The effect of a wrong description of a room on the answer: wider intervals, findings, or none.
 
     python benchmarks/sensitivity.py [--first SEED] [--rooms N] [--faults NAME ...]
 
 Boxes of `roomfit.synthetic.boxes` (pressures of image sources, noise, eight pairs, six
-octaves, places 1 cm wrong), one fault at a time in what the campaign says of them. Where a wall is
-of two materials and told as one, the truth is its mean over the area. "wrong" are values called
-identifiable whose 95 % interval does not hold the truth; "far" those of them that miss it by more
-than half of the interval's width, which no chance explains. The null model gives all walls of a
-room the fitted area mean.
+octaves, positions 1 cm off), one fault at a time in what the campaign specifies. Where a wall of
+two materials is specified as one, the true absorption is its mean over the area. "wrong" are values
+called identifiable whose 95 % interval does not cover the true value; "far" those of them that miss
+it by more than half of the interval's width, which no chance explains. "base" is the error of a
+baseline, which gives all walls of a room the fitted area mean.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from pathlib import Path
 
 import numpy as np
 
-from _wrongly_told import FAULTS, Fault, true_absorption_of, write_misspecified
+from _misspecified import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
@@ -28,19 +28,19 @@ from roomfit.results import Answer
 
 # Findings that short decays and low bands have in any of these rooms.
 QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
-HEAD = "fault                    |error|  90 %   hold  width   sure  wrong   far   null  findings"
+HEAD = "fault                    |error|  90 %  cover  width ident.  wrong   far   base  findings"
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """One campaign: what was found, and what is true."""
+    """One campaign: its answer and the true absorption."""
 
     answer: Answer
     true: np.ndarray
 
     @property
     def codes(self) -> set[Code]:
-        """Findings that tell a reader to doubt this room in particular."""
+        """Findings that raise a doubt of this room in particular."""
         return {f.code for f in self.answer.findings if f.severity != "info"} - QUIET
 
 
@@ -54,7 +54,7 @@ def outcome(fault: Fault, seed: int) -> Outcome:
 
 def line(name: str, done: list[Outcome]) -> str:
     """Return one row of the table, pooled over rooms."""
-    true, value, low, high, sure, null = (
+    true, value, low, high, identifiable, baseline = (
         np.concatenate([np.asarray(x, dtype=float).ravel() for x in column])
         for column in (
             [o.true for o in done],
@@ -65,16 +65,17 @@ def line(name: str, done: list[Outcome]) -> str:
             [np.tile(o.answer.mean_absorption[0], (len(o.true), 1)) for o in done],
         )
     )
-    error, held, surely = np.abs(value - true), (low <= true) & (true <= high), sure > 0.0
+    error, covered = np.abs(value - true), (low <= true) & (true <= high)
+    is_identifiable = identifiable > 0.0
     miss = np.maximum(low - true, true - high)
-    wrong = surely & ~held
+    wrong = is_identifiable & ~covered
     far = wrong & (miss > 0.5 * (high - low))
     counts = Counter(code for o in done for code in o.codes)
     codes = " ".join(f"{code}:{n}" for code, n in sorted(counts.items()))
     return (
-        f"{name:<24} {np.median(error):6.3f} {np.quantile(error, 0.9):6.3f} {held.mean():6.2f}"
-        f" {np.median(high - low):6.3f} {surely.mean():6.2f} {wrong.sum():6d} {far.sum():5d}"
-        f" {np.median(np.abs(null - true)):6.3f}  {codes}"
+        f"{name:<24} {np.median(error):6.3f} {np.quantile(error, 0.9):6.3f} {covered.mean():6.2f}"
+        f" {np.median(high - low):6.3f} {is_identifiable.mean():6.2f} {wrong.sum():6d}"
+        f" {far.sum():5d} {np.median(np.abs(baseline - true)):6.3f}  {codes}"
     )
 
 

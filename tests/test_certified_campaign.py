@@ -161,7 +161,7 @@ def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Pat
     """Told at once, before anything is traced."""
     change = ("to_hz = 1000", 'to_hz = 500\nmethod = "certified"\nmodel = "coherent"')
     campaign = roomfit.read_campaign(write_campaign(tmp_path, change))
-    with pytest.raises(roomfit.InputError, match="no certificate but for energies"):
+    with pytest.raises(roomfit.InputError, match="a certificate exists for energies"):
         roomfit.identify(**identify_arguments(campaign))
 
 

@@ -1,4 +1,4 @@
-"""Directivity as an unknown: derivatives, signs, and what bands say of each other."""
+"""Directivity as an unknown: derivatives, signs, and the priors that bands leave each other."""
 
 from __future__ import annotations
 
@@ -8,12 +8,7 @@ import numpy as np
 import pytest
 
 from coherent_cases import small_geometry, small_paths, small_problem
-from roomfit.inversion.directivity import (
-    BandInformation,
-    band_information,
-    cavity_priors,
-    moved_start,
-)
+from roomfit.inversion.directivity import band_information, cavity_priors, moved_start
 from roomfit.objective.coherent import CoherentProblem, with_coherence
 from roomfit.objective.directivity import (
     DirectedProblem,
@@ -98,10 +93,10 @@ def test_the_case_has_pressures_of_both_signs() -> None:
 
 @pytest.mark.parametrize("coherent", [False, True])
 def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
-    """Means and variances equal those of paths weighed beforehand, where no sign turns.
+    """Means and variances equal those of paths weighed first, where no sign turns.
 
-    Directions of rows are those of the trace, those of images come from their unfolding, both in
-    single precision: 1e-6.
+    Directions of rows are those of the trace, those of images come from their image transforms,
+    both in single precision: 1e-6.
     """
     case, b = directed_case(coherent=coherent), B
     scene, paths = small_paths()
@@ -141,53 +136,49 @@ def test_the_block_has_a_unit_normal_prior() -> None:
     np.testing.assert_array_equal(block.prior_sd, 1.0)
 
 
-def linear_specified(rng: np.random.Generator, n: int, rank: int) -> BandInformation:
-    """Return what a linear band with unit noise says of n unknowns, in so many directions."""
+def linear_band(rng: np.random.Generator, n: int, rank: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the likelihood of a linear band with unit noise, in so many directions of n."""
     matrix = rng.standard_normal((rank, n))
-    return BandInformation(matrix.T @ matrix, matrix.T @ rng.standard_normal(rank))
+    return matrix.T @ matrix, matrix.T @ rng.standard_normal(rank)
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_what_other_bands_say_is_the_posterior_without_the_own_data(seed: int) -> None:
+def test_a_cavity_prior_is_the_posterior_without_the_band_s_own_data(seed: int) -> None:
     """Bayes by conditioning, term by term: the own data put back give the posterior of all.
 
     The information form inside against the covariance form here, one band after the other.
     """
     rng = np.random.default_rng(seed)
     octaves, n = np.array([0.0, 1.0, 2.0, 3.5]), 3
-    information = [
-        linear_specified(rng, n, 5),
-        linear_specified(rng, n, 2),
-        None,
-        linear_specified(rng, n, 1),
-    ]
-    said = cavity_priors(information, octaves, 0.8, n)
+    likelihoods = [linear_band(rng, n, 5), linear_band(rng, n, 2), None, linear_band(rng, n, 1)]
+    found = cavity_priors(likelihoods, octaves, 0.8, n)
     prior = np.kron(0.8 ** np.abs(octaves[:, None] - octaves), np.eye(n))
-    for band, (mean, covariance) in enumerate(said):
+    for band, (mean, covariance) in enumerate(found):
         m, c = np.zeros(len(prior)), prior
-        for other, one in enumerate(information):
+        for other, one in enumerate(likelihoods):
             if other == band or one is None:
                 continue
             pick = np.eye(len(prior))[n * other : n * (other + 1)]
-            value, vectors = np.linalg.eigh(one.information)
-            observed = value > 1e-9
-            rows = np.sqrt(value[observed])[:, None] * vectors.T[observed] @ pick
-            data = (vectors.T[observed] @ one.weighed) / np.sqrt(value[observed])
-            gain = c @ rows.T @ np.linalg.inv(rows @ c @ rows.T + np.eye(int(observed.sum())))
+            information, weighted_mean = one
+            value, vectors = np.linalg.eigh(information)
+            determined = value > 1e-9
+            rows = np.sqrt(value[determined])[:, None] * vectors.T[determined] @ pick
+            data = (vectors.T[determined] @ weighted_mean) / np.sqrt(value[determined])
+            gain = c @ rows.T @ np.linalg.inv(rows @ c @ rows.T + np.eye(int(determined.sum())))
             m, c = m + gain @ (data - rows @ m), c - gain @ rows @ c
         own = slice(n * band, n * (band + 1))
         np.testing.assert_allclose(mean, m[own], atol=1e-9)
         np.testing.assert_allclose(covariance, c[own, own], atol=1e-9)
 
 
-def test_bands_without_data_say_nothing() -> None:
+def test_bands_without_data_leave_the_prior() -> None:
     """The prior comes back."""
     for mean, covariance in cavity_priors([None, None], np.array([0.0, 1.0]), 0.8, 3):
         np.testing.assert_allclose(mean, 0.0, atol=1e-12)
         np.testing.assert_allclose(covariance, np.eye(3), atol=1e-12)
 
 
-def test_a_band_says_what_is_left_when_its_other_unknowns_are_free() -> None:
+def test_a_band_s_information_is_marginal_over_its_other_unknowns() -> None:
     """A linear band: its likelihood with the first two unknowns minimised out, prior taken out."""
     rng = np.random.default_rng(5)
     matrix, data = rng.standard_normal((40, 5)), 0.1 * rng.standard_normal(40)
@@ -198,14 +189,14 @@ def test_a_band_says_what_is_left_when_its_other_unknowns_are_free() -> None:
     fit = BandFit(
         *(vector, 0.0, 0.5, information, nothing, nothing + 1.0, data, 0.0, 1, Ending.CONVERGED),
     )
-    alone = band_information(fit, 2)
+    alone, weighted_mean = band_information(fit, 2)
     free = matrix[:, :2]
     left = matrix[:, 2:] - free @ np.linalg.lstsq(free, matrix[:, 2:], rcond=None)[0]
-    np.testing.assert_allclose(alone.information, left.T @ left, rtol=1e-9, atol=1e-9)
-    np.testing.assert_allclose(alone.weighed, left.T @ data, atol=1e-9)
+    np.testing.assert_allclose(alone, left.T @ left, rtol=1e-9, atol=1e-9)
+    np.testing.assert_allclose(weighted_mean, left.T @ data, atol=1e-9)
     poor = band_information(replace(fit, chi2_reduced=4.0), 2)
-    np.testing.assert_allclose(poor.information, alone.information / 4.0)
-    np.testing.assert_allclose(poor.weighed, alone.weighed / 4.0)
+    np.testing.assert_allclose(poor[0], alone / 4.0)
+    np.testing.assert_allclose(poor[1], weighted_mean / 4.0)
 
 
 def test_a_start_keeps_its_b_under_another_prior() -> None:

@@ -1,4 +1,4 @@
-"""Answers that a symmetric room makes as good as the one found: told, and not called sure."""
+"""Answers that symmetry makes as good as the one found: reported, and not identifiable."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ ABSORPTION = np.array([[0.1, 0.1], [0.3, 0.3], [0.6, 0.35]])
 
 def measurements(*heights_m: float, sd_m: float = 0.01) -> Measurements:
     """One source at half height, receivers at the given ones; room parameters only."""
-    places = [(1.0 + 0.7 * i, 2.9, z) for i, z in enumerate(heights_m)]
-    receivers = tuple(Point(f"R{i}", np.array(p), sd_m) for i, p in enumerate(places))
+    positions = [(1.0 + 0.7 * i, 2.9, z) for i, z in enumerate(heights_m)]
+    receivers = tuple(Point(f"R{i}", np.array(p), sd_m) for i, p in enumerate(positions))
     scene = Scene(
         Room(shoebox_mesh(LENGTHS), NAMES, np.array(OWNERS), LENGTHS),
         (Point("S", np.array([3.9, 1.3, 1.5]), sd_m),),
@@ -61,11 +61,11 @@ def test_one_pair_off_the_plane_is_enough():
         ambiguous, findings = found(measurements(*heights))
         assert not ambiguous.any()
         assert findings == ()
-    # places that are known to 4 cm only may be symmetric after all
+    # positions with a standard deviation of 4 cm may be symmetric after all
     assert len(found(measurements(1.5, 1.6, sd_m=0.04))[1]) == 1
 
 
-def test_what_is_known_of_one_wall_tells_it_from_the_other():
+def test_a_prior_of_one_wall_breaks_the_symmetry():
     known = replace(KNOWN[1], known=np.array([0.3, 0.3]))
     assert found(measurements(1.5), (KNOWN[0], known, KNOWN[2]))[1] == ()
     prior = replace(

@@ -1,4 +1,4 @@
-"""Whether echoes agree with the stated outline: simulated boxes told right and told wrong."""
+"""Whether echoes agree with the specified outline: boxes described correctly and wrongly."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ CENTRES_HZ = 125.0 * 2.0 ** np.arange(7)
 def specified_and_observed(
     seed: int, specified_m: tuple[float, float, float], true_m=(6.0, 5.0, 3.0)
 ):
-    """Return a scene with the told outline and responses of the true one, origin shared."""
+    """Return a scene with the specified outline and responses of the true one, origin shared."""
     rng = np.random.default_rng(seed)
     truth = SyntheticBox(true_m, CENTRES_HZ, rng.uniform(0.1, 0.5, (6, 7)), np.zeros(7), C)
     low, high = np.full(3, 0.7), np.minimum(specified_m, true_m) - 0.7
@@ -45,7 +45,7 @@ def specified_and_observed(
 
 
 @pytest.mark.parametrize("seed", range(1, 9))
-def test_a_room_told_right_raises_no_doubt(seed):
+def test_a_room_described_correctly_raises_no_doubt(seed):
     """No false alarm in eight seeded rooms; there was none in a hundred either."""
     assert outline_findings(*specified_and_observed(seed, (6.0, 5.0, 3.0))) == ()
 
@@ -58,7 +58,7 @@ def test_a_room_told_right_raises_no_doubt(seed):
         ((6.0, 5.0, 3.4), "ceiling", -0.4),
     ],
 )
-def test_a_wall_told_wrong_is_named_with_its_distance(specified_m, surface, metres):
+def test_a_wall_described_wrongly_is_named_with_its_distance(specified_m, surface, metres):
     (finding,) = outline_findings(*specified_and_observed(3, specified_m))
     assert finding.code == Code.WALL_POSITION_MISMATCH
     assert finding.evidence["surface"] == surface
@@ -66,12 +66,12 @@ def test_a_wall_told_wrong_is_named_with_its_distance(specified_m, surface, metr
     assert surface in finding.sentence
 
 
-def test_few_responses_tell_nothing():
+def test_few_responses_are_not_examined():
     scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
     assert outline_findings(scene, responses[:2] + responses[5:7]) == ()
 
 
-def test_one_source_alone_tells_nothing():
+def test_one_source_alone_is_not_examined():
     scene, responses = specified_and_observed(3, (6.5, 5.0, 3.0))
     assert outline_findings(scene, responses[:5]) == ()
 
@@ -87,13 +87,13 @@ def test_an_echo_stands_out_and_smooth_noise_does_not():
 
 
 def l_shaped_echoes(tmp_path: Path) -> tuple[Scene, list[tuple[int, ImpulseResponse]]]:
-    """Return an L with echoes from 0.5 m behind its short end, also where nobody can see it."""
+    """Return an L with echoes from 0.5 m behind its short end, also round the corner."""
     file = tmp_path / "l.obj"
     file.write_text(obj_text(l_shaped_cells()))
     room, _ = read_room(RoomSpec(file=file, unit="m", up="z"))
     sources = [Point("S0", np.array((1.3, 4.9, 1.15))), Point("S1", np.array((6.1, 1.25, 1.5)))]
-    places = [(2.7, 1.1, 1.2), (1.1, 1.7, 1.45), (4.6, 2.1, 1.05), (2.9, 3.9, 1.75)]
-    receivers = [Point(f"R{i}", np.array(p)) for i, p in enumerate(places)]
+    positions = [(2.7, 1.1, 1.2), (1.1, 1.7, 1.45), (4.6, 2.1, 1.05), (2.9, 3.9, 1.75)]
+    receivers = [Point(f"R{i}", np.array(p)) for i, p in enumerate(positions)]
     pairs = [(s, r) for s in range(2) for r in range(4)]
     scene = Scene(room, tuple(sources), tuple(receivers), np.array(pairs), Air())
     c = speed_of_sound_m_s(Air())
@@ -109,10 +109,10 @@ def l_shaped_echoes(tmp_path: Path) -> tuple[Scene, list[tuple[int, ImpulseRespo
     return scene, responses
 
 
-def test_responses_that_cannot_hear_a_wall_say_nothing_of_it(tmp_path, monkeypatch):
+def test_responses_that_a_wall_does_not_reach_are_no_evidence_of_it(tmp_path, monkeypatch):
     """Of the L's end at y = 6 m only those around the corner's near side have an echo."""
     scene, responses = l_shaped_echoes(tmp_path)
     assert outline_findings(scene, responses) == ()
-    monkeypatch.setattr("roomfit.inversion.room_outline._is_met", lambda *_: True)
+    monkeypatch.setattr("roomfit.inversion.room_outline._is_reached", lambda *_: True)
     (finding,) = outline_findings(scene, responses)
     assert finding.evidence["metres_outward"] == pytest.approx(0.5, abs=0.05)

@@ -1,4 +1,4 @@
-"""Walls that were told to be smooth and are not, in responses of another road."""
+"""Walls specified as smooth that scatter, in responses simulated independently of the model."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from roomfit.synthetic.boxes import demo_plan, write_scattering_box
 def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     tmp_path: Path, scattering: float, codes: list[str]
 ) -> None:
-    """The demo's box, told to be smooth, with pressures and rays of their own.
+    """The demo's box, specified as smooth, with pressures and rays of their own.
 
     Smooth walls are doubted in fewer than 1 % of rooms by chance; the seed was not chosen. Five
     boxes of `benchmarks/scattering.py` gained 38 to 82 in log likelihood, two smooth ones of

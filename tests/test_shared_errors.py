@@ -1,4 +1,4 @@
-"""Errors that all windows of a band share: against fits of data that hold them, and other roads."""
+"""Errors that all windows of a band share: against fits of data that contain them, and others."""
 
 from __future__ import annotations
 
@@ -43,30 +43,30 @@ def _with_data(problem: EnergyProblem, factor: FloatArray) -> EnergyProblem:
     return replace(problem, observations=tuple(replace(o, energy=o.energy * f) for o, f in parts))
 
 
-def _settled(problem: BandProblem) -> BandFit:
+def _converged(problem: BandProblem) -> BandFit:
     return score_band(problem, start_vector(problem.parameters), rounds=12)
 
 
-def test_the_answer_moves_as_foretold_by_an_error_of_all_windows() -> None:
-    """Against fits of data that hold the error: a decay that is faster by 1 % at 20 ms.
+def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
+    """Against fits of data that contain the error: a decay that is faster by 1 % at 20 ms.
 
     The first order of what moves the answer by a few hundredths of a logit; both directions of the
     change together take out the second.
     """
     plain = energies()
-    fit = _settled(plain)
+    fit = _converged(plain)
     time_s = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in plain.observations])
     error = -0.01 * time_s / 0.02
-    (foretold,) = answer_steps(plain, fit, (plain.measured() * error)[:, None]).T
-    up, down = (_settled(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
+    (predicted,) = answer_steps(plain, fit, (plain.measured() * error)[:, None]).T
+    up, down = (_converged(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
     observed = 0.5 * (up - down)
     # weights that follow the answer are neglected: a few percent of the step
-    np.testing.assert_allclose(foretold, observed, rtol=0.1, atol=0.05 * np.abs(observed).max())
+    np.testing.assert_allclose(predicted, observed, rtol=0.1, atol=0.05 * np.abs(observed).max())
 
 
 def test_a_shared_error_adds_its_own_step_to_the_covariance() -> None:
     """And only that, whatever the misfit."""
-    fit = replace(_settled(energies()), chi2_reduced=1.7)
+    fit = replace(_converged(energies()), chi2_reduced=1.7)
     steps = np.array([[0.3, 0.0], [-0.1, 0.2], [0.0, 0.1], [0.05, 0.0]])
     wider = add_covariance(fit, steps)
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
@@ -119,8 +119,8 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
     own = FilterBank(Bands("octave", np.array([CENTRE_HZ])))
     pressures, rate_hz = [], 24_000.0
     for (_, r), observed in zip(scene.pairs, band.energies.observations, strict=True):
-        places = scene.sources[0].position_m, scene.receivers[r].position_m
-        samples = pressure_response(truth, *places, 0.1, rate_hz, np.zeros(3))
+        ends = scene.sources[0].position_m, scene.receivers[r].position_m
+        samples = pressure_response(truth, *ends, 0.1, rate_hz, np.zeros(3))
         response = ImpulseResponse(samples, rate_hz)
         pressures.append(window_energies(own, response, observed.edges_s)[0])
     energy = fit.expected

@@ -1,4 +1,4 @@
-"""A whole campaign: how each interval was made, what was known beforehand, what was chosen."""
+"""A whole campaign: how each interval was made, the priors, and what was chosen."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ SPECIFIED = ("[materials.tiles]", "[materials.tiles]\nprior = {mean = [0.5], sd 
 
 
 @pytest.fixture(scope="module")
-def specified(tmp_path_factory):
+def reported(tmp_path_factory):
     """The result of one octave by samples, with a narrow and wrong prior of the ceiling."""
     folder = tmp_path_factory.mktemp("sure")
     campaign = write_campaign(folder / "c", QUICK, SPECIFIED)
@@ -44,7 +44,7 @@ def test_a_campaign_by_samples_says_how_they_came_about(reported):
     assert sampling["converged"]
     assert sampling["independent"] > 200
     assert result["fit"]["method_chosen"] == "posterior"
-    assert any("came to rest in 1 bands" in r for r in result["fit"]["reasons"])
+    assert any("converged in 1 of 1 bands" in r for r in result["fit"]["reasons"])
     for name, material in result["materials"].items():
         assert material["interval"] == ["sampled"]
         assert material["lower95"][0] <= material["absorption"][0] <= material["upper95"][0]
@@ -56,7 +56,7 @@ def test_a_campaign_by_samples_says_how_they_came_about(reported):
 
 @pytest.mark.slow
 def test_a_prior_that_the_data_hardly_change_is_named_and_shown(reported):
-    """0.5 +- 0.02 for a ceiling of 0.3: one octave's energies cannot tell."""
+    """0.5 +- 0.02 for a ceiling of 0.3: one octave's energies cannot correct it."""
     _, result, _ = reported
     (finding,) = [f for f in result["findings"] if f["code"] == "prior-dominated"]
     assert finding["evidence"]["material"] == "tiles"
@@ -66,19 +66,19 @@ def test_a_prior_that_the_data_hardly_change_is_named_and_shown(reported):
     assert prior["upper95"][0] == pytest.approx(1.0 / (1.0 + np.exp(-1.96 * 0.08)), abs=1e-4)
 
 
-def test_prior_intervals_follow_bounds_ties_and_what_is_held():
+def test_prior_intervals_follow_bounds_ties_and_fixed_values():
     bounded = MaterialPrior("b", np.zeros(1), np.ones(1), lower=0.2, upper=0.6)
-    held = MaterialPrior("h", np.zeros(1), np.ones(1), known=np.array([0.3]))
+    fixed = MaterialPrior("h", np.zeros(1), np.ones(1), known=np.array([0.3]))
     tied = MaterialPrior("t", np.zeros(1), np.ones(1), tied_to="b")
-    found = prior_intervals((bounded, held, tied))[:, :, 0]
+    found = prior_intervals((bounded, fixed, tied))[:, :, 0]
     high = 0.2 + 0.4 / (1.0 + np.exp(-1.959964))
     np.testing.assert_allclose(found[:, 0], [0.4, 0.8 - high, high], atol=1e-6)
     np.testing.assert_allclose(found[:, 1], 0.3)
     np.testing.assert_allclose(found[:, 2], found[:, 0])
 
 
-def test_only_a_prior_that_was_given_is_called_one():
-    """The spread left is 0.1 (from a variance of 0.01) of the broad prior, and all of 0.1."""
+def test_only_a_specified_prior_is_reported():
+    """The answer's variance of 0.01 is small beside the broad prior's, and all of the other's."""
     bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
     broad = unknown_material("x", 1)
     narrow = MaterialPrior("y", np.full(1, -0.85), np.full(1, 0.1))

@@ -1,4 +1,4 @@
-"""Intervals that know the noise of the trace: against the spread of answers over many traces."""
+"""Intervals that include the noise of the trace: against the scatter of answers over traces."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def data() -> FloatArray:
 
 
 def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return the answer by one coarse trace, and the variance that its batches foretell."""
+    """Return the answer by one coarse trace, and the variance that its batches predict."""
     coarse = energies(N_RAYS, seed)
     halves = np.split(data, 2)
     observed = zip(coarse.observations, halves, strict=True)
@@ -51,16 +51,16 @@ def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
     return fit.vector, np.diag(more) * max(fit.chi2_reduced, 1.0)
 
 
-def test_batches_foretell_how_far_another_trace_moves_the_answer(data: FloatArray) -> None:
+def test_batches_predict_how_far_another_trace_moves_the_answer(data: FloatArray) -> None:
     """Forty traces, the same data: their scatter has a standard error of 11 %.
 
-    The data hold no noise, so that nothing but the rays moves the answer. A factor of 1.5 is
+    The data have no noise, so that nothing but the rays moves the answer. A factor of 1.5 is
     3.6 standard errors, a chance of 1e-3 for the four unknowns together; what is neglected, the
     curvature and the weights that move with the rays, lies within that margin as well.
     """
-    answers, foretold = zip(*(fitted(seed, data) for seed in range(N_TRACES)), strict=True)
+    answers, predicted = zip(*(fitted(seed, data) for seed in range(N_TRACES)), strict=True)
     observed = np.std(answers, axis=0, ddof=1)
-    ratio = np.sqrt(np.mean(foretold, axis=0)) / observed
+    ratio = np.sqrt(np.mean(predicted, axis=0)) / observed
     assert np.all((ratio > 1.0 / 1.5) & (ratio < 1.5)), ratio
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -105,6 +106,27 @@ def exact_centres_hz(kind: BandKind, nominal_hz: ArrayLike) -> FloatArray:
             needed="nominal centres of IEC 61260-1 (125, 250, 500, ... for octaves)",
         )
     return np.asarray(exact)
+
+
+def bands_in_words(bands: Bands, chosen: Iterable[int], notes: Sequence[str] = ()) -> str:
+    """Return some of the bands for a sentence, each with a note in brackets if there are any.
+
+    Parameters
+    ----------
+    chosen : iterable of int
+        Their numbers, from 0.
+    notes : sequence of str, optional
+        One for each of them.
+
+    Examples
+    --------
+    >>> bands_in_words(bands_between("octave", 125, 500), [0, 2], ["3 %", "8 %"])
+    '125 Hz (3 %), 500 Hz (8 %)'
+    """
+    names = [f"{bands.centres_hz[j]:g} Hz" for j in chosen]
+    if notes:
+        names = [f"{name} ({note})" for name, note in zip(names, notes, strict=True)]
+    return ", ".join(names)
 
 
 def steps_per_octave(kind: BandKind) -> int:

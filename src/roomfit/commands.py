@@ -1,14 +1,7 @@
-"""A design from files to files.
+"""The commands: each reads files, does one thing, and writes files whole or not at all.
 
-Use case: examine a room, or a campaign's room and positions, before anything is computed.
-
-Use case: see the main job at work on a room whose truth is known.
-
-Absorption of a result, written for another program.
-
-A prediction from files to files.
-
-True beside found absorption, and what a trivial guess would have reached.
+`identify_to_folder` is the main one. Others examine a room or a campaign, predict, design a
+measurement, export materials, or run a demonstration on a room whose absorption is known.
 """
 
 from __future__ import annotations
@@ -59,7 +52,7 @@ from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 
 def check_room(spec: RoomSpec) -> RoomCheck:
-    """Read a room and tell all that is wrong with it.
+    """Read a room and return all its faults.
 
     Raises
     ------
@@ -71,9 +64,9 @@ def check_room(spec: RoomSpec) -> RoomCheck:
 
 
 def check_campaign(campaign: Campaign) -> RoomCheck:
-    """Tell all that is wrong with a campaign's room and with where sources and receivers stand.
+    """Return all faults of a campaign's room and of the positions of sources and receivers.
 
-    Measured files are not opened. Positions are looked at once the room itself has no fault.
+    Measured files are not opened. Positions are checked once the room itself has no fault.
 
     Raises
     ------
@@ -93,7 +86,7 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedFiles:
-    """What was written, and what its reader must know."""
+    """Files that were written, and what their reader must know."""
 
     files: tuple[Path, ...]
     findings: tuple[Finding, ...]
@@ -115,17 +108,17 @@ def export_result(
         A ``result.json`` or an ``absorption.csv``.
     wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"}
     out : Path
-        The file to write; for "raven", which has a file a material, the folder.
-    scattering : float
-        Coefficient of every material where the result holds none, 0 to 1; by default that of
+        The file to write; for "raven", which has a file for each material, the folder.
+    scattering : float, optional
+        Coefficient of every material where the result contains none, 0 to 1; by default that of
         `Settings`.
     overwrite : bool
-        Replace what is there.
+        Replace an existing file.
 
     Raises
     ------
     InputError
-        The result cannot be read, the format is unknown, or something is in the way.
+        The result cannot be read, the format is unknown, or the file exists already.
     StoreError
         The disk refuses.
     """
@@ -167,7 +160,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
         )
 
 
-# What the command writes, and so may remove when it writes over an earlier design.
+# Written by the command, which may remove them when it overwrites an earlier design.
 DESIGN_FILES = ("design.json", "design.csv", "design_map.png", "design_gain.png")
 
 
@@ -192,7 +185,7 @@ def design_to_folder(
     Raises
     ------
     InputError
-        Something in the campaign, the room, the result or the output folder is not as needed.
+        The campaign, the room, the result or the output folder is invalid.
     StoreError
         The disk refuses.
     """
@@ -215,7 +208,7 @@ def design_to_folder(
     return answer
 
 
-# What the command writes, and so may remove when it writes over an earlier prediction.
+# Written by the command, which may remove them when it overwrites an earlier prediction.
 PREDICT_FILES = ("predicted.json", "predicted.csv", "predicted_[0-9]*.png")
 _MOST_PICTURES = 24
 
@@ -233,13 +226,13 @@ def predict_to_folder(
 ) -> Predicted:
     """Predict a campaign and write predicted.json, predicted.csv and pictures into a folder.
 
-    Pictures of the first 24 pairs; the files hold all. A run that was killed continues from its
-    last finished step, unless `use_cache` is false.
+    Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
+    its last finished step, unless `use_cache` is false.
 
     Raises
     ------
     InputError
-        Something in the campaign, the room, the absorption or the output folder is not as needed.
+        The campaign, the room, the absorption or the output folder is invalid.
     StoreError
         The disk refuses.
     """
@@ -293,12 +286,12 @@ def estimate_coverage_to_folder(
 
 
 def _safe(name: str) -> str:
-    """Return a name without what a path gives a meaning to."""
+    """Return a name without characters that are special in a path."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
 def demo_text(answer: Answer, true_absorption: FloatArray) -> str:
-    """Return the table of truth and answer with intervals, and how the errors compare.
+    """Return a table of true and identified absorption, and how the errors compare to a baseline.
 
     Parameters
     ----------
@@ -353,7 +346,7 @@ def _covered(answer: Answer, true_absorption: FloatArray) -> BoolArray:
     return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
 
 
-# What an earlier run may have left in a folder that is written over.
+# Written by the command, which may remove them when it overwrites an earlier result.
 IDENTIFY_FILES = (
     *("result.json", "absorption.csv", "absorption.png", "report.html"),
     *("identifiable.png", "profiles.png", "corner_[0-9]*_hz.png", "decay_[0-9]*.png"),
@@ -370,7 +363,7 @@ def identify_to_folder(
 ) -> Answer:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
 
-    Nothing is written before everything is known, and then all of it or nothing.
+    Files are written after the whole computation, all of them or none.
 
     Parameters
     ----------
@@ -378,13 +371,13 @@ def identify_to_folder(
     overwrite : bool
         Write into a folder that is not empty.
     keep : bool
-        Keep the trace in the output folder, so that a run that was stopped goes on from there.
+        Keep the trace in the output folder, so that a run that was interrupted continues from it.
     progress : callable, optional
 
     Raises
     ------
     InputError
-        Something in the campaign, the room, a response or the output folder is not as needed.
+        The campaign, the room, a response or the output folder is invalid.
     CannotTell
         The data cannot be fitted at all.
     StoreError
@@ -392,7 +385,7 @@ def identify_to_folder(
     """
     from roomfit.report.html import report_html
 
-    # refused now rather than after minutes of work; made only when there is something to put in
+    # checked now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     arguments = identify_arguments(campaign)
@@ -419,17 +412,10 @@ def identify_to_folder(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DemoResult:
-    """An answer and the truth behind the data.
-
-    Attributes
-    ----------
-    answer : Answer
-    true_absorption : float array, shape (n_materials, n_bands)
-        In the answer's order of materials and bands.
-    """
+    """An answer and the absorption with which its data were simulated."""
 
     answer: Answer
-    true_absorption: FloatArray
+    true_absorption: FloatArray  # (n_materials, n_bands), in the answer's order
 
 
 def run_demo(

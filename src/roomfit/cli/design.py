@@ -32,20 +32,20 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     from roomfit.commands import design_to_folder
 
-    changed = {
+    wanted = {
         "n_candidates": options.candidates,
         "number": options.choose,
         "most_sources": options.sources,
         "criterion": options.criterion,
     }
     with progress_line("choosing where to measure") as progress:
-        answer = design_to_folder(
+        design = design_to_folder(
             options.campaign,
             options.out,
-            {name: value for name, value in changed.items() if value is not None},
+            {name: value for name, value in wanted.items() if value is not None},
             result_file=options.result,
             overwrite=options.overwrite,
             progress=progress,
         )
-    say(str(answer))
+    say(str(design))
     say(f"\ndesign.json, design.csv and pictures are in {options.out}")

@@ -251,7 +251,6 @@ def _under_cavity_priors(
             [None if e is None else e.directed for e in energies],
         ),
         [None if e is None else e.fit for e in energies],
-        [None if e is None else e.problem.parameters for e in energies],
     )
     out: list[_Energies | None] = []
     for own, directivity in zip(energies, directivities, strict=True):

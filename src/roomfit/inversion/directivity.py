@@ -1,16 +1,16 @@
-"""Sources taken for omnidirectional that the data contradict.
+"""First-order directivity of sources: fitted in every band, or tested where it is taken for none.
 
-The vectors b of every band, each under what the other bands say of them.
-
-Energies of every band with the directivity of their sources unknown, or asked about.
-
-What bands say of each other where the same unknowns change smoothly from band to band.
+A source has one vector b a band: its amplitude in direction u is 1 + b . u, and b correlates from
+band to band. Bands are first fitted independently; each is then fitted under the cavity prior that
+the data of all others leave (Opper and Winther, Neural Comput. 12, 2655 (2000)). A source taken
+for omnidirectional is tested by how much the likelihood would rise if b were free.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
@@ -23,12 +23,10 @@ from roomfit.measurement import MeasuredPair
 from roomfit.objective.directivity import (
     CORRELATION_PER_OCTAVE,
     DEFAULT_B_SD,
-    DIRECTIVITY,
     BandDirectivities,
     DirectivityParameters,
     FittedDirectivity,
     UnknownDirectivities,
-    directed,
     directed_band,
     directivity_prior,
     vectors_of,
@@ -38,7 +36,7 @@ from roomfit.objective.directivity import (
 )
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import band_problems, has_data_in_band
-from roomfit.objective.parameters import Parameters, position_of
+from roomfit.objective.parameters import marginal_information
 from roomfit.objective.problem import BandProblem, InflatedVariance, JointProblem
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.directivity import UnknownDirectivity
@@ -55,30 +53,21 @@ from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandAnswer
 
-# Three unknowns that explain nothing gain one and a half in log-likelihood on average: more is
-# looked at closely.
+# Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
+# second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
-# A third of it where three windows count as one; 9 are asked for in six bands. Six omnidirectional
-# sources in three boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all, of six
+# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 9
+# in six bands. Chance gives a third of it where three windows count as one. Six omnidirectional
+# sources in three boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all; of six
 # with |b| = 0.5 one gained 4, the others 21 to 52.
-_A_BAND, _CONTRADICTS = 0.5, 6.0
+_GAIN_PER_BAND, _GAIN = 0.5, 6.0
 
+DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
+"""Evidence of one band against omnidirectional sources.
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DirectivityScore:
-    """What one band says against omnidirectional sources.
-
-    Attributes
-    ----------
-    gain : float array, shape (n_sources,)
-        By how much the log-likelihood rises if a source may have its own b, the prior of b
-        counted against it.
-    b : float array, shape (n_sources, 3)
-        What it would then have.
-    """
-
-    gain: FloatArray
-    b: FloatArray
+Rise of the log-likelihood if a source has a b of its own, the prior of b counted against it, shape
+(n_sources,); and the b that it would have, shape (n_sources, 3).
+"""
 
 
 def directivity_score(
@@ -87,31 +76,32 @@ def directivity_score(
     directivity: BandDirectivities,
     factor: FloatArray | None = None,
 ) -> DirectivityScore:
-    """Return what a fitted band says against each of its sources.
+    """Return the evidence of a fitted band against each of its sources being omnidirectional.
 
-    First by Rao's score test [1]_: one evaluation at the answer, with the derivative by b, tells
+    First by Rao's score test [1]_: one evaluation at the answer, with the derivative by b, gives
     the gain to second order. Where that is more than chance gives, the source's b is fitted, and
-    the full log-likelihoods are compared. What the model misses anyway, phi above 1, counts
-    against the gain.
+    the full log-likelihoods are compared. Gains are divided by the reduced chi-square where that
+    is above 1.
 
     Parameters
     ----------
     problem : EnergyProblem
         Without directivity.
     fit : BandFit
-        Of this problem; room parameters that were fitted along stand behind its windows.
+        Of this problem; data of room parameters fitted with it follow those of its windows.
     directivity : BandDirectivities
         Of its sources.
     factor : float array, shape (n_windows,), optional
-        By which the fit's variances were enlarged.
+        By which the variances were inflated in the fit.
 
     References
     ----------
     .. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
            Proc. Camb. Phil. Soc. 44, 50-57 (1948).
     """
-    soft = np.ones(problem.measured().size) if factor is None else factor
-    gains, steps = _second_order_gains(_with_directivity(problem, directivity, soft), fit)
+    inflation = np.ones(problem.measured().size) if factor is None else factor
+    free = InflatedVariance(_with_directivity(problem, directivity), inflation)
+    gains, steps = _second_order_gains(free, fit)
     for s, name in enumerate(directivity.unknown.sources):
         if gains[s] > _BY_CHANCE:
             own = slice(3 * s, 3 * s + 3)
@@ -121,39 +111,32 @@ def directivity_score(
             alone = replace(
                 directivity, unknown=unknown, source=np.where(directivity.source == s, 0, -1)
             )
-            plain = InflatedVariance(problem, soft)
-            gains[s], steps[s] = _full_gain(
-                _with_directivity(problem, alone, soft), plain, fit, steps[s]
-            )
-    return DirectivityScore(gains, vectors_of(directivity.unknown, steps.ravel()))
+            plain = InflatedVariance(problem, inflation)
+            free = InflatedVariance(_with_directivity(problem, alone), inflation)
+            gains[s], steps[s] = _full_gain(free, plain, fit, steps[s])
+    return gains, vectors_of(directivity.unknown, steps.ravel())
 
 
-def _with_directivity(
-    problem: EnergyProblem, directivity: BandDirectivities, soft: FloatArray
-) -> InflatedVariance:
-    """Return the problem with the directivity of some sources unknown."""
-    unknown = with_unknown(problem, directivity.unknown)
-    return InflatedVariance(
-        directed(unknown, directivity.unknown, directivity.source, directivity.departure), soft
-    )
+def _with_directivity(problem: EnergyProblem, directivity: BandDirectivities) -> BandProblem:
+    return with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
 
 
-def _second_order_gains(needed: InflatedVariance, fit: BandFit) -> tuple[FloatArray, FloatArray]:
+def _second_order_gains(free: InflatedVariance, fit: BandFit) -> tuple[FloatArray, FloatArray]:
     """Return half the squared score of each b over its variance, (n,), and a step of it, (n, 3).
 
     Each source by itself, as if the others were omnidirectional.
     """
     n = fit.vector.size
-    size = len(needed.parameters.blocks[-1].labels)
-    found = needed.predict(np.concatenate((fit.vector, np.zeros(size))))
+    size = len(free.parameters.blocks[-1].labels)
+    found = free.predict(np.concatenate((fit.vector, np.zeros(size))))
     n_data, misfit = found.expected.size, max(fit.chi2_reduced, 1.0)
-    spread = needed.correlation_length() * fit.variance[:n_data] * misfit
+    variance = free.correlation_length() * fit.variance[:n_data] * misfit
     residual = fit.measured[:n_data] - found.expected
     gains, steps = np.zeros(size // 3), np.zeros((size // 3, 3))
     for s in range(size // 3):
         own = found.jacobian[:, n + 3 * s : n + 3 * s + 3]
-        weighed = own / spread[:, None]
-        # all other unknowns stand at their best: only b has a slope there
+        weighed = own / variance[:, None]
+        # all other unknowns are at their optimum: only b has a slope there
         score = weighed.T @ residual
         cross = weighed.T @ found.jacobian[:, :n]
         information = weighed.T @ own + np.eye(3)
@@ -164,11 +147,11 @@ def _second_order_gains(needed: InflatedVariance, fit: BandFit) -> tuple[FloatAr
 
 
 def _full_gain(
-    needed: InflatedVariance, plain: InflatedVariance, fit: BandFit, free: FloatArray
+    free: InflatedVariance, plain: InflatedVariance, fit: BandFit, step: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return by how much the log-likelihood rises if b is fitted, and its free numbers."""
     alone = fit if fit.measured.size == plain.measured().size else score_band(plain, fit.vector)
-    free_fit = score_band(needed, np.concatenate((fit.vector, free)))
+    free_fit = score_band(free, np.concatenate((fit.vector, step)))
     found = free_fit.vector[-3:]
     rise = (free_fit.log_likelihood - alone.log_likelihood) / max(free_fit.chi2_reduced, 1.0)
     return float(rise - 0.5 * found @ found), np.asarray(found)
@@ -181,82 +164,70 @@ def source_findings(
 
     Parameters
     ----------
-    tested_sources : DirectivityParameters or None
-    scores : mapping of band to DirectivityScore
+    scores : mapping from band to DirectivityScore
     """
     if tested_sources is None or not scores:
         return ()
-    needed = _A_BAND * len(scores) + _CONTRADICTS
-    total = np.sum([d.gain for d in scores.values()], axis=0)
+    least = _GAIN_PER_BAND * len(scores) + _GAIN
+    total = np.sum([gain for gain, _ in scores.values()], axis=0)
     findings = []
     for s, name in enumerate(tested_sources.sources):
-        if total[s] <= needed:
+        if total[s] <= least:
             continue
-        b = np.array([scores[band].b[s] for band in sorted(scores)])
+        b = np.array([scores[band][1][s] for band in sorted(scores)])
         strongest = b[int(np.argmax(np.linalg.norm(b, axis=1)))]
         towards = ", ".join(f"{x:.1f}" for x in strongest / np.linalg.norm(strongest))
         findings.append(
             Finding(
                 Code.SOURCE_NOT_OMNIDIRECTIONAL,
-                f"{name} was taken for omnidirectional, and the data contradict that: they are "
-                f"likelier if it sends more towards ({towards}). Absorption makes up for it, so "
-                "nothing is called identifiable. Tell its directivity, or let it be fitted with "
-                'directivity = "fit".',
+                f"{name} was taken for omnidirectional, which the data contradict: a first-order "
+                f"directivity that radiates more towards ({towards}) raises the log-likelihood by "
+                f"{total[s]:.0f}. Absorption compensates for it, so that no material is called "
+                'identifiable. Specify the directivity, or have it fitted: directivity = "fit".',
                 {"source": name, "log_likelihood_gain": float(total[s]), "b": b.tolist()},
             )
         )
     return tuple(findings)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BandInformation:
-    """What the data of one band alone say of some unknowns: a Gaussian likelihood.
+def band_information(fit: BandFit, first: int) -> tuple[FloatArray, FloatArray]:
+    """Return the Gaussian likelihood of the last entries of a fit's vector, the others unknown.
 
-    Attributes
-    ----------
-    information : float array, shape (n, n)
-        Symmetric; of no size in directions of which the data say nothing.
-    weighed : float array, shape (n,)
-        Information times the most likely value.
-    """
-
-    information: FloatArray
-    weighed: FloatArray
-
-
-def band_information(fit: BandFit, first: int) -> BandInformation:
-    """Return what one band's data say of the last entries of its vector, all others unknown.
-
-    Those entries have a unit normal prior, which is taken out; what the data say is divided by
-    max(phi, 1), since data that the model misses tell less.
+    Those entries have a unit normal prior, which is taken out; information is divided by the
+    reduced chi-square where that is above 1, since data that the model misses determine less.
 
     Parameters
     ----------
     first : int
         Where the entries begin; they reach to the end of the vector.
+
+    Returns
+    -------
+    information : float array, shape (n, n)
+        Symmetric; 0 in directions that the data do not determine.
+    weighted_mean : float array, shape (n,)
+        Information times the most likely value.
     """
-    whole = fit.information
-    cross = whole[first:, :first]
-    schur = whole[first:, first:] - cross @ np.linalg.solve(whole[:first, :first], cross.T)
-    data = schur - np.eye(len(schur))
+    marginal = marginal_information(fit.information, first)
+    data = marginal - np.eye(len(marginal))
     misfit = max(fit.chi2_reduced, 1.0)
-    return BandInformation(0.5 * (data + data.T) / misfit, schur @ fit.vector[first:] / misfit)
+    return 0.5 * (data + data.T) / misfit, marginal @ fit.vector[first:] / misfit
 
 
 def cavity_priors(
-    bands_information: Sequence[BandInformation | None],
+    likelihoods: Sequence[tuple[FloatArray, FloatArray] | None],
     octaves: FloatArray,
     correlation: float,
     n: int,
 ) -> list[tuple[FloatArray, FloatArray]]:
     """Return mean and covariance of each band's unknowns from all other bands and the prior.
 
-    Beforehand each unknown has a unit normal law in every band; between bands d octaves apart its
+    The prior of each unknown is a unit normal law in every band; between bands d octaves apart its
     values correlate by ``correlation ** d``.
 
     Parameters
     ----------
-    bands_information : sequence of BandInformation or None, one a band
+    likelihoods : sequence of `band_information` or None, one a band
         None where a band has no data.
     octaves : float array, shape (n_bands,)
         Log2 of the bands' centres, in any unit.
@@ -272,68 +243,41 @@ def cavity_priors(
     """
     apart = np.abs(octaves[:, None] - octaves[None, :])
     prior = np.linalg.inv(np.kron(correlation**apart, np.eye(n)))
+    blocks = [slice(n * band, n * (band + 1)) for band in range(len(likelihoods))]
     out = []
-    for band in range(len(bands_information)):
-        information, weighed = prior.copy(), np.zeros(len(prior))
-        for other, one in enumerate(bands_information):
-            if other != band and one is not None:
-                own = slice(n * other, n * (other + 1))
-                information[own, own] += one.information
-                weighed[own] += one.weighed
+    for own in blocks:
+        information, weighted_mean = prior.copy(), np.zeros(len(prior))
+        for other, likelihood in zip(blocks, likelihoods, strict=True):
+            if other != own and likelihood is not None:
+                information[other, other] += likelihood[0]
+                weighted_mean[other] += likelihood[1]
         covariance = np.linalg.inv(information)
-        own = slice(n * band, n * (band + 1))
-        out.append((np.asarray((covariance @ weighed)[own]), np.asarray(covariance[own, own])))
+        mean = np.asarray((covariance @ weighted_mean)[own])
+        out.append((mean, np.asarray(covariance[own, own])))
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FoundDirectivities:
-    """The vectors b of the unknown sources in one band.
-
-    Attributes
-    ----------
-    sources : tuple of str
-    b, sd : float arrays, shape (n_sources, 3)
-        Most likely values and their standard deviations, misfit included.
-    """
-
-    sources: tuple[str, ...]
-    b: FloatArray
-    sd: FloatArray
-
-
-def first_of_directivity(parameters: Parameters) -> int:
-    """Return where the directivity begins in the free vector, which it must end."""
-    return position_of(parameters, DIRECTIVITY)
-
-
 def directivities_under_cavity_priors(
-    directivity_parameters: DirectivityParameters,
+    parameters: DirectivityParameters,
     bands: Bands,
     directivities: Sequence[BandDirectivities | None],
     fits: Sequence[BandFit | None],
-    parameters: Sequence[Parameters | None],
 ) -> tuple[BandDirectivities | None, ...]:
-    """Return what is known of the sources in each band once the others have been fitted.
+    """Return the directivities of each band with the prior that all other bands leave.
 
     Parameters
     ----------
-    directivities, fits, parameters : one a band
-        With nothing known yet but what the campaign says.
+    directivities : sequence of BandDirectivities or None, one a band
+        With the specified prior.
+    fits : sequence of BandFit or None, one a band
+        Under that prior; their vectors end with the directivity.
     """
-    information: list[BandInformation | None] = [
-        None if f is None or p is None else band_information(f, first_of_directivity(p))
-        for f, p in zip(fits, parameters, strict=True)
-    ]
-    octaves = np.log2(bands.centres_hz)
-    said = cavity_priors(
-        information, octaves, CORRELATION_PER_OCTAVE, directivity_parameters.mean.size
-    )
+    n = parameters.mean.size
+    likelihoods = [None if f is None else band_information(f, f.vector.size - n) for f in fits]
+    priors = cavity_priors(likelihoods, np.log2(bands.centres_hz), CORRELATION_PER_OCTAVE, n)
     return tuple(
-        None
-        if directivity is None
-        else replace(directivity, unknown=with_cavity_prior(directivity_parameters, *other))
-        for directivity, other in zip(directivities, said, strict=True)
+        None if own is None else replace(own, unknown=with_cavity_prior(parameters, *prior))
+        for own, prior in zip(directivities, priors, strict=True)
     )
 
 
@@ -344,47 +288,28 @@ def moved_start(fit: BandFit, old: UnknownDirectivities, new: UnknownDirectiviti
     return np.concatenate((fit.vector[:first], np.linalg.solve(new.root, b - new.mean)))
 
 
-def found_directivities(
-    unknown: UnknownDirectivities, free: FloatArray, covariance: FloatArray
-) -> FoundDirectivities:
-    """Return the vectors b of free numbers with their covariance."""
-    variance = np.einsum("ij,jk,ik->i", unknown.root, covariance, unknown.root)
-    sd = np.sqrt(np.maximum(variance, 0.0))
-    return FoundDirectivities(unknown.sources, vectors_of(unknown, free), sd.reshape(-1, 3))
-
-
-def fitted_directivities(found: Sequence[FoundDirectivities]) -> tuple[FittedDirectivity, ...]:
-    """Return what was found in all bands, source by source."""
-    if not found:
-        return ()
-    return tuple(
-        FittedDirectivity(
-            name, np.stack([f.b[s] for f in found]), np.stack([f.sd[s] for f in found])
-        )
-        for s, name in enumerate(found[0].sources)
-    )
-
-
-def prior_only_directivities(directivity_parameters: DirectivityParameters) -> FoundDirectivities:
-    """Return what was known beforehand, for a band that was not fitted."""
-    unknown = directivity_prior(directivity_parameters)
-    n = unknown.mean.size
-    return found_directivities(unknown, np.zeros(n), np.eye(n))
-
-
 def band_directivities(
-    directivity_parameters: DirectivityParameters | None,
+    parameters: DirectivityParameters | None,
     directivities: Sequence[BandDirectivities | None],
     answers: Sequence[BandAnswer | None],
-) -> tuple[FoundDirectivities, ...]:
-    """Return the vectors b of every band; what was known beforehand where none was fitted."""
-    if directivity_parameters is None:
+) -> tuple[FittedDirectivity, ...]:
+    """Return the fitted directivity of each source; in bands without a fit, the prior."""
+    if parameters is None:
         return ()
+    vectors, deviations = [], []
+    for directivity, answer in zip(directivities, answers, strict=True):
+        unknown = directivity_prior(parameters)
+        free, covariance = np.zeros(unknown.mean.size), np.eye(unknown.mean.size)
+        if directivity is not None and answer is not None and answer.directivity is not None:
+            unknown, (free, covariance) = directivity.unknown, answer.directivity
+        variance = np.einsum("ij,jk,ik->i", unknown.root, covariance, unknown.root)
+        vectors.append(vectors_of(unknown, free))
+        deviations.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
     return tuple(
-        prior_only_directivities(directivity_parameters)
-        if directivity is None or answer is None or answer.directivity is None
-        else found_directivities(directivity.unknown, *answer.directivity)
-        for directivity, answer in zip(directivities, answers, strict=True)
+        FittedDirectivity(
+            name, np.stack([b[s] for b in vectors]), np.stack([d[s] for d in deviations])
+        )
+        for s, name in enumerate(parameters.sources)
     )
 
 
@@ -398,36 +323,26 @@ class EnergyTask:
     measured: tuple[MeasuredPair, ...]
     paths: Paths
     binned: BinnedPaths
-    start: FloatArray
+    start: FloatArray  # (n_bands,), absorption of all materials where fits start
 
 
 def directed_energies(
-    task: EnergyTask, directivity_parameters: DirectivityParameters | None
+    task: EnergyTask, parameters: DirectivityParameters | None
 ) -> tuple[BandDirectivities | None, ...]:
-    """Return what is known of the sources in each band once the others have been fitted."""
-    if directivity_parameters is None:
+    """Return the unknown directivities of each band with the prior that all other bands leave."""
+    if parameters is None:
         return (None,) * len(task.bands)
     directivities: list[BandDirectivities | None] = []
     fits: list[BandFit | None] = []
-    parameters: list[Parameters | None] = []
     for band, problem in enumerate(_problems(task)):
-        if problem is None:
-            directivities, fits, parameters = (
-                [*directivities, None],
-                [*fits, None],
-                [*parameters, None],
-            )
-            continue
-        directivity = directed_band(
-            directivity_parameters, task.scene, task.paths, problem, _files(task, band)
-        )
-        whole = with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
+        directivity, fit = None, None
+        if problem is not None:
+            directivity = _directed_band(task, parameters, problem, band)
+            whole = _with_directivity(problem, directivity)
+            fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
         directivities.append(directivity)
-        fits.append(fit_band(whole, gauss_newton, few_gauss_newton_steps))
-        parameters.append(whole.parameters)
-    return directivities_under_cavity_priors(
-        directivity_parameters, task.bands, directivities, fits, parameters
-    )
+        fits.append(fit)
+    return directivities_under_cavity_priors(parameters, task.bands, directivities, fits)
 
 
 def energy_problems(
@@ -438,20 +353,18 @@ def energy_problems(
         if problem is None or directivity is None:
             yield problem
         else:
-            yield with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
+            yield _with_directivity(problem, directivity)
 
 
 def score_sources(
     task: EnergyTask, tested_sources: DirectivityParameters, scores: dict[int, DirectivityScore]
 ) -> Callable[[int, BandProblem, BandFit], None]:
-    """Return what writes down, for every fitted band, what it says against its sources."""
+    """Return what enters every fitted band's evidence against its sources into `scores`."""
 
     def watch(band: int, problem: BandProblem, fit: BandFit) -> None:
         first = problem.parts[0] if isinstance(problem, JointProblem) else problem
         if isinstance(first, EnergyProblem):
-            directivity = directed_band(
-                tested_sources, task.scene, task.paths, first, _files(task, band)
-            )
+            directivity = _directed_band(task, tested_sources, first, band)
             scores[band] = directivity_score(first, fit, directivity)
 
     return watch
@@ -459,12 +372,15 @@ def score_sources(
 
 def _problems(task: EnergyTask) -> Iterator[EnergyProblem | None]:
     return band_problems(
-        *(task.scene, task.bands, task.priors, task.measured, task.binned, task.start)
+        task.scene, task.bands, task.priors, task.measured, task.binned, task.start
     )
 
 
-def _files(task: EnergyTask, band: int) -> tuple[MeasuredPair, ...]:
-    return tuple(m for m in task.measured if has_data_in_band(m, band))
+def _directed_band(
+    task: EnergyTask, parameters: DirectivityParameters, problem: EnergyProblem, band: int
+) -> BandDirectivities:
+    observed = tuple(m for m in task.measured if has_data_in_band(m, band))
+    return directed_band(parameters, task.scene, task.paths, problem, observed)
 
 
 _METHODS = ("auto", "least-squares", "posterior")
@@ -473,12 +389,12 @@ _METHODS = ("auto", "least-squares", "posterior")
 def directivity_parameters(
     measurements: Measurements, settings: Settings
 ) -> DirectivityParameters | None:
-    """Return the sources whose directivity is to be fitted; None where there is none.
+    """Return the sources whose directivity is to be fitted, with its prior; None without any.
 
     Raises
     ------
     InputError
-        The method cannot, or there are room parameters to be fitted as well.
+        The method cannot fit it, or there are room parameters to be fitted as well.
     """
     unknown = [
         (i, s.name, d)
@@ -495,7 +411,7 @@ def directivity_parameters(
 
 
 def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
-    """Return the sources that are taken for omnidirectional, to see whether the data agree."""
+    """Return the sources that are taken for omnidirectional, to be tested; None without any."""
     own = [
         (i, s.name)
         for i, s in enumerate(measurements.scene.sources)
@@ -503,9 +419,9 @@ def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     ]
     if not own:
         return None
-    n = len(own)
-    names, number = tuple(name for _, name in own), np.array([i for i, _ in own])
-    return DirectivityParameters(names, number, np.zeros((n, 3)), np.full(n, DEFAULT_B_SD))
+    number, names = np.array([i for i, _ in own]), tuple(name for _, name in own)
+    mean, sd = np.zeros((len(own), 3)), np.full(len(own), DEFAULT_B_SD)
+    return DirectivityParameters(names, number, mean, sd)
 
 
 def _check_fittable(measurements: Measurements, settings: Settings, sources: Sequence[str]) -> None:
@@ -515,8 +431,7 @@ def _check_fittable(measurements: Measurements, settings: Settings, sources: Seq
             "directivity is fitted by least squares only",
             where=where,
             found=f"method = {settings.method!r}",
-            needed='method = "auto", "least-squares" or "posterior", or a directivity that is '
-            "specified",
+            needed='method = "auto", "least-squares" or "posterior", or a specified directivity',
         )
     if measurements.values:
         raise InputError(

@@ -18,7 +18,6 @@ from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
 from roomfit.inversion.compare import compare_all
-from roomfit.inversion.directivity import fitted_directivities
 from roomfit.inversion.measurements import Measurements, collect_measurements, median_decay_s
 from roomfit.inversion.model_checks import (
     check_certifiable,
@@ -260,7 +259,7 @@ def combine(
         models=models,
         scattering=traced.scattering,
         geometry=fits.geometry,
-        directivities=fitted_directivities(fits.directivities),
+        directivities=fits.directivities,
         certificates=tuple(b.certificate for b in found),
     )
 

@@ -1,4 +1,4 @@
-"""Measurements that the model explains far worse than all others: found, and trusted less."""
+"""Outliers: measurements that the model explains far worse than all others, weighted less."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ from roomfit.objective.energy import EnergyProblem
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
-# So many times the others' misfit, in the median band ...
+# An outlier has more than so many times the others' misfit, in the median band ...
 _TIMES_OTHERS = 4.0
-# ... and itself beyond this. Energies scatter, so that a misfit must be large to mean anything;
-# pressures say what a window holds to a fifth, and a file of another room may still lie within it.
+# ... and itself more than this. Energies fluctuate, so that only a large misfit is significant;
+# pressures determine the energy of a window within a fifth, and a response of another room may
+# still lie within it.
 LEAST_BY_ENERGIES = 3.0
 LEAST_BY_PRESSURES = 1.0
 _FEWEST = 3
@@ -24,40 +25,28 @@ _FEWEST = 3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandComparison:
-    """One band: what was compared with what.
+    """The fit of one band to the windows of its measurements."""
 
-    Attributes
-    ----------
-    problem : EnergyProblem
-        With the observations.
-    fit : BandFit
-        Of these windows first, whatever else it was made of.
-    files : tuple of MeasuredPair
-        Of the observations, in their order.
-    factor : float array, shape (n_windows,)
-        By how much variances were enlarged already.
-    """
-
-    problem: EnergyProblem
-    fit: BandFit
-    files: tuple[MeasuredPair, ...]
-    factor: FloatArray
+    problem: EnergyProblem  # with the observations
+    fit: BandFit  # its first data are the windows of these
+    files: tuple[MeasuredPair, ...]  # of the observations, in their order
+    factor: FloatArray  # (n_windows,), by which variances were inflated already
 
 
 def outlier_files(
     bands: Sequence[BandComparison], least_misfit: float
 ) -> dict[MeasuredPair, float]:
-    """Return how many times worse than the others the spoiled files are explained.
+    """Return the outliers, each with the ratio of its misfit to that of the others.
 
-    A file is spoiled where its mean squared weighted residual is far above the median of all
-    files, in the median band. Of fewer than three files none can be told from the others.
+    The misfit is the mean squared weighted residual; an outlier's is far above the median of all
+    measurements, in the median band. Of fewer than three measurements none can be distinguished.
 
     Parameters
     ----------
     bands : sequence of BandComparison
         Those that were fitted.
     least_misfit : float
-        A file that is explained better than this counts as good in that band.
+        A measurement with a smaller misfit counts as good in that band.
 
     Returns
     -------
@@ -70,8 +59,8 @@ def outlier_files(
             continue
         misfits = _misfits(band)
         for m, misfit in zip(band.files, misfits, strict=True):
-            beside = float(misfit / np.median(misfits)) if misfit > least_misfit else 1.0
-            ratios.setdefault(m, []).append(beside)
+            ratio = float(misfit / np.median(misfits)) if misfit > least_misfit else 1.0
+            ratios.setdefault(m, []).append(ratio)
     medians = {i: float(np.median(each)) for i, each in ratios.items()}
     return {i: ratio for i, ratio in medians.items() if ratio > _TIMES_OTHERS}
 
@@ -79,7 +68,7 @@ def outlier_files(
 def variance_inflation(
     problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> FloatArray:
-    """Return by how much the variance of each window is to be enlarged, shape (n_windows,)."""
+    """Return the factor that inflates the variance of each window, shape (n_windows,)."""
     sizes = [o.energy.size for o in problem.observations]
     return np.repeat(np.array([outliers.get(m, 1.0) for m in files]), sizes)
 
@@ -87,7 +76,7 @@ def variance_inflation(
 def outlier_findings(
     measured: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> tuple[Finding, ...]:
-    """Return a finding for each spoiled file, in the order of the campaign."""
+    """Return a finding for each outlier, in the order of the measurements."""
     return tuple(_finding(m, outliers[m]) for m in measured if m in outliers)
 
 
@@ -104,7 +93,8 @@ def _finding(m: MeasuredPair, ratio: float) -> Finding:
     name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
     return Finding(
         Code.MEASUREMENT_OUTLIER,
-        f"{name} fits the room {ratio:.0f} times worse than the other measurements do: it was "
-        "given that much less weight. Check its file, its positions and its level.",
+        f"{name} is an outlier: its mean squared residual is {ratio:.0f} times that of the other "
+        "measurements. Its variance was inflated by that factor. Check its file, its positions "
+        "and its level.",
         {"ratio": ratio},
     )

@@ -9,7 +9,6 @@ import numpy as np
 
 from roomfit.cache import Cache
 from roomfit.findings import Finding
-from roomfit.inversion.directivity import FoundDirectivities, fitted_directivities
 from roomfit.inversion.measurements import Measurements, time_scales, unreached_findings
 from roomfit.inversion.scattering import (
     assumed_scattering,
@@ -20,6 +19,7 @@ from roomfit.inversion.scattering import (
 )
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
 from roomfit.materials.priors import MaterialPrior
+from roomfit.objective.directivity import FittedDirectivity
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import FirstOrderBands, directivity_factors
 from roomfit.scene import Scene
@@ -69,18 +69,18 @@ class TracedPaths:
 def redirected(
     measurements: Measurements,
     traced: TracedPaths,
-    found: Sequence[FoundDirectivities],
+    found: Sequence[FittedDirectivity],
 ) -> TracedPaths:
     """Return the same paths with the weights that fitted directivities give them.
 
     Parameters
     ----------
-    found : sequence of FoundDirectivities, one a band
+    found : sequence of FittedDirectivity
     """
     scene, bands, paths = measurements.scene, measurements.bands, traced.paths
     factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
     source_of_pair = scene.pairs[:, 0].tolist()
-    known = {d.source: FirstOrderBands(d.b) for d in fitted_directivities(found)}
+    known = {d.source: FirstOrderBands(d.b) for d in found}
     sources = [known.get(s.name) for s in scene.sources]
     for band in range(len(bands)):
         factors[band] *= directivity_factors(paths, sources, source_of_pair, band)

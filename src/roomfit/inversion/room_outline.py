@@ -1,4 +1,4 @@
-"""Whether the first echoes come from where the stated outline of the room puts its walls."""
+"""Whether the first echoes come from where the specified outline of the room has its walls."""
 
 from __future__ import annotations
 
@@ -17,87 +17,88 @@ from roomfit.tracing.image_sources import trace_images
 from roomfit.typing import BoolArray, FloatArray
 
 _REACH_M, _STEP_M = 1.5, 0.02
-# A wall this near to where it is told is where it is told.
+# A wall this near to its specified position counts as standing there.
 _TOLERANCE_M = 0.12
-_LEAST_WALL_SHARE = 0.03
+_LEAST_WALL_SHARE = 0.03  # of the whole area
 # nearer than that, an "image" is the loudspeaker or the stand itself
 _CLEAR_OF_POSITIONS_M = 0.4
-_APART_S = 1e-3
+_CLEAR_OF_DIRECT_S = 1e-3
 _MASK_S = 0.25e-3
-# Two ways to the same image differ by rounding alone.
+# Two computations of the same image's arrival differ by rounding alone.
 _SAME_S = 1e-8
 # An echo elsewhere counts where it stands out of its surroundings by a factor of e**1.5, by a
-# factor of 2 more than what comes from the stated place or any other, and in most responses.
+# factor of 2 more than the echo of the specified position or any other, and in most responses.
 _LEAST_SCORE, _LEAST_LEAD, _LEAST_SHARE = 1.5, 0.7, 0.7
 _LEAST_RESPONSES = 5
 _EXPLAINED_ORDER = 2
-# Among hundreds of seats every moment has its echo, and telling them takes minutes.
-_MOST_TRIANGLES = 2000
+# Hundreds of seats have echoes at every time, and to trace them takes minutes.
+_MAX_TRIANGLES = 2000
+_DISTANCES_M = np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Wall:
-    name: str
-    normal: FloatArray
-    offset_m: float
+    name: str  # of the surface
+    normal: FloatArray  # (3,), out of the room
+    offset_m: float  # of its plane from the origin, along the normal
 
 
 @dataclass(slots=True, eq=False)
 class _Echoes:
-    """One response: where its ends are, what is stated to arrive, how prominent every moment is."""
+    """One response: its ends, the arrivals by the specified outline, the prominence over time."""
 
-    source_m: FloatArray
-    receiver_m: FloatArray
+    source_m: FloatArray  # (3,)
+    receiver_m: FloatArray  # (3,)
     direct_s: float
-    arrivals_s: FloatArray
-    time_s: FloatArray
-    prominence: FloatArray
-    explained: BoolArray
+    arrivals_s: FloatArray  # of the specified outline up to the second order
+    time_s: FloatArray  # (n,)
+    prominence: FloatArray  # (n,); set to 0 where a wall has been found
+    explained: BoolArray  # (n,), near one of the arrivals
 
 
 def outline_findings(
     scene: Scene, responses: Sequence[tuple[int, ImpulseResponse]]
 ) -> tuple[Finding, ...]:
-    """Return a finding for each wall whose echo comes from elsewhere, with surface and metres.
+    """Return a finding for each wall whose echoes come from elsewhere, with surface and metres.
 
-    For every large wall, the moment at which its reflection would arrive is worked out for a wall
-    moved out or in by up to 1.5 m, and the prominence of the responses at these moments is averaged
-    over all that see the wall: at its true place the echoes line up. The clearest wall is settled
-    first and its echoes are taken out, so that no other wall is blamed for them. What the stated
-    outline explains up to the second order is no evidence against it.
+    For every large wall, displaced outward or inward by up to 1.5 m, the arrival time of its
+    reflection is computed, and the prominence of the responses at these times is averaged over all
+    that its specified position reflects to: at the true position the echoes align. The clearest
+    wall is decided first and its echoes are masked, so that they are attributed to no other wall.
+    What the specified outline explains up to the second order is no evidence against it.
 
     Parameters
     ----------
     scene : Scene
     responses : sequence of (pair, ImpulseResponse)
-        Index of the pair in the scene; time zero is the emission. Fewer than five tell nothing;
-        nor does a single source, whose own stand or table echoes in all of them alike, nor a room
-        of more than 2000 triangles.
+        Index of the pair in the scene; time zero is the emission. Not examined: fewer than five
+        responses; those of a single source, whose own stand or table echoes in all of them alike;
+        and a room of more than 2000 triangles.
 
     Returns
     -------
     tuple of Finding
-        `Code.WALL_POSITION_MISMATCH`; `metres_outward` in the evidence is how much farther out of
-        the room than stated the wall seems to stand.
+        `Code.WALL_POSITION_MISMATCH`; `metres_outward` in the evidence is the estimated
+        displacement of the wall from its specified position, out of the room.
     """
     sources = {int(scene.pairs[pair, 0]) for pair, _ in responses}
     if len(responses) < _LEAST_RESPONSES or len(sources) < 2:
         return ()
-    if len(scene.room.mesh.triangles) > _MOST_TRIANGLES:
+    if len(scene.room.mesh.triangles) > _MAX_TRIANGLES:
         return ()
     c = speed_of_sound_m_s(scene.air)
     echoes = _all_echoes(scene, responses, c)
     walls = _large_walls(scene.room)
     findings = []
     while walls:
-        met = [[e for e in echoes if _is_met(wall, e, c)] for wall in walls]
-        scans = [_scan(wall, of, c) for wall, of in zip(walls, met, strict=True)]
+        reached = [[e for e in echoes if _is_reached(wall, e, c)] for wall in walls]
+        scans = [_scan(wall, of, c) for wall, of in zip(walls, reached, strict=True)]
         best = int(np.argmax([float(np.nanmax(s, initial=-np.inf)) for s in scans]))
         wall, scores = walls.pop(best), scans[best]
         if not np.any(np.isfinite(scores)):
             break
-        moved_m = float(_distances_m()[int(np.nanargmax(scores))])
-        findings += _judged(wall, moved_m, scores, met[best], c)
+        moved_m = float(_DISTANCES_M[int(np.nanargmax(scores))])
+        findings += _mismatch(wall, moved_m, scores, reached[best], c)
         for echo in echoes:
             arrival_s = _arrival_s(wall, moved_m, echo, c)
             echo.prominence[np.abs(echo.time_s - arrival_s) < _MASK_S] = 0.0
@@ -110,12 +111,12 @@ def _all_echoes(
     size_m = float(np.linalg.norm(np.ptp(scene.room.mesh.vertices_m, axis=0)))
     duration_s = 3.0 * (size_m + 2.0 * _REACH_M) / c
     smooth = Scattering(scene.room.materials, np.zeros(len(scene.room.materials)))
-    stated = trace_images(scene, _EXPLAINED_ORDER, duration_s, smooth)
+    specified = trace_images(scene, _EXPLAINED_ORDER, duration_s, smooth)
     found = []
     for pair, response in responses:
         source, receiver = scene.pairs[pair]
         time_s = times_s(response)
-        arrivals_s = stated.length_m[stated.pair == pair] / c
+        arrivals_s = specified.length_m[specified.pair == pair] / c
         explained = np.zeros(time_s.size, dtype=np.bool_)
         for arrival_s in arrivals_s:
             explained |= np.abs(time_s - arrival_s) < _MASK_S
@@ -127,7 +128,7 @@ def _all_echoes(
 
 
 def _large_walls(room: Room) -> list[_Wall]:
-    """Return the planes of the outline that hold at least 3 % of its area, sheets left out."""
+    """Return the planes of the outline with at least 3 % of its area, sheets left out."""
     vectors = area_vectors_m2(room.mesh)
     areas = np.linalg.norm(vectors, axis=1)
     usable = (areas > 0.0) & ~is_double_sided(room.mesh)
@@ -149,56 +150,51 @@ def _large_walls(room: Room) -> list[_Wall]:
     return walls
 
 
-def _distances_m() -> FloatArray:
-    return np.asarray(np.arange(-_REACH_M, _REACH_M + 0.5 * _STEP_M, _STEP_M))
-
-
 def _arrival_s(wall: _Wall, moved_m: float, echo: _Echoes, c: float) -> float:
-    """Return when the reflection of a wall moved outward arrives."""
+    """Return the arrival time of the reflection of a wall that is displaced outward."""
     behind_m = wall.offset_m + moved_m - float(echo.source_m @ wall.normal)
     image_m = echo.source_m + 2.0 * behind_m * wall.normal
     return float(np.linalg.norm(image_m - echo.receiver_m)) / c
 
 
-def _is_met(wall: _Wall, echo: _Echoes, c: float) -> bool:
-    """Whether the wall reflects to the receiver where it is told; behind a corner it does not."""
+def _is_reached(wall: _Wall, echo: _Echoes, c: float) -> bool:
+    """Whether the wall, where specified, reflects to the receiver; behind a corner it does not."""
     arrival_s = _arrival_s(wall, 0.0, echo, c)
     return bool(np.any(np.abs(echo.arrivals_s - arrival_s) < _SAME_S))
 
 
 def _prominences(wall: _Wall, moved_m: float, echoes: list[_Echoes], c: float) -> FloatArray:
-    """Return the prominence at the wall's reflection in every response that can tell it."""
+    """Return the prominence at the wall's reflection in every response that can resolve it."""
     least_m = wall.offset_m + moved_m - _CLEAR_OF_POSITIONS_M
-    stated = abs(moved_m) <= _TOLERANCE_M
+    is_specified = abs(moved_m) <= _TOLERANCE_M
     values = []
     for echo in echoes:
         if max(echo.source_m @ wall.normal, echo.receiver_m @ wall.normal) > least_m:
             return np.zeros(0)
         arrival_s = _arrival_s(wall, moved_m, echo, c)
         at = int(np.searchsorted(echo.time_s, arrival_s))
-        if arrival_s - echo.direct_s < _APART_S or at >= echo.time_s.size:
+        if arrival_s - echo.direct_s < _CLEAR_OF_DIRECT_S or at >= echo.time_s.size:
             continue
-        if stated or not echo.explained[at]:
+        if is_specified or not echo.explained[at]:
             values.append(float(echo.prominence[at]))
     return np.array(values)
 
 
 def _scan(wall: _Wall, echoes: list[_Echoes], c: float) -> FloatArray:
-    """Return the mean prominence for every distance that the wall may be moved, NaN if untold."""
+    """Return the mean prominence for every displacement, NaN where too few responses resolve it."""
     least = max(_LEAST_RESPONSES, len(echoes) // 2)
-    prominences = [_prominences(wall, float(d), echoes, c) for d in _distances_m()]
+    prominences = [_prominences(wall, float(d), echoes, c) for d in _DISTANCES_M]
     return np.array([s.mean() if s.size >= least else np.nan for s in prominences])
 
 
-def _judged(
+def _mismatch(
     wall: _Wall, moved_m: float, scores: FloatArray, echoes: list[_Echoes], c: float
 ) -> list[Finding]:
     if abs(moved_m) <= _TOLERANCE_M:
         return []
-    distances_m = _distances_m()
     best = float(np.nanmax(scores))
-    here = scores[(np.abs(distances_m) <= _TOLERANCE_M) & np.isfinite(scores)]
-    rest = scores[(np.abs(distances_m - moved_m) > 0.15) & np.isfinite(scores)]
+    here = scores[(np.abs(_DISTANCES_M) <= _TOLERANCE_M) & np.isfinite(scores)]
+    rest = scores[(np.abs(_DISTANCES_M - moved_m) > 0.15) & np.isfinite(scores)]
     if here.size == 0 or rest.size < 20:
         return []
     peak = _prominences(wall, moved_m, echoes, c)
@@ -210,7 +206,7 @@ def _judged(
     return [
         Finding(
             Code.WALL_POSITION_MISMATCH,
-            f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the stated "
+            f"The echoes of {wall.name} come from a wall {abs(moved_m):.2f} m {way} the specified "
             f"outline has it, in {round(100 * share)} % of {peak.size} responses. Measure the room "
             "again, or look for what hangs or stands in front of that wall.",
             {"surface": wall.name, "metres_outward": round(moved_m, 2), "responses": peak.size},

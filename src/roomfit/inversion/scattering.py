@@ -1,26 +1,24 @@
-"""How much the walls of a campaign scatter: as told, as the data prefer, or other than told.
+"""How much the walls of a room scatter: as specified, or as the energies of responses prefer.
 
-Paths for any scattering: weighed anew while that can be trusted, traced again where not.
-
-How much walls scatter: chosen by the likelihood, and suspected where nobody thought of it.
-
-What paths weigh in each band: how walls scatter there, and how sources radiate.
+Energies are compared in paths of few rays, which are weighed for every coefficient that is tried
+and traced again where few of them would carry the weight. Coefficients to be fitted take the value
+of the highest likelihood on a grid; unspecified ones take one value together; and walls specified
+as smooth are tried with a coefficient, which raises a doubt where the data gain much. The paths of
+the final trace get a weight in every band, for scattering and for directivity.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import fields, replace
 
 import numpy as np
 
-from roomfit._checks import read_only
-from roomfit.bands import Bands
+from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
-from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import band_problems
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import Directivities, directivity_factors, known_directivities
@@ -29,163 +27,77 @@ from roomfit.response.scattering import (
     effective_sample_size,
     rows_for_band,
     scattering_weights,
-    with_scattering,
 )
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
+# Takes coefficients (n_materials, n_bands); gives the best log likelihood of each band, (n_bands,).
+ScatteringFit = Callable[[FloatArray], FloatArray]
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TracedRows:
-    """A trace, and its paths sorted into fine time bins."""
+GRID = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7)
+# Half of the 95 % point of chi-square with one degree of freedom.
+_WITHIN_95 = 1.92
+_MAX_SWEEPS = 2
+# More unknown coefficients than these get one value in common.
+_MAX_SEPARATE = 3
+# Enough to distinguish coefficients that differ by a factor of two, and quick to trace again.
+_FIT_S = 0.3
 
-    paths: Paths
-    binned: BinnedPaths
+# For unspecified coefficients: values, middle bands, rays and duration.
+_ASSUMED = (0.05, 0.2, 0.4)
+_ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
+
+# Walls specified as smooth are tried with this coefficient ...
+_TRIAL = 0.15
+# ... which must gain more than this in log likelihood.
+_LEAST_GAIN = 5.0
+# The higher a band, the less its energies fluctuate by interference, and the better they determine
+# whether anything arrives between the image sources; higher still, sources are directional.
+_TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
+_TRIAL_S = 0.2
+_KEPT_TRACES = 2
 
 
 class Retracer:
-    """Rows for any scattering: weighed anew from a trace at hand, or traced where that fails.
+    """Binned paths for any scattering: weighed from a trace at hand, or traced where that fails.
 
-    Keeps the last few traces, because a search comes back to the same coefficients band by band.
+    Keeps the last two traces, because a search comes back to the same coefficients band by band.
     """
 
-    def __init__(
-        self,
-        trace_at: Callable[[Scattering], TracedRows],
-        *,
-        least_share: float = LEAST_EFFECTIVE_FRACTION,
-        kept: int = 2,
-    ) -> None:
-        self._trace_at = trace_at
-        self._least_share = least_share
-        self._kept = kept
-        self._traced: list[TracedRows] = []  # never more than `kept`
-        self.n_traces = 0
+    def __init__(self, scene: Scene, bands: Bands, settings: TraceSettings) -> None:
+        self._scene, self._bands, self._settings = scene, bands, settings
+        self._traced: list[tuple[Paths, BinnedPaths]] = []
 
-    def at(self, scattering: Scattering) -> TracedRows:
-        """Return paths and bins for a scattering, from the trace that leaves the largest sample.
+    def at(self, scattering: Scattering) -> BinnedPaths:
+        """Return paths in bins, from the trace whose effective sample is the largest.
 
         Parameters
         ----------
         scattering : Scattering
             Of one band, materials in the order of the room.
         """
-        best_share, best = 0.0, None
-        for traced in self._traced:
-            if not _within_reach(traced.paths, scattering):
+        best_fraction, best = 0.0, None
+        for paths, binned in self._traced:
+            # both kinds of reflection must have been drawn wherever the coefficient is to change
+            sampled = paths.sampling_scattering
+            is_drawn = (sampled > 0.0) & (sampled < 1.0)
+            if not np.all(is_drawn | (sampled == scattering.coefficients)):
                 continue
-            band = rows_for_band(traced.binned.rows, traced.paths, scattering)
-            if band.effective_sample_fraction > best_share:
-                best_share, best = band.effective_sample_fraction, (traced, band.rows)
-        if best is None or best_share < self._least_share:
-            self._traced = [*self._traced, self._trace_at(scattering)][-self._kept :]
-            self.n_traces += 1
-            return self._traced[-1]
-        traced, rows = best
-        paths = with_scattering(traced.paths, scattering)
-        return TracedRows(paths, BinnedPaths(traced.binned.edges_s, rows))
-
-
-def _within_reach(paths: Paths, scattering: Scattering) -> bool:
-    """Whether paths were drawn with some of both kinds of reflection wherever s is to change."""
-    sampled, wanted = paths.sampling_scattering, scattering.coefficients
-    inside = (sampled > 0.0) & (sampled < 1.0)
-    return bool(np.all(inside | (sampled == wanted)))
-
-
-def scene_retracer(
-    scene: Scene,
-    bands: Bands,
-    settings: TraceSettings,
-    *,
-    least_share: float = LEAST_EFFECTIVE_FRACTION,
-) -> Retracer:
-    """Return a `Retracer` that traces a scene with given settings."""
-
-    def trace_at(scattering: Scattering) -> TracedRows:
-        paths = trace(scene, settings, scattering).paths
-        return TracedRows(paths, bin_paths(scene, bands, paths, settings.duration_s))
-
-    return Retracer(trace_at, least_share=least_share)
-
-
-def energy_fits(
-    scene: Scene,
-    bands: Bands,
-    priors: tuple[MaterialPrior, ...],
-    measured: tuple[MeasuredPair, ...],
-    retracer: Retracer,
-    start: FloatArray,
-    coefficients: FloatArray,
-) -> tuple[BandFit | None, ...]:
-    """Fit the energy model of every band with its own scattering; None where there is no problem.
-
-    Parameters
-    ----------
-    start : float array, shape (n_bands,)
-        As for `band_problems`.
-    coefficients : float array, shape (n_materials, n_bands)
-        Scattering.
-    """
-    fits: list[BandFit | None] = [None] * len(bands)
-    columns, own = np.unique(coefficients, axis=1, return_inverse=True)
-    for number, column in enumerate(columns.T):
-        binned = retracer.at(Scattering(scene.room.materials, column)).binned
-        problems = band_problems(scene, bands, priors, measured, binned, start)
-        for band, problem in enumerate(problems):
-            if problem is not None and own.reshape(-1)[band] == number:
-                fits[band] = fit_band(problem, gauss_newton, few_gauss_newton_steps)
-    return tuple(fits)
-
-
-def log_likelihoods(fits: tuple[BandFit | None, ...]) -> FloatArray:
-    """Return the log likelihood of every band, 0 where nothing was fitted, shape (n_bands,)."""
-    return np.array([0.0 if fit is None else fit.log_likelihood for fit in fits])
-
-
-GRID = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7)
-# Walls that were taken for smooth are tried with these.
-TRIALS = (0.1, 0.3)
-# A model that explains the data by less than this in log likelihood is not thought better.
-_SUSPICIOUS = 5.0
-# Half of the 95 % point of chi-square with one degree of freedom.
-_WITHIN_95 = 1.92
-_MOST_SWEEPS = 2
-
-# Takes coefficients (n_materials, n_bands); gives the best log likelihood of each band, (n_bands,).
-ScatteringFit = Callable[[FloatArray], FloatArray]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ScatteringChoice:
-    """The scattering that explains the data best, and what else would do.
-
-    Attributes
-    ----------
-    coefficients : float array, shape (n_materials, n_bands)
-    lower, upper : float arrays, shape (n_materials, n_bands)
-        The least and the largest grid value whose log likelihood is within 1.92 of the best, all
-        else as chosen; equal to the coefficient where that was told.
-    log_likelihood : float array, shape (n_bands,)
-        At the choice.
-    evaluations : int
-        How often `fit` was called.
-    """
-
-    coefficients: FloatArray
-    lower: FloatArray
-    upper: FloatArray
-    log_likelihood: FloatArray
-    evaluations: int
-
-    def __post_init__(self) -> None:
-        for name in ("coefficients", "lower", "upper", "log_likelihood"):
-            object.__setattr__(self, name, read_only(np.array(getattr(self, name))))
+            band = rows_for_band(binned.rows, paths, scattering)
+            if band.effective_sample_fraction > best_fraction:
+                best_fraction = band.effective_sample_fraction
+                best = BinnedPaths(binned.edges_s, band.rows)
+        if best is not None and best_fraction >= LEAST_EFFECTIVE_FRACTION:
+            return best
+        paths = trace(self._scene, self._settings, scattering).paths
+        binned = bin_paths(self._scene, self._bands, paths, self._settings.duration_s)
+        self._traced = [*self._traced, (paths, binned)][-_KEPT_TRACES:]
+        return binned
 
 
 def choose_scattering(
@@ -195,28 +107,32 @@ def choose_scattering(
     *,
     grid: Sequence[float] = GRID,
     common: bool = True,
-    per_band: bool = False,
     progress: Progress | None = None,
-) -> ScatteringChoice:
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return the scattering coefficients with the highest profile likelihood on a grid.
 
-    First all unknown coefficients move together. With ``common=False`` they are then moved one
-    after the other, each over the whole grid, until none moves or two rounds are done.
+    The likelihood is summed over bands. First all unknown coefficients move together. With
+    ``common=False`` they are then moved one after the other, each over the whole grid, until none
+    moves or two rounds are done.
 
     Parameters
     ----------
     fit : callable
         Best log likelihood of every band for given coefficients, whatever the model.
     start : float array, shape (n_materials, n_bands)
-        Where a coefficient is told, its value; elsewhere anything.
+        Where a coefficient is specified, its value; elsewhere anything.
     fitted : bool array, shape (n_materials,)
         Which materials' coefficients are unknown.
     grid : sequence of float
         Values to try.
     common : bool
         One value for all unknown coefficients.
-    per_band : bool
-        Let every band choose its own; otherwise the sum over bands decides.
+
+    Returns
+    -------
+    coefficients, lower, upper : float arrays, shape (n_materials, n_bands)
+        The choice, and the least and the largest grid value whose log likelihood is within 1.92
+        of the best, all else as chosen; where specified, all three are the specified value.
 
     Raises
     ------
@@ -231,130 +147,77 @@ def choose_scattering(
             "no such scattering coefficients", found=str(tuple(grid)), needed="values from 0 to 1"
         )
     unknown = np.flatnonzero(fitted)
-    groups = [unknown] if common else [unknown, *unknown[:, None]]
-    rounds = 0 if common else _MOST_SWEEPS
-    n_fits = len(values) * (1 + rounds * unknown.size)
-    search = _Search(fit, np.array(start, dtype=np.float64), values, per_band, n_fits, progress)
-    search.move(groups[0])
-    for _ in range(rounds):
-        moved = [search.move(group) for group in groups[1:]]  # every one, not only to the first
-        if not any(moved):
+    sweeps = 0 if common else _MAX_SWEEPS
+    n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0
+    chosen = np.array(start, dtype=np.float64)
+    lower, upper = chosen.copy(), chosen.copy()
+
+    def move(group: IntArray) -> bool:
+        """Move some coefficients together to the best value; return whether that changed them."""
+        nonlocal n_done
+        likelihoods = []
+        for value in values:
+            trial = chosen.copy()
+            trial[group] = value
+            n_done += 1
+            if progress is not None:
+                progress(min(n_done / n_fits, 1.0))
+            likelihoods.append(fit(trial))
+        total = np.array(likelihoods, dtype=np.float64).sum(axis=1)
+        best = int(np.argmax(total))
+        within = values[total >= total[best] - _WITHIN_95]
+        changed = bool(np.any(chosen[group] != values[best]))
+        chosen[group], lower[group], upper[group] = values[best], within[0], within[-1]
+        return changed
+
+    move(unknown)
+    for _ in range(sweeps):
+        changed = [move(one) for one in unknown[:, None]]
+        if not any(changed):
             break
     if progress is not None:
         progress(1.0)
-    return ScatteringChoice(
-        search.at, search.lower, search.upper, search.log_likelihood, search.evaluations
-    )
-
-
-class _Search:
-    """The present coefficients and what is known about them."""
-
-    def __init__(
-        self,
-        fit: ScatteringFit,
-        start: FloatArray,
-        values: FloatArray,
-        per_band: bool,
-        n_fits: int,
-        progress: Progress | None,
-    ) -> None:
-        self.fit, self.values, self.per_band = fit, values, per_band
-        self.at, self.lower, self.upper = start, start.copy(), start.copy()
-        self.log_likelihood: FloatArray = np.full(start.shape[1], -np.inf)
-        self.evaluations = 0
-        self.n_fits, self.progress = n_fits, progress
-
-    def move(self, group: IntArray) -> bool:
-        """Move some coefficients together to the best value of the grid; say whether they moved."""
-        before = self.at.copy()
-        profile = np.array([self._at(group, value) for value in self.values])
-        judged = profile
-        if not self.per_band:
-            judged = np.repeat(profile.sum(axis=1)[:, None], profile.shape[1], axis=1)
-        best = np.argmax(judged, axis=0)
-        self.at[group] = self.values[best]
-        bands = np.arange(best.size)
-        self.log_likelihood = profile[best, bands]
-        good = judged >= judged[best, bands] - _WITHIN_95
-        self.lower[group] = self.values[np.argmax(good, axis=0)]
-        self.upper[group] = self.values[len(good) - 1 - np.argmax(good[::-1], axis=0)]
-        return not np.array_equal(before, self.at)
-
-    def _at(self, group: IntArray, value: float) -> FloatArray:
-        trial = self.at.copy()
-        trial[group] = value
-        self.evaluations += 1
-        if self.progress is not None:
-            self.progress(min(self.evaluations / self.n_fits, 1.0))
-        return np.asarray(self.fit(trial), dtype=np.float64)
+    return chosen, lower, upper
 
 
 def suspected_scattering(
-    fit: ScatteringFit,
-    materials: tuple[str, ...],
-    assumed: FloatArray,
-    log_likelihood: FloatArray,
-    *,
-    trials: Sequence[float] = TRIALS,
+    fit: ScatteringFit, materials: tuple[str, ...], assumed: FloatArray
 ) -> tuple[Finding, ...]:
-    """Return a finding where walls taken for smooth had better be taken for scattering.
+    """Return a finding where walls taken for smooth explain the data better if they scatter.
 
     Parameters
     ----------
     fit : callable
         As in `choose_scattering`.
     assumed : float array, shape (n_materials, n_bands)
-        Coefficients of the fit; those that are 0 everywhere are tried.
-    log_likelihood : float array, shape (n_bands,)
-        Of the fit with these.
-    trials : sequence of float
-        Coefficients to try for all smooth walls at once.
+        Coefficients of the model; those that are 0 in every band are tried with 0.15, all at once.
 
     Returns
     -------
     tuple of Finding
-        `Code.SCATTERING_UNDERESTIMATED` where a trial gains more than 5 in log likelihood, all
-        bands together, and no band loses as much, which speaks for something else than scattering:
+        `Code.SCATTERING_UNDERESTIMATED` where the trial gains more than 5 in log likelihood, all
+        bands together, and no band loses as much, which indicates something else than scattering:
         a loudspeaker that rings, for instance. Empty otherwise, and where no wall is smooth.
     """
     smooth = ~np.any(assumed > 0.0, axis=1)
     if not smooth.any():
         return ()
-    gains = []
-    for value in trials:
-        trial = np.where(smooth[:, None], value, assumed)
-        gain = fit(trial) - log_likelihood
-        gains.append(float(np.sum(gain)) if np.all(gain > -_SUSPICIOUS) else -np.inf)
-    best = int(np.argmax(gains))
-    if not gains[best] > _SUSPICIOUS:
+    without = fit(assumed)
+    gains = fit(np.where(smooth[:, None], _TRIAL, assumed)) - without
+    gain = float(np.sum(gains))
+    if not (gain > _LEAST_GAIN and np.all(gains > -_LEAST_GAIN)):
         return ()
     names = [name for name, is_smooth in zip(materials, smooth, strict=True) if is_smooth]
     return (
         Finding(
             Code.SCATTERING_UNDERESTIMATED,
-            f"The measurement is explained better if {', '.join(names)} scatter: a coefficient of "
-            f"{trials[best]:g} raises the log likelihood by {gains[best]:.0f}. Walls that "
-            "are told to be smooth make up for it, and nothing is called identifiable. Tell their "
-            'scattering, or let it be fitted with scattering = "fit".',
-            {"materials": names, "scattering": float(trials[best]), "gain": gains[best]},
+            f"The data are explained better if {', '.join(names)} scatter: a coefficient of "
+            f"{_TRIAL:g} raises the log likelihood by {gain:.0f}. Absorption compensates for "
+            "scattering that is specified as 0, so that no material is called identifiable. "
+            'Specify the scattering of these materials, or have it fitted: scattering = "fit".',
+            {"materials": names, "scattering": _TRIAL, "gain": gain},
         ),
     )
-
-
-# Enough to tell coefficients apart that differ by a factor of two, and quick to trace again.
-_N_RAYS = 20_000
-_LONGEST_S = 0.3
-# Beyond so many unknown coefficients they get one value in common.
-_MOST_APART = 3
-_TRIAL = (0.15,)
-_ASSUMED = (0.05, 0.2, 0.4)
-_TRIAL_BANDS = 2
-# The higher a band, the less its energies scatter by interference, and the better they tell whether
-# anything arrives between the image sources; higher still, sources are directional.
-_DOUBT_BANDS = 3
-_HIGHEST_DOUBT_HZ = 4500.0
-_TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
 
 
 def chosen_scattering(
@@ -365,71 +228,48 @@ def chosen_scattering(
     start: FloatArray,
     progress: Progress | None,
 ) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
-    """Return the priors with the likeliest value where ``scattering = "fit"`` stands.
+    """Return the priors with the most likely scattering where it is to be fitted.
 
-    Energies alone are compared, in paths that are weighed anew for every trial.
+    Energies alone are compared, in paths that are weighed for every trial.
 
     Parameters
     ----------
     trace_settings : TraceSettings
-        As planned for the campaign; fewer rays are used here.
+        As planned for the final trace; fewer rays are used here.
     start : float array, shape (n_bands,)
 
     Raises
     ------
     InputError
-        The campaign has no response to fit.
+        There is no response to fit.
     """
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
         return priors, ()
-    observed = tuple(m for m in measurements.responses if m.measurement.use == "fit")
-    if not observed:
+    quick = _quick(trace_settings, settings.n_scattering_rays, _FIT_S)
+    every = slice(0, len(measurements.bands))
+    trial = _energy_fit(measurements, priors, settings, quick, start, every)
+    if trial is None:
         raise InputError(
             "scattering cannot be fitted without responses",
             where="materials",
             found='scattering = "fit" and room parameters only',
             needed="impulse responses, or scattering as a number",
         )
-    scene, bands = measurements.scene, measurements.bands
-    retracer = scene_retracer(scene, bands, _quick(trace_settings))
-    specified = np.stack(
-        [
-            np.full(len(bands), settings.default_scattering)
-            if k.scattering is None
-            else k.scattering
-            for k in priors
-        ]
-    )
-
-    def fit(coefficients: FloatArray) -> FloatArray:
-        return log_likelihoods(
-            energy_fits(scene, bands, priors, observed, retracer, start, coefficients)
-        )
-
-    common = int(np.count_nonzero(fitted)) > _MOST_APART
-    choice = choose_scattering(fit, specified, fitted, common=common, progress=progress)
-    chosen = tuple(
+    fit, specified = trial
+    common = int(np.count_nonzero(fitted)) > _MAX_SEPARATE
+    s, lower, upper = choose_scattering(fit, specified, fitted, common=common, progress=progress)
+    known = tuple(
         replace(k, scattering=row) if k.fit_scattering else k
-        for k, row in zip(priors, choice.coefficients, strict=True)
+        for k, row in zip(priors, s, strict=True)
     )
-    names = [k.name for k in priors if k.fit_scattering]
     ranges = ", ".join(
-        f"{k.name} {choice.coefficients[i, 0]:g} ({choice.lower[i, 0]:g} to {choice.upper[i, 0]:g})"
-        for i, k in enumerate(priors)
-        if k.fit_scattering
+        f"{priors[i].name} {s[i, 0]:g} ({lower[i, 0]:g} to {upper[i, 0]:g})"
+        for i in np.flatnonzero(fitted)
     )
-    sentence = f"Scattering that explains the data best, among eight values: {ranges}."
-    return chosen, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
-
-
-def _quick(settings: TraceSettings) -> TraceSettings:
-    until_s = min(settings.duration_s, _LONGEST_S)
-    return replace(settings, n_rays=_N_RAYS, duration_s=until_s, keep_image_transforms=False)
-
-
-def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
-    return NoiseEstimate(*(getattr(noise, f.name)[chosen] for f in fields(NoiseEstimate)))
+    sentence = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
+    names = [k.name for k in priors if k.fit_scattering]
+    return known, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
 
 
 def assumed_scattering(
@@ -441,8 +281,8 @@ def assumed_scattering(
 ) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
     """Return the priors with a scattering coefficient where it is unspecified.
 
-    One coefficient for all of them: the likeliest of five where there are responses; 0.1 where
-    there are none, or where it explains them as well.
+    One coefficient for all of them: the most likely of five where there are responses; that of the
+    settings where there are none, or where it explains them as well.
 
     Parameters
     ----------
@@ -451,33 +291,33 @@ def assumed_scattering(
     unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
     if not unspecified.any():
         return priors, ()
-    names = ", ".join(k.name for k in priors if k.scattering is None)
-    sentence = (
-        f"The scattering of {names} is unspecified; {settings.default_scattering:g} was assumed."
-    )
+    names = [k.name for k, missing in zip(priors, unspecified, strict=True) if missing]
     value = settings.default_scattering
-    bands = measurements.bands
-    first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
-    middle = slice(first, min(first + _TRIAL_BANDS, len(bands)))
-    trial = _trial(measurements, priors, settings, trace_settings, start, middle)
+    reason = ""
+    n_bands = len(measurements.bands)
+    first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
+    middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
+    quick = _quick(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
+    trial = _energy_fit(measurements, priors, settings, quick, start, middle)
     if trial is not None:
-        fit, specified = trial
-        grid = (0.0, *sorted({*_ASSUMED, settings.default_scattering}))
-        choice = choose_scattering(fit, specified, unspecified, grid=grid)
-        value = float(choice.coefficients[unspecified][0, 0])
-        low, high = (float(x[unspecified][0, 0]) for x in (choice.lower, choice.upper))
-        value = settings.default_scattering if low <= settings.default_scattering <= high else value
-        others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
-        sentence = (
-            f"The scattering of {names} is unspecified; {value:g} was assumed, which explains the "
-            f"responses well ({others})."
+        grid = (0.0, *sorted({*_ASSUMED, value}))
+        best, low, high = (
+            float(x[unspecified][0, 0]) for x in choose_scattering(*trial, unspecified, grid=grid)
         )
+        value = value if low <= value <= high else best
+        others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
+        reason = f", which explains the responses well ({others})"
     known = tuple(
-        replace(k, scattering=np.full(len(bands), value)) if missing else k
+        replace(k, scattering=np.full(n_bands, value)) if missing else k
         for k, missing in zip(priors, unspecified, strict=True)
     )
-    evidence = {"materials": names.split(", "), "scattering": value}
-    return known, (Finding(Code.SCATTERING_ASSUMED, sentence, evidence),)
+    return known, (
+        Finding(
+            Code.SCATTERING_ASSUMED,
+            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
+            {"materials": names, "scattering": value},
+        ),
+    )
 
 
 def scattering_checks(
@@ -487,7 +327,7 @@ def scattering_checks(
     trace_settings: TraceSettings,
     start: FloatArray,
 ) -> tuple[Finding, ...]:
-    """Return a finding where walls specified as smooth had better scatter.
+    """Return a finding where walls specified as smooth explain the data better if they scatter.
 
     Tried in the three highest bands up to 4 kHz with one coefficient for all of them. Of walls that
     are smooth, a model that is otherwise right raises the doubt in fewer than one room in a
@@ -498,64 +338,76 @@ def scattering_checks(
     ----------
     start : float array, shape (n_bands,)
     """
-    smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors]
-    if not any(smooth):
+    if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors):
         return ()
-    bands = measurements.bands
-    last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_DOUBT_HZ)), 1)
-    chosen = slice(max(last - _DOUBT_BANDS, 0), last)
-    trial = _trial(measurements, priors, settings, trace_settings, start, chosen, n_rays=_N_RAYS)
+    last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
+    chosen = slice(max(last - _TRIAL_BANDS, 0), last)
+    quick = _quick(trace_settings, settings.n_scattering_rays, _TRIAL_S)
+    trial = _energy_fit(measurements, priors, settings, quick, start, chosen)
     if trial is None:
         return ()
     fit, specified = trial
-    return suspected_scattering(
-        fit, measurements.scene.room.materials, specified, fit(specified), trials=_TRIAL
-    )
+    return suspected_scattering(fit, measurements.scene.room.materials, specified)
 
 
-def _trial(
+def _quick(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:
+    until_s = min(settings.duration_s, until_s)
+    return replace(settings, n_rays=n_rays, duration_s=until_s, keep_image_transforms=False)
+
+
+def _energy_fit(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
     chosen: slice,
-    *,
-    n_rays: int = _TRIAL_RAYS,
 ) -> tuple[ScatteringFit, FloatArray] | None:
-    """Return a quick fit of the energies in some bands, and the specified coefficients there.
+    """Return a fit of the energies in some bands, and the specified coefficients there.
 
-    None where there are no responses to fit.
+    None where there are no responses to fit. The log likelihood of a band without data is 0.
     """
-    observed = tuple(m for m in measurements.responses if m.measurement.use == "fit")
+    observed = [m for m in measurements.responses if m.measurement.use == "fit"]
     if not observed:
         return None
-    own = Bands(measurements.bands.kind, measurements.bands.centres_hz[chosen])
+    scene, bands = measurements.scene, measurements.bands
+    own = Bands(bands.kind, bands.centres_hz[chosen])
     known = in_bands(priors, np.arange(chosen.start, chosen.stop))
-    responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in observed)
-    scene = measurements.scene
-    few = replace(_quick(trace_settings), n_rays=n_rays)
-    few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
-    retracer = scene_retracer(scene, own, few)
-    specified = np.stack(
-        [
-            np.full(len(own), settings.default_scattering) if k.scattering is None else k.scattering
-            for k in known
-        ]
-    )
+    responses = []
+    for m in observed:
+        noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
+        responses.append(replace(m, noise=NoiseEstimate(*noise)))
+    retracer = Retracer(scene, own, trace_settings)
 
     def fit(coefficients: FloatArray) -> FloatArray:
-        return log_likelihoods(
-            energy_fits(scene, own, known, responses, retracer, start[chosen], coefficients)
-        )
+        out = np.zeros(len(own))
+        columns, column_of_band = np.unique(coefficients, axis=1, return_inverse=True)
+        for number, column in enumerate(columns.T):
+            binned = retracer.at(Scattering(scene.room.materials, column))
+            problems = band_problems(scene, own, known, tuple(responses), binned, start[chosen])
+            for band, problem in enumerate(problems):
+                if problem is not None and column_of_band.reshape(-1)[band] == number:
+                    found = fit_band(problem, gauss_newton, few_gauss_newton_steps)
+                    out[band] = found.log_likelihood
+        return out
 
-    return fit, specified
+    default = np.full(len(priors), settings.default_scattering)
+    return fit, specified_scattering(known, default, len(own))
 
 
 def specified_scattering(
     priors: tuple[MaterialPrior, ...], traced: FloatArray, n_bands: int
 ) -> FloatArray:
-    """Return what each wall scatters in each band; where unspecified, as it was traced."""
+    """Return the scattering of each material in each band, that of the trace where unspecified.
+
+    Parameters
+    ----------
+    traced : float array, shape (n_materials,)
+
+    Returns
+    -------
+    float array, shape (n_materials, n_bands)
+    """
     rows = [
         np.full(n_bands, s0) if k.scattering is None else k.scattering
         for k, s0 in zip(priors, traced, strict=True)
@@ -569,7 +421,7 @@ def band_factors(
     """Return the factor of every path in every band, shape (n_bands, n_paths).
 
     None where all are 1: walls scatter in every band as they did in the trace, and all sources
-    are omnidirectional.
+    are omnidirectional. With a finding where weights are degenerate.
 
     Parameters
     ----------
@@ -609,15 +461,14 @@ def _degenerate_weight_findings(
     degenerate = np.flatnonzero(fractions < LEAST_EFFECTIVE_FRACTION)
     if not degenerate.size:
         return ()
-    listed = ", ".join(
-        f"{bands.centres_hz[j]:g} Hz ({100 * fractions[j]:.0f} %)" for j in degenerate
-    )
+    notes = [f"{100 * fractions[j]:.0f} %" for j in degenerate]
     return (
         Finding(
             Code.IMPORTANCE_WEIGHTS_DEGENERATE,
-            f"Scattering differs so much from its mean over the bands that few rays carry the "
-            f"energy at {listed} of them: predictions are noisy there. Fit these bands by "
-            "themselves.",
-            {"bands_hz": [float(bands.centres_hz[j]) for j in degenerate]},
+            "Scattering differs so much from its mean over the bands, with which rays were traced, "
+            "that few of them carry the energy: their effective share is "
+            f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "
+            "bands by themselves.",
+            {"bands_hz": bands.centres_hz[degenerate].tolist()},
         ),
     )

@@ -21,7 +21,6 @@ from roomfit.inversion.coherent import (
 from roomfit.inversion.directivity import (
     DirectivityScore,
     EnergyTask,
-    FoundDirectivities,
     band_directivities,
     directed_energies,
     directivity_parameters,
@@ -41,7 +40,7 @@ from roomfit.inversion.systematics import (
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import FittedGeometry
-from roomfit.objective.directivity import DirectedProblem
+from roomfit.objective.directivity import DirectedProblem, FittedDirectivity
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import has_data_in_band
 from roomfit.objective.parameters import Parameters
@@ -82,13 +81,13 @@ def shared_error_covariance(task: EnergyTask) -> SharedCovariance:
 class BandFits:
     """The answer of every band, and what was found of arrival times and sources on the way.
 
-    `directivities`, one a band, are empty where no source's was to be found.
+    `directivities`, one a source, are empty where none was to be fitted.
     """
 
     answers: tuple[BandAnswer, ...]
     geometry: FittedGeometry | None = None
     findings: tuple[Finding, ...] = ()
-    directivities: tuple[FoundDirectivities, ...] = ()
+    directivities: tuple[FittedDirectivity, ...] = ()
 
 
 def relative_speed_sd(air: Air, settings: Settings) -> float:

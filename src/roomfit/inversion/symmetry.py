@@ -1,6 +1,7 @@
-"""Symmetries of a room: reflections and turns that carry its surface, wall by wall, into itself.
+"""Symmetries of a room, and the second answers that they permit.
 
-Mirror images: answers that a symmetric room makes as good as the one that was found.
+A reflection or rotation that carries the room's surface and every fitted pair into itself exchanges
+walls without changing any response: the data cannot distinguish an answer from its mirror image.
 """
 
 from __future__ import annotations
@@ -11,7 +12,7 @@ from itertools import combinations
 
 import numpy as np
 
-from roomfit.bands import Bands
+from roomfit.bands import Bands, bands_in_words
 from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
@@ -25,82 +26,71 @@ from roomfit.uncertainty.gaussian import MirrorTrial
 # A wall counts as carried into another where it lies this close to it.
 TOLERANCE_M = 0.02
 _FEW_SAMPLES, _SAMPLES = 40, 600
-_MOST_NORMALS = 40
-_MOST_SYMMETRIES = 48
+_MAX_NORMALS = 40
+_MAX_SYMMETRIES = 48
 _SAME_DIRECTION = 1e-3
 # Samples next to the seam of two materials may fall on either.
 _WHOLE_SHARE = 0.98
+# Positions may be off by this many of their standard deviations.
+_LARGEST_SHIFT_SD = 3.0
+# Log-likelihoods nearer than this do not decide between an answer and its image.
+_UNDECIDED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Symmetry:
-    """A motion ``x -> centre + matrix (x - centre)`` that the room's surface does not notice.
+    """An isometry ``x -> centre + matrix (x - centre)`` that carries the surface into itself."""
 
-    Attributes
-    ----------
-    matrix : float array, shape (3, 3)
-        Orthogonal: a reflection, or several one after the other.
-    centre_m : float array, shape (3,)
-    exchange : int array, shape (n_materials,)
-        Material that each material is carried to.
-    """
-
-    matrix: FloatArray
-    centre_m: FloatArray
-    exchange: IntArray
+    matrix: FloatArray  # (3, 3), orthogonal: a reflection, or several one after the other
+    centre_m: FloatArray  # (3,)
+    exchange: IntArray  # (n_materials,), the material that each material is carried to
 
 
 def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symmetry, ...]:
-    """Return every symmetry that mirror planes make, the identity left out.
+    """Return every symmetry that mirror planes generate, the identity left out.
 
-    Candidates are the planes through the middle of the surface that reflect one wall's direction
-    into itself or another's, or that stand on a principal axis. Each is tried on points of the
-    surface; what is found is combined until nothing new comes.
+    Candidates are the planes through the centroid of the surface that reflect one wall's normal
+    into itself or another's, or that are perpendicular to a principal axis. Each is tried on points
+    of the surface; those found are combined until the group is closed.
 
     Parameters
     ----------
-    room : Room
     tolerance_m : float
         How far from the surface the image of a wall may lie.
     """
     points, material = _surface_points(room, _SAMPLES)
-    middle = _middle_m(room)
-    # motions that take no point of the surface farther apart than twice the tolerance are one
-    same = 2.0 * tolerance_m / float(np.linalg.norm(points - middle, axis=1).max())
+    centre_m = _centroid_m(room)
+    # isometries that differ for no point of the surface by more than twice the tolerance are one
+    same = 2.0 * tolerance_m / float(np.linalg.norm(points - centre_m, axis=1).max())
     found: list[Symmetry] = []
     for normal in _candidate_normals(room):
         matrix = np.eye(3) - 2.0 * np.outer(normal, normal)
         if _is_among(matrix, found, same):
             continue
-        exchange = _exchange(room, points, material, matrix, middle, tolerance_m)
+        moved = centre_m + (points - centre_m) @ matrix.T
+        exchange = _exchange(room, material, moved, tolerance_m)
         if exchange is not None:
-            found.append(Symmetry(matrix, middle, exchange))
+            found.append(Symmetry(matrix, centre_m, exchange))
     return _closed(found, same)
 
 
 def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
-    """Return how far each pair is from being carried into itself, shape (n_pairs,).
+    """Return how far each pair is from being carried into itself, in m, shape (n_pairs,).
 
-    The larger distance of source and receiver from where the symmetry takes them; or, if that is
-    less, from where it takes each other, since source and receiver can be exchanged.
+    Half the larger distance of source and receiver from their images; or, if that is less, from
+    each other's images, since source and receiver can be exchanged (reciprocity).
     """
     sources = np.array([s.position_m for s in scene.sources])[scene.pairs[:, 0]]
     receivers = np.array([r.position_m for r in scene.receivers])[scene.pairs[:, 1]]
-    carried = [
-        symmetry.centre_m + (x - symmetry.centre_m) @ symmetry.matrix.T
-        for x in (sources, receivers)
-    ]
-    kept = np.maximum(_apart(carried[0], sources), _apart(carried[1], receivers))
-    swapped = np.maximum(_apart(carried[0], receivers), _apart(carried[1], sources))
-    # a point that is off a plane by d has its image 2 d away
-    return np.asarray(0.5 * np.minimum(kept, swapped))
+    ends = np.stack((sources, receivers))
+    carried = symmetry.centre_m + (ends - symmetry.centre_m) @ symmetry.matrix.T
+    kept = np.linalg.norm(carried - ends, axis=2).max(axis=0)
+    exchanged = np.linalg.norm(carried - ends[::-1], axis=2).max(axis=0)
+    # a point at the distance d from a plane is 2 d from its image
+    return np.asarray(0.5 * np.minimum(kept, exchanged))
 
 
-def _apart(one: FloatArray, other: FloatArray) -> FloatArray:
-    return np.asarray(np.linalg.norm(one - other, axis=1))
-
-
-def _middle_m(room: Room) -> FloatArray:
+def _centroid_m(room: Room) -> FloatArray:
     """Return the centroid of the surface, which every symmetry leaves where it is."""
     areas = np.linalg.norm(area_vectors_m2(room.mesh), axis=1)
     return np.asarray(areas @ corners_m(room.mesh).mean(axis=1) / areas.sum())
@@ -115,15 +105,14 @@ def _surface_points(room: Room, n: int) -> tuple[FloatArray, IntArray]:
     share = np.sort(rng.random((n, 2)), axis=1)
     weights = np.stack((share[:, 0], share[:, 1] - share[:, 0], 1.0 - share[:, 1]), axis=1)
     points = np.einsum("nk,nkj->nj", weights, corners[owner])
-    # every material is met, however small
-    middles = corners.mean(axis=1)
+    # every material has a point, however small
     largest = [
         int(np.flatnonzero(triangle_material(room) == m)[np.argmax(own)])
         for m in range(len(room.materials))
         if (own := areas[triangle_material(room) == m]).size
     ]
     owner = np.concatenate((owner, largest))
-    return np.concatenate((points, middles[largest])), triangle_material(room)[owner]
+    return np.concatenate((points, corners[largest].mean(axis=1))), triangle_material(room)[owner]
 
 
 def _candidate_normals(room: Room) -> list[FloatArray]:
@@ -133,7 +122,7 @@ def _candidate_normals(room: Room) -> list[FloatArray]:
     directions: list[FloatArray] = []
     for i in order[areas[order] > 0.0]:
         _add(directions, vectors[i] / areas[i])
-        if len(directions) == _MOST_NORMALS:
+        if len(directions) == _MAX_NORMALS:
             break
     found = list(directions)
     for one, other in combinations(directions, 2):
@@ -142,38 +131,31 @@ def _candidate_normals(room: Room) -> list[FloatArray]:
             if length > _SAME_DIRECTION:
                 _add(found, between / length)
     # last: the axes of a cube are any three, and some of these nearly a wall's direction
-    spread = corners_m(room.mesh).mean(axis=1) - _middle_m(room)
+    spread = corners_m(room.mesh).mean(axis=1) - _centroid_m(room)
     for axis in np.linalg.eigh((spread.T * areas) @ spread)[1].T:
         _add(found, axis)
     return found
 
 
 def _add(directions: list[FloatArray], new: FloatArray) -> None:
-    """Append a direction unless it, or its opposite, is there."""
+    """Append a direction unless it, or its opposite, is among them."""
     known = np.array(directions).reshape(-1, 3)
     if not np.any(np.abs(known @ new) > 1.0 - 0.5 * _SAME_DIRECTION**2):
         directions.append(new)
 
 
 def _exchange(
-    room: Room,
-    points: FloatArray,
-    material: IntArray,
-    matrix: FloatArray,
-    middle: FloatArray,
-    tolerance_m: float,
+    room: Room, material: IntArray, moved: FloatArray, tolerance_m: float
 ) -> IntArray | None:
-    """Return where a motion carries each material; None where it does not keep the surface."""
-    moved = middle + (points - middle) @ matrix.T
+    """Return where points of the surface, moved, carry their materials; None where off it."""
     if np.any(nearest_triangles(room.mesh, moved[:_FEW_SAMPLES])[0] > tolerance_m):
         return None
     distance, triangle = nearest_triangles(room.mesh, moved)
     if np.any(distance > tolerance_m):
         return None
-    met = triangle_material(room)[triangle]
     n = len(room.materials)
     counts = np.zeros((n, n))
-    np.add.at(counts, (material, met), 1.0)
+    np.add.at(counts, (material, triangle_material(room)[triangle]), 1.0)
     total = counts.sum(axis=1)
     exchange = np.where(total > 0.0, counts.argmax(axis=1), np.arange(n))
     whole = counts[np.arange(n), exchange] >= _WHOLE_SHARE * total
@@ -183,11 +165,11 @@ def _exchange(
 
 
 def _closed(found: list[Symmetry], same: float) -> tuple[Symmetry, ...]:
-    """Return all combinations of symmetries but the identity."""
+    """Return the group that symmetries generate, without the identity."""
     identity = np.eye(3)
     group = list(found)
     grew = True
-    while grew and len(group) < _MOST_SYMMETRIES:
+    while grew and len(group) < _MAX_SYMMETRIES:
         grew = False
         for one in found:
             for other in list(group):
@@ -204,14 +186,8 @@ def _is_among(matrix: FloatArray, known: list[Symmetry], same: float) -> bool:
 
 
 def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
-    """Whether two motions differ for no unit vector by more than a length."""
+    """Whether two matrices differ for no unit vector by more than a length."""
     return bool(np.linalg.norm(one - other, 2) <= same)
-
-
-# Places may be wrong by this many of their standard deviations.
-_SPREADS = 3.0
-# Log-likelihoods nearer than this do not decide between an answer and its image.
-_UNDECIDED = 2.0
 
 
 def mirror_findings(
@@ -225,21 +201,15 @@ def mirror_findings(
 ) -> tuple[BoolArray, tuple[Finding, ...]]:
     """Return what is ambiguous by symmetry, and a finding with both answers for each symmetry.
 
-    A reflection or a turn that keeps the room and every fitted pair (or exchanges its source and
-    its receiver) exchanges walls without changing any response. A fit then ends in one of two
-    equally good answers and knows nothing of the other. Where both agree within their intervals
-    nothing is ambiguous. Directional sources, and walls of which something else is known, break
-    the symmetry.
+    A fit ends in one of two equally good answers. Where both agree within their intervals nothing
+    is ambiguous. Directional sources, and materials with different priors, break the symmetry.
 
     Parameters
     ----------
-    measurements : Measurements
-    bands : Bands
-    priors : tuple of MaterialPrior
     absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
     trials : sequence of tuples of MirrorTrial, one a band
-        Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands are left out
-        whose data are likelier by 2 or more, in log-likelihood, without the exchange.
+        Second fits, one a symmetry of `mirror_symmetries`, where they were made: bands whose
+        log-likelihood is higher by 2 or more without the exchange are left out.
 
     Returns
     -------
@@ -264,13 +234,13 @@ def mirror_findings(
 def mirror_symmetries(
     measurements: Measurements, priors: tuple[MaterialPrior, ...]
 ) -> tuple[Symmetry, ...]:
-    """Return the symmetries of room and fitted pairs that exchange materials known alike."""
+    """Return the symmetries of room and fitted pairs that exchange materials of equal priors."""
     scene = _fitted_scene(measurements)
     return tuple(
         symmetry
         for symmetry in (room_symmetries(scene.room) if len(scene.pairs) else ())
         if _priors_are_exchangeable(priors, symmetry.exchange)
-        and not np.any(deviation_m(symmetry, scene) > _allowed_m(scene))
+        and not np.any(deviation_m(symmetry, scene) > _tolerance_m(scene))
     )
 
 
@@ -288,22 +258,19 @@ def _fitted_scene(measurements: Measurements) -> Scene:
 
 
 def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArray) -> bool:
-    """Whether materials are exchanged, and only such of which nothing, or the same, is known."""
+    """Whether materials are exchanged, and only such that have equal priors."""
     moved = np.flatnonzero(exchange != np.arange(exchange.size))
-    return moved.size > 0 and all(_same_prior(priors[i], priors[exchange[i]]) for i in moved)
+    return moved.size > 0 and all(
+        one.known is None
+        and other.known is None
+        and np.array_equal(one.prior_logit_mean, other.prior_logit_mean)
+        and (one.lower, one.upper) == (other.lower, other.upper)
+        for one, other in ((priors[i], priors[exchange[i]]) for i in moved)
+    )
 
 
-def _same_prior(one: MaterialPrior, other: MaterialPrior) -> bool:
-    if one.known is not None or other.known is not None:
-        return False
-    return np.array_equal(one.prior_logit_mean, other.prior_logit_mean) and (
-        one.lower,
-        one.upper,
-    ) == (other.lower, other.upper)
-
-
-def _allowed_m(scene: Scene) -> FloatArray:
-    """Return how far from symmetric each pair may be told to stand and yet be so."""
+def _tolerance_m(scene: Scene) -> FloatArray:
+    """Return how far from symmetric each pair may be specified and still be symmetric."""
     sources, receivers = (
         np.array(
             [DEFAULT_POSITION_SD_M if p.position_sd_m is None else p.position_sd_m for p in points]
@@ -311,7 +278,7 @@ def _allowed_m(scene: Scene) -> FloatArray:
         for points in (scene.sources, scene.receivers)
     )
     sd = np.maximum(sources[scene.pairs[:, 0]], receivers[scene.pairs[:, 1]])
-    return np.asarray(_SPREADS * sd + 1e-3)
+    return np.asarray(_LARGEST_SHIFT_SD * sd + 1e-3)
 
 
 def _finding(
@@ -331,22 +298,22 @@ def _finding(
         f"{_row(absorption[i, columns])}"
         for i in moved
     )
-    centres = ", ".join(f"{f:g}" for f in bands.centres_hz[columns])
+    centres = bands_in_words(bands, columns)
     gains = {j: t.gain for j, t in enumerate(trials) if t is not None and j in columns}
     confirmed = ""
     if gains:
         least, most = min(gains.values()), max(gains.values())
         between = f"{least:+.1f}" if most - least < 0.05 else f"{least:+.1f} to {most:+.1f}"
         confirmed = (
-            f" A second fit that begins there changes the log-likelihood by {between}: "
+            f" A second fit that starts there changes the log-likelihood by {between}: "
             "the data do not decide."
         )
     return Finding(
         Code.MIRROR_AMBIGUITY,
         f"The room is symmetric, and every fitted pair stands within {100 * apart_m:.0f} cm of "
-        f"that symmetry: the data fit a second answer as well. At {centres} Hz: {listed}."
-        f"{confirmed} Measure a pair off the symmetry, or tell what is known of one of these "
-        "walls.",
+        f"that symmetry: a second answer explains the data as well. At {centres}: {listed}."
+        f"{confirmed} Measure a pair off the symmetry, or specify a prior of one of these "
+        "materials.",
         {
             "materials": [names[i] for i in moved],
             "bands_hz": bands.centres_hz[columns].tolist(),

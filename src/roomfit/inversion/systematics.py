@@ -1,13 +1,9 @@
-"""Intervals of bands that know what a fit of one band by itself cannot know.
+"""Systematic errors of a band that its noise model lacks, added to the covariance of its answer.
 
-What all windows of a band share beyond the noise of the rays: air, and lost coherence.
-
-Intervals that know how few rays made the model: a jackknife over their batches.
-
-A ray that stays between hard walls is caught again and again, by all receivers and at every later
-time, and weighs in all bands alike. Variances of single windows know how far each of them may be
-off, and not that all are off together. Batches of rays are independent traces: leaving one out
-moves the answer by what its energies, weighed as the data are, say of the unknowns.
+Windows share errors: the Monte-Carlo noise of the rays, which a ray between hard walls brings to
+all receivers and late times at once (a jackknife over batches of rays, which are independent
+traces); attenuation of air that changes within a band; coherence of images that are taken for
+incoherent. And a band shares absorption that changes within it with its neighbours.
 """
 
 from __future__ import annotations
@@ -20,6 +16,7 @@ import numpy as np
 from roomfit.air import Air, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
+from roomfit.logit import Z95, expit, logit
 from roomfit.objective.coherent import fully_coherent
 from roomfit.objective.directivity import with_directivity_unknown
 from roomfit.objective.energy import EnergyProblem
@@ -36,12 +33,13 @@ from roomfit.uncertainty.gaussian import (
     answer_steps,
 )
 
-_Z95 = 1.959963984540054
-_LEAST = 1e-9
+_LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
 # Where absorption runs smoothly (as a raised cosine over octaves) from one band's centre to the
 # next, these shares of the mean over a band belong to the band above and the one below: the
 # integral of that weight over the squared magnitude of the octave filter.
 ABOVE, BELOW = 0.144, 0.078
+# Long enough for many independent values of eight responses, short enough to follow a decay.
+_SLOT_S = 0.04
 
 
 def widened_by_neighbours(
@@ -50,9 +48,9 @@ def widened_by_neighbours(
     """Return intervals that allow for absorption that changes within a band.
 
     A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
-    to the neighbours. By how much the mean would differ from the value at the centre if absorption
-    ran smoothly between the fitted bands is taken as one more standard deviation. The bands at
-    either end lack a neighbour, and take the other's step for it.
+    to the neighbours. The difference of the mean from the value at the centre, if absorption runs
+    smoothly between the fitted bands, is taken as one more standard deviation. The bands at either
+    end lack a neighbour, and take the step to the other for it.
 
     Parameters
     ----------
@@ -60,33 +58,31 @@ def widened_by_neighbours(
     areas_m2 : float array, shape (n_materials,)
     """
     out: list[BandAnswer | None] = []
-    for band, answer in enumerate(answers):
-        below = answers[band - 1] if band > 0 else None
-        above = answers[band + 1] if band + 1 < len(answers) else None
-        if answer is None or (below is None and above is None):
-            out.append(answer)
-            continue
-        up = None if above is None else above.absorption - answer.absorption
-        down = None if below is None else below.absorption - answer.absorption
-        if up is not None and down is not None:
-            sd = np.abs(ABOVE * up + BELOW * down)
+    neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
+    for answer, below, above in neighbours:
+        if answer is None:
+            out.append(None)
+        elif above is not None and below is not None:
+            up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
+            out.append(_widened(answer, np.abs(ABOVE * up + BELOW * down), areas_m2))
+        elif (only := above or below) is not None:
+            sd = np.hypot(ABOVE, BELOW) * np.abs(only.absorption - answer.absorption)
+            out.append(_widened(answer, sd, areas_m2))
         else:
-            step = up if up is not None else down
-            sd = np.hypot(ABOVE, BELOW) * np.abs(np.asarray(step))
-        out.append(_widened(answer, np.asarray(sd), areas_m2))
+            out.append(answer)
     return tuple(out)
 
 
 def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
-    """Return an answer whose intervals hold those of another model, too."""
+    """Return an answer whose intervals contain those of another model, too."""
     lower = np.minimum(best.lower95, other.lower95)
     upper = np.maximum(best.upper95, other.upper95)
     mean = (best.mean[0], min(best.mean[1], other.mean[1]), max(best.mean[2], other.mean[2]))
     sure = best.identifiable & other.identifiable & (upper - lower <= WIDEST_IDENTIFIABLE)
-    middle = _logit(best.absorption)
-    reach = np.maximum(_logit(upper) - middle, middle - _logit(lower)) / _Z95
+    middle = logit(best.absorption, _LEAST)
+    reach = np.maximum(logit(upper, _LEAST) - middle, middle - logit(lower, _LEAST)) / Z95
     sd = np.sqrt(np.diagonal(best.logit_covariance))
-    # draws of a prediction must reach as far as the intervals do
+    # draws for a prediction must spread as far as the intervals
     sd_scale = np.where(sd > 0.0, np.maximum(reach, sd) / np.where(sd > 0.0, sd, 1.0), 1.0)
     return replace(
         best,
@@ -100,53 +96,37 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
 
 
 def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
+    """Return the answer with an independent error of absorption added, shape (n_materials,)."""
     fixed = answer.upper95 <= answer.lower95
     sd = np.where(fixed, 0.0, sd)
     a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    by_logit = sd / (a * (1.0 - a))
-    middle = _logit(a)
-    lower = middle - np.hypot(middle - _logit(answer.lower95), _Z95 * by_logit)
-    upper = middle + np.hypot(_logit(answer.upper95) - middle, _Z95 * by_logit)
-    lower95 = np.where(fixed, answer.lower95, np.minimum(_absorption(lower), answer.lower95))
-    upper95 = np.where(fixed, answer.upper95, np.maximum(_absorption(upper), answer.upper95))
+    logit_sd = sd / (a * (1.0 - a))
+    middle = logit(a, _LEAST)
+    lower = middle - np.hypot(middle - logit(answer.lower95, _LEAST), Z95 * logit_sd)
+    upper = middle + np.hypot(logit(answer.upper95, _LEAST) - middle, Z95 * logit_sd)
+    lower95 = np.where(fixed, answer.lower95, np.minimum(expit(lower), answer.lower95))
+    upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
-    more = _Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
+    more = Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
+    samples = answer.samples
+    if samples is not None:
+        noise = np.random.default_rng(1).standard_normal(samples.shape)
+        moved = expit(logit(samples, _LEAST) + noise * logit_sd)
+        samples = np.where(logit_sd > 0.0, moved, samples)
     return replace(
         answer,
         lower95=lower95,
         upper95=upper95,
-        samples=_scattered(answer, by_logit),
+        samples=samples,
         identifiable=answer.identifiable & narrow,
-        logit_covariance=answer.logit_covariance + np.diag(by_logit**2),
+        logit_covariance=answer.logit_covariance + np.diag(logit_sd**2),
         mean=(
             mean,
             max(mean - float(np.hypot(mean - low, more)), 0.0),
             min(mean + float(np.hypot(high - mean, more)), 1.0),
         ),
     )
-
-
-def _scattered(answer: BandAnswer, by_logit: FloatArray) -> FloatArray | None:
-    """Return the samples with as much more scatter as the intervals get, always the same."""
-    if answer.samples is None:
-        return None
-    noise = np.random.default_rng(1).standard_normal(answer.samples.shape)
-    moved = _absorption(_logit(answer.samples) + noise * by_logit)
-    return np.where(by_logit > 0.0, moved, answer.samples)
-
-
-def _logit(a: FloatArray) -> FloatArray:
-    share = np.clip(a, _LEAST, 1.0 - _LEAST)
-    return np.asarray(np.log(share) - np.log1p(-share))
-
-
-def _absorption(logit: FloatArray) -> FloatArray:
-    return np.asarray(1.0 / (1.0 + np.exp(-logit)))
-
-
-# Long enough for many independent values of eight files, short enough to follow a decay.
-_SLOT_S = 0.04
 
 
 def shared_steps(
@@ -156,10 +136,10 @@ def shared_steps(
     air: FloatArray,
     coherent: CoherentBand | None = None,
 ) -> FloatArray:
-    """Return how far the answer is moved by errors that all windows share, (n_free, n_errors).
+    """Return the shifts of the answer by errors that all windows share, shape (n_free, n_errors).
 
-    Each column is one standard deviation, by the air's attenuation, which changes within a band,
-    and by reflections that interfere and are taken for energies that add.
+    Each column is one standard deviation: of the air's attenuation, which changes within a band,
+    and of reflections that interfere and are taken for energies that add.
 
     Parameters
     ----------
@@ -170,7 +150,7 @@ def shared_steps(
     air : float array, shape (n_windows,)
         See `air_error`; at a gain of 1.
     coherent : CoherentBand, optional
-        The band with pressures, where these were fitted.
+        The band, where pressures were fitted.
     """
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
@@ -183,9 +163,9 @@ def shared_steps(
 def air_error(air: Air, bands: Bands, band: int, energies: EnergyProblem) -> FloatArray:
     """Return the relative error of each window by air that attenuates unevenly within a band.
 
-    The attenuation of a band is that at its centre. Its mean over the band differs from that as
-    the walls' absorption does (`widened_by_neighbours`);
-    at 4 kHz by a third, as much as 15 % of relative humidity. To first order in the attenuation.
+    The model has the attenuation at the band's centre. Its mean over the band differs from that as
+    the walls' absorption does (`widened_by_neighbours`): at 4 kHz by a third, as much as by 15 %
+    of relative humidity. To first order in the attenuation.
 
     Returns
     -------
@@ -200,14 +180,14 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyProblem) -> Flo
 
 
 def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
-    """Return by which share the expected energy would change if all images were coherent.
+    """Return the relative change of the expected energy if all images were coherent.
 
-    What is not known to be coherent is expected to add as energies. Between smooth, parallel walls
-    it does not: images on a lattice keep their order, and in boxes the late energy of an octave is
-    10 to 25 % below the sum of their energies. Times that are off by little at every reflection
-    change the phase of single paths, hardly this mean over all files, so that it is told by the
-    images where they are thought to be. It is taken over slots of 40 ms; behind the last
-    window in which pressures add, the last slot's stands.
+    Images that are not known to be coherent are taken to add as energies. Between smooth, parallel
+    walls they do not: images on a lattice keep their order, and in boxes the late energy of an
+    octave is 10 to 25 % below the sum of their energies. Small errors of time at every reflection
+    change the phase of single paths, but hardly this mean over all responses, so that images at
+    their assumed positions give it. It is taken over slots of 40 ms; after the last window in which
+    pressures add, the value of the last slot is kept.
 
     Returns
     -------
@@ -230,13 +210,13 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     weight = np.where(early, weight, 0.0)
     top = np.bincount(slot, weight * more, slot.max() + 1)
     bottom = np.bincount(slot, weight * signal, slot.max() + 1)
-    share = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
+    change = np.divide(top, bottom, out=np.zeros(top.size), where=bottom > 0.0)
     informative = np.flatnonzero(bottom > 0.0)
-    return np.asarray(share[np.minimum(slot, informative[-1])])
+    return np.asarray(change[np.minimum(slot, informative[-1])])
 
 
 def _middle_s(energies: EnergyProblem) -> FloatArray:
-    """Return the middle of every window, all observations end to end."""
+    """Return the middle of every window, all observations end to end, shape (n_windows,)."""
     edges = [o.edges_s for o in energies.observations]
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))
 
@@ -246,8 +226,8 @@ def with_tracing_noise(
 ) -> BandFit:
     """Return a fit whose information allows for the Monte-Carlo noise that windows share.
 
-    The spread of the answer's steps (`roomfit.uncertainty.gaussian.answer_steps`) over the
-    batches of rays [1]_ is added to the covariance.
+    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) over the
+    batches of rays [1]_ is added.
 
     Parameters
     ----------
@@ -255,7 +235,7 @@ def with_tracing_noise(
         What was fitted; the windows of `energies` are its first data.
     energies : EnergyProblem
     sources : sequence of int
-        Source of each observation: rays of one are heard by all of its receivers.
+        Source of each observation: rays of one reach all of its receivers.
     fit : BandFit
 
     References
@@ -272,7 +252,7 @@ def with_tracing_noise(
 def batch_spread(
     energies: EnergyProblem, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
 ) -> FloatArray:
-    """Return vectors whose outer products add up to the covariance of the traced energies.
+    """Return vectors whose outer products sum to the covariance of the traced energies.
 
     Returns
     -------

@@ -62,8 +62,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_logit_sd=sd,
             scattering=_read_scattering(content, table.names),
             directivities=_read_directivities(content),
-            prior_specified=_specified(content.get("posterior", {})),
             chi2_reduced=content.get("fit", {}).get("phi"),
+            prior_specified=_specified(content.get("posterior", {})),
         )
 
 

@@ -305,3 +305,13 @@ class Marginal:
 
     mean: FloatArray  # (n,)
     information: FloatArray  # (n, n)
+
+
+def marginal_information(information: FloatArray, first: int) -> FloatArray:
+    """Return the information about the last unknowns when all before `first` are integrated out.
+
+    The Schur complement; shape (n - first, n - first) of (n, n).
+    """
+    cross = information[first:, :first]
+    determined = np.linalg.solve(information[:first, :first], cross.T)
+    return np.asarray(information[first:, first:] - cross @ determined)

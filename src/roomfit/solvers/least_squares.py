@@ -18,6 +18,7 @@ from roomfit.logit import expit
 from roomfit.objective.parameters import (
     Marginal,
     Parameters,
+    marginal_information,
     prior_residuals,
     start_vector,
     to_free,
@@ -358,8 +359,6 @@ def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:
     prior : float array, shape (n, n)
         Information about them before this band, part of the fit's.
     """
-    whole = fit.information
-    cross = whole[first:, :first]
-    schur = whole[first:, first:] - cross @ np.linalg.solve(whole[:first, :first], cross.T)
-    information = prior + (schur - prior) / max(fit.chi2_reduced, 1.0)
+    whole = marginal_information(fit.information, first)
+    information = prior + (whole - prior) / max(fit.chi2_reduced, 1.0)
     return Marginal(np.array(fit.vector[first:]), 0.5 * (information + information.T))

@@ -35,13 +35,13 @@ class AbsorptionPosterior:
     # (n_materials, n_bands), prior of logit absorption: it gives the data's part of the covariance
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
-    # (n_materials, n_bands), with which absorption was found; NaN throughout a row: unspecified
+    # (n_materials, n_bands), with which absorption was found; a row of NaN where unspecified
     scattering: FloatArray | None = None
-    # by source, of those that are not omnidirectional, in these bands
+    # by source, those that are not omnidirectional, in these bands
     directivities: Mapping[str, Directivity] | None = None
+    chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
     # (n_materials,), whether the prior was specified; None: unknown
     prior_specified: BoolArray | None = None
-    chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Boxes that were measured well and described wrongly, one fault at a time."""
+"""Boxes that are measured well and described wrongly, one fault at a time."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ TRUE_C = 20.0  # degrees, of every simulated room
 
 @dataclass(frozen=True)
 class Fault:
-    """How a room is simulated, and what is written of it that is not so."""
+    """How a room is simulated, and what its campaign specifies wrongly."""
 
     name: str
     position_error_m: float = 0.01
     scattering: float = 0.0
     patch: tuple[float, float, float] | None = None  # width, height, absorption
     misspecify: Callable[[str, BoxPlan], str] = lambda text, _: text
-    joined: tuple[str, str] | None = None  # the second is told to be of the first's material
+    joined: tuple[str, str] | None = None  # the second is specified as the first's material
 
 
 def _temperature(specified_c: float, sd_c: float | None) -> Callable[[str, BoxPlan], str]:
@@ -54,42 +54,42 @@ def _longer(by_m: float) -> Callable[[str, BoxPlan], str]:
 
 
 def _same_material(text: str, _: BoxPlan) -> str:
-    """South and north are told to be one material, which is the usual thing to write."""
+    """South and north are specified as one material, as is usual."""
     text = text.replace('north = "material_north"', 'north = "material_south"')
     return re.sub(r"\[materials\.material_north\]\nscattering[^\n]*\n", "", text)
 
 
-def _surely_placed(text: str, _: BoxPlan) -> str:
+def _position_sd_1_cm(text: str, _: BoxPlan) -> str:
     return re.sub(r"position_sd = [0-9.]+", "position_sd = 0.01", text)
 
 
 FAULTS = (
     Fault("nothing"),
-    Fault("places 3 cm, told 1", 0.03, misspecify=_surely_placed),
-    Fault("places 10 cm, told 1", 0.10, misspecify=_surely_placed),
-    Fault("2 K, told exact", misspecify=_temperature(TRUE_C - 2.0, 0.0)),
-    Fault("2 K, told 1 K", misspecify=_temperature(TRUE_C - 2.0, 1.0)),
+    Fault("positions 3 cm, sd 1", 0.03, misspecify=_position_sd_1_cm),
+    Fault("positions 10 cm, sd 1", 0.10, misspecify=_position_sd_1_cm),
+    Fault("2 K, sd 0", misspecify=_temperature(TRUE_C - 2.0, 0.0)),
+    Fault("2 K, sd 1 K", misspecify=_temperature(TRUE_C - 2.0, 1.0)),
     Fault("two walls as one", misspecify=_same_material, joined=("south", "north")),
     Fault("curtain forgotten", patch=(2.0, 2.0, 0.7)),
     Fault("door open, 2 m2", patch=(1.0, 2.0, 1.0)),
-    Fault("scatters .3, told 0", scattering=0.3),
+    Fault("scattering .3 as 0", scattering=0.3),
     Fault("a wall 5 cm off", misspecify=_longer(0.05)),
 )
 
 
 @dataclass(frozen=True)
 class Misspecified:
-    """One campaign, and what is true of the materials that it names."""
+    """One campaign, and the true absorption of the materials that it names."""
 
     campaign: Path
-    absorption: dict[str, np.ndarray]  # of each told material, (8,)
+    absorption: dict[str, np.ndarray]  # of each specified material, (8,)
 
 
 def write_misspecified(fault: Fault, seed: int, folder: Path) -> Misspecified:
-    """Simulate the room of a seed with a fault and write what is told of it.
+    """Simulate the room of a seed with a fault and write its campaign.
 
-    The room, the places and the materials of a seed are the same for any fault. Where a wall is
-    told to be of one material and is of two, its mean over the area counts as the truth.
+    The room, the positions and the materials of a seed are the same for any fault. Where a wall is
+    specified as one material and is of two, the mean over its area counts as true.
     """
     rng = np.random.default_rng(seed)
     plan = random_plan(rng)
@@ -131,7 +131,7 @@ def _means(
 
 
 def true_absorption_of(misspecified: Misspecified, answer: Answer) -> np.ndarray:
-    """Return the truth in the answer's materials and octaves, (n_materials, n_bands)."""
+    """Return the true absorption of the answer's materials and octaves, (n_materials, n_bands)."""
     octaves = 62.5 * 2.0 ** np.arange(OCTAVES)
     columns = [int(np.argmin(np.abs(np.log(octaves / f)))) for f in answer.bands.centres_hz]
     return np.array([misspecified.absorption[name][columns] for name in answer.materials])

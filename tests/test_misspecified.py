@@ -1,4 +1,4 @@
-"""Rooms that are told otherwise than they are: what is found out, and what is said then."""
+"""Rooms that are described wrongly: what is detected, and what the findings say."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from roomfit.materials.priors import unknown_material
 from roomfit.scene import Point, Scene, room_from_mesh
 from roomfit.uncertainty.gaussian import prior_only_band
 
-N_PLACES, N_OTHERS = 18, 3
+N_COORDINATES, N_OTHERS = 18, 3
 
 
 def scene(sd: float | None = 0.01) -> Scene:
@@ -31,7 +31,7 @@ def scene(sd: float | None = 0.01) -> Scene:
 
 
 def found(mean: np.ndarray, variance: float = 0.04):
-    """Return a band and its fit, as far as they tell of geometry."""
+    """Return a band and its fit, as far as they concern geometry."""
     n = mean.size
     geometry = SimpleNamespace(fitted=np.ones(n, dtype=bool), sd=np.full(n, 0.01))
     marginal = SimpleNamespace(mean=mean, information=np.eye(n) / variance)
@@ -39,19 +39,21 @@ def found(mean: np.ndarray, variance: float = 0.04):
     return [band], [SimpleNamespace(found=marginal)]
 
 
-def test_places_as_sure_as_told_are_left_alone_and_three_times_worse_ones_are_not():
+def test_positions_within_their_sd_are_accepted_and_three_times_worse_ones_are_not():
     """False alarms once in 1000 campaigns: more than 5 of 600 once in 20,000 times."""
     rng = np.random.default_rng(4)
-    share = np.sqrt(1.0 - 0.04)  # of what is left after the fit, the rest is still open
+    share = np.sqrt(1.0 - 0.04)  # of the prior variance; the rest is the posterior's
     right = [
         estimate_position_sd_scale(
-            scene(), *found(share * rng.standard_normal(N_PLACES + N_OTHERS))
+            scene(), *found(share * rng.standard_normal(N_COORDINATES + N_OTHERS))
         )
         for _ in range(600)
     ]
     assert np.count_nonzero(np.array(right) > 1.0) <= 5
     wrong = [
-        estimate_position_sd_scale(scene(), *found(3.0 * rng.standard_normal(N_PLACES + N_OTHERS)))
+        estimate_position_sd_scale(
+            scene(), *found(3.0 * rng.standard_normal(N_COORDINATES + N_OTHERS))
+        )
         for _ in range(200)
     ]
     # the root of a mean of 18 squares scatters by a sixth; five times is the most that is taken
@@ -59,33 +61,33 @@ def test_places_as_sure_as_told_are_left_alone_and_three_times_worse_ones_are_no
     assert np.mean(np.array(wrong) > 1.0) > 0.99
 
 
-def test_what_is_no_place_has_no_say():
-    mean = np.zeros(N_PLACES + N_OTHERS)
-    mean[N_PLACES:] = 20.0
+def test_only_positions_contribute():
+    mean = np.zeros(N_COORDINATES + N_OTHERS)
+    mean[N_COORDINATES:] = 20.0
     assert estimate_position_sd_scale(scene(), *found(mean)) == 1.0
     assert estimate_position_sd_scale(scene(), [None], [None]) == 1.0
 
 
-def test_looser_places_are_the_same_places_with_a_wider_spread():
-    """Free numbers are in units of the spread: those of the places shrink as it grows."""
+def test_inflated_positions_are_the_same_positions_with_larger_standard_deviations():
+    """Free numbers are in standard deviations: those of positions shrink as these grow."""
     specified = scene()
     specified = replace(
         specified,
         receivers=(replace(specified.receivers[0], position_sd_m=None), *specified.receivers[1:]),
     )
-    origin = np.arange(1.0, N_PLACES + N_OTHERS + 1.0)
+    origin = np.arange(1.0, N_COORDINATES + N_OTHERS + 1.0)
     changed, moved = inflate_position_sds(specified, origin, 2.5)
     assert [p.position_sd_m for p in changed.sources] == [0.025, 0.025]
     assert [p.position_sd_m for p in changed.receivers] == [None, 0.025, 0.025, 0.025]
     assert moved is not None
-    factor = np.full(N_PLACES, 2.5)
-    factor[6:9] = 1.0  # the first receiver, of which nothing is told
-    np.testing.assert_allclose(moved[:N_PLACES] * factor, origin[:N_PLACES])
-    np.testing.assert_array_equal(moved[N_PLACES:], origin[N_PLACES:])
+    factor = np.full(N_COORDINATES, 2.5)
+    factor[6:9] = 1.0  # the first receiver, whose standard deviation is unspecified
+    np.testing.assert_allclose(moved[:N_COORDINATES] * factor, origin[:N_COORDINATES])
+    np.testing.assert_array_equal(moved[N_COORDINATES:], origin[N_COORDINATES:])
     assert inflate_position_sds(specified, None, 2.0)[1] is None
 
 
-def test_a_stretch_is_told():
+def test_a_scale_is_in_the_finding():
     assert position_uncertainty_findings(1.0) == ()
     (finding,) = position_uncertainty_findings(3.2)
     assert finding.code == Code.POSITION_UNCERTAINTY_INFLATED
@@ -104,8 +106,8 @@ def answers(phi: list[float], model: str = "coherent"):
     ("phi", "doubtful"),
     [
         ([3.9, 4.2, 2.0, 1.7, 2.0, 1.4], True),
-        ([3.9, 1.7, 0.8, 0.9, 1.1, 0.5], False),  # one low band that has its own reasons
-        ([2.5, 2.5], False),  # too few to tell what they share
+        ([3.9, 1.7, 0.8, 0.9, 1.1, 0.5], False),  # one low band with reasons of its own
+        ([2.5, 2.5], False),  # too few for a common reason
     ],
 )
 def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):
@@ -113,6 +115,6 @@ def test_many_bands_that_fit_badly_cast_doubt_on_the_description(phi, doubtful):
     assert found_codes == ([Code.MODEL_MISFIT_ALL_BANDS] if doubtful else [])
 
 
-def test_bands_of_tables_and_of_nothing_have_no_say():
+def test_bands_of_tables_and_bands_without_data_do_not_contribute():
     assert description_findings(answers([3.0] * 6, "values")) == ()
     assert description_findings(answers([3.0] * 6, "prior")) == ()

@@ -1,9 +1,9 @@
-"""One of eight responses spoiled in a box of another program: found or not, and what it costs.
+"""One of eight responses corrupted in a box of another program: detected or not, at what error.
 
-    python benchmarks/spoiled.py [--seeds 2 7] [--kinds whole clipped room gain swapped place]
+    python benchmarks/outliers.py [--seeds 2 7] [--kinds none clipped room gain swapped position]
 
-whole: nothing is spoiled; clipped: cut off at 15 % of its peak; room: from another room; gain:
-6 dB too loud; swapped: another pair's; place: the receiver told a metre beside where it stood.
+none: no response is corrupted; clipped: cut off at 15 % of its peak; room: from another room; gain:
+6 dB too loud; swapped: another pair's; position: the receiver specified a metre beside its place.
 """
 
 from __future__ import annotations
@@ -21,13 +21,13 @@ from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
 
-KINDS = ("whole", "clipped", "room", "gain", "swapped", "place")
+KINDS = ("none", "clipped", "room", "gain", "swapped", "position")
 TARGET = "LS1_MP2.wav"
-TELLING = {Code.MEASUREMENT_OUTLIER, Code.RESPONSE_CLIPPED, Code.TIME_ZERO_MISMATCH}
+DETECTED_BY = {Code.MEASUREMENT_OUTLIER, Code.RESPONSE_CLIPPED, Code.TIME_ZERO_MISMATCH}
 
 
-def spoil(kind: str, box: OtherBox, seed: int) -> None:
-    """Spoil the response of LS1 to MP2, or the place of MP2."""
+def corrupt(kind: str, box: OtherBox, seed: int) -> None:
+    """Corrupt the response of LS1 to MP2, or the position of MP2."""
     target = box.campaign.parent / TARGET
     pressure, rate_hz = soundfile.read(target)
     if kind == "clipped":
@@ -41,7 +41,7 @@ def spoil(kind: str, box: OtherBox, seed: int) -> None:
         pressure = 2.0 * pressure
     elif kind == "swapped":
         pressure, _ = soundfile.read(box.campaign.parent / "LS2_MP2.wav")
-    elif kind == "place":
+    elif kind == "position":
         text = box.campaign.read_text()
         position = re.search(r"\[receivers\.MP2\]\nposition = \[([^,]*),", text)
         assert position is not None
@@ -57,21 +57,21 @@ def main() -> None:
     parser.add_argument("--seeds", type=int, nargs="+", default=[2, 7])
     parser.add_argument("--kinds", nargs="+", choices=KINDS, default=list(KINDS))
     arguments = parser.parse_args()
-    print("seed kind      |error| median  90 %   hold  identifiable, wrong  findings")
+    print("seed kind      |error| median  90 %  cover  identifiable, wrong  findings")
     for seed in arguments.seeds:
         for kind in arguments.kinds:
             with tempfile.TemporaryDirectory() as folder:
                 box = write_other_box(seed, Path(folder))
-                spoil(kind, box, seed)
+                corrupt(kind, box, seed)
                 answer = identify(**load_campaign(box.campaign))
             true = box.absorption_at(answer.bands.centres_hz)
             error = np.abs(answer.absorption - true)
-            inside = (answer.lower95 <= true) & (true <= answer.upper95)
-            wrong = int(np.count_nonzero(answer.identifiable & ~inside))
-            codes = sorted({f.code for f in answer.findings} & TELLING)
+            covered = (answer.lower95 <= true) & (true <= answer.upper95)
+            wrong = int(np.count_nonzero(answer.identifiable & ~covered))
+            codes = sorted({f.code for f in answer.findings} & DETECTED_BY)
             print(
                 f"{seed:4d} {kind:<9} {np.median(error):8.4f} {np.quantile(error, 0.9):10.3f} "
-                f"{inside.mean():6.2f} {answer.identifiable.mean():8.2f} {wrong:8d}     ",
+                f"{covered.mean():6.2f} {answer.identifiable.mean():8.2f} {wrong:8d}     ",
                 *codes,
                 flush=True,
             )

@@ -1,4 +1,4 @@
-"""The colour of a loudspeaker where single modes of the room stand out."""
+"""The magnitude response of a source where single modes of the room are resolved."""
 
 from __future__ import annotations
 
@@ -47,8 +47,8 @@ def tilt_db(pressure: FloatArray) -> float:
     return float(10.0 * np.log10(high / low))
 
 
-def evened_tilts(folder: Path, **options: float) -> FloatArray:
-    """Return the tilt of each response with the colour taken out, walls known."""
+def equalised_tilts_db(folder: Path, **options: float) -> FloatArray:
+    """Return the tilt of each equalised response, walls known."""
     plan = demo_plan()
     for receiver in RECEIVERS:
         pressure = response(receiver, LEVEL_DB).astype(np.float32)
@@ -65,20 +65,20 @@ def evened_tilts(folder: Path, **options: float) -> FloatArray:
     paths = trace_images(scene, 1000, IMAGES_S, uniform_scattering(room.materials, 0.0))
     rows = [plan.materials.index(m) for m in room.materials]
     absorption = plan.absorption[rows, 1 : 1 + len(campaign.bands)]
-    even = equalise_sources(scene, campaign.bands, measured, paths, absorption, **options)
-    return np.array([tilt_db(m.response.pressure) for m in even])
+    equalised = equalise_sources(scene, campaign.bands, measured, paths, absorption, **options)
+    return np.array([tilt_db(m.response.pressure) for m in equalised])
 
 
-def test_known_walls_tell_the_colour_below_the_schroeder_frequency_too(tmp_path: Path) -> None:
-    """Against the same box and a source without colour.
+def test_known_walls_determine_the_source_below_the_schroeder_frequency_too(tmp_path: Path) -> None:
+    """Against the same box and a source of flat magnitude.
 
     The demo's box has a Schroeder frequency of some 150 Hz: a first guess of its walls is not
     trusted there, and most of the 5 dB of tilt stays; of known walls less than 1 dB does.
     """
-    even = np.array([tilt_db(response(r, np.zeros(len(BANDS)))) for r in RECEIVERS])
-    coloured = np.array([tilt_db(response(r, LEVEL_DB)) for r in RECEIVERS]) - even
+    flat = np.array([tilt_db(response(r, np.zeros(len(BANDS)))) for r in RECEIVERS])
+    coloured = np.array([tilt_db(response(r, LEVEL_DB)) for r in RECEIVERS]) - flat
     assert coloured.mean() > 4.0
-    guessed = evened_tilts(tmp_path) - even
-    known = evened_tilts(tmp_path, schroeder_factor=0.0) - even
+    guessed = equalised_tilts_db(tmp_path) - flat
+    known = equalised_tilts_db(tmp_path, schroeder_factor=0.0) - flat
     assert guessed.mean() > 2.0
     assert abs(known.mean()) < 1.0
