@@ -25,7 +25,7 @@ from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import uniform_scattering
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import read_change
-from roomfit.prediction.decay import eyring_time_s
+from roomfit.prediction.decay import scene_decay_s
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene
@@ -287,7 +287,7 @@ def test_a_room_of_one_absorption_and_much_scattering_decays_as_eyring_says(camp
     room, _ = read_room(campaign.room)
     scene = Scene(room, campaign.sources, campaign.receivers, np.array([[0, 0]]), campaign.air)
     np.testing.assert_allclose(
-        values(found, "T30_s").mean(axis=0), eyring_time_s(scene, BANDS, a), rtol=0.05
+        values(found, "T30_s").mean(axis=0), scene_decay_s(scene, BANDS, a), rtol=0.05
     )
 
 

@@ -209,6 +209,7 @@ def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
         prior_logit_sd=sd,
         scattering=answer.scattering,
         directivities={d.source: FirstOrderBands(d.b) for d in answer.directivities},
+        prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
     )
 

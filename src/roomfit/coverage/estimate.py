@@ -44,6 +44,7 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import identify_arguments
+from roomfit.logit import expit
 from roomfit.results import Answer
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
@@ -255,7 +256,7 @@ def _found(plan: CoveragePlan, answer: Answer) -> Found:
 def _prior_middle(plan: CoveragePlan) -> FloatArray:
     """Return the middle absorption of every prior, shape (n_materials, n_bands)."""
     return np.array(
-        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean)) for k in plan.priors]
+        [k.lower + (k.upper - k.lower) * expit(k.prior_logit_mean) for k in plan.priors]
     )
 
 

@@ -221,8 +221,8 @@ def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) ->
     mean = (areas @ synthetic.absorption / areas.sum())[plan.columns]
     m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     volume = volume_m3(plan.room.mesh)
-    room = (volume, surface_area_m2(plan.room.mesh), synthetic.speed_of_sound_m_s)
-    t60_s = eyring_time_s(mean, *room, m)
+    surface, c = surface_area_m2(plan.room.mesh), synthetic.speed_of_sound_m_s
+    t60_s = eyring_time_s(mean, volume, surface, c, m)
     ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
     wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
     reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[synthesis]) ** (1.0 / 3.0)

@@ -1,4 +1,4 @@
-"""The pairs of source and receiver that could be measured: where, and what each would tell."""
+"""The pairs of source and receiver that could be measured: where, and how informative."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.solve import relative_speed_sd
 from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
 from roomfit.measurement import Level
-from roomfit.prediction.decay import eyring_time_s
+from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
 from roomfit.scene import NEAREST_PAIR_M, Point, Room, Scene, distances_m, position_findings
 from roomfit.settings import Settings
@@ -393,7 +393,7 @@ _TRACING = 0.3
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CandidateInformation:
-    """What all candidates would tell."""
+    """The information of all candidates."""
 
     # (n_pairs, n_draws, n_bands, n + 1, n + 1), see `information_of_pairs`
     matrices: FloatArray
@@ -410,7 +410,7 @@ def information_of_candidates(
     directivities: Directivities,
     progress: Progress | None,
 ) -> CandidateInformation:
-    """Trace the candidates of every source at once and return what each of them would tell.
+    """Trace the candidates of every source at once and return the information of each.
 
     Parameters
     ----------
@@ -446,7 +446,7 @@ def _plan(
     scene: Scene, known: PriorInformation, options: DesignOptions, settings: Settings
 ) -> TracePlan:
     """Choose how to trace: as for a fit, for as long as decays will be observed."""
-    decay_s = float(eyring_time_s(scene, known.bands, known.typical).max())
+    decay_s = float(scene_decay_s(scene, known.bands, known.typical).max())
     # how far image sources can be had costs several searches for them: one source stands for all
     first = replace(scene, pairs=scene.pairs[scene.pairs[:, 0] == scene.pairs[0, 0]])
     observed_s = decay_s * options.decay_range_db / 60.0

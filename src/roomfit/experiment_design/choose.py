@@ -1,4 +1,4 @@
-"""Which few of many possible measurements tell most: greedily, then by exchanges."""
+"""Which few of many possible measurements are most informative: greedily, then by exchanges."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def choose(
     rng: np.random.Generator,
     starts: int = 4,
 ) -> tuple[int, ...]:
-    """Return the pairs to measure, those that tell most first.
+    """Return the pairs to measure, the most informative first.
 
     Greedily one after the other; then each is exchanged for the best other one, as long as that
     helps [1]_. Pairs that share a gain help each other, which neither step looks ahead for: so
@@ -199,10 +199,10 @@ def _exchanged(
             rest = chosen[:i] + chosen[i + 1 :]
             mask = allowed(rules, rest, fixed)
             found.append((*_best(unknowns, pairs, [*fixed, *rest], mask, criterion), i))
-        best, at, place = min(found)
+        best, at, index = min(found)
         if best > now - _LEAST_GAIN:
             break
-        chosen, now = [*chosen[:place], at, *chosen[place + 1 :]], best
+        chosen, now = [*chosen[:index], at, *chosen[index + 1 :]], best
     return now, chosen
 
 

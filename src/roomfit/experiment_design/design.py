@@ -37,7 +37,7 @@ from roomfit.findings import Finding
 from roomfit.geometry.mesh import volume_m3
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Level
-from roomfit.prediction.decay import eyring_time_s
+from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene
 from roomfit.settings import Settings
@@ -56,7 +56,7 @@ class Design:
 
     scene: Scene  # measured pairs, then candidates
     n_fixed: int  # how many of its pairs have been measured and count
-    chosen: IntArray  # (n_chosen,), pairs to measure, those that tell most first
+    chosen: IntArray  # (n_chosen,), pairs to measure, the most informative first
     bands: Bands
     materials: tuple[str, ...]
     to_find: BoolArray  # (n_materials,), False where the absorption is known
@@ -123,9 +123,9 @@ def design(
     settings: Settings | None = None,
     progress: Progress | None = None,
 ) -> Design:
-    """Choose the pairs of source and receiver that tell most of the absorption.
+    """Choose the pairs of source and receiver with most information on the absorption.
 
-    The room is traced once for all candidates. What each of them would tell comes from the noise
+    The room is traced once for all candidates. Their Fisher information comes from the noise
     model of the fit, at several draws of the absorption; gains and, where pressures will be added,
     positions, latency, speed of sound and delays of walls are unknown as they are in a fit.
     Measured pairs count, by the same model; or the covariance of a finished fit does.
@@ -141,7 +141,7 @@ def design(
         To be fitted. Left out: those of `absorption`, or octaves from 125 Hz to 4 kHz.
     absorption : AbsorptionPosterior, optional
         A finished fit, of exactly the room's materials in their order and of these bands. Where
-        its reduced chi-square is above 1, new measurements are taken to tell less by it.
+        its reduced chi-square is above 1, new measurements inform less by that factor.
     directivities : mapping from source to directivity, optional
         Of existing sources that are not omnidirectional.
     options : DesignOptions, optional
@@ -264,7 +264,7 @@ def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInforma
     """Return the least distance of a receiver from its source, ISO 3382's where unspecified."""
     if options.source_distance_m is not None:
         return options.source_distance_m
-    decay_s = float(np.median(eyring_time_s(scene, known.bands, known.typical)))
+    decay_s = float(np.median(scene_decay_s(scene, known.bands, known.typical)))
     volume = volume_m3(scene.room.mesh)
     return least_source_distance_m(volume, speed_of_sound_m_s(scene.air), decay_s)
 

@@ -1,14 +1,9 @@
-"""What each pair would tell of the absorption if it were measured: by the fit's own noise model.
+"""Fisher information of measurements that have not been made, by the noise model of the fit.
 
-The windows that a measurement would be compared in, and its noise, before it is made.
-
-What one pair tells of the absorption when arrival times are unknown as well.
-
-Information matrices of one band stand for absorptions and gain first, then for the geometry: what
-sets arrival times, in multiples of its standard deviations beforehand, so that its prior is the
-unit matrix. All bands of a pair share the geometry.
-
-What single measurements would tell of the absorption, and what several tell together.
+A pair's windows and noise are those that the fit would have. Information matrices of one band stand
+for absorptions and gain first, then for the geometry: what sets arrival times, in multiples of its
+prior standard deviations, so that its prior is the unit matrix. All bands of a pair share the
+geometry, which is integrated out; pairs that share a gain inform together.
 """
 
 from __future__ import annotations
@@ -65,24 +60,12 @@ _FROM_DB = 5.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandFilter:
-    """One band's filter with all that is made of it once.
-
-    Attributes
-    ----------
-    band : int
-    centre_hz, bandwidth_hz : float
-    bank : FilterBank
-        Of this band alone.
-    kernel : SpreadingKernel
-        Of all bands.
-    attenuation_per_m : float
-    """
+    """One band's filter with all that is computed of it once."""
 
     band: int
     centre_hz: float
     bandwidth_hz: float
-    bank: FilterBank
-    kernel: SpreadingKernel
+    kernel: SpreadingKernel  # of all bands
     attenuation_per_m: float
 
 
@@ -91,10 +74,10 @@ def band_filters(bands: Bands, attenuation_per_m: FloatArray) -> tuple[BandFilte
     kernel = spreading_kernel(FilterBank(bands))
     found = []
     for band, centre_hz in enumerate(bands.centres_hz):
-        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
-        width = float(statistical_bandwidth_hz(bank)[0])
+        alone = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        width_hz = float(statistical_bandwidth_hz(alone)[0])
         attenuation = float(attenuation_per_m[band])
-        found.append(BandFilter(band, float(centre_hz), width, bank, kernel, attenuation))
+        found.append(BandFilter(band, float(centre_hz), width_hz, kernel, attenuation))
     return tuple(found)
 
 
@@ -111,8 +94,8 @@ def expected_problem(
     """Return the energy problem of one pair that has not been measured yet.
 
     Its noise stands where the expected decay, at the absorption the block starts with, has fallen
-    by `decay_range_db`. The "measured" energy is that noise: only how far predictions may scatter
-    is asked of the problem, not how well they fit.
+    by `decay_range_db`. The "measured" energy is that noise: only the variance of predictions is
+    asked of the problem, not how well they fit.
 
     Parameters
     ----------
@@ -187,7 +170,7 @@ def expected_noise(
 
 
 def _unit_gain() -> Block:
-    """Return an unknown level of which nothing is known."""
+    """Return an unknown level without a prior."""
     one = np.ones(1)
     return Block(
         "gain",
@@ -202,19 +185,19 @@ def _unit_gain() -> Block:
     )
 
 
-# Information about an absorption that keeps an inverse alive where a band hears nothing of it.
+# Information about an absorption that keeps an inverse finite where a band is not affected by it.
 _LEAST = 1e-6
 
 
 def about_geometry(information: FloatArray, first: int) -> FloatArray:
-    """Return what one band tells of the geometry when its own absorptions and gain are unknown."""
+    """Return a band's information on the geometry, its own absorptions and gain unknown."""
     own = information[:first, :first] + _LEAST * np.eye(first)
     cross = information[:first, first:]
     return np.asarray(information[first:, first:] - cross.T @ np.linalg.solve(own, cross))
 
 
 def by_all_pairs(information: FloatArray, shared: BoolArray, n_others: int) -> FloatArray:
-    """Return what a pair tells of the geometry, and n others as much of the part that all share."""
+    """Return a pair's information on the geometry, with n others' on the part that all share."""
     own = ~shared
     cross = information[np.ix_(shared, own)]
     position_information = information[np.ix_(own, own)] + np.eye(int(own.sum()))
@@ -228,7 +211,7 @@ def by_all_pairs(information: FloatArray, shared: BoolArray, n_others: int) -> F
 def without_geometry(
     found: list[FloatArray], first: int, shared: BoolArray, n_others: int
 ) -> FloatArray:
-    """Integrate the geometry out of every band's information, under what all bands tell of it.
+    """Integrate the geometry out of every band's information, under that of all bands on it.
 
     Parameters
     ----------
@@ -237,7 +220,7 @@ def without_geometry(
     shared : bool array, shape (n_geometry,)
         What all pairs have in common.
     n_others : int
-        Other pairs that tell as much of the shared part.
+        Other pairs that inform as much on the shared part.
     """
     geometry_information = [about_geometry(information, first) for information in found]
     n = geometry_information[0].shape[0]
@@ -259,61 +242,32 @@ _PRESSURE_MODEL_ERROR, _PRESSURE_RINGING_ERROR = 0.1, 0.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DesignTrace:
-    """Paths of candidates.
-
-    Attributes
-    ----------
-    paths : Paths
-    factors : float array, shape (n_bands, n_paths), or None
-        On the weight of every path in every band.
-    duration_s : float
-        How long sound was followed.
-    """
+    """Paths of candidates."""
 
     paths: Paths
-    factors: FloatArray | None
-    duration_s: float
+    factors: FloatArray | None  # on the weight of every path in every band, (n_bands, n_paths)
+    duration_s: float  # how long sound was followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ExpectedMeasurement:
-    """How the measurements to be planned will be made and fitted.
-
-    Attributes
-    ----------
-    bands : Bands
-    priors : tuple of MaterialPrior
-    coherent : bool
-        Whether pressures of image sources will be added, or energies only.
-    n_pairs : int
-        How many pairs will have been measured in the end.
-    decay_range_db : float
-        How far a decay will be heard above the noise.
-    position_sd_m : float
-        Of every coordinate of source and receiver.
-    level_known : bool
-        Whether levels will be absolute.
-    wall_delays, positions_free : bool
-        Whether the fit lets walls delay, and places move.
-    speed_sd : float
-        Relative standard deviation of the speed of sound.
-    """
+    """How the measurements to be planned will be made and fitted."""
 
     bands: Bands
     priors: tuple[MaterialPrior, ...]
-    coherent: bool
-    n_pairs: int
-    decay_range_db: float
-    position_sd_m: float
-    wall_delays: bool = True
-    positions_free: bool = True
-    speed_sd: float = SPEED_SD
+    coherent: bool  # whether pressures of image sources will be added, or energies only
+    n_pairs: int  # how many pairs will have been measured in the end
+    decay_range_db: float  # how far a decay will be observed above the noise
+    position_sd_m: float  # of every coordinate of source and receiver
+    wall_delays: bool = True  # whether the fit lets walls delay
+    positions_free: bool = True  # whether the fit lets positions move
+    speed_sd: float = SPEED_SD  # relative standard deviation of the speed of sound
 
 
 def information_of_pairs(
     scene: Scene,
     traced: DesignTrace,
-    expected_measurement: ExpectedMeasurement,
+    expected: ExpectedMeasurement,
     typical: FloatArray,
     draws: FloatArray,
     progress: Progress | None = None,
@@ -327,15 +281,13 @@ def information_of_pairs(
     scene : Scene
     traced : DesignTrace
         Paths of all pairs.
-    expected_measurement : ExpectedMeasurement
+    expected : ExpectedMeasurement
     typical : float array, shape (n_materials, n_bands)
         Absorption by which windows and noise are laid out.
     draws : float array, shape (n_draws, n_materials, n_bands)
         Absorptions at which to ask.
     """
-    filters = band_filters(
-        expected_measurement.bands, attenuation_per_m(scene.air, expected_measurement.bands)
-    )
+    filters = band_filters(expected.bands, attenuation_per_m(scene.air, expected.bands))
     order = np.argsort(traced.paths.pair, kind="stable")
     ends = np.searchsorted(traced.paths.pair[order], np.arange(len(scene.pairs) + 1))
     found = []
@@ -349,14 +301,12 @@ def information_of_pairs(
             alone,
             DesignTrace(paths, factors, traced.duration_s),
             filters,
-            expected_measurement,
+            expected,
             typical,
         )
-        times = _information_on_times(problems, expected_measurement, typical)
+        times = _information_on_times(problems, expected, typical)
         coherent = [_coherent(problem, times) for problem in problems]
-        found.append(
-            np.stack([_at_draw(coherent, expected_measurement, draw, times) for draw in draws])
-        )
+        found.append(np.stack([_at_draw(coherent, expected, draw, times) for draw in draws]))
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
@@ -366,16 +316,14 @@ def _problems(
     alone: Scene,
     traced: DesignTrace,
     filters: tuple[BandFilter, ...],
-    expected_measurement: ExpectedMeasurement,
+    expected: ExpectedMeasurement,
     typical: FloatArray,
 ) -> list[EnergyProblem | CoherentProblem]:
     """Return the problem of every band for the only pair of a scene."""
     c = speed_of_sound_m_s(alone.air)
     direct_s = float(distances_m(alone)[0] / c)
-    timing_sd_s = float(np.sqrt(2.0) * expected_measurement.position_sd_m / c)
-    binned = bin_paths(
-        alone, expected_measurement.bands, traced.paths, traced.duration_s, traced.factors
-    )
+    timing_sd_s = float(np.sqrt(2.0) * expected.position_sd_m / c)
+    binned = bin_paths(alone, expected.bands, traced.paths, traced.duration_s, traced.factors)
     image = np.flatnonzero(traced.paths.batch < 0)
     images = select(traced.paths, image)
     weights = None if traced.factors is None else traced.factors[:, image]
@@ -385,12 +333,12 @@ def _problems(
             f,
             in_band(binned, f.centre_hz),
             direct_s,
-            _absorption(expected_measurement, f.band, typical[:, f.band]),
-            expected_measurement.decay_range_db,
+            _absorption(expected, f.band, typical[:, f.band]),
+            expected.decay_range_db,
             timing_sd_s,
-            periods=_PRESSURE_PERIODS if expected_measurement.coherent else _ENERGY_PERIODS,
+            periods=_PRESSURE_PERIODS if expected.coherent else _ENERGY_PERIODS,
         )
-        if not expected_measurement.coherent:
+        if not expected.coherent:
             problems.append(energies)
             continue
         energies = replace(
@@ -398,13 +346,13 @@ def _problems(
         )
         problems.append(
             coherent_problem(
-                expected_measurement.bands,
+                expected.bands,
                 f.band,
                 energies,
                 f.attenuation_per_m,
                 paths_at(images, weights, f.band),
                 binned,
-                _pair_geometry(expected_measurement, c),
+                _pair_geometry(expected, c),
                 FIT_END_S,
             )
         )
@@ -413,14 +361,14 @@ def _problems(
 
 def _at_draw(
     problems: list[EnergyProblem | CoherentProblem],
-    expected_measurement: ExpectedMeasurement,
+    expected: ExpectedMeasurement,
     absorption: FloatArray,
     covariance: FloatArray | None,
 ) -> FloatArray:
     """Return the information of one pair at one absorption, shape (n_bands, n + 1, n + 1).
 
-    Arrival times are integrated out of each band under what all other bands, and the other pairs,
-    tell of them.
+    Arrival times are integrated out of each band under the information that all other bands, and
+    the other pairs, have on them.
 
     Parameters
     ----------
@@ -433,20 +381,18 @@ def _at_draw(
     if covariance is None:
         return np.stack(found)
     first = found[0].shape[0] - len(covariance)
-    return without_geometry(
-        found, first, _shared(expected_measurement), expected_measurement.n_pairs - 1
-    )
+    return without_geometry(found, first, _shared(expected), expected.n_pairs - 1)
 
 
 def _information_on_times(
     problems: list[EnergyProblem | CoherentProblem],
-    expected_measurement: ExpectedMeasurement,
+    expected: ExpectedMeasurement,
     absorption: FloatArray,
 ) -> FloatArray | None:
     """Return how uncertain arrival times are in the end: the covariance of their free numbers.
 
     Bands go from low to high, as in a fit: each is as coherent as the lower ones leave arrival
-    times known. Of the speed of sound and of the walls' delays the other pairs tell as much as
+    times known. On the speed of sound and the walls' delays the other pairs inform as much as
     this one. None where energies are compared.
     """
     if isinstance(problems[0], EnergyProblem):
@@ -457,8 +403,8 @@ def _information_on_times(
         information = _fisher(_coherent(problem, covariance), absorption[:, band])
         from_pairs = by_all_pairs(
             about_geometry(information, first),
-            _shared(expected_measurement),
-            expected_measurement.n_pairs - 1,
+            _shared(expected),
+            expected.n_pairs - 1,
         )
         known = np.eye(len(from_pairs)) if covariance is None else np.linalg.inv(covariance)
         inverse = np.linalg.inv(known + from_pairs)
@@ -488,42 +434,38 @@ def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) ->
     return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
 
 
-def _absorption(
-    expected_measurement: ExpectedMeasurement, band: int, absorption: FloatArray
-) -> Block:
-    return replace(absorption_block(expected_measurement.priors, band, 0.2), start=absorption)
+def _absorption(expected: ExpectedMeasurement, band: int, absorption: FloatArray) -> Block:
+    return replace(absorption_block(expected.priors, band, 0.2), start=absorption)
 
 
-def _pair_geometry(expected_measurement: ExpectedMeasurement, speed_m_s: float) -> Geometry:
+def _pair_geometry(expected: ExpectedMeasurement, speed_m_s: float) -> Geometry:
     """Return the unknowns of one pair's arrival times, each pair's its own."""
-    names = tuple(f"delay {k.name}" for k in expected_measurement.priors)
-    delay_sds_s = [k.wall_delay_sd_s for k in expected_measurement.priors]
+    names = tuple(f"delay {k.name}" for k in expected.priors)
+    delay_sds_s = [k.wall_delay_sd_s for k in expected.priors]
     delays = [DELAY_SD_S if sd is None else sd for sd in delay_sds_s]
     n = len(names)
     sd = [
-        *(6 * [expected_measurement.position_sd_m]),
-        expected_measurement.speed_sd,
+        *(6 * [expected.position_sd_m]),
+        expected.speed_sd,
         LATENCY_SD_S["emission"],
     ]
     return Geometry(
         (*(f"{p} {x}" for p in ("source", "receiver") for x in "xyz"), "speed", "latency", *names),
-        np.array([*sd, *(delays if expected_measurement.wall_delays else n * [0.0])]),
-        np.array(
-            8 * [expected_measurement.positions_free] + n * [expected_measurement.wall_delays]
-        ),
+        np.array([*sd, *(delays if expected.wall_delays else n * [0.0])]),
+        np.array(8 * [expected.positions_free] + n * [expected.wall_delays]),
         speed_m_s,
         np.arange(8 + n)[None, :],
     )
 
 
-def _shared(expected_measurement: ExpectedMeasurement) -> BoolArray:
+def _shared(expected: ExpectedMeasurement) -> BoolArray:
     """Return which fitted entries of `_pair_geometry` all pairs have in common."""
-    geometry = _pair_geometry(expected_measurement, 1.0)
+    geometry = _pair_geometry(expected, 1.0)
     common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
     return np.asarray(common[geometry.fitted & (geometry.sd > 0.0)])
 
 
-# Of a gain: next to nothing, so that a pair that nobody hears does not divide by zero.
+# Of a gain: next to nothing, so that a pair without energy does not divide by zero.
 _LEAST_GAIN_INFORMATION = 1e-9
 
 
@@ -531,29 +473,19 @@ _LEAST_GAIN_INFORMATION = 1e-9
 class Unknowns:
     """The absorptions that are to be found, and what is known of them before the choice.
 
-    Everything is told for several draws of the absorption, since what a measurement tells depends
-    on the absorption that is not known yet.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    number : int array, shape (n_materials,)
-        Which of the n unknowns is each material's absorption; -1 where it is known. Materials that
-        share an absorption share a number.
-    logit : float array, shape (n_draws, n_bands, n)
-        Each unknown as ``log(s / (1 - s))`` with its share s of the way from lower to upper bound.
-    information : float array, shape (n_draws, n_bands, n, n)
-        Held already, of these free numbers: positive definite.
-    lower, upper : float arrays, shape (n,)
-        Bounds of each absorption.
+    All for several draws of the absorption, since the information of a measurement depends on the
+    absorption that is not known yet.
     """
 
     materials: tuple[str, ...]
+    # (n_materials,), which of the n unknowns is each material's absorption; -1 where it is known.
+    # Materials that share an absorption share a number.
     number: IntArray
+    # (n_draws, n_bands, n): log(s / (1 - s)), s the share of the way from lower to upper bound
     logit: FloatArray
-    information: FloatArray
-    lower: FloatArray
-    upper: FloatArray
+    information: FloatArray  # (n_draws, n_bands, n, n), that exists already: positive definite
+    lower: FloatArray  # (n,), bound of each absorption
+    upper: FloatArray  # (n,)
 
     def __post_init__(self) -> None:
         n = len(np.unique(np.asarray(self.number)[np.asarray(self.number) >= 0]))
@@ -577,18 +509,12 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PairInformation:
-    """What a measurement of each pair of source and receiver would tell, by itself.
+    """Fisher information of a measurement of each pair of source and receiver, by itself."""
 
-    Attributes
-    ----------
-    matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
-        Fisher information about the n unknowns and, last, the log of the gain. Whatever else is
-        unknown of a pair has been eliminated.
-    gain : int array, shape (n_pairs,)
-        Pairs of one number share one unknown gain in each band; -1 where the level is known.
-    """
-
+    # (n_pairs, n_draws, n_bands, n + 1, n + 1): of the n unknowns and, last, the log of the gain.
+    # Whatever else is unknown of a pair has been eliminated.
     matrices: FloatArray
+    # (n_pairs,): pairs of one number share one unknown gain in each band; -1: the level is known
     gain: IntArray
 
     def __post_init__(self) -> None:
@@ -620,8 +546,8 @@ def information_of(
 ) -> FloatArray:
     """Return the information after some pairs are measured, (n_draws, n_bands, n, n).
 
-    Pairs that share a gain tell more together than the sum of what each tells alone. More pairs
-    never tell less.
+    Pairs that share a gain have more information together than the sum of each alone. More pairs
+    never have less.
 
     Parameters
     ----------

@@ -5,11 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit, ndtri
+from scipy.special import ndtri
 
 from roomfit.bands import Bands
 from roomfit.experiment_design.information import Unknowns
-from roomfit.logit import logit
+from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import leaders

@@ -222,7 +222,11 @@ def room_posterior(
         if k.scattering is not None and (not unspecified or np.isnan(scattering[i]).any()):
             scattering[i] = k.scattering
     sources, findings = _sources_as_found(absorption, directivities or {}, at)
-    misfit = absorption.chi2_reduced
+    misfit, specified = absorption.chi2_reduced, absorption.prior_specified
+    if specified is not None:
+        flags = np.ones(len(names), dtype=np.bool_)
+        flags[own] = specified[theirs]
+        specified = flags
     return AbsorptionPosterior(
         tuple(names),
         bands,
@@ -234,6 +238,7 @@ def room_posterior(
         matched(absorption.prior_logit_sd, np.ones(shape)) if has_prior else None,
         scattering=scattering,
         directivities=sources,
+        prior_specified=specified,
         chi2_reduced=None if misfit is None else misfit[at],
         findings=findings,
     )

@@ -13,6 +13,7 @@ from roomfit._checks import nearest
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
+from roomfit.logit import expit
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import logit_prior
 from roomfit.typing import FloatArray
@@ -170,7 +171,7 @@ def _logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray
     """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself."""
     inside = np.clip(mean, 1e-4, 1.0 - 1e-4)
     middle, width = logit_prior(inside, sd)
-    drawn = 1.0 / (1.0 + np.exp(-(middle + width * z[:, None])))
+    drawn = expit(middle + width * z[:, None])
     return np.asarray(np.where(sd > 0.0, drawn, mean))
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import Cache
+from roomfit.eyring import eyring_time_s
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.compare import predicted_curve
@@ -71,7 +72,7 @@ def follow_decay(
     """
     bands, directivities = known.bands, known.directivities or {}
     priors = _scattering_priors(known)
-    longest_s = max(measured_decay_s, float(eyring_time_s(scene, bands, absorption).max()))
+    longest_s = max(measured_decay_s, float(scene_decay_s(scene, bands, absorption).max()))
     found: list[Finding] = []
     for attempt in range(_ATTEMPTS):
         plan = plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
@@ -103,22 +104,13 @@ def follow_decay(
     )
 
 
-def eyring_time_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
-    """Return the reverberation time of a diffuse field in every band, shape (n_bands,).
-
-    References
-    ----------
-    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1, 217-241
-           (1930); with the attenuation of the air.
-    """
+def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
+    """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
     mesh = scene.room.mesh
     areas = material_areas_m2(scene.room)
-    mean = np.clip(areas @ absorption / areas.sum(), 1e-4, 0.999)
-    lost_m2 = -surface_area_m2(mesh) * np.log1p(-mean)
-    lost_m2 += 4.0 * volume_m3(mesh) * attenuation_per_m(scene.air, bands)
-    return np.asarray(
-        24.0 * np.log(10.0) * volume_m3(mesh) / (speed_of_sound_m_s(scene.air) * lost_m2)
-    )
+    mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
+    room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
+    return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
 
 
 def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
