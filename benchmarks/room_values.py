@@ -26,6 +26,7 @@ import numpy as np
 from measured_rooms import bras_campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
+from roomfit.eyring import eyring_absorption
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.compare import compared_values
@@ -50,7 +51,6 @@ from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import band_combinations

@@ -321,7 +321,7 @@ def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
     campaign = write_campaign(tmp_path / "campaign")
     write_wav(tmp_path / "campaign" / "LS1_MP1.wav", np.zeros(4000))
     done = subprocess.run(
-        [sys.executable, "-m", "roomfit.cli", "identify", campaign, "--out", tmp_path / "out"],
+        [sys.executable, "-m", "roomfit", "identify", campaign, "--out", tmp_path / "out"],
         capture_output=True,
         text=True,
         check=False,

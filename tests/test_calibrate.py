@@ -1,4 +1,4 @@
-"""`roomfit calibrate`: truths that are drawn, sound that is made, and what is counted."""
+"""`roomfit coverage`: truths that are drawn, sound that is made, and what is counted."""
 
 from __future__ import annotations
 
@@ -11,12 +11,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
-from typer.testing import CliRunner
 
 import roomfit.coverage.simulate
 import roomfit.io.campaign
 from roomfit.bands import bands_between
-from roomfit.cli.commands import app
+from roomfit.cache import json_text
 from roomfit.coverage.calibrate import (
     Found,
     Replicate,
@@ -68,7 +67,7 @@ from roomfit.settings import Settings
 from roomfit.synthetic.boxes import add_noise, octave_shares
 from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
 from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
-from small_campaign import small_responses, write_campaign, write_wav
+from small_campaign import run_command, small_responses, write_campaign, write_wav
 
 CAMPAIGN = """
 [room]
@@ -439,7 +438,7 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
         *("replicates", "calibration.csv", "calibration.json", "calibration.png")
     }
     reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
-    assert reported == json.loads(json.dumps(coverage_json(result)))
+    assert reported == json.loads(json_text(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
     assert reported["all"]["hold"]["of"] == 12
     assert "2 of 2 replicates" in result_text(result)
@@ -522,13 +521,12 @@ def test_findings_of_a_replicate_come_back_as_codes_and_unknown_ones_are_refused
         (["--from", "nothing.json"], "nothing.json"),
     ],
 )
-def test_bad_options_are_refused_before_any_work(tmp_path, more, said):
+def test_bad_options_are_refused_before_any_work(tmp_path, monkeypatch, capsys, more, said):
     file = campaign_file(tmp_path)
     out = str(tmp_path / "out")
     given_options = [] if "--snr-db" in more else ["--snr-db", "50"]
-    done = CliRunner().invoke(app, ["calibrate", str(file), "--out", out, *given_options, *more])
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
+    assert run_command(monkeypatch, "coverage", file, "--out", out, *given_options, *more) == 2
+    assert said in capsys.readouterr().err
     assert not list(Path(out).glob("*"))
 
 
@@ -541,7 +539,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypatch):
+def test_a_room_of_slanted_walls_is_simulated_by_the_command(tmp_path, monkeypatch, capsys):
     """Told prior, one file, one octave; a second call finds the replicate and makes none."""
     (tmp_path / "room.obj").write_text(obj_text(slanted_cells()))
     text = (
@@ -554,14 +552,14 @@ def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypa
     file, out = campaign_file(tmp_path, text), tmp_path / "out"
     monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))
     monkeypatch.setitem(roomfit.coverage.simulate._MOST_IMAGES, CONVEX, 20_000)
-    asked = ["calibrate", str(file), "--out", str(out), "--replicates", "1", "--snr-db", "50"]
-    first = CliRunner().invoke(app, asked)
-    assert first.exit_code == 0, first.exception
-    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first.output
+    asked = ("coverage", file, "--out", out, "--replicates", "1", "--snr-db", "50")
+    assert run_command(monkeypatch, *asked) == 0
+    first = capsys.readouterr().out
+    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first
     written = replicate_path(out, 0).stat().st_mtime_ns
     reported = json.loads((out / "calibration.json").read_text())
     assert reported["made_by"] == {CONVEX: 1}
     assert reported["all"]["hold"]["of"] == len(slanted_cells().materials)
-    again = CliRunner().invoke(app, asked)
-    assert again.output == first.output
+    assert run_command(monkeypatch, *asked) == 0
+    assert capsys.readouterr().out == first
     assert replicate_path(out, 0).stat().st_mtime_ns == written

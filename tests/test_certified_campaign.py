@@ -13,10 +13,8 @@ import pytest
 import roomfit
 from roomfit.bands import Bands
 from roomfit.certified.certificate import (
-    Certificate,
     CertifyLimits,
     affordable_certificate,
-    certificate_findings,
     certified_fit,
     tracing_delta,
 )
@@ -24,12 +22,12 @@ from roomfit.certified.convex import total_misfit
 from roomfit.certified.question import energy_global_problem, free_vector
 from roomfit.certified.search import tools_for
 from roomfit.findings import Code
-from roomfit.inversion import bands as fitting
 from roomfit.io.inputs import identify_arguments
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import JointProblem
 from roomfit.report.text import certificate_text
+from roomfit.solvers.certificate import Certificate, certificate_findings
 from roomfit.solvers.least_squares import fit_band, gauss_newton
 from small_campaign import write_campaign
 
@@ -50,7 +48,7 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer,
         return certified_fit(problem, *args, **more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "certified_fit", watched)
+        patch.setattr("roomfit.certified.certificate.certified_fit", watched)
         path = write_campaign(tmp_path_factory.mktemp("certified"), *CHANGES)
         answer = roomfit.identify(**roomfit.load_campaign(path))
     return answer, problems

@@ -13,6 +13,7 @@ import pytest
 import roomfit.io.campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
+from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
 from roomfit.findings import Code, Finding
 from roomfit.inversion.identify import identify
@@ -307,7 +308,7 @@ def test_any_evidence_of_a_finding_can_be_written(tmp_path, plain):
     """Numbers as numpy makes them, also such as JSON does not know."""
     evidence = {"count": np.int64(3), "ratio": np.nan, "places": (np.array([1.0, 2.5]), "floor")}
     doubted = replace(plain, findings=(Finding(Code.DC_OFFSET, "A doubt.", evidence),))
-    text = json.dumps(result_content(doubted, ()), allow_nan=False)
+    text = json_text(result_content(doubted, ()))
     (finding,) = json.loads(text)["findings"]
     assert finding["evidence"] == {"count": 3, "ratio": "nan", "places": [[1.0, 2.5], "floor"]}
 
@@ -336,7 +337,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, few_rays):
     contents = [result_content(a, input_files(campaign)) for a in answers]
     for content in contents:
         del content["fit"]["seconds"]
-    assert json.dumps(contents[0]) == json.dumps(contents[1])
+    assert json_text(contents[0]) == json_text(contents[1])
 
 
 def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path):

@@ -76,7 +76,7 @@ def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_te
     )
     assert run_command(monkeypatch, "identify", path, "--out", tmp_path / "out") == 0
     reported = capsys.readouterr().out
-    assert "What the data tell" in reported
+    assert "What the data determine" in reported
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert len(result["materials"]) == 5
     sure = [m["identifiable"] for m in result["materials"].values()]

@@ -18,6 +18,7 @@ from roomfit.io.campaign import read_campaign
 from roomfit.io.measurements import measure
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
+from roomfit.logit import logit
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import uniform_scattering
 from roomfit.prediction.predict import predict_campaign
@@ -31,7 +32,6 @@ from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
     covariance_from_intervals,
     draw_absorption,
-    logit,
     plain_logit_covariance,
 )
 from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav

@@ -89,7 +89,7 @@ def noisy(
     snr_db: float,
     rng: np.random.Generator,
 ) -> Observed:
-    """Return pressures with complex normal noise so far below their rms; the noise is told."""
+    """Return pressures with complex normal noise so far below their rms, and its sd."""
     rms = float(np.sqrt(np.mean(np.abs(pressure) ** 2))) * 10.0 ** (-snr_db / 20.0)
     noise = rng.normal(size=pressure.shape) + 1j * rng.normal(size=pressure.shape)
     return Observed(

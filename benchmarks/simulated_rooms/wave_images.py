@@ -22,8 +22,6 @@ def image_pressure(model: WaveModel, walls: Mapping[str, Reflection], state: Sta
     ----------
     model : WaveModel
         Its paths are taken, and nothing else of how the fit predicts.
-    walls : mapping of material to Reflection
-    state : State
     """
     paths = model.whole
     vector = moved_vectors_m(model, paths, state)
@@ -91,7 +89,7 @@ def spherical_wave(
     length_m: FloatArray,
     wavenumber_per_m: ComplexArray | None,
 ) -> ComplexArray:
-    """Return ``R + (1 - R) F(w)`` by the error function of scipy, or R where no wavenumber is told.
+    """Return ``R + (1 - R) F(w)`` by the error function of scipy, or R without a wavenumber.
 
     Written for ``exp(-j w t)``, hence the conjugates; see
     `roomfit.impedance.wave_model.spherical_reflection`.

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 from typing import Literal
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import Certificate
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
+from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
 from roomfit.uncertainty.profile import Profile
@@ -112,6 +112,8 @@ class Answer:
         the intervals are known.
     logit_prior : float array, shape (2, n_materials, n_bands), or None
         Mean and standard deviation of logit absorption before anything was measured.
+    prior_specified : bool array, shape (n_materials,), or None
+        Whether the campaign specifies that prior, or it is the broad default.
     combinations : tuple of tuples of Combination, one a band
         Means over groups of materials that the data determine, that of the whole room first.
     models : tuple of str, one a band
@@ -178,6 +180,7 @@ class Answer:
     sampling: tuple[Sampled | None, ...] = ()
     prior: FloatArray | None = None
     reasons: tuple[str, ...] = ()
+    prior_specified: BoolArray | None = None
 
 
 def certificate_distance(answer: Answer, band: int) -> float:

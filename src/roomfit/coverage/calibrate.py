@@ -38,12 +38,13 @@ from roomfit.coverage.truth import (
     draw_synthetic_room,
 )
 from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
+from roomfit.logit import expit
 from roomfit.results import Answer
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 FOLDER = "replicates"
@@ -282,7 +283,7 @@ def _uniform(plan: CoveragePlan, answer: Answer) -> FloatArray:
     mesh = plan.room.mesh
     attenuation = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     mean: FloatArray = np.array(
-        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean))
+        [k.lower + (k.upper - k.lower) * expit(k.prior_logit_mean)
          for k in plan.priors]
     ).mean(axis=0)  # fmt: skip
     out = []
@@ -445,7 +446,7 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
     free = np.array([k.known is None and k.tied_to is None for k in plan.priors])
     fitted = np.array([[model != "prior" for model in f.models] for f in found])
     prior = np.array(
-        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean)) for k in plan.priors]
+        [k.lower + (k.upper - k.lower) * expit(k.prior_logit_mean) for k in plan.priors]
     )
     if plan.answer is not None:
         prior = plan.answer.absorption

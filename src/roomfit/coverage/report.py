@@ -1,6 +1,6 @@
 """A calibration in words and tables.
 
-What `roomfit calibrate` leaves beside its replicates: JSON, table, picture.
+What `roomfit coverage` leaves beside its replicates: JSON, table, picture.
 
 A calibration in a picture: what intervals of every level hold, and those of 95 % by band.
 """
@@ -28,6 +28,7 @@ from roomfit.coverage.statistics import (
 from roomfit.coverage.truth import CoverageSettings
 from roomfit.findings import Code
 from roomfit.io.campaign import read_campaign
+from roomfit.io.encoding import number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.typing import Progress
 
@@ -275,10 +276,10 @@ def _row(row: CoverageRow) -> dict[str, Any]:
         "hold": _proportion(row.holds),
         "identifiable": _proportion(row.identifiable),
         "identifiable_wrong": _proportion(row.outside),
-        "median_width": _number(row.width),
-        "median_error": _number(row.error),
-        "median_error_prior": _number(row.error_prior),
-        "median_error_uniform": _number(row.error_uniform),
+        "median_width": number_or_null(row.width),
+        "median_error": number_or_null(row.error),
+        "median_error_prior": number_or_null(row.error_prior),
+        "median_error_uniform": number_or_null(row.error_uniform),
     }
 
 
@@ -286,11 +287,7 @@ def _proportion(proportion: Proportion) -> dict[str, Any]:
     return {
         "count": proportion.count,
         "of": proportion.of,
-        "share": _number(proportion.value),
+        "share": number_or_null(proportion.value),
         "lower95": proportion.low,
         "upper95": proportion.high,
     }
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value

@@ -23,6 +23,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
 from roomfit.coverage.truth import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import N_RAYS, plan_trace
@@ -42,7 +43,8 @@ from roomfit.synthetic.boxes import (
     modulated_noise,
     octave_shares,
     pressure_response,
-    scattered_response,
+    specular_box,
+    with_diffuse_noise,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
@@ -245,8 +247,8 @@ def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) ->
     mean = (areas @ synthetic.absorption / areas.sum())[plan.columns]
     m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     volume = volume_m3(plan.room.mesh)
-    left = -np.log1p(-np.minimum(mean, 0.999)) * surface_area_m2(plan.room.mesh) + 4.0 * m * volume
-    t60_s = 24.0 * np.log(10.0) / synthetic.speed_of_sound_m_s * volume / left
+    room = (volume, surface_area_m2(plan.room.mesh), synthetic.speed_of_sound_m_s)
+    t60_s = eyring_time_s(mean, *room, m)
     ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
     wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
     reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[synthesis]) ** (1.0 / 3.0)
@@ -290,9 +292,10 @@ def _box(
                 box, scattering, source.position_m, receivers_m, duration_s, rng
             )
             for r, energy in zip(own, echo.energy, strict=True):
-                found[source.name, r] = scattered_response(
-                    *(box, scattering, source.position_m, at[r], energy),
-                    *(duration_s, rate_hz, flat, rng),
+                ends = (source.position_m, at[r], duration_s, rate_hz)
+                specular = pressure_response(specular_box(box, scattering), *ends, flat)
+                found[source.name, r] = with_diffuse_noise(
+                    specular, energy, box, rate_hz, flat, rng
                 )
     return found
 

@@ -9,10 +9,8 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from roomfit.bands import Bands
+from roomfit.logit import Z95, logit
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.posterior import logit
-
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -185,7 +183,7 @@ def scaled_errors(found: CoverageSample) -> FloatArray:
     middle, true = logit(found.absorption), logit(found.true)
     up, down = logit(found.upper95) - middle, middle - logit(found.lower95)
     side = np.where(true > middle, up, down)
-    z = _Z95 * (true - middle) / np.maximum(side, 1e-12)
+    z = Z95 * (true - middle) / np.maximum(side, 1e-12)
     return np.asarray(z[found.has_interval])
 
 

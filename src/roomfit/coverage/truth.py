@@ -24,6 +24,7 @@ from roomfit.io.campaign import Campaign, input_files
 from roomfit.io.materials import material_priors, unknown_directivity
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
+from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import SPEED_SD
 from roomfit.objective.directivity import DEFAULT_B_SD
@@ -31,7 +32,7 @@ from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Room, position_findings
 from roomfit.signals.iso3382 import MeasuredValues, ValueName
 from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior, logit
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
 @dataclass(frozen=True, slots=True)
@@ -365,12 +366,12 @@ def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     if plan.answer is None:
         mean = np.array([k.prior_logit_mean for k in plan.priors])[:, plan.nearest]
         free = mean + prior_sd[:, plan.nearest] * normal
-        drawn = lower + (upper - lower) / (1.0 + np.exp(-free))
+        drawn = lower + (upper - lower) * expit(free)
     else:
         roots = np.array([_root(c) for c in plan.answer.logit_covariance])[plan.nearest]
         spread = np.einsum("gij,jg->ig", roots, normal)
         free = logit(plan.answer.absorption)[:, plan.nearest] + spread
-        drawn = np.clip(1.0 / (1.0 + np.exp(-free)), lower, upper)
+        drawn = np.clip(expit(free), lower, upper)
     for row, k in enumerate(plan.priors):
         if k.known is not None:
             drawn[row] = k.known[plan.nearest]

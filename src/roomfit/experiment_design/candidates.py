@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import expit, ndtri
+from scipy.special import ndtri
 from scipy.stats import qmc
 
 from roomfit._checks import float_array
@@ -35,6 +35,7 @@ from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
 from roomfit.io.campaign import Campaign, Position
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.materials import material_priors
+from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior, in_bands
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import leaders
@@ -48,7 +49,7 @@ from roomfit.scene import NEAREST_PAIR_M, Point, Room, Scene, distances_m, posit
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
-from roomfit.uncertainty.posterior import AbsorptionPosterior, logit
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # Of a variance in logit: nothing is known better than to a millionth.
 _LEAST_VARIANCE = 1e-12

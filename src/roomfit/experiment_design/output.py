@@ -7,10 +7,7 @@ A design in words and tables, for a terminal.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +20,7 @@ from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.experiment_design.choose import Design, mean_widths, widest
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
@@ -54,13 +51,13 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
     return {
         "format": "roomfit-design",
         "format_version": 1,
-        "bands_hz": numbers(design.bands.centres_hz),
+        "bands_hz": design.bands.centres_hz,
         "chosen": [
             {
                 "source": source,
-                "source_m": numbers(source_m),
+                "source_m": source_m,
                 "receiver": receiver,
-                "receiver_m": numbers(receiver_m),
+                "receiver_m": receiver_m,
                 "mean_width95": float(means[i + 1]),
                 "width95": _by_material(design, design.widths[i + 1]),
             }
@@ -86,25 +83,19 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "findings": [finding_content(f) for f in design.findings],
         "design": {"seed": design.seed, "seconds": round(design.seconds, 3)},
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def design_csv(design: Design) -> str:
     """Return one row a chosen pair: its places, and the mean width of the intervals after it."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    rows = []
     after = mean_widths(design)[1:]
     for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
         at = [[f"{x:.3f}" for x in place] for place in (source_m, receiver_m)]
         distance = float(np.linalg.norm(source_m - receiver_m))
-        row = [i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"]
-        writer.writerow(row)
-    return stream.getvalue()
+        rows.append([i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"])
+    return csv_text(_COLUMNS, rows)
 
 
 def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
@@ -115,8 +106,8 @@ def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
     return found
 
 
-def _by_material(design: Design, table: FloatArray) -> dict[str, list[float]]:
-    return {name: numbers(row) for name, row in zip(design.materials, table, strict=True)}
+def _by_material(design: Design, table: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip(design.materials, table, strict=True))
 
 
 def _widest(design: Design) -> dict[str, Any]:
@@ -124,7 +115,7 @@ def _widest(design: Design) -> dict[str, Any]:
     return {
         "material": design.materials[material],
         "band_hz": float(design.bands.centres_hz[band]),
-        "width95": numbers(design.widths[:, material, band]),
+        "width95": design.widths[:, material, band],
     }
 
 

@@ -18,9 +18,9 @@ from typing import Protocol
 
 import numpy as np
 from scipy.interpolate import BSpline
-from scipy.special import expit
 
 from roomfit.errors import InputError
+from roomfit.logit import expit, logit
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
@@ -397,8 +397,7 @@ class LawCurve:
         """Return the x of parameters within their bounds, kept a little off the ends."""
         low = np.log([p.low for p in self.parameters])
         high = np.log([p.high for p in self.parameters])
-        share = np.clip((np.log(values) - low) / (high - low), 0.01, 0.99)
-        return np.asarray(np.log(share / (1.0 - share)))
+        return logit((np.log(values) - low) / (high - low), 0.01)
 
     def r0(self, x: FloatArray) -> ComplexArray:
         law, _ = LAWS[self.kind]

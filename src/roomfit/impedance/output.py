@@ -7,11 +7,7 @@ Impedances in words and tables, for a terminal.
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Iterable, Sequence
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +17,13 @@ from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.impedance.result import ImpedanceAnswer, MaterialAnswer
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import (
+    csv_text,
+    finding_content,
+    number_or_null,
+    numbers_or_null,
+    provenance,
+)
 from roomfit.report.figures import OKABE_ITO, new_figure
 from roomfit.report.text import findings_text
 from roomfit.typing import ComplexArray, FloatArray
@@ -49,7 +51,7 @@ def impedance_content(answer: ImpedanceAnswer, inputs: Iterable[Path]) -> dict[s
     return {
         "format": "roomfit-impedance",
         "format_version": 1,
-        "frequency_hz": numbers(answer.frequency_hz),
+        "frequency_hz": answer.frequency_hz,
         "tau_s": answer.tau_s,
         "materials": {m.name: _material(answer, m) for m in answer.materials},
         "nuisances": [
@@ -72,9 +74,9 @@ def impedance_content(answer: ImpedanceAnswer, inputs: Iterable[Path]) -> dict[s
         "findings": [finding_content(f) for f in answer.findings],
         "pairs": [_pair(answer, i) for i in range(len(answer.pairs))],
         "fit": {
-            "chi2": _or_null(answer.chi2),
-            "model_error": _or_null(answer.model_error),
-            "condition": _or_null(answer.condition),
+            "chi2": number_or_null(answer.chi2),
+            "model_error": number_or_null(answer.model_error),
+            "condition": number_or_null(answer.condition),
             "starts": answer.n_starts,
             "agreeing_starts": answer.agreeing_starts,
             "ending": answer.ending,
@@ -83,15 +85,12 @@ def impedance_content(answer: ImpedanceAnswer, inputs: Iterable[Path]) -> dict[s
             "seconds": round(answer.seconds, 3),
             "seed": answer.seed,
         },
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def _material(answer: ImpedanceAnswer, material: MaterialAnswer) -> dict[str, Any]:
-    content: dict[str, Any] = {"frequency_hz": numbers(answer.frequency_hz), "model": material.kind}
+    content: dict[str, Any] = {"frequency_hz": answer.frequency_hz, "model": material.kind}
     for name in _COLUMNS:
         for ending in ("", "_lower95", "_upper95"):
             content[name + ending] = numbers_or_null(_column(material, name, ending))
@@ -117,31 +116,25 @@ def _pair(answer: ImpedanceAnswer, i: int) -> dict[str, Any]:
     return {
         "source": answer.pairs[i][0],
         "receiver": answer.pairs[i][1],
-        "measured_real": numbers(measured.real),
-        "measured_imag": numbers(measured.imag),
-        "predicted_real": numbers(predicted.real) if fitted else None,
-        "predicted_imag": numbers(predicted.imag) if fitted else None,
-        "expected_rms": numbers(answer.expected_rms[i]),
+        "measured_real": measured.real,
+        "measured_imag": measured.imag,
+        "predicted_real": predicted.real if fitted else None,
+        "predicted_imag": predicted.imag if fitted else None,
+        "expected_rms": answer.expected_rms[i],
     }
-
-
-def _or_null(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def impedance_csv(answer: ImpedanceAnswer) -> str:
     """Return one row a material and frequency; cells of Z are empty where it is not shown."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
     names = [n + e for n in _COLUMNS for e in ("", "_lower95", "_upper95")]
-    writer.writerow(["material", "frequency_hz", *names, "identified"])
+    rows = []
     for material in answer.materials:
         columns = [_column(material, n, e) for n in _COLUMNS for e in ("", "_lower95", "_upper95")]
         for j, frequency in enumerate(answer.frequency_hz):
             cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
             identified = "true" if material.identified[j] else "false"
-            writer.writerow([material.name, f"{frequency:g}", *cells, identified])
-    return stream.getvalue()
+            rows.append([material.name, f"{frequency:g}", *cells, identified])
+    return csv_text(["material", "frequency_hz", *names, "identified"], rows)
 
 
 def wall_figure(

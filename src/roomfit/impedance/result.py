@@ -689,7 +689,7 @@ def judged_answer(
         problem.observed.pressure,
         predicted_pairs(fit),
         problem.sd,
-        "nothing moved any more" if fit.converged else "the most rounds were used up",
+        fit.ending.advice,
         fit.evaluations,
         fit.rounds,
         seconds,

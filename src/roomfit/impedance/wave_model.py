@@ -31,6 +31,7 @@ from roomfit.tracing.image_sources import (
     expected_images,
     image_positions_m,
     lattice_indices,
+    limits_of,
     polyhedron_images,
     wall_hits,
 )
@@ -582,7 +583,10 @@ def _of_a_polyhedron(scene: Scene, longest_m: float) -> list[_Part]:
         own = np.flatnonzero(scene.pairs[:, 0] == s)
         receivers = np.array([scene.receivers[r].position_m for r in scene.pairs[own, 1]])
         found = polyhedron_images(
-            *(scene.room, scene.sources[s].position_m, receivers, _ANY_ORDER, longest_m),
+            scene.room,
+            scene.sources[s].position_m,
+            receivers,
+            limits_of(_ANY_ORDER, longest_m),
             with_reflections=True,
             with_image_transforms=True,
             mirrors=mirrors,

@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import Certificate, affordable_certificate, certified_fit
 from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import EnergyProblem
@@ -21,9 +20,9 @@ from roomfit.objective.parameters import (
 )
 from roomfit.objective.problem import BandProblem
 from roomfit.settings import Settings
+from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.least_squares import (
     BandFit,
-    ResidualFunction,
     Solver,
     annealing_solver,
     few_gauss_newton_steps,
@@ -32,6 +31,7 @@ from roomfit.solvers.least_squares import (
     gauss_newton,
     simplex_solver,
 )
+from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
     BandAnswer,
@@ -66,12 +66,14 @@ def from_random_starts(
     number : int
     """
     usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    evaluations = fit.evaluations + usual.evaluations
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     fits = [fit]
     for _ in range(number):
-        place = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
-        alike = bool(np.all(np.abs(place - usual) <= _SAME_PLACE * sd))
-        fits.append(fit if alike else _from(problem, place))
+        other = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        alike = bool(np.all(np.abs(other.x - usual.x) <= _SAME_PLACE * sd))
+        fits.append(fit if alike else _from(problem, other.x))
+        evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
     worth = [_log_posterior(problem, f) for f in fits]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
@@ -84,7 +86,7 @@ def from_random_starts(
     losses = [worth[best] - w for w in worth]
     others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
     nearest = min(others, key=lambda i: losses[i], default=None)
-    return fits[best], Starts(
+    return replace(fits[best], evaluations=evaluations), Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
@@ -123,7 +125,7 @@ def starts_findings(
 
 
 def _from(problem: BandProblem, start: FloatArray) -> BandFit:
-    def there(residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
+    def there(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
         return gauss_newton(residuals, start)
 
     return fit_band(problem, there, few_gauss_newton_steps)
@@ -200,6 +202,8 @@ def fit_bands(
         proof: Certificate | None = None
         model = "energy" if problem.is_gamma().any() else "values"
         if method == "certified":
+            from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
+
             fit, proof = certified_fit(problem, progress=done)
             model = "energy"
         else:
@@ -216,6 +220,13 @@ def fit_bands(
         noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
         own = band_answer(problem.parameters, noisy, areas_m2, model)
         yield FittedBand(replace(own, starts=starts, certificate=proof), problem, fit)
+
+
+def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+    """Return what is proven of a band's energies near a fit, where that takes a moment."""
+    from roomfit.certified.certificate import affordable_certificate as certificate  # heavy
+
+    return certificate(problem, vector)
 
 
 def _solvers(

@@ -23,9 +23,8 @@ import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate
 from roomfit.findings import Finding
-from roomfit.inversion.bands import FittedBand
+from roomfit.inversion.bands import FittedBand, affordable_certificate
 from roomfit.inversion.directivity import (
     directivities_under_cavity_priors,
     directivity_score,
@@ -122,7 +121,7 @@ class CoherentTask:
     parts: Sequence[tuple[PartFactory, ...]]
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
-    outliers: Mapping[int, float] = field(default_factory=dict)
+    outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
 
 
 def prepared_bands(

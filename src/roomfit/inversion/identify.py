@@ -13,7 +13,7 @@ from roomfit._numba import one_blas_thread
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.cache import Cache
-from roomfit.certified.certificate import certificate_findings
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
@@ -35,7 +35,7 @@ from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
 from roomfit.inversion.solve import BandFits, estimate_energies, estimate_pressures
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.inversion.trace_plan import is_coherent
-from roomfit.materials.priors import MaterialPrior, complete_priors, prior_logits
+from roomfit.materials.priors import MaterialPrior, are_specified, complete_priors, prior_logits
 from roomfit.measurement import Measurement
 from roomfit.objective.observation import (
     left_out_findings,
@@ -47,7 +47,7 @@ from roomfit.results import Answer
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
-from roomfit.solvers.least_squares import eyring_absorption
+from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import determined, inseparable_findings
 from roomfit.uncertainty.gaussian import BandAnswer
@@ -207,6 +207,7 @@ def combine(
         areas,
         settings.seed,
         [b.samples for b in found],
+        are_specified(priors),
     )
     models = tuple(b.model for b in found)
     inseparable = (
@@ -245,6 +246,7 @@ def combine(
         seconds=0.0,
         logit_covariance=covariance,
         logit_prior=prior,
+        prior_specified=are_specified(priors),
         combinations=determined_groups.combinations,
         sentences=determined_groups.sentences,
         shares=determined_groups.shares,

@@ -12,11 +12,11 @@ import numpy as np
 
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
+from roomfit.eyring import schroeder_hz
 from roomfit.findings import Code, Finding
-from roomfit.inversion.equalise import schroeder_hz
 from roomfit.inversion.measurements import Measurements
 from roomfit.logit import Z95, expit
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.materials.priors import MaterialPrior
 from roomfit.settings import Settings
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
@@ -143,15 +143,11 @@ def prior_findings(
     """
     findings = []
     for i, own in enumerate(priors):
-        if own.known is not None or own.tied_to is not None:
+        if own.known is not None or own.tied_to is not None or not own.specified:
             continue
-        plain = unknown_material(own.name, len(bands))
-        given = (own.prior_logit_mean != plain.prior_logit_mean) | (
-            own.prior_logit_sd != plain.prior_logit_sd
-        )
         left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / own.prior_logit_sd
         fitted = np.array([a.model != "prior" for a in answers])
-        bad = np.flatnonzero(given & fitted & (left > _PRIOR_DOMINATED))
+        bad = np.flatnonzero(fitted & (left > _PRIOR_DOMINATED))
         if not bad.size:
             continue
         shares = [f"{100 * min(left[j], 1.0):.0f} %" for j in bad]

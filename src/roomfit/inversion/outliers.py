@@ -33,7 +33,9 @@ class BandComparison:
     factor: FloatArray  # (n_windows,), by which variances were inflated already
 
 
-def outlier_files(bands: Sequence[BandComparison], least_misfit: float) -> dict[int, float]:
+def outlier_files(
+    bands: Sequence[BandComparison], least_misfit: float
+) -> dict[MeasuredPair, float]:
     """Return the outliers, each with the ratio of its misfit to that of the others.
 
     The misfit is the mean squared weighted residual; an outlier's is far above the median of all
@@ -49,33 +51,33 @@ def outlier_files(bands: Sequence[BandComparison], least_misfit: float) -> dict[
     Returns
     -------
     dict
-        By ``id`` of the `MeasuredPair`.
+        By measurement, which is the same only as itself.
     """
-    ratios: dict[int, list[float]] = {}
+    ratios: dict[MeasuredPair, list[float]] = {}
     for band in bands:
         if len(band.files) < _FEWEST:
             continue
         misfits = _misfits(band)
         for m, misfit in zip(band.files, misfits, strict=True):
             ratio = float(misfit / np.median(misfits)) if misfit > least_misfit else 1.0
-            ratios.setdefault(id(m), []).append(ratio)
+            ratios.setdefault(m, []).append(ratio)
     medians = {i: float(np.median(each)) for i, each in ratios.items()}
     return {i: ratio for i, ratio in medians.items() if ratio > _TIMES_OTHERS}
 
 
 def variance_inflation(
-    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[int, float]
+    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> FloatArray:
     """Return the factor that inflates the variance of each window, shape (n_windows,)."""
     sizes = [o.energy.size for o in problem.observations]
-    return np.repeat(np.array([outliers.get(id(m), 1.0) for m in files]), sizes)
+    return np.repeat(np.array([outliers.get(m, 1.0) for m in files]), sizes)
 
 
 def outlier_findings(
-    measured: Sequence[MeasuredPair], outliers: Mapping[int, float]
+    measured: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> tuple[Finding, ...]:
     """Return a finding for each outlier, in the order of the measurements."""
-    return tuple(_finding(m, outliers[id(m)]) for m in measured if id(m) in outliers)
+    return tuple(_finding(m, outliers[m]) for m in measured if m in outliers)
 
 
 def _misfits(band: BandComparison) -> FloatArray:

@@ -1,7 +1,5 @@
 """Common materials by name: what published tables print of their absorption, as priors.
 
-What several tables together say of one kind of wall: a middle value and how far they scatter.
-
 Tables print absorption without a spread. Here it comes from the tables themselves: how far they
 disagree where they use the same name. All sums are done in logit absorption, where a spread means
 the same for a hard wall and for a soft one.
@@ -22,6 +20,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
+from roomfit.logit import expit, logit
 from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
 from roomfit.typing import FloatArray
 
@@ -43,14 +42,13 @@ LOW_WIDENING = 0.6
 HIGH_WIDENING = 0.4
 
 
-def logit(absorption: FloatArray) -> FloatArray:
+def table_logit(absorption: FloatArray) -> FloatArray:
     """Return logit absorption; what tables print as 0, 1 or above is moved to 0.005 and 0.98."""
-    a = np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA)
-    return np.asarray(np.log(a / (1.0 - a)))
+    return logit(np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA))
 
 
 def distinct(readings: FloatArray) -> FloatArray:
-    """Return the different rows: a table that reprints another one says nothing new.
+    """Return the different rows: a table that reprints another one adds nothing.
 
     Parameters
     ----------
@@ -73,11 +71,11 @@ def common_spread(materials: Iterable[FloatArray]) -> float:
     """Return the standard deviation of logit absorption among readings of the same name.
 
     Pooled over all names, and over octaves 125 to 4000 Hz: it varies little from band to band.
-    Names with a single distinct reading tell nothing and are left out.
+    Names with a single distinct reading are left out.
     """
     squares, freedom = 0.0, 0
     for readings in materials:
-        values = logit(distinct(readings)[:, 1:7])
+        values = table_logit(distinct(readings)[:, 1:7])
         squares += float(np.sum((values - values.mean(axis=0)) ** 2))
         freedom += (len(values) - 1) * values.shape[1]
     return float(np.sqrt(squares / freedom))
@@ -92,12 +90,12 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     tables of hard walls agree better than a reverberation room could measure them.
 
     63 Hz, where no table prints it: three quarters of the step from 250 to 125 Hz are made once
-    more, at most 0.7; 8 kHz: the value of 4 kHz is held. Used the other way round, to foretell
+    more, at most 0.7; 8 kHz: the value of 4 kHz is kept. Used the other way round, to predict
     125 Hz from the next two octaves and 4 kHz from 2 kHz, the two rules miss by 0.6 and 0.4
     (standard deviation over the catalogue): by so much the spread is widened there.
     """
     rows = distinct(readings)
-    values = logit(rows)
+    values = table_logit(rows)
     n = len(values)
     middle = np.empty(8)
     middle[1:7] = values[:, 1:7].mean(axis=0)
@@ -111,7 +109,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
         printed = values[~np.isnan(values[:, end]), end]
         middle[end] = printed.mean() if printed.size else rule
         variance[end] = variance[inner] + (0.0 if printed.size else widening**2)
-    middle = logit(1.0 / (1.0 + np.exp(-middle)))
+    middle = table_logit(expit(middle))
     return middle, np.maximum(np.sqrt(variance), _between_laboratories(middle))
 
 
@@ -120,27 +118,18 @@ def _low_step(middle: FloatArray) -> float:
 
 
 def _between_laboratories(middle: FloatArray) -> FloatArray:
-    a = 1.0 / (1.0 + np.exp(-middle))
+    a = expit(middle)
     sd = np.minimum(_REPRODUCIBILITY_M * a + _REPRODUCIBILITY_N, 0.5 * a)
     return np.asarray(sd / (a * (1.0 - a)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One row of one published table.
+    """One row of one published table."""
 
-    Attributes
-    ----------
-    source : str
-        The publication, in full.
-    row : str
-        What the table calls it, in brackets whom it credits.
-    absorption : float array, shape (8,)
-        Octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed.
-    """
-
-    source: str
-    row: str
+    source: str  # the publication, in full
+    row: str  # what the table calls it, in brackets whom it credits
+    # (8,), octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed
     absorption: FloatArray
 
     def __post_init__(self) -> None:
@@ -149,22 +138,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueEntry:
-    """A common material with what tables say of it.
+    """A common material with what tables print of it."""
 
-    Attributes
-    ----------
-    name : str
-        Lower case with hyphens: ``"carpet-on-underlay"``.
-    group, description : str
-    readings : tuple of Reading
-    logit_mean, logit_sd : float arrays, shape (8,)
-        Of logit absorption in octaves 63 to 8000 Hz; see `roomfit.materials.catalogue`.
-    """
-
-    name: str
+    name: str  # lower case with hyphens: ``"carpet-on-underlay"``
     group: str
     description: str
     readings: tuple[Reading, ...]
+    # logit_mean, logit_sd: (8,), of logit absorption in octaves 63 to 8000 Hz; see
+    # `roomfit.materials.catalogue`
     logit_mean: FloatArray
     logit_sd: FloatArray
 
@@ -175,7 +156,7 @@ class CatalogueEntry:
     @property
     def absorption(self) -> FloatArray:
         """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.logit_mean)))
+        return expit(self.logit_mean)
 
     @property
     def sd(self) -> FloatArray:
@@ -244,7 +225,7 @@ def find_material(name: str) -> CatalogueEntry:
     Raises
     ------
     InputError
-        There is none; the nearest name is told.
+        There is none; the message has the nearest name.
 
     Examples
     --------
@@ -277,7 +258,7 @@ def _similar(wanted: str) -> str | None:
 
 
 def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
-    """Return every entry whose name, group or description holds all of the words."""
+    """Return every entry whose name, group or description has all of the words."""
     wanted = [w.lower() for w in words]
     return tuple(
         e
@@ -312,7 +293,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     """
     entry = find_material(name)
     at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
-    mean = 1.0 / (1.0 + np.exp(-np.interp(at, known, entry.logit_mean)))
+    mean = expit(np.interp(at, known, entry.logit_mean))
     below, above = np.maximum(known[0] - at, 0.0), np.maximum(at - known[-1], 0.0)
     sd = np.interp(at, known, entry.logit_sd)
     sd = np.sqrt(sd**2 + below * LOW_WIDENING**2 + above * HIGH_WIDENING**2)
@@ -320,7 +301,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 
 def _eight(values: list[float]) -> FloatArray:
-    """Six values from 125 Hz, or seven from 63 Hz, in eight places."""
+    """Six values from 125 Hz, or seven from 63 Hz, in eight octaves."""
     eight = np.full(8, np.nan)
     eight[7 - len(values) : 7] = values
     return eight
@@ -419,6 +400,7 @@ def material_prior(
         fit_scattering=isinstance(scattering, str),
         tied_to=same_absorption_as,
         wall_delay_sd_s=delay_sd_s,
+        specified=prior is not None or bounds is not None,
     )
 
 

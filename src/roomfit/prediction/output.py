@@ -5,10 +5,7 @@ A prediction in words and tables, for a terminal.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Iterable, Mapping
-from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
 from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
 from roomfit.report.text import findings_text
@@ -50,12 +47,12 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
     return {
         "format": "roomfit-predicted",
         "format_version": 1,
-        "bands_hz": numbers(predicted.bands.centres_hz),
+        "bands_hz": predicted.bands.centres_hz,
         "materials": {
             name: {
-                "absorption": numbers(predicted.absorption[i]),
-                "lower95": numbers(predicted.lower95[i]),
-                "upper95": numbers(predicted.upper95[i]),
+                "absorption": predicted.absorption[i],
+                "lower95": predicted.lower95[i],
+                "upper95": predicted.upper95[i],
             }
             for i, name in enumerate(predicted.materials)
         },
@@ -76,23 +73,19 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
             "seed": predicted.seed,
             "seconds": round(predicted.seconds, 3),
         },
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def predicted_csv(predicted: Predicted) -> str:
     """Return one row a pair, parameter and band; empty cells where nothing is known."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for pair in predicted.pairs:
-        for name, value in pair.parameters.items():
-            for band, centre in enumerate(predicted.bands.centres_hz):
-                writer.writerow(_row(pair, name, value, band, float(centre)))
-    return stream.getvalue()
+    rows = [
+        _row(pair, name, value, band, float(centre))
+        for pair in predicted.pairs
+        for name, value in pair.parameters.items()
+        for band, centre in enumerate(predicted.bands.centres_hz)
+    ]
+    return csv_text(_COLUMNS, rows)
 
 
 def _row(

@@ -16,6 +16,7 @@ from typing import Literal
 
 import numpy as np
 
+from roomfit import eyring
 from roomfit._checks import nearest
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
@@ -30,6 +31,7 @@ from roomfit.io.campaign import Campaign
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.materials import campaign_directivities, unknown_directivity
 from roomfit.io.measurements import measure
+from roomfit.logit import expit
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import MaterialPrior, logit_prior
 from roomfit.objective.room_parameters import values_at
@@ -39,7 +41,7 @@ from roomfit.scene import Room, Scene, distances_m, material_areas_m2, position_
 from roomfit.signals.decay import DecayCurve
 from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.tracing.paths import TraceSettings
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 _NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
@@ -204,7 +206,7 @@ def _logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray
     """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself."""
     inside = np.clip(mean, 1e-4, 1.0 - 1e-4)
     middle, width = logit_prior(inside, sd)
-    drawn = 1.0 / (1.0 + np.exp(-(middle + width * z[:, None])))
+    drawn = expit(middle + width * z[:, None])
     return np.asarray(np.where(sd > 0.0, drawn, mean))
 
 
@@ -381,7 +383,18 @@ def room_posterior(
         covariance,
         None if plain else matched(absorption.prior_logit_mean, np.zeros(shape)),
         None if plain else matched(absorption.prior_logit_sd, np.ones(shape)),
+        prior_specified=_matched_flags(absorption.prior_specified, len(names), own, theirs),
     )
+
+
+def _matched_flags(
+    flags: BoolArray | None, n: int, own: Sequence[int], theirs: Sequence[int]
+) -> BoolArray | None:
+    if flags is None:
+        return None
+    values = np.ones(n, dtype=np.bool_)
+    values[own] = flags[theirs]
+    return values
 
 
 def with_fitted_scattering(
@@ -579,21 +592,12 @@ def follow_decay(
 
 
 def eyring_time_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
-    """Return the reverberation time of a diffuse field in every band, shape (n_bands,).
-
-    References
-    ----------
-    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1, 217-241
-           (1930); with the attenuation of the air.
-    """
+    """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
     mesh = scene.room.mesh
     areas = material_areas_m2(scene.room)
-    mean = np.clip(areas @ absorption / areas.sum(), 1e-4, 0.999)
-    lost_m2 = -surface_area_m2(mesh) * np.log1p(-mean)
-    lost_m2 += 4.0 * volume_m3(mesh) * attenuation_per_m(scene.air, bands)
-    return np.asarray(
-        24.0 * np.log(10.0) * volume_m3(mesh) / (speed_of_sound_m_s(scene.air) * lost_m2)
-    )
+    mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
+    room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
+    return eyring.eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
 
 
 def _not_followed(

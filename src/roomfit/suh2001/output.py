@@ -13,8 +13,6 @@ What `roomfit paper` says in the end.
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -36,6 +34,7 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
+from roomfit.io.encoding import csv_text
 from roomfit.io.results import certificate_content
 from roomfit.report.figures import OKABE_ITO, new_figure, png
 from roomfit.solvers.search import Fit
@@ -184,13 +183,10 @@ def paper_tables(result: PaperResult) -> dict[str, str]:
 
 
 def _csv(heading: Row, rows: Sequence[Row]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(heading)
-    writer.writerows(
-        [f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows
+    return csv_text(
+        heading,
+        ([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows),
     )
-    return stream.getvalue()
 
 
 def _tables_table2(result: PaperResult) -> str:

@@ -1,4 +1,4 @@
-"""The one door to measured responses: the ending of the name tells the reader."""
+"""Reading measured impulse responses: the ending of the name selects the reader."""
 
 from __future__ import annotations
 
@@ -36,8 +36,8 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     """Return one impulse response, checked, with what is doubtful about it.
 
     Where `spec.time_zero` is "emission", sample 0 lies `spec.latency_s` before emission. Where it
-    is "direct" or "unknown" the file does not know when the sound left: the same holds for the time
-    being, and `roomfit.signals.response.time_zero_from_direct` sets it right by the geometry.
+    is "direct" or "unknown" the file does not contain the time of emission: the same is assumed,
+    and `roomfit.signals.response.time_zero_from_direct` corrects it by the geometry.
 
     Where `spec.excitation` is given, the file is a recording and is deconvolved first.
 
