@@ -109,3 +109,24 @@ def eyring_time_s(
     lost_m2 = -surface_m2 * np.log1p(-np.minimum(absorption, 0.999))
     lost_m2 = lost_m2 + 4.0 * volume_m3 * attenuation_per_m
     return np.asarray(24.0 * np.log(10.0) * volume_m3 / (speed_of_sound_m_s * lost_m2))
+
+
+def schroeder_hz(decay_s: FloatArray, volume_m3: float) -> FloatArray:
+    """Return the Schroeder frequency: below it the field is not diffuse, single modes are resolved.
+
+    Parameters
+    ----------
+    decay_s : float array
+        Reverberation time.
+
+    References
+    ----------
+    .. [1] M. R. Schroeder, "The 'Schroeder frequency' revisited", J. Acoust. Soc. Am. 99,
+           3240-3241 (1996): ``2000 (T / V) ** 0.5`` in Hz, s and m3.
+
+    Examples
+    --------
+    >>> schroeder_hz(np.array([1.0]), 100.0)
+    array([200.])
+    """
+    return np.asarray(2000.0 * np.sqrt(decay_s / volume_m3))

@@ -9,6 +9,7 @@ from scipy import fft
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
+from roomfit.eyring import schroeder_hz
 from roomfit.geometry.mesh import volume_m3
 from roomfit.measurement import MeasuredPair
 from roomfit.response.coherent import image_energies, image_paths
@@ -76,27 +77,6 @@ def equalise_sources(
         noise = replace(m.noise, floor=m.noise.floor * gain, tail_energy=m.noise.tail_energy * gain)
         out.append(replace(m, response=equalise(m.response, magnitude), noise=noise))
     return tuple(out)
-
-
-def schroeder_hz(decay_s: FloatArray, volume_m3: float) -> FloatArray:
-    """Return the Schroeder frequency: below it single modes are resolved.
-
-    Parameters
-    ----------
-    decay_s : float array
-        Reverberation time.
-
-    References
-    ----------
-    .. [1] M. R. Schroeder, "The 'Schroeder frequency' revisited", J. Acoust. Soc. Am. 99,
-           3240-3241 (1996): ``2000 (T / V) ** 0.5`` in Hz, s and m3.
-
-    Examples
-    --------
-    >>> schroeder_hz(np.array([1.0]), 100.0)
-    array([200.])
-    """
-    return np.asarray(2000.0 * np.sqrt(decay_s / volume_m3))
 
 
 def _median_schroeder_hz(scene: Scene, measured: list[MeasuredPair]) -> float:

@@ -12,8 +12,8 @@ import numpy as np
 
 from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
+from roomfit.eyring import schroeder_hz
 from roomfit.findings import Code, Finding
-from roomfit.inversion.equalise import schroeder_hz
 from roomfit.inversion.measurements import Measurements
 from roomfit.logit import Z95, expit
 from roomfit.materials.priors import MaterialPrior
