@@ -45,7 +45,7 @@ RunCommand = Callable[..., None]
 
 # What the commands are called: the one line to change when one is renamed.
 DEMO, IDENTIFY, IMPEDANCE, PREDICT, DESIGN, COVERAGE, PAPER = (
-    *("demo", "identify", "impedance", "predict", "design", "calibrate", "paper"),
+    *("demo", "identify", "impedance", "predict", "design", "coverage", "paper"),
 )
 
 _RATE_HZ = 16_000

@@ -18,7 +18,7 @@ import numpy as np
 
 from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.results import Answer
 from roomfit.synthetic.boxes import random_plan, write_measured_box
 
@@ -31,7 +31,7 @@ def identified(seed: int) -> tuple[Answer, np.ndarray]:
     plan = random_plan(rng)
     with tempfile.TemporaryDirectory() as folder:
         box = write_measured_box(plan, Path(folder), rng)
-        answer = identify(read_campaign(box.campaign))
+        answer = identify(**load_campaign(box.campaign))
     return answer, plan.absorption[:, BANDS]
 
 

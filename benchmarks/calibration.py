@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 from _other_box import write_other_box
-from roomfit.coverage.report import coverage_table, verdict
+from roomfit.coverage.output import coverage_table, verdict
 from roomfit.coverage.statistics import (
     CoverageSample,
     coverage_rows,
@@ -30,7 +30,7 @@ from roomfit.coverage.statistics import (
 )
 from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import DEFAULT_MEAN
 from roomfit.results import Answer
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
@@ -51,7 +51,7 @@ def box(seed: int) -> Room:
     """Identify a box of another program."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_other_box(seed, Path(folder))
-        answer = identify(read_campaign(made.campaign))
+        answer = identify(**load_campaign(made.campaign))
     return Room(answer, made.absorption_at(answer.bands.centres_hz))
 
 
@@ -61,7 +61,7 @@ def polyhedron(seed: int) -> Room:
     plan = polyhedron_plan(SHAPES[seed % len(SHAPES)], rng)
     with tempfile.TemporaryDirectory() as folder:
         made = write_measured_polyhedron(plan, Path(folder), rng)
-        answer = identify(read_campaign(made.campaign))
+        answer = identify(**load_campaign(made.campaign))
     rows = [made.materials.index(name) for name in answer.materials]
     columns = [int(np.argmin(np.abs(made.centres_hz - f))) for f in answer.bands.centres_hz]
     return Room(answer, made.absorption[np.ix_(rows, columns)])

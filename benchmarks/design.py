@@ -24,12 +24,14 @@ from pathlib import Path
 
 import numpy as np
 
+from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import compatible_positions
-from roomfit.experiment_design.choose import CRITERIA, Design, Rules, mean_widths, random_design
-from roomfit.experiment_design.design import design
-from roomfit.experiment_design.output import design_gain, design_map
+from roomfit.experiment_design.choose import CRITERIA, Rules, random_design
+from roomfit.experiment_design.design import Design, design
+from roomfit.experiment_design.output import design_gain, design_map, mean_widths
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.report.figures import png
 from roomfit.suh2001.room import DIVISIONS, PLANES
 from roomfit.synthetic.polyhedra import obj_text
@@ -88,7 +90,7 @@ def measured(
             position_error_m=position_error_m,
             loudspeaker_db=loudspeaker_db,
         )
-        answer = identify(read_campaign(made.campaign))
+        answer = identify(**load_campaign(made.campaign))
     rows = [made.materials.index(name) for name in answer.materials]
     true = made.absorption[rows][:, : len(answer.bands)]
     error = np.abs(answer.absorption - true)
@@ -131,12 +133,12 @@ def main() -> None:
         designs = {}
         for criterion in arguments.criteria:
             used = time.process_time()
-            found = design(
-                campaign,
-                candidates=arguments.candidates,
-                choose_n=arguments.choose,
-                criterion=criterion,
-            )
+            options = {
+                "n_candidates": arguments.candidates,
+                "number": arguments.choose,
+                "criterion": criterion,
+            }
+            found = design(**design_arguments(campaign, changed=options))
             designs[criterion] = found
             chosen, middle = mean_widths(found)[-1], np.median(found.random_means[:, -1])
             print(

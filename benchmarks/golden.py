@@ -37,7 +37,7 @@ from _golden_digests import (
 )
 
 # The command line of whichever roomfit this Python imports.
-ROOMFIT = (sys.executable, "-c", "from roomfit.cli import main; main()")
+ROOMFIT = (sys.executable, "-m", "roomfit")
 FORMAT = "roomfit-golden"
 
 

@@ -21,7 +21,7 @@ import numpy as np
 from roomfit.geometry.mesh import corners_m
 from roomfit.scene import Room
 from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3
-from roomfit.tracing.image_sources import expected_images, polyhedron_images
+from roomfit.tracing.image_sources import expected_images, limits_of, polyhedron_images
 from roomfit.tracing.paths import ImageSet
 from roomfit.typing import FloatArray
 from simulated_rooms.polyhedral_rooms import (
@@ -96,13 +96,13 @@ def main() -> None:
         for name, (_, _, _, (low, high)) in ROOMS.items()
     }
     for name, (cells, _, source, _) in ROOMS.items():  # compiles
-        polyhedron_images(room_of(cells), np.array(source), places[name], 2, 30.0)
+        polyhedron_images(room_of(cells), np.array(source), places[name], limits_of(2, 30.0))
         cell_images(cells, np.array(source), places[name], 10.0)
     print("room      m3     s  images a pair  expected  s a source  simulator s  only in one")
     for name, (cells, duration_s, source, _) in ROOMS.items():
         room, start, reach_m = room_of(cells), np.array(source), duration_s * SPEED_M_S
         found, took = timed(
-            lambda: polyhedron_images(room, start, places[name], ALL_ORDERS, reach_m)  # noqa: B023
+            lambda: polyhedron_images(room, start, places[name], limits_of(ALL_ORDERS, reach_m))  # noqa: B023
         )
         expected, theirs = timed(
             lambda: cell_images(cells, start, places[name], reach_m)  # noqa: B023
@@ -123,7 +123,7 @@ def main() -> None:
                 lambda: their_images(room, start, places[name][0], order)  # noqa: B023
             )
             own, took = timed(
-                lambda: polyhedron_images(room, start, places[name][:1], order, 1e4),  # noqa: B023
+                lambda: polyhedron_images(room, start, places[name][:1], limits_of(order, 1e4)),  # noqa: B023
                 3,
             )
             if 6.0 * theirs > asked.theirs:

@@ -33,7 +33,7 @@ from scipy.io import loadmat
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import read_campaign
-from roomfit.io.rooms import read_room
+from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.report.text import absorption_table, directivity_text, separable_text
 from roomfit.results import Answer
 
@@ -141,7 +141,7 @@ def answer_to(text: str) -> Answer:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "campaign.toml"
         path.write_text(text)
-        return identify(read_campaign(path))
+        return identify(**load_campaign(path))
 
 
 def errors(answer: Answer, name: str) -> tuple[np.ndarray, np.ndarray]:
@@ -245,9 +245,14 @@ def delft_null(data: Path, ending: str) -> None:
         path = Path(folder) / "campaign.toml"
         path.write_text(delft_campaign(data / "tudelft_inhouse", 7, DELFT_SHIFT_M) + ending)
         campaign = read_campaign(path)
-        responses = collect_measurements(campaign, read_room(campaign.room)[0]).responses
+        arguments = identify_arguments(campaign)
+        responses = collect_measurements(
+            arguments["scene"], arguments["measurements"], campaign.bands, {}
+        ).responses
     of = {
-        n: np.array([m.parameters.of("T20_s") for m in responses if m.file.source == f"L{n}"])
+        n: np.array(
+            [m.parameters.of("T20_s") for m in responses if m.measurement.source == f"L{n}"]
+        )
         for n in DELFT_LOUDSPEAKERS
     }
     judged = campaign.bands.centres_hz > 400.0

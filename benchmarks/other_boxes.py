@@ -31,7 +31,7 @@ import numpy as np
 from _other_box import OtherBox, write_other_box
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.results import Answer
 
 # Findings of nearly every one of these rooms: their decays are short, some bands low.
@@ -60,7 +60,7 @@ def outcome(box: OtherBox, third_octaves: bool, more: str) -> Outcome:
         text = text.replace('bands = "octave"', 'bands = "third-octave"')
     box.campaign.write_text(text)
     began, cpu = time.perf_counter(), time.process_time()
-    answer = identify(read_campaign(box.campaign))
+    answer = identify(**load_campaign(box.campaign))
     return Outcome(box, answer, time.perf_counter() - began, time.process_time() - cpu)
 
 

@@ -23,6 +23,7 @@ import numpy as np
 
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.inputs import identify_arguments
 from roomfit.results import Answer
 from simulated_rooms.measured_polyhedron import (
     MeasuredPolyhedron,
@@ -59,7 +60,7 @@ class Outcome:
 
 def outcome(measured: MeasuredPolyhedron, campaign: Campaign) -> Outcome:
     """Identify a campaign and set the truth beside the answer."""
-    answer = identify(campaign)
+    answer = identify(**identify_arguments(campaign))
     rows = np.array([measured.materials.index(name) for name in answer.materials])
     bands = np.searchsorted(measured.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
     return Outcome(answer, measured.absorption[np.ix_(rows, bands)])
@@ -127,7 +128,9 @@ def main() -> None:
                 done["partly coherent"].append(outcome(measured, campaign))
                 show_one(shape, seed, done["partly coherent"][-1])
                 if not arguments.no_energy:
-                    energies = replace(campaign, model="energy")
+                    energies = replace(
+                        campaign, settings=replace(campaign.settings, model="energy")
+                    )
                     done["energy only"].append(outcome(measured, energies))
         for title, outcomes in done.items():
             if outcomes:

@@ -20,9 +20,10 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.inputs import identify_arguments
 from roomfit.io.results import read_result, write_result
-from roomfit.prediction.predict import predict_campaign
-from roomfit.prediction.prediction import PredictedPair
+from roomfit.prediction.campaign import predict_arguments
+from roomfit.prediction.predict import PredictedPair, predict
 from roomfit.signals.iso3382 import ValueName
 from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 from roomfit.uncertainty.posterior import AbsorptionPosterior
@@ -112,13 +113,13 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         campaign = read_campaign(write_campaign(folder, seed))
-        write_result(folder, identify(campaign), input_files(campaign))
-        fitted = predict_campaign(campaign, read_result(folder / "result.json"))
+        write_result(folder, identify(**identify_arguments(campaign)), input_files(campaign))
+        fitted = predict(**predict_arguments(campaign, read_result(folder / "result.json")))
         a = np.array([[v] * 2 for v in ABSORPTION.values()])
         true = AbsorptionPosterior(
             tuple(ABSORPTION), campaign.bands, a, a, a, np.zeros((2, len(a), len(a)))
         )
-        known = predict_campaign(campaign, true)
+        known = predict(**predict_arguments(campaign, true))
     sys.stdout.write(
         formatted(
             "fitted absorption, pairs kept apart", [p for p in fitted.pairs if p.use != "fit"]

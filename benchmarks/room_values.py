@@ -26,12 +26,14 @@ import numpy as np
 from measured_rooms import bras_campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
+from roomfit.eyring import eyring_absorption
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.compare import compared_values
+from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
 from roomfit.io.iso3382 import read_parameters
-from roomfit.io.measurements import measure
+from roomfit.io.measurements import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import (
@@ -41,13 +43,14 @@ from roomfit.materials.priors import (
     prior_logits,
     unknown_material,
 )
+from roomfit.measurement import Measurement
 from roomfit.objective.observation import band_problems
 from roomfit.objective.problem import BandProblem, JointProblem
 from roomfit.objective.room_parameters import predicted_values, value_problems
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.settings import Settings
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import band_combinations
@@ -210,7 +213,8 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
 def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
-    return fit_bands(problems, case.priors, areas, "auto", 1, None)
+    fitted = fit_bands(problems, case.priors, areas, Settings())
+    return tuple(band.estimate for band in fitted)
 
 
 def absorption_of(answers: tuple[BandAnswer, ...]) -> np.ndarray:
@@ -299,7 +303,9 @@ def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandAn
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "campaign.toml"
         path.write_text(bras_campaign(folder.resolve()))
-        measured, _ = measure(read_campaign(path), case.scene)
+        read = read_measurements(read_campaign(path))
+        responses = [m for m in read if isinstance(m, Measurement)]
+        measured, _ = observe(case.scene, responses, BANDS)
     begin = start(case)
     energies = tuple(band_problems(case.scene, BANDS, case.priors, measured, binned, begin))
     shared = [None if p is None else p.parameters for p in energies]

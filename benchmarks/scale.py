@@ -152,7 +152,7 @@ def main() -> None:
             f"{len(scene.pairs)} pairs"
         )
         began = time.perf_counter()
-        command = [sys.executable, "-m", "roomfit.cli", "identify", str(folder / "campaign.toml")]
+        command = [sys.executable, "-m", "roomfit", "identify", str(folder / "campaign.toml")]
         done = subprocess.run([*command, "--out", str(folder / "out")], check=False)
         seconds = time.perf_counter() - began
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 2**20

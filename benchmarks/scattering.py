@@ -21,8 +21,9 @@ import numpy as np
 
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.results import Answer
+from roomfit.settings import Model
 from roomfit.synthetic.boxes import MeasuredBox, random_plan, write_scattering_box
 
 GRID = (0.05, 0.15, 0.3, 0.5)
@@ -44,12 +45,14 @@ class Outcome:
         return min(GRID, key=lambda g: abs(np.log(max(s, 1e-3) / g)))
 
 
-def outcome(box: MeasuredBox, specified: str, model: str) -> Outcome:
+def outcome(box: MeasuredBox, specified: str, model: Model) -> Outcome:
     """Identify a campaign with what is told of scattering, and set the truth beside it."""
     text = box.campaign.read_text()
     file = box.campaign.with_name("told.toml")
     file.write_text(text.replace("scattering = 0.0", f"scattering = {specified}"))
-    answer = identify(replace(read_campaign(file), model=model))
+    arguments = load_campaign(file)
+    arguments["settings"] = replace(arguments["settings"], model=model)
+    answer = identify(**arguments)
     rows = np.array([box.materials.index(name) for name in answer.materials])
     bands = np.searchsorted(box.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
     return Outcome(answer, box.absorption[np.ix_(rows, bands)])

@@ -23,7 +23,7 @@ import numpy as np
 from _wrongly_told import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from roomfit.results import Answer
 
 # Findings that short decays and low bands have in any of these rooms.
@@ -48,7 +48,7 @@ def outcome(fault: Fault, seed: int) -> Outcome:
     """Simulate, describe wrongly, and identify."""
     with tempfile.TemporaryDirectory() as folder:
         misspecified = write_misspecified(fault, seed, Path(folder))
-        answer = identify(read_campaign(misspecified.campaign))
+        answer = identify(**load_campaign(misspecified.campaign))
     return Outcome(answer, true_absorption_of(misspecified, answer))
 
 

@@ -19,7 +19,7 @@ import soundfile
 from _other_box import OtherBox, write_other_box
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 
 KINDS = ("whole", "clipped", "room", "gain", "swapped", "place")
 TARGET = "LS1_MP2.wav"
@@ -63,7 +63,7 @@ def main() -> None:
             with tempfile.TemporaryDirectory() as folder:
                 box = write_other_box(seed, Path(folder))
                 spoil(kind, box, seed)
-                answer = identify(read_campaign(box.campaign))
+                answer = identify(**load_campaign(box.campaign))
             true = box.absorption_at(answer.bands.centres_hz)
             error = np.abs(answer.absorption - true)
             inside = (answer.lower95 <= true) & (true <= answer.upper95)

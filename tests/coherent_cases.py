@@ -10,6 +10,13 @@ from scipy.sparse import csr_array
 from roomfit.air import Air
 from roomfit.bands import Bands
 from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.coherent import (
+    CoherentFit,
+    coherent_estimates,
+    decided,
+    energy_estimates,
+)
+from roomfit.inversion.systematics import widened_by_neighbours
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.coherent import CoherentProblem, coherent_problem
 from roomfit.objective.energy import (
@@ -22,7 +29,7 @@ from roomfit.objective.energy import (
 from roomfit.objective.parameters import Block, Geometry, Parameters
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band
-from roomfit.scene import Point, Room, Scene
+from roomfit.scene import Point, Room, Scene, material_areas_m2
 from roomfit.signals.filters import (
     FilterBank,
     energy_share,
@@ -31,6 +38,7 @@ from roomfit.signals.filters import (
 )
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
+from roomfit.uncertainty.gaussian import BandAnswer
 
 SPEED_M_S = 340.0
 END_S = 0.06
@@ -123,3 +131,11 @@ def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
         observed.append(replace(o, energy=data[first : first + n]))
         first += n
     return replace(problem, energies=replace(problem.energies, observations=tuple(observed)))
+
+
+def estimates_of(fit: CoherentFit) -> tuple[BandAnswer | None, ...]:
+    """Return the Gaussian estimate of every band of a partly coherent fit."""
+    areas_m2 = material_areas_m2(fit.state.task.scene.room)
+    coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))
+    energy = [b if b is None else b.estimate for b in energy_estimates(fit)]
+    return decided(fit, energy, widened_by_neighbours(coherent, areas_m2))

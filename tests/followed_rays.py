@@ -10,13 +10,12 @@ from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, read_only
 from roomfit._numba import kernel
-from roomfit.materials.priors import Scattering
+from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room
 from roomfit.tracing.bvh import Walls, next_wall, wall_material, walls_of
 from roomfit.tracing.ray_kernels import Job, Tally, note_escape
 from roomfit.tracing.rays import (
     RayStatistics,
-    in_room_order,
     new_tally,
     ray_statistics,
     sobol_directions,
@@ -72,7 +71,7 @@ def follow_rays(
     times = float_array("times", times_s, (None,), low=0.0, unit="s")
     start = float_array("position", position_m, (3,), low=-1e6, high=1e6, unit="m")
     lengths = np.sort(times) * speed_of_sound_m_s
-    coefficients = in_room_order(scattering, room)
+    coefficients = coefficients_in_order(scattering, room.materials)
     job = Job(start, coefficients, float(lengths.max(initial=0.0)), _MAX_HITS, seed, 0)
     hits = np.zeros((len(lengths), n_rays, len(coefficients)), np.uint16)
     present = np.zeros((len(lengths), n_rays), np.bool_)

@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from roomfit.air import Air, attenuation_per_m, cramer_speed_m_s, iso9613_attenuation_db_per_m
+from roomfit.air import (
+    Air,
+    attenuation_per_m,
+    cramer_speed_m_s,
+    iso9613_attenuation_db_per_m,
+    relative_speed_sd,
+    speed_of_sound_m_s,
+)
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 
@@ -91,3 +98,14 @@ def test_bands_below_50_hz_have_the_attenuation_at_50_hz():
     low = attenuation_per_m(Air(), bands_between("third-octave", 31.5, 100))
     assert low[0] == low[1] > 0.0
     assert np.all(np.diff(low[1:]) >= 0.0)
+
+
+@pytest.mark.parametrize("temperature_c", [5.0, 15.0, 25.0])
+def test_the_spread_of_the_speed_is_its_slope_by_temperature(temperature_c):
+    """Finite difference of Cramer's speed in dry air, which departs from an ideal gas by 1 %."""
+    warm, cold = (
+        speed_of_sound_m_s(Air(temperature_c=temperature_c + step, humidity_percent=0.0))
+        for step in (1.0, -1.0)
+    )
+    found = relative_speed_sd(Air(temperature_c=temperature_c), 2.0)
+    assert found == pytest.approx(2.0 * (warm - cold) / (warm + cold), rel=0.01)

@@ -13,7 +13,7 @@ from scipy.io import savemat
 
 from roomfit.cache import CACHE_FOLDER
 from roomfit.findings import Code
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from small_campaign import (
     MATERIALS,
     RATE_HZ,
@@ -296,7 +296,7 @@ def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     )
     shrunk = [
         f
-        for f in identify(read_campaign(campaign)).findings
+        for f in identify(**load_campaign(campaign)).findings
         if f.code == Code.RECEIVER_SPHERE_SHRUNK and f.evidence["receiver"] == "MP1"
     ]
     assert len(shrunk) == 1
@@ -309,7 +309,7 @@ def test_time_zero_metres_from_the_geometry_is_a_serious_finding(tmp_path):
 
     campaign = write_campaign(tmp_path / "campaign", (FIRST_FILE, f"{FIRST_FILE}\nlatency_s=-0.02"))
     late = [
-        f for f in identify(read_campaign(campaign)).findings if f.code is Code.TIME_ZERO_MISMATCH
+        f for f in identify(**load_campaign(campaign)).findings if f.code is Code.TIME_ZERO_MISMATCH
     ]
     # 20 ms at 344 m/s
     assert max(f.evidence["difference_m"] for f in late) == pytest.approx(6.9, abs=0.2)
@@ -321,7 +321,7 @@ def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
     campaign = write_campaign(tmp_path / "campaign")
     write_wav(tmp_path / "campaign" / "LS1_MP1.wav", np.zeros(4000))
     done = subprocess.run(
-        [sys.executable, "-m", "roomfit.cli", "identify", campaign, "--out", tmp_path / "out"],
+        [sys.executable, "-m", "roomfit", "identify", campaign, "--out", tmp_path / "out"],
         capture_output=True,
         text=True,
         check=False,

@@ -18,8 +18,10 @@ from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room
 from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3, with_moved_planes
 from roomfit.tracing.image_sources import (
+    Budget,
     affordable_duration_s,
     expected_images,
+    limits_of,
     polyhedron_images,
     shoebox_images,
     trace_images,
@@ -48,8 +50,7 @@ def tree(room: Room, source: FloatArray, receivers: FloatArray, reach_m: float) 
         room,
         source,
         receivers,
-        ALL_ORDERS,
-        reach_m,
+        limits_of(ALL_ORDERS, reach_m),
         with_reflections=True,
         with_image_transforms=True,
     )
@@ -120,7 +121,7 @@ def test_another_program_has_the_same_images(name: str, order: int) -> None:
     """pyroomacoustics' polyhedral images of orders 0 to 5 and 6; single precision there."""
     room = room_of(CELLS[name])
     source, receiver = np.array(SOURCES[name]), np.array(RECEIVERS[name][0])
-    found = polyhedron_images(room, source, receiver[None], order, 1e3)[0]
+    found = polyhedron_images(room, source, receiver[None], limits_of(order, 1e3))[0]
     distance, left = their_images(room, source, receiver, order)
     assert len(distance) == len(found.length_m)
     np.testing.assert_allclose(found.length_m, distance, atol=5e-4)
@@ -336,14 +337,14 @@ def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_told() ->
     scene = scene_of(room_of(CELLS["slanted"]), [SOURCES["slanted"]], RECEIVERS["slanted"])
     still = uniform_scattering(scene.room.materials, 0.0)
     with pytest.raises(InputError, match="too many image sources to look for"):
-        trace_images(scene, ALL_ORDERS, 0.5, still, work_limit=1e4)
+        trace_images(scene, ALL_ORDERS, 0.5, still, budget=Budget(work=1e4))
     with pytest.raises(InputError, match="too many image sources for the memory"):
         trace_images(scene, ALL_ORDERS, 60.0, still)
     longest_s = affordable_duration_s(scene, 0.5, work=1e5)
     assert 0.02 < longest_s < 0.2
-    trace_images(scene, ALL_ORDERS, longest_s, still, work_limit=1e5)
+    trace_images(scene, ALL_ORDERS, longest_s, still, budget=Budget(work=1e5))
     with pytest.raises(InputError, match="too many image sources to look for"):
-        trace_images(scene, ALL_ORDERS, 1.1 * longest_s, still, work_limit=1e5)
+        trace_images(scene, ALL_ORDERS, 1.1 * longest_s, still, budget=Budget(work=1e5))
     assert affordable_duration_s(scene, 0.03) == 0.03
     few = affordable_duration_s(scene, 0.5, images=500.0)
     assert len(trace_images(scene, ALL_ORDERS, few, still)) <= 500

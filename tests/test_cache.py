@@ -286,7 +286,7 @@ def prediction_command(folder: Path, out: Path) -> list[str]:
             rows += [f"{name},{f},{a},{a - 0.02},{a + 0.02},true" for f in (1000,)]
         (folder / "absorption.csv").write_text("\n".join(rows) + "\n")
     table = str(folder / "absorption.csv")
-    program = [sys.executable, "-m", "roomfit.cli", "predict", str(campaign)]
+    program = [sys.executable, "-m", "roomfit", "predict", str(campaign)]
     return [*program, "--absorption", table, "--out", str(out), "--overwrite"]
 
 

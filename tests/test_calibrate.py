@@ -1,23 +1,26 @@
-"""`roomfit calibrate`: truths that are drawn, sound that is made, and what is counted."""
+"""`roomfit coverage`: truths that are drawn, sound that is made, and what is counted."""
 
 from __future__ import annotations
 
 import json
+import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
-from typer.testing import CliRunner
 
 import roomfit.coverage.simulate
-import roomfit.inversion.trace_plan
+import roomfit.io.campaign
 from roomfit.bands import bands_between
-from roomfit.cli.commands import app
-from roomfit.coverage.calibrate import (
+from roomfit.cache import json_text
+from roomfit.commands import estimate_coverage_to_folder
+from roomfit.coverage.estimate import (
+    CoverageResult,
     Found,
     Replicate,
     estimate_coverage,
@@ -25,12 +28,7 @@ from roomfit.coverage.calibrate import (
     replicate_path,
     write_replicate,
 )
-from roomfit.coverage.report import (
-    coverage_json,
-    coverage_text,
-    estimate_coverage_to_folder,
-    result_text,
-)
+from roomfit.coverage.output import coverage_json
 from roomfit.coverage.simulate import (
     BOX,
     CONVEX,
@@ -50,7 +48,7 @@ from roomfit.coverage.statistics import (
     grouped_proportion,
     scaled_errors,
 )
-from roomfit.coverage.truth import (
+from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
     TabulatedPair,
@@ -64,10 +62,11 @@ from roomfit.io.campaign import read_campaign
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import add_noise, octave_shares
 from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
 from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
-from small_campaign import small_responses, write_campaign, write_wav
+from small_campaign import run_command, small_responses, write_campaign, write_wav
 
 CAMPAIGN = """
 [room]
@@ -438,10 +437,10 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
         *("replicates", "calibration.csv", "calibration.json", "calibration.png")
     }
     reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
-    assert reported == json.loads(json.dumps(coverage_json(result)))
+    assert reported == json.loads(json_text(coverage_json(result)))
     # south and its twin north are one number, floor is known: three materials, two bands, twice
     assert reported["all"]["hold"]["of"] == 12
-    assert "2 of 2 replicates" in result_text(result)
+    assert "2 of 2 replicates" in str(result)
     # the same seed anywhere else; only the seconds may differ
     estimate_coverage(campaign, tmp_path / "b", replace(asked, first=1))
     again = json.loads(replicate_path(tmp_path / "b", 1).read_text())
@@ -477,14 +476,29 @@ def test_tables_alone_are_calibrated_too(tmp_path):
 
 
 def test_refused_replicates_are_counted_and_told_without_their_folder():
-    rows = coverage_rows(made(np.random.default_rng(1), 1.0, n=3))
+    found = made(np.random.default_rng(1), 1.0, n=3)
     why = "the decay is cut short\n  where   /gone/0001.wav\n  found   12 dB\n  needed  15 dB"
     for refused, said in (
         ((why,), "1 replicate was refused; the first: the decay is cut short (12 dB)"),
         (("no sound", why), "2 replicates were refused; the first: no sound"),
     ):
-        text = coverage_text(rows, 5, 5, {BOX: 5}, {}, refused)
-        assert text.splitlines()[-1] == said
+        result = CoverageResult(5, 5, refused, {BOX: 5}, {}, found, "prior")
+        assert str(result).splitlines()[-1] == said
+
+
+def test_an_estimate_of_coverage_shows_itself(monkeypatch):
+    found = made(np.random.default_rng(1), 1.0, n=20)
+    result = CoverageResult(20, 20, (), {BOX: 20}, {}, found, "prior")
+    together = coverage_rows(found)[-1]
+    share = f"{100 * together.holds.value:.0f} ("
+    assert share in str(result) and share in result._repr_html_()
+    assert len(result.plot().axes) == 2
+    monkeypatch.setitem(
+        sys.modules, "pandas", SimpleNamespace(DataFrame=lambda rows, columns: rows[: len(columns)])
+    )
+    rows = result.to_dataframe()
+    assert [row[0] for row in rows] == [500.0, 1000.0, "all"]
+    assert rows[-1][2] == together.holds.value
 
 
 def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):
@@ -521,13 +535,12 @@ def test_findings_of_a_replicate_come_back_as_codes_and_unknown_ones_are_refused
         (["--from", "nothing.json"], "nothing.json"),
     ],
 )
-def test_bad_options_are_refused_before_any_work(tmp_path, more, said):
+def test_bad_options_are_refused_before_any_work(tmp_path, monkeypatch, capsys, more, said):
     file = campaign_file(tmp_path)
     out = str(tmp_path / "out")
     given_options = [] if "--snr-db" in more else ["--snr-db", "50"]
-    done = CliRunner().invoke(app, ["calibrate", str(file), "--out", out, *given_options, *more])
-    assert isinstance(done.exception, InputError)
-    assert said in str(done.exception)
+    assert run_command(monkeypatch, "coverage", file, "--out", out, *given_options, *more) == 2
+    assert said in capsys.readouterr().err
     assert not list(Path(out).glob("*"))
 
 
@@ -540,7 +553,7 @@ def test_an_output_folder_that_is_a_file_is_refused(tmp_path):
 
 
 @pytest.mark.slow
-def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypatch):
+def test_a_room_of_slanted_walls_is_simulated_by_the_command(tmp_path, monkeypatch, capsys):
     """Told prior, one file, one octave; a second call finds the replicate and makes none."""
     (tmp_path / "room.obj").write_text(obj_text(slanted_cells()))
     text = (
@@ -551,16 +564,16 @@ def test_a_room_of_slanted_walls_is_calibrated_by_the_command(tmp_path, monkeypa
     text += "[receivers.MP1]\nposition = [4.05, 1.35, 1.2]\nposition_sd = 0.01\n"
     text += '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "later.wav"\n'
     file, out = campaign_file(tmp_path, text), tmp_path / "out"
-    monkeypatch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
+    monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))
     monkeypatch.setitem(roomfit.coverage.simulate._MOST_IMAGES, CONVEX, 20_000)
-    asked = ["calibrate", str(file), "--out", str(out), "--replicates", "1", "--snr-db", "50"]
-    first = CliRunner().invoke(app, asked)
-    assert first.exit_code == 0, first.exception
-    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first.output
+    asked = ("coverage", file, "--out", out, "--replicates", "1", "--snr-db", "50")
+    assert run_command(monkeypatch, *asked) == 0
+    first = capsys.readouterr().out
+    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first
     written = replicate_path(out, 0).stat().st_mtime_ns
     reported = json.loads((out / "calibration.json").read_text())
     assert reported["made_by"] == {CONVEX: 1}
     assert reported["all"]["hold"]["of"] == len(slanted_cells().materials)
-    again = CliRunner().invoke(app, asked)
-    assert again.output == first.output
+    assert run_command(monkeypatch, *asked) == 0
+    assert capsys.readouterr().out == first
     assert replicate_path(out, 0).stat().st_mtime_ns == written

@@ -115,6 +115,7 @@ def test_a_prior_of_absorption_becomes_one_of_its_logit(tmp_path):
     np.testing.assert_allclose(carpet.prior_logit_mean, 0.0, atol=1e-12)
     # the slope of the logit at one half is 4
     np.testing.assert_allclose(carpet.prior_logit_sd, 0.2)
+    assert carpet.specified
 
 
 @pytest.mark.parametrize(

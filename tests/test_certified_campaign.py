@@ -13,10 +13,8 @@ import pytest
 import roomfit
 from roomfit.bands import Bands
 from roomfit.certified.certificate import (
-    Certificate,
     CertifyLimits,
     affordable_certificate,
-    certificate_findings,
     certified_fit,
     tracing_delta,
 )
@@ -24,11 +22,12 @@ from roomfit.certified.convex import total_misfit
 from roomfit.certified.question import energy_global_problem, free_vector
 from roomfit.certified.search import tools_for
 from roomfit.findings import Code
-from roomfit.inversion import bands as fitting
+from roomfit.io.inputs import identify_arguments
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import JointProblem
 from roomfit.report.text import certificate_text
+from roomfit.solvers.certificate import Certificate, certificate_findings
 from roomfit.solvers.least_squares import fit_band, gauss_newton
 from small_campaign import write_campaign
 
@@ -49,9 +48,9 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer,
         return certified_fit(problem, *args, **more)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(fitting, "certified_fit", watched)
+        patch.setattr("roomfit.certified.certificate.certified_fit", watched)
         path = write_campaign(tmp_path_factory.mktemp("certified"), *CHANGES)
-        answer = roomfit.identify(roomfit.read_campaign(path))
+        answer = roomfit.identify(**roomfit.load_campaign(path))
     return answer, problems
 
 
@@ -134,7 +133,7 @@ def test_auto_proves_what_is_affordable(tmp_path: Path) -> None:
     """Two materials and a gain: energies are certified, and the answer's distance is told."""
     changes = (("to_hz = 1000", 'to_hz = 500\nmodel = "energy"'), *CHANGES[1:])
     path = write_campaign(tmp_path / "in", *changes)
-    answer = roomfit.identify(roomfit.read_campaign(path))
+    answer = roomfit.identify(**roomfit.load_campaign(path))
     assert answer.method == "least-squares"
     roomfit.write_result(tmp_path, answer, (path,))
     proof = json.loads((tmp_path / "result.json").read_text())["fit"]["certified"]
@@ -163,7 +162,7 @@ def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Pat
     change = ("to_hz = 1000", 'to_hz = 500\nmethod = "certified"\nmodel = "coherent"')
     campaign = roomfit.read_campaign(write_campaign(tmp_path, change))
     with pytest.raises(roomfit.InputError, match="no certificate but for energies"):
-        roomfit.identify(campaign)
+        roomfit.identify(**identify_arguments(campaign))
 
 
 def test_what_is_too_large_or_no_energy_is_refused(

@@ -7,10 +7,12 @@ import json
 import re
 import subprocess
 import sys
+import time
 
 import pytest
 
 import roomfit
+from roomfit.cli.terminal import progress_line
 from small_campaign import MATERIALS, box_obj, run_command, write_campaign
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "h5py", "soundfile", "trimesh")
@@ -33,18 +35,71 @@ def test_help_and_version_load_nothing_heavy():
         assert done.stderr == ""
 
 
-@pytest.mark.parametrize("command", ["identify", "demo", "paper", "check"])
+COMMANDS = ("catalogue", "check", "coverage", "demo", "design", "export", "identify", "impedance",
+            "paper", "predict")  # fmt: skip
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_every_command_explains_itself(monkeypatch, capsys, command):
     assert run_command(monkeypatch, command, "--help") == 0
-    assert f"roomfit {command}" in re.sub(r"\s+", " ", capsys.readouterr().out)
+    shown = capsys.readouterr()
+    assert f"roomfit {command}" in re.sub(r"\s+", " ", shown.out)
+    assert shown.err == ""
+
+
+def test_help_lists_every_command_and_no_former_name(monkeypatch, capsys):
+    assert run_command(monkeypatch, "--help") == 0
+    listed = re.findall(r"^    (\w+)", capsys.readouterr().out, flags=re.MULTILINE)
+    assert tuple(listed) == COMMANDS
 
 
 @pytest.mark.parametrize(
-    "arguments", [("identify",), ("identify", "a.toml"), ("fly",), ("demo", "--seed", "x")]
+    ("arguments", "words"),
+    [
+        (("identify",), "required: campaign, --out"),
+        (("identify", "a.toml"), "required: --out"),
+        (("identify", "a.toml", "--out"), "--out: expected one argument"),
+        (("identify", "a.toml", "b.toml", "--out", "c"), "unrecognized arguments: b.toml"),
+        (("identify", "--ot", "c", "a.toml"), "did you mean '--out'?"),
+        (("desing",), "did you mean 'design'?"),
+        (("fly",), "try     roomfit --help"),
+        (("demo", "--seed", "x"), "--seed: 'x' is not a whole number"),
+        (("coverage", "a", "--out", "b", "--snr-db", "x"), "--snr-db: 'x' is not a number"),
+        (("paper", "--out", "b", "--workers", "0"), "--workers: 0 is less than 1"),
+    ],
 )
-def test_a_wrong_call_ends_with_2_and_how_to_call(monkeypatch, capsys, arguments):
+def test_a_wrong_call_ends_with_2_and_how_to_call(monkeypatch, capsys, arguments, words):
     assert run_command(monkeypatch, *arguments) == 2
-    assert "Usage" in capsys.readouterr().err
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert words in shown.err
+    assert "  needed  roomfit" in shown.err
+    assert "Traceback" not in shown.err
+
+
+def test_no_command_at_all_shows_the_help_and_ends_with_2(monkeypatch, capsys):
+    assert run_command(monkeypatch) == 2
+    assert capsys.readouterr().out.startswith("usage: roomfit")
+
+
+def test_the_former_name_of_a_command_answers_with_the_new_one(monkeypatch, capsys):
+    assert run_command(monkeypatch, "calibrate", "a.toml", "--out", "b") == 2
+    assert capsys.readouterr().err == "the command 'calibrate' is now called 'coverage'\n"
+
+
+def test_progress_is_drawn_on_a_terminal_only_and_cleared_at_the_end(monkeypatch, capsys):
+    with progress_line("working") as progress:
+        progress(0.5)
+    assert capsys.readouterr() == ("", "")
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setattr("roomfit.cli.terminal._EVERY_S", 0.001)
+    monkeypatch.setenv("COLUMNS", "40")
+    with progress_line("working") as progress:
+        progress(0.5)
+        time.sleep(0.1)  # a hundred times as long as until the next drawing
+    drawn = capsys.readouterr().err.split("\r")
+    assert f"{' 50 %  0:00  working':<39}" in drawn
+    assert drawn[-2:] == [" " * 39, ""]
 
 
 def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypatch, capsys):
@@ -131,7 +186,7 @@ def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monke
     assert run_command(monkeypatch, "check", campaign) == 0
     assert "30.22 m3" in capsys.readouterr().out
     assert run_command(monkeypatch, "check", campaign, "--unit", "mm") == 2
-    assert "says itself" in capsys.readouterr().err
+    assert "itself specifies" in capsys.readouterr().err
 
 
 def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypatch, capsys):

@@ -21,6 +21,7 @@ from roomfit.objective.parameters import (
     whole_covariance,
 )
 from roomfit.objective.problem import InflatedVariance, Prediction
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.gaussian import BandAnswer
@@ -173,7 +174,7 @@ def _answer(absorption: list[float], half_width: float) -> BandAnswer:
     sure = np.ones(a.size, dtype=np.bool_)
     return BandAnswer(
         *(a, a - half_width, a + half_width, sure, np.log(a / (1 - a)), 0.01 * np.eye(a.size)),
-        *((float(a.mean()), 0.1, 0.4), 1.0, 1.0, 1, True, "coherent"),
+        *((float(a.mean()), 0.1, 0.4), 1.0, 1.0, 1, Ending.CONVERGED, "coherent"),
     )
 
 

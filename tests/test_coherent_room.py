@@ -7,15 +7,19 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from coherent_cases import estimates_of
 from roomfit.findings import Code
-from roomfit.inversion.coherent import CoherentFit, fit_coherent
+from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.geometry_checks import delay_findings, position_consistency_findings
+from roomfit.inversion.measurements import observe
+from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import read_campaign
 from roomfit.io.materials import material_priors
-from roomfit.io.measurements import measure
+from roomfit.io.measurements import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
+from roomfit.measurement import Measurement
 from roomfit.response.binned import bin_paths
 from roomfit.scene import Scene
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
@@ -46,12 +50,22 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
         [(s, r) for s in range(len(campaign.sources)) for r in range(len(campaign.receivers))]
     )
     scene = Scene(room, campaign.sources, campaign.receivers, every, campaign.air)
-    measured, _ = measure(campaign, scene)
+    responses = [m for m in read_measurements(campaign) if isinstance(m, Measurement)]
+    measured, _ = observe(scene, responses, campaign.bands)
     paths = trace_images(scene, 1000, END_S, uniform_scattering(room.materials, 0.0))
+    binned = bin_paths(scene, campaign.bands, paths, END_S)
+    task = CoherentTask(
+        scene,
+        campaign.bands,
+        material_priors(campaign, room.materials),
+        measured,
+        np.full(2, 0.2),
+        CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
+        ((), ()),
+    )
+    still = np.zeros((len(room.materials), 2))
     return fit_coherent(
-        *(scene, campaign.bands, material_priors(campaign, room.materials), measured),
-        *(paths, bin_paths(scene, campaign.bands, paths, END_S), np.full(2, 0.2)),
-        options=CoherentOptions(end_s=END_S, **options),  # type: ignore[arg-type]
+        task, TracedPaths(paths, binned, END_S, None, still, True, np.inf, None, ())
     )
 
 
@@ -63,10 +77,10 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     """
     campaign, true = box
     fit = fitted(campaign)
-    assert [a.model for a in fit.answers if a is not None] == ["coherent", "coherent"]
+    assert [a.model for a in estimates_of(fit) if a is not None] == ["coherent", "coherent"]
     assert np.all(np.diff(fit.log_likelihoods, axis=1) > 10.0)
     found, low, high = (
-        np.stack([getattr(a, name) for a in fit.answers], axis=1)
+        np.stack([getattr(a, name) for a in estimates_of(fit)], axis=1)
         for name in ("absorption", "lower95", "upper95")
     )
     assert Code.MEASUREMENT_OUTLIER not in {f.code for f in fit.findings}
@@ -75,7 +89,7 @@ def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> No
     assert np.sum((true < low) | (true > high)) <= 2
     energies = fitted(campaign, model="energy")
     assert energies.geometry is None
-    plain = np.stack([a.absorption for a in energies.answers if a is not None], axis=1)
+    plain = np.stack([a.absorption for a in estimates_of(energies) if a is not None], axis=1)
     assert np.median(np.abs(plain - true)) > np.median(np.abs(found - true))
     geometry = fit.geometry
     assert geometry is not None
@@ -100,7 +114,7 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
     reported = [f.sentence for f in fit.findings if f.code == Code.MEASUREMENT_OUTLIER]
     assert len(reported) == 1
     assert names[1] in reported[0]
-    found = np.stack([a.absorption for a in fit.answers if a is not None], axis=1)
+    found = np.stack([a.absorption for a in estimates_of(fit) if a is not None], axis=1)
     assert np.median(np.abs(found - true)) < 0.05
 
 

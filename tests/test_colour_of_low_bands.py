@@ -10,10 +10,12 @@ import soundfile
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.inversion.equalise import equalise_sources
+from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
-from roomfit.io.measurements import measure
+from roomfit.io.measurements import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
+from roomfit.measurement import Measurement
 from roomfit.scene import Scene
 from roomfit.synthetic.boxes import SyntheticBox, campaign_text, demo_plan, pressure_response
 from roomfit.tracing.image_sources import trace_images
@@ -58,7 +60,8 @@ def evened_tilts(folder: Path, **options: float) -> FloatArray:
     room, _ = read_room(campaign.room)
     pairs = np.array([(0, r) for r in range(len(RECEIVERS))])
     scene = Scene(room, campaign.sources, campaign.receivers, pairs, campaign.air)
-    measured, _ = measure(campaign, scene)
+    responses = [m for m in read_measurements(campaign) if isinstance(m, Measurement)]
+    measured, _ = observe(scene, responses, campaign.bands)
     paths = trace_images(scene, 1000, IMAGES_S, uniform_scattering(room.materials, 0.0))
     rows = [plan.materials.index(m) for m in room.materials]
     absorption = plan.absorption[rows, 1 : 1 + len(campaign.bands)]

@@ -184,6 +184,21 @@ def test_a_prior_that_somebody_told_is_taken_at_its_word():
     np.testing.assert_array_equal(drawn, plain)
 
 
+def test_a_specified_prior_is_taken_at_its_word_even_where_it_equals_the_default():
+    """What was specified decides; without that, as from older files, equality with the default."""
+    a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
+    prior = np.full(2, PRIOR_MEAN), np.full(2, PRIOR_SD)
+
+    def drawn(specified):
+        rng = np.random.default_rng(4)
+        return band_draws(a, covariance, *prior, 64, rng, specified=specified)
+
+    plain = rto_draws(a, covariance, *prior, 64, np.random.default_rng(4))
+    np.testing.assert_array_equal(drawn(np.ones(2, dtype=bool)), plain)
+    np.testing.assert_array_equal(drawn(None), drawn(np.zeros(2, dtype=bool)))
+    assert not np.array_equal(drawn(None), plain)
+
+
 def test_tied_materials_move_together():
     """Two materials with one absorption, given as two rows: the mean has the spread of one."""
     a, covariance = np.full(2, 0.2), np.full((2, 2), 0.01)

@@ -5,7 +5,9 @@ from __future__ import annotations
 import csv
 import itertools
 import json
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +16,7 @@ from hypothesis import strategies as st
 
 import roomfit
 from roomfit.errors import InputError
+from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.candidates import (
     Region,
     compatible_positions,
@@ -35,7 +38,9 @@ from roomfit.experiment_design.information import (
     without_geometry,
 )
 from roomfit.findings import Code
+from roomfit.io.campaign import Campaign
 from roomfit.suh2001.room import paper_scene
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command, write_campaign
 
 N_DRAWS, N_BANDS, N = 2, 2, 3
@@ -194,7 +199,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
             if b not in held:
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
     assert not allowed(rules, [5], held)[5]
-    with pytest.raises(InputError, match="leave no place"):
+    with pytest.raises(InputError, match="leave no position"):
         choose(known, found, replace(rules, most_sources=1), 25, "mean", held, rng=fresh())
 
 
@@ -275,6 +280,12 @@ UNMEASURED = tuple(
 )
 
 
+def designed(
+    campaign: Campaign, result: AbsorptionPosterior | None = None, **options
+) -> roomfit.Design:
+    return roomfit.design(**design_arguments(campaign, result, options))
+
+
 @pytest.fixture(scope="module")
 def small(tmp_path_factory):
     """A campaign whose two pairs are measured, and the design that comes after them."""
@@ -282,7 +293,7 @@ def small(tmp_path_factory):
     path = write_campaign(folder, ENERGY, DEAD)
     path.write_text(path.read_text() + DESIGN)
     campaign = roomfit.read_campaign(path, to_fit=False)
-    return path, campaign, roomfit.design(campaign, candidates=12, choose_n=3, n_random=40)
+    return path, campaign, designed(campaign, n_candidates=12, number=3, n_random=40)
 
 
 def test_a_design_keeps_its_rules_in_a_room(small):
@@ -298,7 +309,7 @@ def test_a_design_keeps_its_rules_in_a_room(small):
     assert min(np.linalg.norm(a - b) for a, b in ends) >= found.source_distance_m
     for (_, a), (_, b) in itertools.combinations(ends, 2):
         assert np.linalg.norm(a - b) >= 0.5 or np.allclose(a, b)
-    again = roomfit.design(campaign, candidates=12, choose_n=3, n_random=40)
+    again = designed(campaign, n_candidates=12, number=3, n_random=40)
     np.testing.assert_array_equal(again.chosen, found.chosen)
     np.testing.assert_array_equal(again.widths, found.widths)
 
@@ -312,6 +323,40 @@ def test_intervals_narrow_with_every_pair_and_more_than_by_chance(small):
     assert means[-1] < np.median(found.random_means[:, -1])
 
 
+def test_records_in_memory_are_designed_as_a_campaign_is(small):
+    """A room, two points and what was measured: the same choice, and no file."""
+    _, campaign, found = small
+    given = design_arguments(campaign, changed={"n_candidates": 12, "number": 3, "n_random": 1})
+    scene = roomfit.Scene(
+        given["scene"].room, campaign.sources, campaign.receivers, [[0, 0], [0, 1]], campaign.air
+    )
+    own = roomfit.design(
+        scene, given["materials"][:1], campaign.bands, options=given["options"],
+        settings=given["settings"],
+    )  # fmt: skip
+    # the other materials have another prior in the campaign
+    assert own.n_fixed == 2 and own.widths[0].mean() > found.widths[0].mean()
+    again = roomfit.design(**{**given, "scene": scene})
+    np.testing.assert_array_equal(again.chosen, found.chosen)
+    with pytest.raises(InputError, match="unknown criterion"):
+        roomfit.DesignOptions(criterion="best")
+
+
+def test_a_design_shows_itself(small, monkeypatch):
+    found = small[2]
+    first = found.scene.receivers[found.scene.pairs[found.chosen[0], 1]].name
+    assert f" {first} " in str(found) and f"{first} (" in found._repr_html_()
+    assert len(found.plot().axes) == 2
+    frame = SimpleNamespace(
+        DataFrame=lambda rows, columns: [dict(zip(columns, r, strict=True)) for r in rows]
+    )
+    monkeypatch.setitem(sys.modules, "pandas", frame)
+    rows = found.to_dataframe()
+    assert rows[0]["receiver"] == first
+    means = [row["mean_width95"] for row in rows]
+    np.testing.assert_allclose(means, found.widths[1:].mean(axis=(1, 2)))
+
+
 def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     """Nothing measured, sources and receivers as they are listed; a source limit is obeyed."""
     path = write_campaign(tmp_path, ENERGY, DEAD, *UNMEASURED)
@@ -320,7 +365,7 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
         path.read_text() + DESIGN.replace("new_sources = 2", "new_sources = 1") + listed
     )
     campaign = roomfit.read_campaign(path, to_fit=False)
-    found = roomfit.design(campaign, choose_n=2, most_sources=1, criterion="mean", n_random=3)
+    found = designed(campaign, number=2, most_sources=1, criterion="mean", n_random=3)
     assert found.n_fixed == 0 and not found.after_fit
     assert [f.code for f in found.findings if f.code == Code.FEW_CANDIDATES]
     assert np.unique(found.scene.pairs[found.chosen, 0]).size == 1
@@ -329,11 +374,9 @@ def test_a_campaign_without_measurements_can_be_designed(tmp_path):
     # before: the prior, the mean over its two draws; no interval is wider than the whole
     assert np.ptp(found.widths[0]) < 1e-12 and found.widths[0].max() < 1.0
     with pytest.raises(InputError, match="far enough apart"):
-        roomfit.design(
-            replace(campaign, design=campaign.design.model_copy(update={"source_distance_m": 9.0}))
-        )
+        designed(campaign, source_distance_m=9.0)
     with pytest.raises(InputError, match="below 1"):
-        roomfit.design(campaign, candidates=0)
+        designed(campaign, n_candidates=0)
 
 
 def test_the_command_writes_what_the_contract_says(small, tmp_path, monkeypatch, capsys):
@@ -407,10 +450,8 @@ def test_after_a_fit_the_next_measurement_shrinks_the_widest_interval(
     assert ends not in {("LS1", "MP1"), ("LS1", "MP2")}
     campaign = roomfit.read_campaign(path, to_fit=False)
     # a fit that missed its data makes the next measurement tell less
-    misfitting = roomfit.design(
-        campaign, candidates=8, result=roomfit.read_result(result),
-        misfit=np.array([4.0, 4.0]), n_random=0,
-    )  # fmt: skip
+    misfit = replace(roomfit.read_result(result), chi2_reduced=np.array([4.0, 4.0]))
+    misfitting = designed(campaign, misfit, n_candidates=8, n_random=0)
     assert misfitting.widths[1].max() > after
 
 
@@ -422,7 +463,7 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     """
     path = write_campaign(tmp_path, ENERGY)
     truth = (("walls", 0.15), ("carpet", 0.4), ("tiles", 0.3))
-    answer = roomfit.identify(roomfit.read_campaign(path))
+    answer = roomfit.identify(**roomfit.load_campaign(path))
     design = "\n[design]\nnew_sources = 1\nreceiver_distance_m = 0.3\ndraws = 1\n"
     priors = "".join(
         f"[materials.{name}]\nscattering = 0.0\nprior = {{mean = {a}, sd = 0.19}}\n"
@@ -432,8 +473,7 @@ def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
     start, end = text.index("[materials.walls]"), text.index("[sources.LS1]")
     campaign_file = tmp_path / "told.toml"
     campaign_file.write_text(text[:start] + priors + text[end:] + design)
-    found = roomfit.design(
-        roomfit.read_campaign(campaign_file, to_fit=False), candidates=2, choose_n=1, n_random=0
-    )
+    campaign = roomfit.read_campaign(campaign_file, to_fit=False)
+    found = designed(campaign, n_candidates=2, number=1, n_random=0)
     promised, reported = found.widths[0].mean(), (answer.upper95 - answer.lower95).mean()
     assert 0.67 < promised / reported < 1.5

@@ -24,7 +24,8 @@ from roomfit.objective.directivity import (
 )
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
-from roomfit.response.directivity import FirstOrder, amplitude_and_slope, with_directivity
+from roomfit.response.directivity import FirstOrder, amplitude_and_slope, directivity_factors
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
 
 B = np.array([0.5, -0.4, 0.3])
@@ -104,7 +105,8 @@ def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
     """
     case, b = directed_case(coherent=coherent), B
     scene, paths = small_paths()
-    weighted = with_directivity(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    factors = directivity_factors(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    weighted = replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
     whole = small_problem(paths=weighted)
     plain: EnergyProblem | CoherentProblem = whole.energies
     if coherent:
@@ -194,7 +196,7 @@ def test_a_band_says_what_is_left_when_its_other_unknowns_are_free() -> None:
     vector = np.linalg.solve(information, matrix.T @ data)
     nothing = np.zeros(40)
     fit = BandFit(
-        *(vector, 0.0, 0.5, information, nothing, nothing + 1.0, data, 0.0, 1, True),
+        *(vector, 0.0, 0.5, information, nothing, nothing + 1.0, data, 0.0, 1, Ending.CONVERGED),
     )
     alone = band_information(fit, 2)
     free = matrix[:, :2]
@@ -212,7 +214,7 @@ def test_a_start_keeps_its_b_under_another_prior() -> None:
     new = UnknownDirectivities(("S",), np.array([0.4, 0.1, 0.0]), 0.3 * np.eye(3))
     fit = BandFit(
         *(np.array([0.1, 0.2, 1.0, -0.5, 0.7]), 0.0, 1.0, np.eye(5), np.zeros(1), np.ones(1)),
-        *(np.zeros(1), 0.0, 1, True),
+        *(np.zeros(1), 0.0, 1, Ending.CONVERGED),
     )
     moved = moved_start(fit, old, new)
     np.testing.assert_array_equal(moved[:2], fit.vector[:2])

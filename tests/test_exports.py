@@ -6,7 +6,6 @@ import configparser
 import csv
 import json
 import re
-import sys
 from pathlib import Path
 
 import numpy as np
@@ -15,11 +14,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from roomfit.bands import bands_between
-from roomfit.cli import main
 from roomfit.commands import export_result
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.exports import FORMATS, RAVEN_BANDS, read_material_table, resample, short_names
+from small_campaign import run_command
 
 OCTAVES = [125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0]
 ABSORPTION = {
@@ -286,13 +285,6 @@ def test_a_table_that_cannot_be_exported_is_refused(tmp_path, text, words):
     (tmp_path / "absorption.csv").write_text(text)
     with pytest.raises(InputError, match=words):
         read_material_table(tmp_path / "absorption.csv")
-
-
-def run_command(monkeypatch: pytest.MonkeyPatch, *arguments: object) -> int:
-    monkeypatch.setattr(sys, "argv", ["roomfit", *map(str, arguments)])
-    with pytest.raises(SystemExit) as end:
-        main()
-    return int(end.value.code or 0)
 
 
 def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsys):

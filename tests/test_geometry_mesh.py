@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.build import Face, build_mesh, oriented
-from roomfit.geometry.check import examine, leak_fraction
+from roomfit.geometry.check import examine, find_leaks
 from roomfit.geometry.inside import distance_to_walls_m, interior_points, is_inside
 from roomfit.geometry.mesh import (
     SHOEBOX_SURFACES,
@@ -219,7 +219,7 @@ def test_a_closed_room_loses_no_ray():
     mesh = replace(mesh, vertices_m=mesh.vertices_m @ rotation(2).T + 10.0)
     points = interior_points(mesh, 50, np.random.default_rng(1))
 
-    assert leak_fraction(mesh, points, 2000, seed=1) == 0.0
+    assert find_leaks(mesh, points, 2000, seed=1).fraction == 0.0
 
 
 def holed_box(hole_m: float) -> Mesh:
@@ -240,7 +240,7 @@ def test_a_hole_loses_its_share_of_the_hits():
     points = interior_points(mesh, 4000, np.random.default_rng(2))
     share = 0.25 / (94.0 - 0.25)
 
-    found = leak_fraction(mesh, points, 4000, seed=3)
+    found = find_leaks(mesh, points, 4000, seed=3).fraction
 
     # some 480 escapes: 4.6 % standard error; three of them
     assert found == pytest.approx(share, rel=0.14)

@@ -23,9 +23,9 @@ from report_cases import (
     scene_of,
 )
 from roomfit.air import attenuation_per_m
+from roomfit.report import wording
 from roomfit.report.figures import absorption_figure, decay_figure, svg
-from roomfit.report.html import parts as wording
-from roomfit.report.html import report_html
+from roomfit.report.html import report_html, result_fragment
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, outline_m, room_figure
 from roomfit.report.wording import DASH
 from roomfit.results import Compared
@@ -429,6 +429,34 @@ def test_names_are_shown_and_never_obeyed():
     assert not [a for _, a in page.elements if "onerror" in a]
     assert HOSTILE in "".join(page.words)
     assert "img" not in {tag for tag, _ in page.elements}
+
+
+@pytest.mark.parametrize("name", ODD)
+def test_the_fragment_for_a_notebook_has_every_coefficient_and_marks_the_unidentifiable(name):
+    answer, _ = ODD[name]
+    (rows,) = read_page(result_fragment(answer)).tables.values()
+    fixed = answer.lower95 == answer.upper95
+    for i, material in enumerate(answer.materials):
+        assert len(rows[material]) == len(answer.bands)
+        for j, (value, small) in enumerate(rows[material]):
+            known = np.isfinite(answer.absorption[i, j])
+            unsure = not (answer.identifiable[i, j] or fixed[i, j])
+            if known:
+                assert value.endswith("?") == unsure
+                assert float(value.rstrip("?")) == pytest.approx(answer.absorption[i, j], abs=5e-3)
+            else:
+                assert (value, small) == (DASH, "not determined")
+            assert (small == "given") == bool(fixed[i, j])
+    assert len(rows) == len(answer.materials) + 2  # the heads, and the mean of the room
+
+
+def test_names_in_the_fragment_are_shown_and_never_obeyed():
+    scene = scene_of((HOSTILE, "floor"))
+    page = read_page(result_fragment(answer_of(scene)))
+    assert {tag for tag, _ in page.elements} <= {
+        *("table", "caption", "thead", "tbody", "tr", "th", "td", "br", "small")
+    }
+    assert HOSTILE in "".join(page.words)
 
 
 @pytest.mark.parametrize("name", ["$a$ and $b$", "_hidden", "]]>", "\\frac{a}", "a\nb", "--><b>"])

@@ -10,15 +10,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-import roomfit.inversion.trace_plan
+import roomfit.io.campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
+from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
 from roomfit.findings import Code, Finding
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import absorption_csv, result_content
 from roomfit.results import Answer
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from small_campaign import (
     ABSORPTION,
@@ -34,7 +37,7 @@ PARAMETERS = {"EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_
 
 
 def answer_to(folder: Path, *changes: tuple[str, str]) -> Answer:
-    return identify(read_campaign(write_campaign(folder, *changes)))
+    return identify(**load_campaign(write_campaign(folder, *changes)))
 
 
 def codes(answer: Answer) -> set[str]:
@@ -49,7 +52,7 @@ def assert_same_absorption(answer: Answer, other: Answer, tolerance: float) -> N
 @pytest.fixture
 def few_rays(monkeypatch):
     """Fewer rays than an answer deserves, where only what becomes of them is looked at."""
-    monkeypatch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 4000)
+    monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=4000))
 
 
 @pytest.fixture(scope="module")
@@ -84,11 +87,11 @@ def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path):
     """Another file for the pair that is not fitted: the same numbers, and another comparison."""
     changes = ((SECOND_FILE, f'{SECOND_FILE}\nuse = "validate"'),)
     campaign = read_campaign(write_campaign(tmp_path, *changes))
-    first = identify(campaign)
+    first = identify(**identify_arguments(campaign))
     # twice as quick a decay
     pressure = small_responses()["MP2"]
     write_wav(tmp_path / "LS1_MP2.wav", pressure * np.exp(-np.arange(pressure.size) / 400.0))
-    second = identify(campaign)
+    second = identify(**identify_arguments(campaign))
     for name in ("absorption", "lower95", "upper95", "phi"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     measured = [a.pairs[1].parameters["EDT_s"] for a in (first, second)]
@@ -106,12 +109,12 @@ def test_a_louder_recording_gives_the_same_absorption(tmp_path, level):
     change = ('file = "LS1', f'level = "{level}"\nfile = "LS1')
     path = write_campaign(tmp_path, change)
     campaign = read_campaign(path)
-    before = identify(campaign)
+    before = identify(**identify_arguments(campaign))
     louder = ["MP1", "MP2"] if level == "per-source" else ["MP2"]
     for name in louder:
         write_wav(tmp_path / f"LS1_{name}.wav", 10.0 * small_responses()[name])
     # float32 in the file rounds anew: 6e-8
-    assert_same_absorption(before, identify(campaign), 1e-4)
+    assert_same_absorption(before, identify(**identify_arguments(campaign)), 1e-4)
 
 
 def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
@@ -121,12 +124,15 @@ def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
     """
     change = ('file = "LS1', 'level = "absolute"\nfile = "LS1')
     campaign = read_campaign(write_campaign(tmp_path, change))
-    reported = identify(campaign)
+    reported = identify(**identify_arguments(campaign))
     np.testing.assert_allclose(reported.mean_absorption[0], plain.mean_absorption[0], atol=0.06)
     assert np.all(reported.chi2_reduced < 2.0)
     for name, pressure in small_responses().items():
         write_wav(tmp_path / f"LS1_{name}.wav", 0.5 * pressure)
-    assert np.all(identify(campaign).mean_absorption[0] > reported.mean_absorption[0] + 0.05)
+    assert np.all(
+        identify(**identify_arguments(campaign)).mean_absorption[0]
+        > reported.mean_absorption[0] + 0.05
+    )
 
 
 def test_latency_is_subtracted_exactly(tmp_path, plain):
@@ -136,7 +142,7 @@ def test_latency_is_subtracted_exactly(tmp_path, plain):
     )
     for name, pressure in small_responses().items():
         write_wav(tmp_path / f"LS1_{name}.wav", np.pad(pressure, (delayed, 0)))
-    assert_same_absorption(plain, identify(read_campaign(path)), 2e-3)
+    assert_same_absorption(plain, identify(**load_campaign(path)), 2e-3)
 
 
 @pytest.mark.parametrize("time_zero", ["direct", "unknown"])
@@ -145,7 +151,7 @@ def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, 
     path = write_campaign(tmp_path, ('file = "LS1', f'time_zero = "{time_zero}"\nfile = "LS1'))
     for name, pressure in small_responses().items():
         write_wav(tmp_path / f"LS1_{name}.wav", np.pad(pressure, (321, 0)))
-    answer = identify(read_campaign(path))
+    answer = identify(**load_campaign(path))
     np.testing.assert_allclose(answer.mean_absorption[0], plain.mean_absorption[0], atol=0.05)
     assert Code.TIME_ZERO_MISMATCH not in codes(answer)
 
@@ -302,7 +308,7 @@ def test_any_evidence_of_a_finding_can_be_written(tmp_path, plain):
     """Numbers as numpy makes them, also such as JSON does not know."""
     evidence = {"count": np.int64(3), "ratio": np.nan, "places": (np.array([1.0, 2.5]), "floor")}
     doubted = replace(plain, findings=(Finding(Code.DC_OFFSET, "A doubt.", evidence),))
-    text = json.dumps(result_content(doubted, ()), allow_nan=False)
+    text = json_text(result_content(doubted, ()))
     (finding,) = json.loads(text)["findings"]
     assert finding["evidence"] == {"count": 3, "ratio": "nan", "places": [[1.0, 2.5], "floor"]}
 
@@ -326,12 +332,12 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, few_rays):
     """With scattering, so that rays are drawn; only the seconds may differ."""
     path = write_campaign(tmp_path, ("scattering = 0.0", "scattering = 0.2"))
     campaign = read_campaign(path)
-    answers = [identify(campaign), identify(campaign)]
+    answers = [identify(**identify_arguments(campaign)), identify(**identify_arguments(campaign))]
     assert absorption_csv(answers[0]) == absorption_csv(answers[1])
     contents = [result_content(a, input_files(campaign)) for a in answers]
     for content in contents:
         del content["fit"]["seconds"]
-    assert json.dumps(contents[0]) == json.dumps(contents[1])
+    assert json_text(contents[0]) == json_text(contents[1])
 
 
 def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path):
@@ -343,7 +349,7 @@ def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path):
     frequency = np.fft.rfftfreq(pressure.size, 1 / RATE_HZ)
     hum = np.fft.irfft(spectrum * ((frequency > 420) & (frequency < 600)), pressure.size)
     write_wav(tmp_path / "LS1_MP1.wav", pressure + 0.3 * np.abs(pressure).max() * hum)
-    answer = identify(read_campaign(campaign))
+    answer = identify(**load_campaign(campaign))
     left_out = [f for f in answer.findings if f.code == Code.RECORDING_BELOW_NOISE]
     assert [f.evidence["bands_hz"] for f in left_out] == [[500.0]]
     assert "LS1_MP1.wav" in left_out[0].sentence
@@ -375,7 +381,7 @@ def test_a_hall_is_read_although_silence_comes_before_its_first_reflection(tmp_p
     for name, at in (("MP1", (21.9, 12.2, 7.3)), ("MP2", (23.1, 12.9, 7.6))):
         pressure = pressure_response(truth, source, np.array(at), 1.2, RATE_HZ, flat)
         write_wav(tmp_path / f"LS1_{name}.wav", pressure)
-    answer = identify(read_campaign(path))
+    answer = identify(**load_campaign(path))
     # a decay of few reflections near a source tells the mean to a tenth or so
     np.testing.assert_allclose(answer.mean_absorption[0], 0.4, atol=0.1)
 

@@ -11,7 +11,7 @@ import pytest
 
 from roomfit.commands import run_demo
 from roomfit.inversion.identify import identify
-from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import load_campaign
 from small_campaign import run_command
 
 
@@ -52,7 +52,7 @@ def test_six_measured_responses_of_a_laboratory_are_explained(real_data, tmp_pat
     """dEchorate (Di Carlo et al. 2021): T20 within 10 % on average from 500 Hz up."""
     path = tmp_path / "campaign.toml"
     path.write_text(dechorate_text(real_data / "dechorate"))
-    answer = identify(read_campaign(path))
+    answer = identify(**load_campaign(path))
     assert set(answer.materials) == {"walls", "floor", "ceiling"}
     t20 = [p.parameters["T20_s"] for p in answer.pairs]
     error = np.array([np.abs(t.predicted / t.measured - 1.0) for t in t20])
@@ -76,7 +76,7 @@ def test_one_measured_response_of_a_seminar_room_runs_and_says_what_it_cannot_te
     )
     assert run_command(monkeypatch, "identify", path, "--out", tmp_path / "out") == 0
     reported = capsys.readouterr().out
-    assert "What the data tell" in reported
+    assert "What the data determine" in reported
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert len(result["materials"]) == 5
     sure = [m["identifiable"] for m in result["materials"].values()]

@@ -30,7 +30,13 @@ from roomfit.io.rooms.model import RoomSpec
 from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.scene import Room, triangle_material
 from roomfit.suh2001.room import paper_scene
-from roomfit.tracing.image_sources import polyhedron_images, shoebox_images, trace_images
+from roomfit.tracing.image_sources import (
+    Budget,
+    limits_of,
+    polyhedron_images,
+    shoebox_images,
+    trace_images,
+)
 from roomfit.tracing.paths import ImageSet
 from roomfit.typing import FloatArray
 
@@ -53,7 +59,7 @@ def images(
     s, r = np.array(source), np.array(receiver)
     if room.shoebox_m is not None:
         return shoebox_images(room, s, r, order, length_m, with_reflections=True)
-    return polyhedron_images(room, s, r[None], order, length_m, with_reflections=True)[0]
+    return polyhedron_images(room, s, r[None], limits_of(order, length_m), with_reflections=True)[0]
 
 
 def assert_followed(room: Room, source: FloatArray, receiver: FloatArray, found: ImageSet) -> None:
@@ -286,11 +292,11 @@ def test_what_cannot_be_traced_is_refused() -> None:
     scene = scene_of(box_room(), [[1.2, 1.5, 1.1]], [[4.1, 2.9, 1.2]])
     still = uniform_scattering(BOX_MATERIALS, 0.0)
     with pytest.raises(InputError, match="too many image sources"):
-        trace_images(scene, 1000, 3.0, still, memory_limit_bytes=2**30)
+        trace_images(scene, 1000, 3.0, still, budget=Budget(memory_bytes=2**30))
     gabled = scene_of(ROOMS["gabled"], [PLACES["gabled"][0]], [PLACES["gabled"][1]])
     scattering = uniform_scattering(gabled.room.materials, 0.0)
     with pytest.raises(InputError, match="too many image sources"):
-        trace_images(gabled, 12, 1.0, scattering, memory_limit_bytes=2**20)
+        trace_images(gabled, 12, 1.0, scattering, budget=Budget(memory_bytes=2**20))
     with pytest.raises(InputError, match="a source stands where a receiver is"):
         trace_images(scene_of(box_room(), [[1, 1, 1]], [[1, 1, 1]]), 1, 0.1, still)
     with pytest.raises(InputError, match="different materials"):

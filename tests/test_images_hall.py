@@ -11,7 +11,7 @@ from images_reference import all_images, hits_of, scene_of
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.materials.priors import uniform_scattering
-from roomfit.tracing.image_sources import affordable_order, trace_images
+from roomfit.tracing.image_sources import Budget, affordable_order, trace_images
 from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray
 from simulated_rooms.hall import hall_room
@@ -61,9 +61,9 @@ def test_the_order_told_is_affordable_and_the_next_one_is_not() -> None:
     still = uniform_scattering(scene.room.materials, 0.0)
     order = affordable_order(scene, 10, 1.0, work=1e5)
     assert 1 <= order < 10
-    trace_images(scene, order, 1.0, still, work_limit=1e5)
+    trace_images(scene, order, 1.0, still, budget=Budget(work=1e5))
     with pytest.raises(InputError, match="too many image sources to look for"):
-        trace_images(scene, order + 1, 1.0, still, work_limit=1e5)
+        trace_images(scene, order + 1, 1.0, still, budget=Budget(work=1e5))
     assert affordable_order(scene, 1, 1.0, work=1e5) == 1
     assert affordable_order(scene, 3, 1.0, work=1.0) == 0
     assert affordable_order(scene, 10, 1.0, images=20.0) < order

@@ -7,10 +7,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.solvers.least_squares import decay_rate_per_s, eyring_absorption, starts
+from roomfit.eyring import decay_rate_per_s, eyring_absorption, eyring_time_s
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import SimplexSettings, downhill_simplex, simplex_around
 from roomfit.suh2001.landscape import descend, grid_minima, landscape, minima_of_descents
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.suh2001.searches import fit_least_squares, starts
 from roomfit.typing import FloatArray
 
 TIMES = np.linspace(0.0, 2.0, 20)
@@ -47,7 +48,7 @@ def test_exact_data_are_explained_exactly_and_the_simplex_agrees() -> None:
     """To rounding for least squares; the simplex comes as near as its tolerance lets it."""
     fit = fit_least_squares(decay_residuals, np.array([[0.5, 0.5]]))
     np.testing.assert_allclose(fit.x, [0.3, 0.8], atol=1e-8)
-    assert fit.ending.code == "least-squares-converged"
+    assert fit.ending is Ending.CONVERGED
     simplex = downhill_simplex(
         lambda x: float(np.sum(decay_residuals(x)[0] ** 2)),
         simplex_around(np.array([0.5, 0.5]), 0.2),
@@ -98,8 +99,8 @@ def test_a_minimum_outside_the_box_is_sought_on_its_wall() -> None:
 def test_too_few_evaluations_are_an_ending_with_advice() -> None:
     """Two evaluations do not converge."""
     fit = fit_least_squares(decay_residuals, np.array([[0.9, 0.1]]), max_evaluations=2)
-    assert not fit.ending.converged
-    assert "allow more" in fit.ending.sentence
+    assert fit.ending is Ending.OUT_OF_EVALUATIONS
+    assert "allow more" in fit.ending.advice
 
 
 @given(rate=st.floats(5.0, 60.0), offset=st.floats(0.0, 0.02))
@@ -123,6 +124,9 @@ def test_eyrings_rate_gives_eyrings_absorption_back(absorption: float, m: float)
     t60 = 55.26 * volume / (c * (4.0 * m * volume - surface * np.log1p(-absorption)))
     found = eyring_absorption(6.0 * np.log(10.0) / t60, volume, surface, c, m)
     assert found == pytest.approx(absorption, rel=1e-3)
+    # and the same formula solved for the time
+    time_s = eyring_time_s(np.array(absorption), volume, surface, c, np.array(m))
+    assert time_s == pytest.approx(t60, rel=1e-4)
 
 
 def test_starts_begin_with_the_uniform_one() -> None:

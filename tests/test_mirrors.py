@@ -37,7 +37,7 @@ def measurements(*heights_m: float, sd_m: float = 0.01) -> Measurements:
         Air(),
     )
     values = tuple(MeasuredValues("S", r.name, BANDS.centres_hz, {}, {}) for r in receivers)
-    return Measurements(scene, (), values, (), ())
+    return Measurements(scene, BANDS, {}, (), values, (), ())
 
 
 def found(data: Measurements, priors=KNOWN):
@@ -68,5 +68,7 @@ def test_one_pair_off_the_plane_is_enough():
 def test_what_is_known_of_one_wall_tells_it_from_the_other():
     known = replace(KNOWN[1], known=np.array([0.3, 0.3]))
     assert found(measurements(1.5), (KNOWN[0], known, KNOWN[2]))[1] == ()
-    prior = replace(KNOWN[1], prior_logit_sd=np.full(2, 0.2), prior_logit_mean=np.full(2, -0.8))
+    prior = replace(
+        KNOWN[1], prior_logit_sd=np.full(2, 0.2), prior_logit_mean=np.full(2, -0.8), specified=True
+    )
     assert found(measurements(1.5), (KNOWN[0], prior, KNOWN[2]))[1] == ()

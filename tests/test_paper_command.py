@@ -28,7 +28,7 @@ from roomfit.suh2001.independent import (
 from roomfit.suh2001.repeat import METHODS, Run, problems_of, record, search_seeds
 from roomfit.suh2001.room import SPECIFICATIONS, PaperProblem, paper_scene, trace_paper_room
 
-COMMAND = (sys.executable, "-m", "roomfit.cli", "paper", "--out")
+COMMAND = (sys.executable, "-m", "roomfit", "paper", "--out")
 
 
 @pytest.fixture(scope="module")

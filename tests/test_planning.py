@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
-from roomfit.inversion.trace_plan import N_RAYS, N_RAYS_BESIDE_IMAGES, TracePlan, plan_trace
+from roomfit.inversion.trace_plan import TracePlan, plan_trace
 from roomfit.materials.priors import MaterialPrior
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, box_images
 from roomfit.tracing.trace import trace
 
@@ -22,7 +23,7 @@ def plan(scattering: float, longest_s: float) -> TracePlan:
         MaterialPrior(name, np.zeros(1), np.ones(1), scattering=np.array([scattering]))
         for name in BOX_MATERIALS
     )
-    return plan_trace(scene, priors, longest_s, longest_s, 1, coherent=True)
+    return plan_trace(scene, priors, longest_s, longest_s, Settings(), coherent=True)
 
 
 def test_what_flutters_between_hard_walls_is_late_and_still_exact() -> None:
@@ -59,5 +60,5 @@ def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:
     """Then rays bring most of the energy, not only what comes late."""
-    assert plan(0.15, 0.35).settings.n_rays == N_RAYS
-    assert plan(0.0, 2.0).settings.n_rays == N_RAYS_BESIDE_IMAGES < N_RAYS
+    assert plan(0.15, 0.35).settings.n_rays == Settings().n_rays
+    assert plan(0.0, 2.0).settings.n_rays == Settings().n_rays_beside_images

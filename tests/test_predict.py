@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import csv
 import json
+import sys
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,15 +15,18 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.inversion.measurements import duplicate_findings, unreached_findings
-from roomfit.io.campaign import read_campaign
-from roomfit.io.measurements import measure
+from roomfit.inversion.measurements import duplicate_findings, observe, unreached_findings
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
+from roomfit.logit import logit
 from roomfit.materials.catalogue import catalogue_prior
 from roomfit.materials.priors import uniform_scattering
-from roomfit.prediction.predict import predict_campaign
-from roomfit.prediction.setup import eyring_time_s, prediction_scene, read_change
+from roomfit.prediction.campaign import predict_arguments
+from roomfit.prediction.changes import read_change
+from roomfit.prediction.decay import eyring_time_s
+from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene
 from roomfit.synthetic.boxes import add_noise
@@ -31,7 +36,6 @@ from roomfit.uncertainty.posterior import (
     AbsorptionPosterior,
     covariance_from_intervals,
     draw_absorption,
-    logit,
     plain_logit_covariance,
 )
 from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav
@@ -47,6 +51,13 @@ def posterior(sd: float = 0.05, bands: Bands = BANDS, names=NAMES) -> Absorption
     low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * width))) for s in (-1, 1))
     covariance = np.stack([np.eye(len(names)) * sd**2] * len(bands))
     return AbsorptionPosterior(names, bands, a, low, high, covariance)
+
+
+def predict_campaign(
+    campaign: Campaign, absorption: AbsorptionPosterior, changes=(), *, pairs="all", n_draws: int
+) -> Predicted:
+    few = replace(campaign, settings=replace(campaign.settings, n_draws=n_draws))
+    return predict(**predict_arguments(few, absorption, changes, pairs))
 
 
 @pytest.fixture(scope="module")
@@ -280,6 +291,47 @@ def test_a_room_of_one_absorption_and_much_scattering_decays_as_eyring_says(camp
     )
 
 
+def test_records_in_memory_predict_what_a_campaign_does(campaign, predicted):
+    """The absorption of exactly the room, with its scattering: no file and no matching of names."""
+    given = identify_arguments(campaign)
+    settings = replace(given["settings"], n_draws=32)
+    smooth = replace(posterior(), scattering=np.zeros((3, 2)))
+    found = predict(given["scene"], smooth, measurements=given["measurements"], settings=settings)
+    for name in ("T20_s", "C80_dB"):
+        for what in ("predicted", "lower95", "measured"):
+            np.testing.assert_array_equal(values(found, name, what), values(predicted, name, what))
+    assert "scattering" not in {str(f.code) for f in found.findings}
+    # what is unspecified is assumed, and said
+    unspecified = replace(posterior(0.0), scattering=np.array([[np.nan] * 2, [0.0] * 2, [0.2] * 2]))
+    doubts = predict(given["scene"], unspecified, settings=replace(settings, n_draws=2)).findings
+    (assumed,) = [f for f in doubts if f.code is Code.SCATTERING_ASSUMED]
+    assert assumed.evidence["materials"] == ["walls"]
+    with pytest.raises(InputError, match="other materials"):
+        predict(given["scene"], posterior(names=("tiles", "walls")))
+    with pytest.raises(InputError, match="a pair that is not predicted"):
+        one = replace(given["scene"], pairs=given["scene"].pairs[:1])
+        predict(one, posterior(), measurements=given["measurements"])
+
+
+def test_a_prediction_shows_itself(predicted, monkeypatch):
+    """Text, notebook, figure and data frame tell the same mean."""
+    mean = f"{predicted.mean['T20_s'].predicted[0]:.2f} ("
+    assert mean in str(predicted) and mean in predicted._repr_html_()
+    assert len(predicted.plot().axes) == len(predicted.bands)
+    monkeypatch.setitem(sys.modules, "pandas", None)
+    with pytest.raises(InputError, match="pip install pandas"):
+        predicted.to_dataframe()
+    frame = SimpleNamespace(
+        DataFrame=lambda rows, columns: [dict(zip(columns, r, strict=True)) for r in rows]
+    )
+    monkeypatch.setitem(sys.modules, "pandas", frame)
+    rows = predicted.to_dataframe()
+    assert len(rows) == 2 * 8 * 2
+    chosen = {"receiver": "MP2", "parameter": "EDT_s", "band_hz": 500.0}
+    (row,) = [r for r in rows if chosen.items() <= r.items()]
+    assert row["predicted"] == values(predicted, "EDT_s")[1][0]
+
+
 def test_thinned_rows_keep_the_early_paths_and_nearly_all_energy(campaign):
     room, _ = read_room(campaign.room)
     scene = Scene(
@@ -408,9 +460,8 @@ def measured_twice(campaign, tmp_path, change):
     row = '[[measurements]]\nsource = "LS1"\nreceiver = "MP1"\nfile = "again.wav"\n'
     path = tmp_path / "campaign.toml"
     path.write_text(text.replace("[identify]", row + "[identify]"))
-    twice = read_campaign(path)
-    room, _ = read_room(twice.room)
-    return measure(twice, prediction_scene(twice, room, "all"))[0]
+    twice = load_campaign(path)
+    return observe(twice["scene"], twice["measurements"], twice["bands"])[0]
 
 
 def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):

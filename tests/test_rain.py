@@ -222,5 +222,5 @@ def test_faint_rain_is_drawn_by_lot_and_none_is_fainter_than_a_quarter_of_a_cros
 
 def test_another_estimator_is_refused():
     """By name."""
-    with pytest.raises(InputError, match="unknown way"):
+    with pytest.raises(InputError, match="unknown estimator"):
         TraceSettings(0.1, estimator="cones")  # type: ignore[arg-type]

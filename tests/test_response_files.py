@@ -19,7 +19,7 @@ from roomfit.findings import Code
 from roomfit.io.responses import hdf5 as mat73
 from roomfit.io.responses import read_response
 from roomfit.io.responses.hdf5 import read_sofa_variables
-from roomfit.measurement import ResponseSpec
+from roomfit.io.responses.spec import ResponseSpec
 
 RATE_HZ = 8000
 

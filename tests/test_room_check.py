@@ -9,9 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from typer.testing import CliRunner
 
-from roomfit.cli.commands import app
 from roomfit.commands import check_room
 from roomfit.errors import InputError
 from roomfit.findings import Code
@@ -20,6 +18,7 @@ from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.report.text import room_text
 from roomfit.scene import Point, position_findings
+from small_campaign import run_command
 
 BOX = """usemtl plaster
 v 0 0 0
@@ -47,29 +46,22 @@ def box_file(folder: Path, text: str = BOX) -> Path:
     return path
 
 
-def run(*arguments: object):
-    return CliRunner().invoke(app, ["check", *map(str, arguments)])
-
-
-def test_a_sound_room_is_told_in_numbers_and_leaves_with_zero(tmp_path):
+def test_a_sound_room_is_described_in_numbers_and_leaves_with_zero(tmp_path, monkeypatch, capsys):
     """V = 60 m3, S = 94 m2, 4V/S = 2.553 m; 54 m2 of wall are 57.4 %."""
-    result = run(box_file(tmp_path), "--unit", "m")
-
-    assert result.exit_code == 0
+    assert run_command(monkeypatch, "check", box_file(tmp_path), "--unit", "m") == 0
+    output = capsys.readouterr().out
     for text in ("5.00 x 4.00 x 3.00 m", "60.00 m3", "94.00 m2", "2.553 m", "closed, no ray lost"):
-        assert text in result.output
-    assert "plaster        54.00   57.4 %" in result.output
-    assert "The room can be traced." in result.output
+        assert text in output
+    assert "plaster        54.00   57.4 %" in output
+    assert "The room can be traced." in output
 
 
-def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path):
+def test_all_faults_are_listed_at_once_and_leave_with_two(tmp_path, monkeypatch, capsys):
     """The ceiling is missing, a face has no area, and one more has no material."""
     text = BOX.replace("f 5 6 8 7\n", "f 5 5 6\n").replace("usemtl carpet\n", "")
     text = "v 9 9 9\n".join(["", text.replace("usemtl plaster\n", "")]).replace("v 9 9 9\n", "", 1)
-    result = run(box_file(tmp_path, text), "--unit", "m")
-
-    assert result.exit_code == 2
-    listed = result.output.split("faults that forbid tracing")[1]
+    assert run_command(monkeypatch, "check", box_file(tmp_path, text), "--unit", "m") == 2
+    listed = capsys.readouterr().out.split("faults that forbid tracing")[1]
     for what in ("faces without area", "surfaces without a material", "the mesh leaks"):
         assert what in listed
     assert "(1.667, 0.000, 3.000) m" in listed
@@ -97,7 +89,7 @@ def test_approximate_volumes_and_sheets_are_said_to_be(tmp_path):
 
 def test_a_missing_unit_is_one_message_and_no_traceback(tmp_path):
     """The whole program, as a user starts it."""
-    command = [sys.executable, "-m", "roomfit.cli", "check", str(box_file(tmp_path))]
+    command = [sys.executable, "-m", "roomfit", "check", str(box_file(tmp_path))]
     result = subprocess.run(
         command, capture_output=True, text=True, check=False, env=os.environ | {"COLUMNS": "100"}
     )

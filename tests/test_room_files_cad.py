@@ -257,7 +257,7 @@ def test_loops_of_corners_and_planes_make_a_drum(tmp_path):
         ("1 11.00 5.00 0.00", "1 1e400 5 0", "finite", "inf"),
         ("1 11.00 5.00 0.00", "1 wide 5 0", "not defined", "wide"),
         ("1 11.00 5.00 0.00", "2 11.00 5.00 0.00", "given twice", "corner number"),
-        ("1 11.00 5.00 0.00", "1 11 5 lock(2 3 3)", "no place", "along z"),
+        ("1 11.00 5.00 0.00", "1 11 5 lock(2 3 3)", "no solution", "along z"),
         ("/ 1 4 3 2 /", "/ 1 4 3 9 /", "no corner", "9"),
         ("/ 1 4 3 2 /", "/ 1 4 /", "fewer than three", "1 4"),
         ("/ 1 4 3 2 / WOOD", "/ 1 4 3 2 / ", "not understood", "floor"),

@@ -31,6 +31,7 @@ from roomfit.objective.windows import band_spreading, before_spreading, spread_e
 from roomfit.response.binned import bin_paths
 from roomfit.response.energy import EnergyRows
 from roomfit.scene import Point, Scene
+from roomfit.settings import Settings
 from roomfit.signals.decay import PARAMETER_NAMES, echogram_decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
@@ -248,7 +249,8 @@ def test_absorption_is_found_again_from_values_alone():
     problems = value_problems(
         scene, bands, priors, measured, binned, np.full(1, 0.25), model_error_jnd=0.0
     )
-    (answer,) = fit_bands(problems, priors, np.ones(3), "auto", 1, None)
+    (band,) = fit_bands(problems, priors, np.ones(3), Settings())
+    answer = band.estimate
 
     assert answer.chi2_reduced < 0.1
     sd = np.sqrt(np.diag(answer.logit_covariance))

@@ -12,7 +12,9 @@ from roomfit.synthetic.boxes import (
     _lambert,
     box_images,
     diffuse_echogram,
-    scattered_response,
+    pressure_response,
+    specular_box,
+    with_diffuse_noise,
 )
 from roomfit.typing import FloatArray
 
@@ -106,10 +108,9 @@ def test_the_noise_has_the_power_that_the_echogram_says():
     echogram[0, 120:200] = 2.5e-3
     found = np.zeros(100)
     for draw in range(found.size):
-        pressure = scattered_response(
-            *(box, np.full(6, 0.5), np.array([1.2, 1.5, 1.1]), PLACES[0], echogram),
-            *(DURATION_S, rate, np.zeros(1), rng),
-        )
+        ends = (np.array([1.2, 1.5, 1.1]), PLACES[0], DURATION_S, rate, np.zeros(1))
+        specular = pressure_response(specular_box(box, np.full(6, 0.5)), *ends)
+        pressure = with_diffuse_noise(specular, echogram, box, rate, np.zeros(1), rng)
         found[draw] = np.sum(pressure[round(0.055 * rate) : round(0.105 * rate)] ** 2)
     frequencies = np.linspace(0.0, rate / 2.0, 2000)
     octaves = np.log2(np.maximum(frequencies, 1.0) / 1000.0)

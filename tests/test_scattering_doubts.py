@@ -13,8 +13,7 @@ from roomfit.inversion.measurements import collect_measurements
 from roomfit.inversion.scattering import scattering_checks
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_priors
-from roomfit.io.rooms import read_room
+from roomfit.io.inputs import identify_arguments
 from roomfit.synthetic.boxes import demo_plan, write_scattering_box
 
 
@@ -36,12 +35,12 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     walls = np.full(6, scattering)
     box = write_scattering_box(plan, walls, tmp_path, rng, n_rays=40_000)
     campaign = read_campaign(box.campaign)
-    room, _ = read_room(campaign.room)
-    priors, measurements = (
-        material_priors(campaign, room.materials),
-        collect_measurements(campaign, room),
+    inputs = identify_arguments(campaign)
+    priors, settings = inputs["materials"], inputs["settings"]
+    measurements = collect_measurements(
+        inputs["scene"], inputs["measurements"], inputs["bands"], inputs["directivities"]
     )
-    settings = plan_trace(measurements.scene, priors, 0.6, 0.4, 1, coherent=True).settings
+    planned = plan_trace(measurements.scene, priors, 0.6, 0.4, settings, coherent=True)
     start = np.full(len(campaign.bands), 0.2)
-    found = scattering_checks(measurements, campaign.bands, priors, settings, start)
+    found = scattering_checks(measurements, priors, settings, planned.settings, start)
     assert [f.code for f in found] == codes

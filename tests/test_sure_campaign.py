@@ -7,7 +7,7 @@ import json
 import numpy as np
 import pytest
 
-import roomfit.inversion.trace_plan
+import roomfit.io.campaign
 from roomfit.bands import Bands
 from roomfit.commands import identify_to_folder
 from roomfit.inversion.model_checks import (
@@ -18,6 +18,7 @@ from roomfit.inversion.model_checks import (
     sampling_findings,
 )
 from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.settings import Settings
 from small_campaign import write_campaign
 from test_coherent_fit import _answer
 
@@ -31,7 +32,7 @@ def specified(tmp_path_factory):
     folder = tmp_path_factory.mktemp("sure")
     campaign = write_campaign(folder / "c", QUICK, SPECIFIED)
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(roomfit.inversion.trace_plan, "N_RAYS", 2000)
+        patch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=2000))
         answer = identify_to_folder(campaign, folder / "out", keep=False)
     return answer, json.loads((folder / "out" / "result.json").read_text()), folder / "out"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -10,6 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from report_cases import answer_of, scene_of
+from roomfit.cache import json_text
 from roomfit.io.results import result_content
 from roomfit.report.html_tables import share_tables
 from roomfit.report.text import separable_text, shares_table
@@ -165,7 +167,7 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
     assert "30 (20-40)" in shares_table(answer)
     (table,) = share_tables(answer)
     assert [(c.text, c.small) for c in table.rows[0].cells] == [("30", (f"20{DASH}40",))] * 2
-    content = result_content(answer, ())
+    content = json.loads(json_text(result_content(answer, ())))
     assert content["materials"]["floor"]["share_upper95"] == [0.4, 0.4]
     reported = [c for c in content["combinations"] if c["band_hz"] == 1000.0]
     assert reported[0]["sentence"] == sentence

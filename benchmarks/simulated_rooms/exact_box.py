@@ -28,7 +28,6 @@ def exact_box_pressure(
 
     Parameters
     ----------
-    lengths_m : tuple of three floats
     admittance : complex array, shape (6, n_frequencies)
         Of west (x = 0), east, south, north, floor and ceiling, over that of the air.
     wavenumber_per_m : complex array, shape (n_frequencies,)

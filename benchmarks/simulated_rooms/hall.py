@@ -105,7 +105,7 @@ def _seats(n_seats: int) -> tuple[FloatArray, IntArray]:
     side[:, 0] = length * np.tile(_PROFILE[:, 0], 2)
     side[:, 1] = width * np.repeat([0.0, _SEAT_WIDTH], n)
     side[:, 2] = length * np.tile(_PROFILE[:, 1], 2)
-    # Seen from the front of the y axis the profile runs counter-clockwise; the air is outside, so
+    # From the front of the y axis the profile runs counter-clockwise; the air is outside, so
     # the normals point into the seat.
     k = np.arange(n)
     after = (k + 1) % n

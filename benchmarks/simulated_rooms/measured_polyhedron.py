@@ -1,7 +1,7 @@
-"""A campaign as somebody might have measured it, in a room of flat walls that are known.
+"""A simulated campaign in a room of known flat walls.
 
-Sources stand a centimetre or so from where the campaign says, its drawing may be a centimetre
-wrong, the loudspeaker's level changes from octave to octave, and every file holds noise.
+Sources stand a centimetre or so off their specified positions, the drawing may be a centimetre
+wrong, the loudspeaker's level changes from octave to octave, and every file contains noise.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ SAMPLING_RATE_HZ = 32_000.0
 Shape = Literal["paper", "slanted", "l-shaped"]
 _Place = tuple[float, float, float]
 
-# Sources and receivers at least 0.6 m from all walls, and how long their responses are: 1.3 times
-# what a fit would take.
+# Sources and receivers at least 0.6 m from all walls, and the length of their responses: 1.3 times
+# that of which a fit makes use.
 _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
     "paper": (
         ((9.82, 6.05, 1.70), (12.90, 2.70, 1.35)),
@@ -54,26 +54,14 @@ _PLACES: dict[Shape, tuple[tuple[_Place, ...], tuple[_Place, ...], float]] = {
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PolyhedronPlan:
-    """A room to be measured: what is true of it, and where people believe the equipment stands.
-
-    Attributes
-    ----------
-    cells : Cells
-    absorption : float array, shape (n_materials, 8)
-        In octaves from 63 to 8000 Hz.
-    sources_m, receivers_m : mapping of name to position
-    duration_s : float
-        Length of the files. The room rings on beyond it: they are cut, and do not end in noise.
-    pairs : tuple of pairs of names
-        Source and receiver of every measurement; empty for every source with every receiver.
-    """
+    """A room to be measured: its true walls, and the specified positions."""
 
     cells: Cells
-    absorption: FloatArray
-    sources_m: dict[str, _Place]
-    receivers_m: dict[str, _Place]
-    duration_s: float
-    pairs: tuple[tuple[str, str], ...] = ()
+    absorption: FloatArray  # (n_materials, 8), in octaves from 63 to 8000 Hz
+    sources_m: dict[str, _Place]  # by name
+    receivers_m: dict[str, _Place]  # by name
+    duration_s: float  # of the files, which are cut before the decay ends in noise
+    pairs: tuple[tuple[str, str], ...] = ()  # (source, receiver); empty for all
 
 
 def measured_pairs(plan: PolyhedronPlan) -> tuple[tuple[str, str], ...]:
@@ -92,7 +80,6 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
     shape : {"paper", "slanted", "l-shaped"}
         The paper's room (622 m3, seven materials), a room of 74 m3 without right angles, or an L
         of 97 m3 (six materials each).
-    rng : numpy.random.Generator
     """
     if shape not in _PLACES:
         raise InputError("no such room", found=repr(shape), needed=", ".join(_PLACES))
@@ -113,22 +100,12 @@ def polyhedron_plan(shape: Shape, rng: np.random.Generator) -> PolyhedronPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPolyhedron:
-    """A simulated campaign and the truth behind it.
+    """A simulated campaign and the true absorption."""
 
-    Attributes
-    ----------
-    campaign : Path
-        The campaign file; room.obj and its WAV files lie beside it.
-    materials : tuple of str
-    centres_hz : float array, shape (n_bands,)
-        Octaves that the truth covers, 63 to 8000 Hz.
-    absorption : float array, shape (n_materials, n_bands)
-    """
-
-    campaign: Path
+    campaign: Path  # The campaign file; room.obj and its WAV files lie beside it
     materials: tuple[str, ...]
-    centres_hz: FloatArray
-    absorption: FloatArray
+    centres_hz: FloatArray  # (n_bands,), octaves, 63 to 8000 Hz
+    absorption: FloatArray  # (n_materials, n_bands)
 
 
 def write_measured_polyhedron(
@@ -147,35 +124,33 @@ def write_measured_polyhedron(
 
     Parameters
     ----------
-    plan : PolyhedronPlan
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
         Draws the errors of positions and planes, loudspeaker levels and noise.
     position_error_m : float
-        Standard deviation of each true coordinate about the one told.
+        Standard deviation of each true coordinate about the specified one.
     plane_error_m : float
-        Standard deviation of each told plane along its normal about the true one; rooms of one
-        cell only.
+        Standard deviation of each specified plane along its normal about the true one; rooms of
+        one cell only.
     delays_s : tuple of float, optional
         What each material adds to the travel time at every reflection.
     noise_db : float
         Level of the noise relative to the peak of each response.
     loudspeaker_db : float
         Standard deviation of each source's level from octave to octave.
-    progress : callable, optional
 
     Raises
     ------
     InputError
-        Planes told wrong of a room that is not convex.
+        Errors of planes in a room that is not convex.
     """
     import soundfile
 
     bands = bands_between("octave", 63, 8000)
     air = Air()
-    reported = _specified(plan.cells, plane_error_m, rng)
-    truth = SyntheticPolyhedron(
+    specified = _specified(plan.cells, plane_error_m, rng)
+    synthetic = SyntheticPolyhedron(
         plan.cells,
         bands.centres_hz,
         plan.absorption,
@@ -192,7 +167,7 @@ def write_measured_polyhedron(
         receivers = np.array([true_at[r] for r in own]).reshape(-1, 3)
         level_db = rng.normal(0.0, loudspeaker_db, len(bands))
         pressures = pressure_responses(
-            truth, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
+            synthetic, true_at[s], receivers, plan.duration_s, SAMPLING_RATE_HZ, level_db
         )
         for r, pressure in zip(own, pressures, strict=True):
             soundfile.write(
@@ -203,7 +178,7 @@ def write_measured_polyhedron(
             )
         if progress is not None:
             progress((number + 1) / len(plan.sources_m))
-    write_text_atomically(folder / "room.obj", obj_text(reported))
+    write_text_atomically(folder / "room.obj", obj_text(specified))
     text = _campaign_text(plan, position_error_m)
     campaign = write_text_atomically(folder / "campaign.toml", text)
     return MeasuredPolyhedron(campaign, plan.cells.materials, bands.centres_hz, plan.absorption)
@@ -214,7 +189,7 @@ def _specified(cells: Cells, plane_error_m: float, rng: np.random.Generator) -> 
         return cells
     if any(face.material < 0 for face in cells.faces):
         raise InputError(
-            "planes can be told wrong in a convex room only",
+            "planes can be misplaced in a convex room only",
             found=f"{1 + max(face.cell for face in cells.faces)} cells",
             needed="one",
         )

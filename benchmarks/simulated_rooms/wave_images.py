@@ -22,8 +22,6 @@ def image_pressure(model: WaveModel, walls: Mapping[str, Reflection], state: Sta
     ----------
     model : WaveModel
         Its paths are taken, and nothing else of how the fit predicts.
-    walls : mapping of material to Reflection
-    state : State
     """
     paths = model.whole
     vector = moved_vectors_m(model, paths, state)

@@ -41,7 +41,7 @@ def obj_of(plan, height_m, *, door_is_open):
 
 # %%
 # The floor is concave, 5 x 3 m and 3 x 1 m: 18 m², a volume of 46.8 m³. An OBJ file carries no
-# unit, so it must be told.
+# unit, so it must be specified.
 
 with TemporaryDirectory() as folder:
     file = Path(folder) / "room.obj"

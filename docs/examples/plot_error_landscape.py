@@ -24,8 +24,8 @@ windows = {
 problems = {name: paper_problem(name, paths) for name in windows}
 
 # %%
-# The room was traced once. Each function is now weighed at the 441 points of the paper's grid. The
-# levels are a factor of three apart; the truth is marked with a cross.
+# The room was traced once. Each function is now evaluated at the 441 points of the paper's grid.
+# The levels are a factor of three apart; a cross marks the true absorption.
 
 grid = np.linspace(0.0, 1.0, 21)
 figure, panels = plt.subplots(1, 2, figsize=(8, 4), sharey=True, layout="constrained")
@@ -41,9 +41,9 @@ plt.show()
 
 # %%
 # With 5 ms the function is a bowl. With 50 ms, and the direct sound as the largest energy of all,
-# it is a narrow valley in which many pairs explain the windows nearly as well as the truth does. A
-# coarse grid shows islands in that valley. Along its floor the error falls all the way: descents
-# with the exact derivative end at the truth from any start.
+# it is a narrow valley in which many pairs explain the windows nearly as well as the true one. A
+# coarse grid shows islands in that valley. Along its floor the error decreases steadily: descents
+# with the exact derivative end at the true absorption from any start.
 
 starts = np.array([[0.05, 0.95], [0.95, 0.05], [0.95, 0.95]])
 for name, problem in problems.items():

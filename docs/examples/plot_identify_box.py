@@ -2,56 +2,59 @@
 Identify a simulated box
 ========================
 
-A box with six walls of different make is "measured" by another road than the model that is fitted:
+A box with six walls of different materials is "measured" independently of the model that is fitted:
 pressures of image sources that interfere, a loudspeaker with levels of its own, noise, and
-positions a centimetre from where the campaign says. Then it is identified as if nobody knew the
-walls.
+positions a centimetre from the specified ones. Then it is identified without using its absorption.
 """
 
 from dataclasses import replace
-from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import matplotlib.pyplot as plt
 import numpy as np
 
 import roomfit
-from roomfit.synthetic.boxes import demo_plan, write_measured_box
+from roomfit.synthetic.boxes import SAMPLING_RATE_HZ, WALLS, demo_plan, simulated_responses
 
 plan = demo_plan()
 plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
+responses = simulated_responses(plan, np.random.default_rng(1))
 
 # %%
-# To be quick, one source, four receivers and a single octave; the campaign file on the disk asks
-# for six octaves.
+# To be quick, one source, four receivers and a single octave.
 
-with TemporaryDirectory() as folder:
-    box = write_measured_box(plan, Path(folder), np.random.default_rng(1))
-    campaign = roomfit.read_campaign(box.campaign)
-    campaign = replace(campaign, bands=roomfit.bands_between("octave", 1000, 1000))
-    answer = roomfit.identify(campaign)
-print(roomfit.answer_text(answer))
+room = roomfit.shoebox_room(plan.lengths_m, dict(zip(WALLS, plan.materials, strict=True)))
+scene = roomfit.scene_of(room, plan.sources_m, plan.receivers_m)
+measurements = [
+    roomfit.Measurement(source, receiver, samples, SAMPLING_RATE_HZ)
+    for (source, receiver), samples in responses.items()
+]
+result = roomfit.identify(scene, measurements, bands=roomfit.bands_between("octave", 1000, 1000))
+print(result)
 
 # %%
-# The last table sets the errors of the prediction beside those of a guess without any model. In a
-# dry room the decay at a single place hangs on how a few reflections interfere, which a sum of
-# energies does not predict; then the model need not be better than the guess.
+# The last table sets the errors of the prediction beside those of the baseline, which needs no
+# model. In a dry room the decay at a single position depends on how a few reflections interfere,
+# which a sum of energies does not predict; then the model need not be better than the baseline.
 #
-# Hollow points are not identifiable: their intervals are wide, and their place within them says
-# little. The room's mean, weighted by area, is known much better than any wall.
+# Open points are not identifiable: their intervals are wide, and the position of the point within
+# them has little meaning. The mean of the room, weighted by area, is determined much better than
+# any wall.
 
-band = int(np.argmin(np.abs(box.centres_hz - 1000.0)))
-truth = box.absorption[[box.materials.index(name) for name in answer.materials], band]
-value, low, high = (a[:, 0] for a in (answer.absorption, answer.lower95, answer.upper95))
-sure = answer.identifiable[:, 0]
-places = np.arange(len(truth))
+octave = 4  # 1 kHz: the absorption of the plan begins at 63 Hz
+true = plan.absorption[[plan.materials.index(name) for name in result.materials], octave]
+value, low, high = (a[:, 0] for a in (result.absorption, result.lower95, result.upper95))
+identifiable = result.identifiable[:, 0]
+x = np.arange(len(true))
 
 figure, axes = plt.subplots(figsize=(6.5, 3.5), layout="constrained")
-axes.errorbar(places, value, (value - low, high - value), fmt="none", ecolor="#0072B2", capsize=3)
-axes.plot(places[sure], value[sure], "o", color="#0072B2", label="identified")
-axes.plot(places[~sure], value[~sure], "o", color="#0072B2", mfc="white", label="not identifiable")
-axes.plot(places, truth, "x", color="#D55E00", ms=8, mew=2, label="true")
+axes.errorbar(x, value, (value - low, high - value), fmt="none", ecolor="#0072B2", capsize=3)
+axes.plot(x[identifiable], value[identifiable], "o", color="#0072B2", label="identified")
+axes.plot(
+    x[~identifiable], value[~identifiable], "o",
+    color="#0072B2", mfc="white", label="not identifiable",
+)  # fmt: skip
+axes.plot(x, true, "x", color="#D55E00", ms=8, mew=2, label="true")
 axes.set(ylabel="absorption at 1 kHz", ylim=(0, 1))
-axes.set_xticks(places, answer.materials)
+axes.set_xticks(x, result.materials)
 axes.legend(frameon=False)
 plt.show()

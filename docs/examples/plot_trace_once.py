@@ -1,9 +1,9 @@
 """
-Trace once, weigh for any absorption
-====================================
+Trace once, reweight for any absorption
+=======================================
 
-Absorption does not bend rays. A room is traced a single time; what every wall absorbs only weighs
-the paths that were found, smoothly and with an exact derivative.
+The course of a ray does not depend on absorption. A room is traced a single time; absorption only
+weights the recorded paths, smoothly and with an exact derivative.
 """
 
 import matplotlib.pyplot as plt

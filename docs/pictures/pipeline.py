@@ -16,7 +16,7 @@ _DATA, _VERB = "#f4f4f1", "#dbe9f4"
 
 @dataclass(frozen=True)
 class Box:
-    """A rectangle with a title and small lines below; a verb is rounded, a thing is not."""
+    """A rectangle with a title and small lines below; an operation is rounded, data are not."""
 
     x: int
     y: int
@@ -34,16 +34,16 @@ class Box:
         return self.y + self.height // 2
 
 
-ROOM = Box(10, 20, 165, "room and positions", ("surfaces, materials,", "scattering, air"))
-TRACE = Box(225, 28, 90, "trace", ("once",), verb=True)
+ROOM = Box(10, 20, 165, "scene", ("room, materials,", "positions, air"))
+TRACE = Box(225, 28, 90, "tracing", ("once",), verb=True)
 PATHS = Box(365, 20, 180, "paths", ("time and number of hits", "on each material"))
-WEIGH = Box(595, 28, 120, "weigh, smear", ("per band",), verb=True)
+WEIGH = Box(595, 28, 120, "response", ("weight and filter",), verb=True)
 PREDICTED = Box(595, 136, 120, "predicted", ("energy of windows",))
-FILES = Box(10, 236, 165, "measured responses", ("WAV, MAT, SOFA",))
-FILTER = Box(225, 236, 90, "filter", ("per band",), verb=True)
-MEASURED = Box(365, 236, 180, "measured", ("energy of windows, noise",))
-FIT = Box(595, 236, 120, "fit", ("per band",), verb=True)
-ANSWER = Box(755, 136, 95, "absorption", ("intervals,", "findings"))
+FILES = Box(10, 236, 165, "measurement", ("impulse responses",))
+FILTER = Box(225, 236, 90, "signals", ("filter bank",), verb=True)
+MEASURED = Box(365, 236, 180, "observed", ("energy of windows, noise",))
+FIT = Box(595, 236, 120, "objective", ("fitted per band",), verb=True)
+ANSWER = Box(755, 136, 95, "result", ("absorption,", "intervals,", "findings"))
 BOXES = (ROOM, TRACE, PATHS, WEIGH, PREDICTED, FILES, FILTER, MEASURED, FIT, ANSWER)
 
 
@@ -52,8 +52,8 @@ def draw() -> str:
     parts = [
         f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {_WIDTH} {_HEIGHT}" '
         f'width="{_WIDTH}" height="{_HEIGHT}" font-family="Helvetica, Arial, sans-serif">',
-        "<title>A room is traced once; its paths are weighed until they explain what was "
-        "measured.</title>",
+        "<title>A room is traced once; its paths are reweighted until they explain the "
+        "measurement.</title>",
         f'<defs><marker id="tip" markerWidth="9" markerHeight="8" refX="8" refY="4" orient="auto">'
         f'<path d="M0,0 L9,4 L0,8 z" fill="{_LINE}"/></marker></defs>',
         f'<rect width="{_WIDTH}" height="{_HEIGHT}" fill="white"/>',
@@ -64,11 +64,11 @@ def draw() -> str:
         _down(PREDICTED, FIT),
         _bent(FIT.x + FIT.width, FIT.middle, 802, ANSWER.y + ANSWER.height),
         _bent(802, ANSWER.y, WEIGH.x + WEIGH.width, WEIGH.middle, first="up"),
-        _note(725, WEIGH.middle - 26, "try another one, until"),
+        _note(725, WEIGH.middle - 26, "next trial, until"),
         _note(725, WEIGH.middle - 9, "the energies agree"),
-        _note(14, 140, "The walls' absorption does not bend a ray:"),
-        _note(14, 158, "the trace never sees it, and the weighing has"),
-        _note(14, 176, "an exact derivative in every coefficient."),
+        _note(14, 140, "The course of a ray is independent of absorption:"),
+        _note(14, 158, "the room is traced once, and reweighting has an"),
+        _note(14, 176, "exact derivative in every coefficient."),
         "</svg>",
     ]
     return "\n".join(parts) + "\n"

@@ -19,11 +19,12 @@ if TYPE_CHECKING:
     from roomfit.bands import Bands, bands_between
     from roomfit.cache import Cache, cache_of
     from roomfit.commands import check_room, export_result
-    from roomfit.coverage.calibrate import CoverageResult, estimate_coverage
-    from roomfit.coverage.truth import CoverageSettings
+    from roomfit.coverage.estimate import CoverageResult, estimate_coverage
+    from roomfit.coverage.synthetic_room import CoverageSettings
     from roomfit.errors import CannotTell, InputError, NotConverged, RoomfitError, StoreError
-    from roomfit.experiment_design.choose import Design
-    from roomfit.experiment_design.design import design
+    from roomfit.experiment_design.campaign import design_arguments
+    from roomfit.experiment_design.candidates import DesignOptions
+    from roomfit.experiment_design.design import Design, design
     from roomfit.findings import Finding
     from roomfit.impedance.campaign import identify_campaign_impedance
     from roomfit.impedance.data import Observed
@@ -32,23 +33,22 @@ if TYPE_CHECKING:
     from roomfit.impedance.result import ImpedanceResult
     from roomfit.impedance.wave_model import Nuisances
     from roomfit.inversion.identify import identify
-    from roomfit.inversion.measurements import campaign_scene
     from roomfit.io.campaign import Campaign, read_campaign
     from roomfit.io.iso3382 import read_parameters
     from roomfit.io.responses import read_response
+    from roomfit.io.responses.spec import ResponseSpec
     from roomfit.io.results import read_result, write_result
     from roomfit.io.rooms import read_room
     from roomfit.io.rooms.model import PolygonSpec, RoomSpec
     from roomfit.materials.catalogue import catalogue, find_material
     from roomfit.materials.priors import Scattering, uniform_scattering
-    from roomfit.measurement import ResponseSpec
-    from roomfit.prediction.predict import predict_campaign
-    from roomfit.prediction.prediction import Predicted
-    from roomfit.prediction.setup import Change, read_change
+    from roomfit.prediction.campaign import predict_arguments, room_posterior
+    from roomfit.prediction.changes import Change, read_change
+    from roomfit.prediction.predict import Predicted, predict
     from roomfit.report.html import report_html
     from roomfit.report.text import answer_text
     from roomfit.response.energy import energy_rows, weigh
-    from roomfit.results import Answer
+    from roomfit.results import Answer, absorption_posterior
     from roomfit.scene import Point, Room, Scene
     from roomfit.signals.decay import room_parameters
     from roomfit.signals.iso3382 import MeasuredValues
@@ -63,18 +63,21 @@ _HOME = {
     "Air": "air",
     "attenuation_per_m": "air",
     "speed_of_sound_m_s": "air",
-    "estimate_coverage": "coverage.calibrate",
-    "CoverageResult": "coverage.calibrate",
-    "CoverageSettings": "coverage.truth",
-    "read_change": "prediction.setup",
-    "Change": "prediction.setup",
+    "estimate_coverage": "coverage.estimate",
+    "CoverageResult": "coverage.estimate",
+    "CoverageSettings": "coverage.synthetic_room",
+    "read_change": "prediction.changes",
+    "Change": "prediction.changes",
     "check_room": "commands",
     "design": "experiment_design.design",
+    "design_arguments": "experiment_design.campaign",
+    "DesignOptions": "experiment_design.candidates",
     "export_result": "commands",
-    "campaign_scene": "inversion.measurements",
     "identify": "inversion.identify",
     "identify_campaign_impedance": "impedance.campaign",
-    "predict_campaign": "prediction.predict",
+    "predict": "prediction.predict",
+    "predict_arguments": "prediction.campaign",
+    "room_posterior": "prediction.campaign",
     "Bands": "bands",
     "bands_between": "bands",
     "CannotTell": "errors",
@@ -88,7 +91,7 @@ _HOME = {
     "read_campaign": "io.campaign",
     "read_parameters": "io.iso3382",
     "read_response": "io.responses",
-    "ResponseSpec": "measurement",
+    "ResponseSpec": "io.responses.spec",
     "read_result": "io.results",
     "write_result": "io.results",
     "read_room": "io.rooms",
@@ -105,7 +108,7 @@ _HOME = {
     "find_material": "materials.catalogue",
     "Scattering": "materials.priors",
     "uniform_scattering": "materials.priors",
-    "Design": "experiment_design.choose",
+    "Design": "experiment_design.design",
     "answer_text": "report.text",
     "report_html": "report.html",
     "weigh": "response.energy",
@@ -119,8 +122,9 @@ _HOME = {
     "Paths": "tracing.paths",
     "TraceSettings": "tracing.paths",
     "Answer": "results",
+    "absorption_posterior": "results",
     "AbsorptionPosterior": "uncertainty.posterior",
-    "Predicted": "prediction.prediction",
+    "Predicted": "prediction.predict",
     "smooth_over_bands": "uncertainty.smoothing",
 }
 

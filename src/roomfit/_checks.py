@@ -1,4 +1,4 @@
-"""Checks at the door: arrays are copied in, made read-only, and refused with a clear message."""
+"""Checks of arguments: arrays are copied, made read-only, or refused with a clear message."""
 
 from __future__ import annotations
 
@@ -34,7 +34,6 @@ def float_array(
     ----------
     name : str
         What the array is called in a message, with its unit where it has one.
-    values : array_like
     shape : tuple
         Expected shape; None stands for any length.
     low, high : float
@@ -55,7 +54,7 @@ def float_array(
         ) from error
     _check_shape(name, array, shape)
     bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
-    # not `size`: a single number has no axis to tell an index of
+    # not `size`: a single number has no axis, so no index
     if len(bad):
         index = tuple(int(i) for i in bad[0])
         place = f" at index {list(index)}" if index else ""
@@ -64,8 +63,7 @@ def float_array(
             found=f"{array[index]:g}{place}",
             needed=f"{low:g} to {high:g} {unit}".strip(),
         )
-    read_only(array)
-    return array
+    return read_only(array)
 
 
 def int_array(
@@ -86,7 +84,7 @@ def int_array(
     """
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
-        raise InputError(f"{name} must hold whole numbers", found=f"values of type {source.dtype}")
+        raise InputError(f"{name} must be whole numbers", found=f"values of type {source.dtype}")
     _check_shape(name, source, shape)
     info = np.iinfo(dtype)
     low = int(info.min) if low is None else low
@@ -97,17 +95,14 @@ def int_array(
             found=f"{int(source.min())} to {int(source.max())}",
             needed=f"{low} to {high}",
         )
-    array = np.array(source, dtype=dtype)
-    read_only(array)
-    return array
+    return read_only(np.array(source, dtype=dtype))
 
 
 def bool_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> BoolArray:
     """Copy `values` into a read-only boolean array after checking its shape."""
     array = np.array(values, dtype=np.bool_)
     _check_shape(name, array, shape)
-    read_only(array)
-    return array
+    return read_only(array)
 
 
 def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:

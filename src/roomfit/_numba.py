@@ -1,8 +1,7 @@
-"""Work spread over processes, each with one thread, that stops cleanly.
+"""Compiled kernels, and the threads and processes that run them.
 
-One typed door to numba, so that every kernel is compiled under the same rules.
-
-One thread for linear algebra, so that it and the compiled kernels do not wait for each other.
+Every kernel is compiled under the same rules, linear algebra keeps to one thread so that it and the
+kernels do not wait for each other, and work spread over processes stops cleanly.
 """
 
 from __future__ import annotations
@@ -90,8 +89,8 @@ T = TypeVar("T")
 def worker_pool(n_workers: int) -> Iterator[Executor]:
     """Give an executor with so many processes; 1 stays in this process.
 
-    When the block is left early, tasks that have not begun are dropped and those that run are
-    waited for, so that nothing is left behind; an interrupt ends those that run as well.
+    When the block is left early, tasks that have not started are dropped and running ones are
+    waited for, so that nothing is left behind; an interrupt ends running ones as well.
 
     Notes
     -----
@@ -111,7 +110,7 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
     try:
         yield pool
     except KeyboardInterrupt:
-        # nobody waits for what runs now; what tasks write is put in its place when it is whole
+        # running tasks may be ended: what they write is moved to its place only when it is whole
         for worker in list((getattr(pool, "_processes", None) or {}).values()):
             worker.terminate()
         raise
@@ -138,6 +137,4 @@ def _become_worker() -> None:
     # an interrupt reaches the whole group; only the parent decides what happens then
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     keep_one_blas_thread()
-    import numba
-
     numba.set_num_threads(1)

@@ -1,7 +1,8 @@
-"""The air in the room: speed of sound and attenuation."""
+"""The air in the room: the speed of sound, how well it is known, and attenuation."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Literal
 
@@ -23,25 +24,12 @@ _LOWEST_HZ = 50.0  # where the tables of ISO 9613-1 begin
 
 @dataclass(frozen=True, slots=True)
 class Air:
-    """State of the air.
+    """State of the air."""
 
-    Attributes
-    ----------
-    temperature_c : float
-        -20 to 50 degrees Celsius (the range in which ISO 9613-1 claims 10 %).
-    humidity_percent : float
-        Relative humidity, 0 to 100 %.
-    pressure_kpa : float
-        Atmospheric pressure, 50 to 120 kPa.
-    speed_of_sound_m_s : float or None
-        Overrides the speed from temperature where given, 250 to 450 m/s.
-    attenuation : {"iso9613", "none"}
-    """
-
-    temperature_c: float = 20.0
-    humidity_percent: float = 50.0
-    pressure_kpa: float = 101.325
-    speed_of_sound_m_s: float | None = None
+    temperature_c: float = 20.0  #: -20 to 50 degrees Celsius, where ISO 9613-1 claims 10 %
+    humidity_percent: float = 50.0  #: Relative humidity, 0 to 100 %
+    pressure_kpa: float = 101.325  #: Atmospheric pressure, 50 to 120 kPa
+    speed_of_sound_m_s: float | None = None  #: 250 to 450 m/s; None for that of the temperature
     attenuation: AttenuationLaw = "iso9613"
 
     def __post_init__(self) -> None:
@@ -51,14 +39,7 @@ class Air:
             ("atmospheric pressure", self.pressure_kpa, 50.0, 120.0, "kPa"),
             ("speed of sound", self.speed_of_sound_m_s, 250.0, 450.0, "m/s"),
         )
-        for name, value, low, high, unit in limits:
-            if value is not None and not low <= value <= high:
-                raise InputError(
-                    f"{name} is out of range",
-                    where="air",
-                    found=f"{value:g} {unit}",
-                    needed=f"{low:g} to {high:g} {unit}",
-                )
+        _check_limits("air", "is out of range", limits)
         if self.attenuation not in ("iso9613", "none"):
             raise InputError(
                 "unknown law of air attenuation",
@@ -69,12 +50,16 @@ class Air:
 
 
 def speed_of_sound_m_s(air: Air) -> float:
-    """Return the speed of sound: the given one, or the one by Cramer (1993).
+    """Return the speed of sound: the specified one, or the one by Cramer (1993).
 
-    343.98 m/s at 20 degrees C, 50 % and 101.325 kPa. Outside the range of Cramer's fit (0 to
-    30 degrees C, 75 to 102 kPa) the value at its edge is carried on: over temperature as the root
-    of the thermodynamic temperature, as in an ideal gas; over pressure as a constant, which is
-    wrong by less than 2e-4 in the range that `Air` accepts.
+    Outside the range of Cramer's fit (0 to 30 degrees C, 75 to 102 kPa) the value at its edge is
+    extrapolated: over temperature as the root of the thermodynamic temperature, as in an ideal
+    gas; over pressure as a constant, which is wrong by less than 2e-4 in the range of `Air`.
+
+    Examples
+    --------
+    >>> round(speed_of_sound_m_s(Air(temperature_c=20.0, humidity_percent=50.0)), 2)
+    343.98
     """
     if air.speed_of_sound_m_s is not None:
         return air.speed_of_sound_m_s
@@ -83,6 +68,26 @@ def speed_of_sound_m_s(air: Air) -> float:
     speed = cramer_speed_m_s(temperature_c, air.humidity_percent / 100.0, pressure_pa)
     factor = np.sqrt((air.temperature_c + _ZERO_CELSIUS_K) / (temperature_c + _ZERO_CELSIUS_K))
     return float(speed * factor)
+
+
+def relative_speed_sd(air: Air, temperature_sd_c: float) -> float:
+    """Return the relative standard deviation of the speed of sound, from that of temperature.
+
+    The speed grows as the root of the thermodynamic temperature T, so ``dc / c = dT / (2 T)``.
+
+    Parameters
+    ----------
+    temperature_sd_c : float
+        Standard deviation of `air.temperature_c`, 0 or more, in kelvins.
+
+    Examples
+    --------
+    Two kelvins at 20 degrees C are 0.34 % of the speed.
+
+    >>> round(relative_speed_sd(Air(temperature_c=20.0), 2.0), 5)
+    0.00341
+    """
+    return 0.5 * temperature_sd_c / (_ZERO_CELSIUS_K + air.temperature_c)
 
 
 def cramer_speed_m_s(temperature_c: float, relative_humidity: float, pressure_pa: float) -> float:
@@ -116,15 +121,8 @@ def cramer_speed_m_s(temperature_c: float, relative_humidity: float, pressure_pa
         ("relative humidity", relative_humidity, 0.0, 1.0, ""),
         ("atmospheric pressure", pressure_pa, 75e3, 102e3, "Pa"),
     )
-    for name, value, low, high, unit in limits:
-        if not low <= value <= high:
-            raise InputError(
-                f"{name} is outside the range of Cramer's formula",
-                where="speed of sound",
-                found=f"{value:g} {unit}".rstrip(),
-                needed=f"{low:g} to {high:g} {unit}".rstrip(),
-                hint="give speed_of_sound_m_s",
-            )
+    what = "is outside the range of Cramer's formula"
+    _check_limits("speed of sound", what, limits, hint="give speed_of_sound_m_s")
     t, p, x_c = temperature_c, pressure_pa, _CO2_PPM * 1e-6
     T = t + _ZERO_CELSIUS_K
     enhancement = 1.00062 + 3.14e-8 * p + 5.6e-7 * t**2  # (A2)
@@ -140,6 +138,24 @@ def cramer_speed_m_s(temperature_c: float, relative_humidity: float, pressure_pa
     return float(dry + of_water + of_pressure + of_co2 + mixed)
 
 
+def _check_limits(
+    where: str,
+    what: str,
+    limits: Iterable[tuple[str, float | None, float, float, str]],
+    hint: str | None = None,
+) -> None:
+    """Refuse the first of (name, value, low, high, unit) that is out of range; None is left out."""
+    for name, value, low, high, unit in limits:
+        if value is not None and not low <= value <= high:
+            raise InputError(
+                f"{name} {what}",
+                where=where,
+                found=f"{value:g} {unit}".rstrip(),
+                needed=f"{low:g} to {high:g} {unit}".rstrip(),
+                hint=hint,
+            )
+
+
 def attenuation_per_m(air: Air, bands: Bands) -> FloatArray:
     """Return the energy attenuation m of each band by ISO 9613-1, at the exact centre frequency.
 
@@ -150,14 +166,20 @@ def attenuation_per_m(air: Air, bands: Bands) -> FloatArray:
     float array, shape (n_bands,)
         1/m; zeros where `air.attenuation` is "none". Below 50 Hz the value at 50 Hz, less than
         1e-4 dB over a room.
+
+    Examples
+    --------
+    >>> octaves = Bands("octave", np.array([1000.0, 2000.0, 4000.0]))
+    >>> attenuation_per_m(Air(temperature_c=20.0, humidity_percent=50.0), octaves).round(4)
+    array([0.0011, 0.0023, 0.0068])
     """
     return _energy_attenuation_per_m(air, bands.exact_centres_hz)
 
 
 def pressure_decay_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
-    """Return by how much pressures fall in the air, ISO 9613-1 at any frequencies, 1/m.
+    """Return the pressure attenuation of the air by ISO 9613-1 at any frequencies, 1/m.
 
-    Half of what energies fall by, see `attenuation_per_m`; zeros where `air.attenuation` is "none".
+    Half of that of energies, see `attenuation_per_m`; zeros where `air.attenuation` is "none".
     """
     return 0.5 * _energy_attenuation_per_m(air, frequency_hz)
 
@@ -177,10 +199,10 @@ def _energy_attenuation_per_m(air: Air, frequency_hz: FloatArray) -> FloatArray:
 def iso9613_attenuation_db_per_m(
     frequency_hz: FloatArray, temperature_c: float, humidity_percent: float, pressure_pa: float
 ) -> FloatArray:
-    """Return the attenuation of pure tones in air by ISO 9613-1 [1]_, dB/m.
+    """Return the attenuation of pure tones in air by ISO 9613-1 [1]_, dB/m, shape (n,).
 
-    Right within 10 % from -20 to 50 degrees C, with 0.05 to 5 % of water molecules, below 200 kPa
-    and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` holds to that in
+    Accurate within 10 % from -20 to 50 degrees C, with 0.05 to 5 % of water molecules, below
+    200 kPa and from 0.0004 to 10 Hz/Pa; within 20 % in drier or moister air. `Air` keeps to that in
     temperature and pressure, so nothing is checked here.
 
     Parameters
@@ -192,10 +214,6 @@ def iso9613_attenuation_db_per_m(
         Relative humidity, 0 to 100 %.
     pressure_pa : float
         Atmospheric pressure, Pa.
-
-    Returns
-    -------
-    float array, shape (n,)
 
     References
     ----------

@@ -25,17 +25,10 @@ _STEPS_PER_OCTAVE = {"octave": 1, "third-octave": 3}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Bands:
-    """Frequency bands, low to high.
-
-    Attributes
-    ----------
-    kind : {"octave", "third-octave"}
-    centres_hz : float array, shape (n_bands,)
-        Nominal centre frequencies (125, 250, ...), strictly rising.
-    """
+    """Frequency bands, low to high."""
 
     kind: BandKind
-    centres_hz: FloatArray
+    centres_hz: FloatArray  #: (n_bands,), nominal (125, 250, ...), strictly rising
 
     def __post_init__(self) -> None:
         if self.kind not in _STEPS_PER_OCTAVE:
@@ -45,10 +38,9 @@ class Bands:
         centres = float_array("band centre", self.centres_hz, (None,), low=1.0, high=1e5, unit="Hz")
         if centres.size == 0 or np.any(np.diff(centres) <= 0.0):
             raise InputError(
-                "band centres must rise and there must be at least one",
-                found=str(centres.tolist()),
+                "band centres must rise and there must be at least one", found=str(centres.tolist())
             )
-        exact_centres_hz(self.kind, centres)  # refuses what is no centre of that kind
+        exact_centres_hz(self.kind, centres)  # raises where one is no centre of that kind
         object.__setattr__(self, "centres_hz", centres)
 
     def __len__(self) -> int:
@@ -71,7 +63,12 @@ class Bands:
 
 
 def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
-    """Return the standard bands whose nominal centres lie within the two frequencies.
+    """Return the standard bands whose nominal centres lie within the two frequencies, inclusive.
+
+    Raises
+    ------
+    InputError
+        No band of that kind lies there.
 
     Examples
     --------
@@ -82,9 +79,9 @@ def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
     chosen = [f for f in table if from_hz <= f <= to_hz]
     if not chosen:
         raise InputError(
-            "no standard band lies in the asked range",
+            "no standard band lies in the requested range",
             found=f"{from_hz:g} to {to_hz:g} Hz",
-            needed=f"a range that holds one of {', '.join(f'{f:g}' for f in table)} Hz",
+            needed=f"a range that contains one of {', '.join(f'{f:g}' for f in table)} Hz",
         )
     return Bands(kind, np.array(chosen))
 

@@ -1,10 +1,9 @@
-"""Writing that never leaves half a file: aside first, then renamed.
+"""Files that are whole or absent, and a cache of intermediate results.
 
-Intermediate results kept on disk by what they depend on, so that a killed run continues.
-
-One number for everything that a result depends on.
-
-Records of numbers in a file: dataclasses of arrays, numbers, text and other records.
+Every file and every output folder is written under another name and renamed when it is complete,
+so that an interrupted run leaves no half of one. Intermediate results are records (dataclasses of
+arrays, numbers, text and other records) in NumPy archives, named by the digest of all that they
+depend on, so that a run that was interrupted continues where it stopped.
 """
 
 from __future__ import annotations
@@ -59,8 +58,8 @@ def digest(*parts: object) -> str:
 def code_digest() -> str:
     """Return the SHA-256 of roomfit's own code and of the versions that it computes with.
 
-    Any change of the code makes a cache of numbers worthless; which change alters which number,
-    nobody keeps track of without fail. Read once a process: about 20 ms.
+    Any change of the code may alter any number, so that all of it counts. Read once a process:
+    about 20 ms.
     """
     folder = Path(__file__).parent
     files = sorted(p for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
@@ -118,7 +117,7 @@ _DAMAGE = (
 
 
 class BrokenRecordError(ValueError):
-    """A file that does not hold the record it should; caught within `roomfit.files`."""
+    """A file that does not hold the record it should; caught by `cached`."""
 
 
 def save_record(path: Path, value: object) -> None:
@@ -127,7 +126,7 @@ def save_record(path: Path, value: object) -> None:
     Parameters
     ----------
     path : Path
-        Written directly: write aside and rename, see `roomfit.cache`.
+        Written directly, not under another name first.
     value : object
         None, truth values, numbers, text, arrays, members of enumerations of text, and
         dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back
@@ -174,7 +173,7 @@ def size_bytes(value: object) -> int:
 
 
 def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Return what JSON can hold of a value, its arrays put aside under numbers."""
+    """Return what JSON can hold of a value, its arrays collected under numbers."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
             raise TypeError("an array of objects cannot be kept")
@@ -222,7 +221,7 @@ def _rebuilt(
     return known[outline["record"]](**entries)
 
 
-# Within an output folder: intermediate results of a run, see `roomfit.cache`.
+# Within an output folder: intermediate results of a run.
 CACHE_FOLDER = ".roomfit-cache"
 
 
@@ -270,12 +269,12 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
 def whole_output_folder(
     path: Path, *, overwrite: bool = False, own: Sequence[str] = ()
 ) -> Iterator[Path]:
-    """Give a folder to fill, which takes its place and name when the block ends well.
+    """Give a folder to fill, which takes its final name when the block ends without an error.
 
-    It is made aside, hidden, on the same disk. An error or an interruption within the block leaves
-    nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files of the
-    same name are replaced, those that an earlier run of the same command wrote and this one did
-    not are removed, and all others stay, as does the cache.
+    Until then it has a hidden name on the same disk. An error or an interruption within the block
+    leaves nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files
+    of the same name are replaced, those that an earlier run of the same command wrote and this one
+    did not are removed, and all others stay, as does the cache.
 
     Parameters
     ----------
@@ -305,7 +304,7 @@ def whole_output_folder(
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> Path:
-    """Write a file aside and rename it, so that readers see the old file or the new one.
+    """Write a file under another name and rename it: readers find the old file or the new one.
 
     Raises
     ------
@@ -331,19 +330,35 @@ def write_bytes_atomically(path: Path, content: bytes) -> Path:
 
 
 def write_text_atomically(path: Path, text: str) -> Path:
-    """Write a UTF-8 text file aside and rename it; see `write_bytes_atomically`."""
+    """Write a UTF-8 text file; see `write_bytes_atomically`."""
     return write_bytes_atomically(path, text.encode())
 
 
 def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
-    """Write JSON that any parser reads: an unknown value must be None, never NaN.
+    """Write `json_text` to a file; see `write_bytes_atomically`."""
+    return write_text_atomically(path, json_text(content))
+
+
+def json_text(content: Any) -> str:
+    """Return JSON that any parser reads: an unknown value must be None, never NaN.
+
+    Parameters
+    ----------
+    content : object
+        Anything that JSON holds, and NumPy arrays and numbers, which become lists and numbers.
 
     Raises
     ------
     ValueError
         The content holds NaN or infinity: a fault of the caller's code, not of a user.
     """
-    return write_text_atomically(path, json.dumps(content, indent=1, allow_nan=False) + "\n")
+    return json.dumps(content, indent=1, allow_nan=False, default=_listed) + "\n"
+
+
+def _listed(value: object) -> Any:
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
 def _nearest_existing(path: Path) -> Path:
@@ -356,7 +371,7 @@ def _cannot_be_made(path: Path, error: OSError) -> StoreError:
 
 
 def _give_usual_permissions(path: Path, most: int) -> None:
-    """What is made aside, only its owner may read; give what any new file or folder gets."""
+    """Give the permissions of any new file; temporary ones are readable by their owner only."""
     umask = os.umask(0)
     os.umask(umask)
     path.chmod(most & ~umask)
@@ -367,7 +382,7 @@ def _holds_only_cache(path: Path) -> bool:
 
 
 def _put_in_place(aside: Path, path: Path) -> None:
-    """Rename a folder; where there is one of that name, move every file into its place there."""
+    """Rename a folder; where one of that name exists, move every file into it."""
     if _renamed(aside, path):
         return
     try:
@@ -382,7 +397,7 @@ def _put_in_place(aside: Path, path: Path) -> None:
 
 
 def _renamed(aside: Path, path: Path) -> bool:
-    """Take a place that is free, or holds nothing but a cache, by one renaming if that is possible.
+    """Rename to a name that is free, or a folder of nothing but a cache; return whether it worked.
 
     Another run that finishes at the same moment may be quicker.
     """
@@ -416,17 +431,11 @@ _SUFFIX = ".npz"
 
 @dataclass(frozen=True, slots=True)
 class Cache:
-    """A folder for intermediate results; it is made when there is something to put in.
-
-    Attributes
-    ----------
-    folder : Path
-    limit_bytes : int
-        The least recently used files go when all together take more. A result that alone is
-        larger is not kept.
-    """
+    """A folder for intermediate results; it is made when there is something to put in."""
 
     folder: Path
+    # The least recently used files go when all together take more. A result that alone is
+    # larger is not kept.
     limit_bytes: int = DEFAULT_LIMIT_BYTES
 
 
@@ -453,8 +462,8 @@ def cached(
 ) -> Cached[T]:
     """Return a value from the cache, or compute it and keep it.
 
-    A cache only saves time: a file that is damaged is removed and computed anew, and a disk that
-    is full or forbids writing leaves the value as good as it is. Both are told as findings.
+    A cache only saves time: a damaged file is removed and its value computed again, and a disk that
+    is full or forbids writing does not affect the value. Both are reported as findings.
 
     Parameters
     ----------
@@ -463,10 +472,9 @@ def cached(
     kind : str
         What it is, in a word that can stand in a file name: "trace".
     key_parts : sequence
-        All that decides the value, as `roomfit.cache.digest` takes it. The code of roomfit
-        is added to it.
+        All that determines the value, as `digest` takes it; the code of roomfit is added.
     compute : callable
-        Returns a record, see `roomfit.cache`; the same key must give the same bits.
+        Returns a record, see `save_record`; the same key must give the same bits.
     classes : iterable of type
         Dataclasses that the record is made of.
     """
@@ -489,7 +497,7 @@ def cached(
 
 
 def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, ...]:
-    """Write a value aside, make room, and rename; tell if the disk refuses."""
+    """Write a value and make room for it; return a finding where the disk refuses."""
     if size_bytes(value) > cache.limit_bytes:
         return ()
     aside: Path | None = None
@@ -521,7 +529,7 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
 def _make_room(cache: Cache, newest: Path) -> None:
     """Remove the files that were not used for the longest time until the rest is within limits.
 
-    What killed runs have left half-written is among them.
+    Incomplete files of interrupted runs are among them.
     """
     files = []
     for path in cache.folder.iterdir():
@@ -558,6 +566,6 @@ def _damaged(kind: str, path: Path) -> Finding:
     return Finding(
         Code.CACHE_FILE_DAMAGED,
         f"An intermediate result ({kind}, {path.name}) was damaged or cut short; it was computed "
-        "anew.",
+        "again.",
         {"kind": kind, "file": path.name},
     )

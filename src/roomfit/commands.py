@@ -13,9 +13,10 @@ True beside found absorption, and what a trivial guess would have reached.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -24,30 +25,35 @@ from roomfit.cache import (
     check_output_folder,
     whole_output_folder,
     write_bytes_atomically,
+    write_json_atomically,
     write_text_atomically,
 )
-from roomfit.errors import InputError
-from roomfit.experiment_design.choose import CRITERIA, Criterion, Design
-from roomfit.experiment_design.design import CANDIDATES, design
+from roomfit.coverage.estimate import CoverageResult, estimate_coverage
+from roomfit.coverage.synthetic_room import CoverageSettings
+from roomfit.errors import InputError, located
+from roomfit.experiment_design.campaign import design_arguments
+from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
-from roomfit.inversion.measurements import campaign_scene
-from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
+from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import Campaign, input_files, read_campaign
+from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
+from roomfit.io.inputs import identify_arguments
 from roomfit.io.materials import material_priors
-from roomfit.io.results import input_digests, read_misfit, read_result, write_result
-from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.results import read_result, write_result
+from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.prediction.campaign import PairChoice, predict_arguments
+from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
-from roomfit.prediction.predict import predict_campaign
-from roomfit.prediction.prediction import Predicted
-from roomfit.prediction.setup import Change, PairChoice
+from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.figures import write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Answer
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
@@ -98,7 +104,7 @@ def export_result(
     wanted: str,
     out: Path,
     *,
-    scattering: float = DEFAULT_SCATTERING,
+    scattering: float | None = None,
     overwrite: bool = False,
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
@@ -111,7 +117,8 @@ def export_result(
     out : Path
         The file to write; for "raven", which has a file a material, the folder.
     scattering : float
-        Coefficient of every material where the result tells none, 0 to 1.
+        Coefficient of every material where the result holds none, 0 to 1; by default that of
+        `Settings`.
     overwrite : bool
         Replace what is there.
 
@@ -123,7 +130,11 @@ def export_result(
         The disk refuses.
     """
     out = Path(out)
-    exported = export_materials(read_material_table(result_file), wanted, scattering)
+    exported = export_materials(
+        read_material_table(result_file),
+        wanted,
+        Settings().default_scattering if scattering is None else scattering,
+    )
     if "" not in exported.texts:
         with whole_output_folder(out, overwrite=overwrite) as folder:
             for name, text in exported.texts.items():
@@ -163,16 +174,20 @@ DESIGN_FILES = ("design.json", "design.csv", "design_map.png", "design_gain.png"
 def design_to_folder(
     campaign_file: Path,
     out: Path,
+    changed: Mapping[str, Any] | None = None,
     *,
-    candidates: int = CANDIDATES,
-    choose_n: int | None = None,
-    most_sources: int | None = None,
-    criterion: Criterion | None = None,
     result_file: Path | None = None,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> Design:
     """Choose where to measure and write design.json, design.csv and two pictures into a folder.
+
+    Parameters
+    ----------
+    changed : mapping of option to value, optional
+        Fields of `roomfit.DesignOptions` that stand instead of the campaign's.
+    result_file : Path, optional
+        ``result.json`` or ``absorption.csv`` of a finished fit.
 
     Raises
     ------
@@ -187,16 +202,9 @@ def design_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     found = None if result_file is None else read_result(result_file)
-    answer = design(
-        campaign,
-        candidates=candidates,
-        choose_n=choose_n,
-        most_sources=most_sources,
-        criterion=criterion,
-        result=found,
-        misfit=None if result_file is None else read_misfit(result_file),
-        progress=part(progress, 0.0, 0.98),
-    )
+    arguments = design_arguments(campaign, found, changed)
+    with located(str(campaign_file)):
+        answer = design(**arguments, progress=part(progress, 0.0, 0.98))
     inputs = input_files(campaign)
     if result_file is not None:
         inputs = (*inputs, Path(result_file))
@@ -205,22 +213,6 @@ def design_to_folder(
         write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
         write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
     return answer
-
-
-def criterion_of(text: str | None) -> Criterion | None:
-    """Return a criterion by its name.
-
-    Raises
-    ------
-    InputError
-        There is none of that name.
-    """
-    if text is None:
-        return None
-    for known in CRITERIA:
-        if text == known:
-            return known
-    raise InputError("unknown criterion", found=repr(text), needed=", ".join(CRITERIA))
 
 
 # What the command writes, and so may remove when it writes over an earlier prediction.
@@ -256,11 +248,9 @@ def predict_to_folder(
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
-    predicted = predict_campaign(
-        campaign,
-        read_result(absorption_file),
-        changes,
-        pairs=pairs,
+    arguments = predict_arguments(campaign, read_result(absorption_file), changes, pairs)
+    predicted = predict(
+        **arguments,
         cache=cache_of(out) if use_cache else None,
         progress=part(progress, 0.0, 0.95),
     )
@@ -274,6 +264,32 @@ def predict_to_folder(
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
     return predicted
+
+
+def estimate_coverage_to_folder(
+    campaign_file: Path,
+    out: Path,
+    settings: CoverageSettings | None = None,
+    *,
+    progress: Progress | None = None,
+) -> CoverageResult:
+    """Estimate coverage and write calibration.json, calibration.csv and calibration.png.
+
+    They are of all replicates in the folder, whichever run has made them.
+
+    Raises
+    ------
+    InputError, CannotTell, StoreError
+        See `roomfit.estimate_coverage`.
+    """
+    from roomfit.coverage.output import coverage_csv, coverage_figure, coverage_json
+    from roomfit.report.figures import png
+
+    result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
+    write_text_atomically(out / "calibration.csv", coverage_csv(result))
+    write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
+    write_json_atomically(out / "calibration.json", coverage_json(result))
+    return result
 
 
 def _safe(name: str) -> str:
@@ -379,13 +395,17 @@ def identify_to_folder(
     # refused now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
-    cache = cache_of(out) if keep else None
-    answer = identify(campaign, cache=cache, progress=part(progress, 0.0, 0.95))
+    arguments = identify_arguments(campaign)
+    with located(str(campaign_file)):
+        answer = identify(
+            **arguments,
+            cache=cache_of(out) if keep else None,
+            progress=part(progress, 0.0, 0.95),
+        )
     inputs = input_files(campaign)
-    room, _ = read_room(campaign.room)
     page = report_html(
         answer,
-        campaign_scene(campaign, room),
+        measured_scene(arguments["scene"], arguments["measurements"]),
         title=f"Absorption: {campaign_file.stem}",
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),

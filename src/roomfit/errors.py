@@ -1,8 +1,8 @@
-"""What can go wrong, and whose turn it then is.
+"""Errors, and who can mend what went wrong.
 
 A message answers five questions: what is wrong, where, what was found, what was needed, and what
-to try. The class says whose turn it is: the caller's (`InputError`), the data's (`CannotTell`),
-the method's (`NotConverged`) or the disk's (`StoreError`).
+to try. The class says who must act: the caller (`InputError`), who measures (`CannotTell`), who
+sets the method (`NotConverged`), or who owns the disk (`StoreError`).
 """
 
 from __future__ import annotations
@@ -42,26 +42,26 @@ class RoomfitError(Exception):
 
 
 class InputError(RoomfitError):
-    """The caller's turn: a file, a table or an argument is not what it must be."""
+    """A file, a table or an argument is not what it must be."""
 
 
 class CannotTell(RoomfitError):  # noqa: N818 -- a verdict about the data, not a fault in them
-    """The data's turn: what was measured does not hold the answer that was asked for."""
+    """The measurements do not determine the answer that was asked for."""
 
 
-class NotConverged(RoomfitError):  # noqa: N818 -- reads as the sentence it says
-    """The method's turn: it stopped before its own test was met."""
+class NotConverged(RoomfitError):  # noqa: N818 -- reads as a sentence
+    """The method stopped before its own test of convergence was met."""
 
 
 class StoreError(RoomfitError):
-    """The disk's turn: a file cannot be read, written or renamed."""
+    """A file cannot be read, written or renamed."""
 
 
 @contextmanager
 def located(place: str) -> Iterator[None]:
-    """Put a place before what an error within the block says of where it is.
+    """Put a place before the `where` of an error raised within the block.
 
-    For checks that know a key but not the file it stands in.
+    For checks that know a key but not the file in which it stands.
     """
     try:
         yield

@@ -1,138 +1,124 @@
-"""Measured files of a campaign: read, put on the clock of emission, and judged band by band.
+"""What was measured: impulse responses and values of ISO 3382, with what is known of each.
 
-Which response to take from which file.
+No reading of files here: `roomfit.io` makes these records from files, anyone else from arrays.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from pathlib import Path
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import Literal, Protocol, runtime_checkable
 
+import numpy as np
+from numpy.typing import ArrayLike
+
+from roomfit._checks import float_array
+from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.signals.decay import DecayCurve, RoomParameters
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.signals.response import ImpulseResponse
+from roomfit.typing import FloatArray
 
 TimeZero = Literal["emission", "direct", "unknown"]
-
-
-@dataclass(frozen=True, slots=True)
-class ResponseSpec:
-    """One response in a file, as a campaign names it.
-
-    Attributes
-    ----------
-    path : Path
-        A WAV, MAT or SOFA file, or a text file of REW (.txt), told by its ending.
-    channel : int or None
-        WAV: channel; MAT: column. From 0; needed where there are several.
-    variable : str or None
-        MAT: name of the array of responses.
-    sampling_rate_variable : str or None
-        MAT: name of the sampling rate in Hz.
-    sampling_rate_hz : float or None
-        MAT: the sampling rate itself. Elsewhere it must agree with the file.
-    measurement, receiver_index : int or None
-        SOFA: from 0; needed where there are several.
-    time_zero : {"emission", "direct", "unknown"}
-        What the beginning of the file stands for.
-    latency_s : float
-        Delay of the measuring chain: emission lies this long after the first sample (REW: after
-        REW's own time zero).
-    excitation : Path or None
-        The WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
-        impulse response; emission is the start of this file. It may be `path` itself, where
-        another channel holds a loopback.
-    excitation_channel : int or None
-        From 0; needed where the excitation has several channels.
-    """
-
-    path: Path
-    channel: int | None = None
-    variable: str | None = None
-    sampling_rate_variable: str | None = None
-    sampling_rate_hz: float | None = None
-    measurement: int | None = None
-    receiver_index: int | None = None
-    time_zero: TimeZero = "emission"
-    latency_s: float = 0.0
-    excitation: Path | None = None
-    excitation_channel: int | None = None
-
-
 Level = Literal["per-source", "per-file", "absolute"]
 Use = Literal["fit", "validate"]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredFile:
-    """One measured response: where it lies, whose pair it is, and how it is to be used.
+# Standard deviation of the moment of emission in s where it is unspecified, by `time_zero`.
+LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
 
-    Attributes
-    ----------
-    source, receiver : str
-    response : ResponseSpec
-    level : {"per-source", "per-file", "absolute"}
-    use : {"fit", "validate"}
-    latency_sd_s : float or None
-        How uncertain the moment of emission is; None where nothing was told.
+
+@runtime_checkable
+class Signal(Protocol):
+    """Samples with their rate, such as a ``pyfar.Signal``."""
+
+    @property
+    def time(self) -> FloatArray:
+        """Samples, the last axis over time."""
+
+    @property
+    def sampling_rate(self) -> float:
+        """In Hz."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Measurement:
+    """One measured impulse response between a source and a receiver.
+
+    Raises
+    ------
+    InputError
+        The samples are not one finite channel, their rate is missing or out of range, or a choice
+        is unknown.
+
+    Examples
+    --------
+    >>> measured = Measurement("S1", "R1", [0.0, 1.0, 0.5], 48_000)
+    >>> measured.response.sampling_rate_hz
+    48000.0
     """
 
-    source: str
-    receiver: str
-    response: ResponseSpec
-    level: Level
-    use: Use
-    latency_sd_s: float | None = None
+    source: str  # name of a source of the scene
+    receiver: str  # name of a receiver of the scene
+    samples: ArrayLike | Signal  # pressure, shape (n_samples,); or with its rate: a pyfar.Signal
+    sampling_rate_hz: float | None = None  # 1 kHz to 1 MHz; may be left out for a Signal
+    latency_s: float = 0.0  # emission lies this long after the first sample
+    time_zero: TimeZero = "emission"  # what the first sample stands for, apart from the latency
+    latency_sd_s: float | None = None  # standard deviation of the latency; None: unspecified
+    level: Level = "per-source"  # what shares a gain; "absolute": 1 / (4 pi r) at r metres
+    use: Use = "fit"  # or kept for validation
+    name: str = ""  # of the file, for findings
+    where: str = ""  # the file and the part of it, for messages
+    findings: tuple[Finding, ...] = ()  # what reading it raised
+    response: ImpulseResponse = field(init=False)  # the samples, time zero by the latency alone
 
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredTable:
-    """One table of ISO 3382 values, and which of its rows are meant; None means all."""
-
-    path: Path
-    source: str | None
-    receiver: str | None
-    use: Use
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredSpectrum:
-    """One file of damped pressures, for impedances; `level` is None where none was told."""
-
-    source: str
-    receiver: str
-    path: Path
-    level: Level | None
-    use: Use
-
-
-# How well the moment of emission is known where nothing is told, by `time_zero`.
-LATENCY_SD_S = {"emission": 2e-5, "direct": 1e-4, "unknown": 1e-4}
+    def __post_init__(self) -> None:
+        where = self.where or f"{self.source} to {self.receiver}"
+        samples, rate_hz = self.samples, self.sampling_rate_hz
+        if isinstance(samples, Signal):
+            own_hz = float(samples.sampling_rate)
+            if rate_hz is not None and rate_hz != own_hz:
+                raise InputError(
+                    "a signal with another sampling rate than the one that is given",
+                    where=where,
+                    found=f"{own_hz:g} and {rate_hz:g} Hz",
+                    hint="leave sampling_rate_hz out: the signal has its own",
+                )
+            samples, rate_hz = np.squeeze(samples.time), own_hz
+        if rate_hz is None:
+            raise InputError(
+                "a measurement without a sampling rate", where=where, needed="sampling_rate_hz"
+            )
+        for key, value, known in (
+            ("time_zero", self.time_zero, LATENCY_SD_S),
+            ("level", self.level, ("per-source", "per-file", "absolute")),
+            ("use", self.use, ("fit", "validate")),
+        ):
+            if value not in known:
+                raise InputError(
+                    f"unknown {key} of a measurement",
+                    where=where,
+                    found=repr(value),
+                    needed=", ".join(map(repr, known)),
+                )
+        pressure = float_array(f"samples of {where}", samples, (None,))
+        object.__setattr__(self, "samples", pressure)
+        object.__setattr__(self, "sampling_rate_hz", float(rate_hz))
+        object.__setattr__(self, "name", self.name or f"{self.source} to {self.receiver}")
+        object.__setattr__(self, "where", where)
+        object.__setattr__(
+            self, "response", ImpulseResponse(pressure, float(rate_hz), self.latency_s)
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredPair:
-    """One measured response and what is known from it without any model.
+    """One measured response and what is known from it without any model."""
 
-    Attributes
-    ----------
-    file : MeasuredFile
-    pair : int
-        Index of the pair in the scene.
-    response : ImpulseResponse
-        Its `time_zero_s` is the emission, whatever the file's own clock said.
-    direct_s : float
-        Travel time of the direct sound by the geometry.
-    noise : NoiseEstimate
-    curve : DecayCurve
-    parameters : RoomParameters
-    """
-
-    file: MeasuredFile
-    pair: int
-    response: ImpulseResponse
-    direct_s: float
+    measurement: Measurement
+    pair: int  # index of the pair in the scene
+    response: ImpulseResponse  # on the clock of emission, whatever the file's own said
+    direct_s: float  # travel time of the direct sound by the geometry
     noise: NoiseEstimate
     curve: DecayCurve
     parameters: RoomParameters

@@ -7,12 +7,14 @@ from dataclasses import dataclass
 from typing import Literal
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import Certificate
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
+from roomfit.response.directivity import FirstOrderBands
+from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
+from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
@@ -112,6 +114,8 @@ class Answer:
         the intervals are known.
     logit_prior : float array, shape (2, n_materials, n_bands), or None
         Mean and standard deviation of logit absorption before anything was measured.
+    prior_specified : bool array, shape (n_materials,), or None
+        Whether the campaign specifies that prior, or it is the broad default.
     combinations : tuple of tuples of Combination, one a band
         Means over groups of materials that the data determine, that of the whole room first.
     models : tuple of str, one a band
@@ -178,6 +182,35 @@ class Answer:
     sampling: tuple[Sampled | None, ...] = ()
     prior: FloatArray | None = None
     reasons: tuple[str, ...] = ()
+    prior_specified: BoolArray | None = None
+
+
+def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
+    """Return the absorption of an answer with its posterior, as predictions and designs take it.
+
+    Where the answer has no covariance, the intervals are taken as independent.
+
+    Examples
+    --------
+    ``roomfit.predict(scene, roomfit.absorption_posterior(roomfit.identify(scene, measurements)))``
+    """
+    covariance = answer.logit_covariance
+    if covariance is None:
+        covariance = covariance_from_intervals(answer.absorption, answer.lower95, answer.upper95)
+    mean, sd = (None, None) if answer.logit_prior is None else answer.logit_prior
+    return AbsorptionPosterior(
+        answer.materials,
+        answer.bands,
+        answer.absorption,
+        answer.lower95,
+        answer.upper95,
+        covariance,
+        prior_logit_mean=mean,
+        prior_logit_sd=sd,
+        scattering=answer.scattering,
+        directivities={d.source: FirstOrderBands(d.b) for d in answer.directivities},
+        chi2_reduced=answer.chi2_reduced,
+    )
 
 
 def certificate_distance(answer: Answer, band: int) -> float:

@@ -1,12 +1,7 @@
-"""Which material each surface of a mesh has.
+"""A room whose every surface has a material, with sources, receivers and air.
 
-Whether sources and receivers stand where they can.
-
-A mesh whose every face has a material.
-
-What a room is like, and whether it can be traced.
-
-A room with sources, receivers and air: all that a simulation needs but the absorption.
+That is all that a simulation needs but the absorption. Rooms and positions are checked here: what a
+room is like, whether it can be traced, and whether sources and receivers stand in the air.
 """
 
 from __future__ import annotations
@@ -15,6 +10,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, int_array, nearest, unique_names
 from roomfit.air import Air
@@ -23,6 +19,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.check import examine
 from roomfit.geometry.inside import is_inside, nearest_triangles
 from roomfit.geometry.mesh import (
+    SHOEBOX_SURFACES,
     Mesh,
     Surface,
     corners_m,
@@ -30,6 +27,7 @@ from roomfit.geometry.mesh import (
     is_double_sided,
     place,
     refuse,
+    shoebox_mesh,
     triangle_areas_m2,
 )
 from roomfit.typing import FloatArray, IntArray
@@ -39,26 +37,16 @@ from roomfit.typing import FloatArray, IntArray
 class Room:
     """A closed mesh and the material of each of its surfaces.
 
-    A material is a set of faces that share one absorption. What that absorption is, a room does
-    not know.
-
-    Attributes
-    ----------
-    mesh : Mesh
-    materials : tuple of str
-        In the order of every array with a material axis.
-    surface_material : int32 array, shape (n_surfaces,)
-        Index into `materials` for each of `mesh.surfaces`.
-    shoebox_m : tuple of three floats or None
-        Lengths in x, y, z where the room is a box with one corner at the origin, so that image
-        sources can use the lattice; `mesh.surfaces` are then west (x = 0), east, south (y = 0),
-        north, floor and ceiling, in that order.
+    A material is a set of faces that share one absorption; its value is no property of the room.
     """
 
     mesh: Mesh
-    materials: tuple[str, ...]
-    surface_material: IntArray
+    materials: tuple[str, ...]  #: In the order of every array with a material axis
+    surface_material: IntArray  #: int32 (n_surfaces,), index into `materials`
+    #: Lengths in x, y, z of the box of `shoebox_room`, so that image sources can use the lattice;
+    #: `mesh.surfaces` are then west (x = 0), east, south (y = 0), north, floor and ceiling
     shoebox_m: tuple[float, float, float] | None = None
+    findings: tuple[Finding, ...] = ()  # what was repaired or doubtful in making it
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -92,21 +80,55 @@ def material_areas_m2(room: Room) -> FloatArray:
 _SHOWN = 12
 
 
+def shoebox_room(lengths_m: ArrayLike, materials: str | Mapping[str, str]) -> Room:
+    """Return a box with one corner at the origin and its materials.
+
+    Parameters
+    ----------
+    lengths_m : array_like, shape (3,)
+        Lengths along x, y and z, each 1 mm to 10 km.
+    materials : str or mapping from str to str
+        One material for all surfaces, or that of each: ``west`` (x = 0), ``east``, ``south``
+        (y = 0), ``north``, ``floor`` and ``ceiling``; ``walls`` stands for the four upright ones
+        that are not named. A surface that is not named is a material of its own, with its name.
+
+    Returns
+    -------
+    Room
+        Materials in the order of their first surface.
+
+    Raises
+    ------
+    InputError
+        A length is out of range, or a key names no surface.
+
+    Examples
+    --------
+    >>> shoebox_room((6.0, 5.0, 3.0), "concrete").materials
+    ('concrete',)
+    >>> room = shoebox_room((6, 5, 3), {"walls": "plaster", "floor": "carpet", "ceiling": "tiles"})
+    >>> dict(zip(room.materials, material_areas_m2(room).tolist()))
+    {'plaster': 66.0, 'carpet': 30.0, 'tiles': 30.0}
+    """
+    mesh = shoebox_mesh(lengths_m)
+    if isinstance(materials, str):
+        materials = dict.fromkeys(SHOEBOX_SURFACES, materials)
+    x, y, z = mesh.vertices_m.max(axis=0).tolist()
+    return room_from_mesh(mesh, materials, (x, y, z))
+
+
 def room_from_mesh(
-    mesh: Mesh,
-    materials: Mapping[str, str],
-    shoebox_m: tuple[float, float, float] | None = None,
+    mesh: Mesh, materials: Mapping[str, str], shoebox_m: tuple[float, float, float] | None = None
 ) -> Room:
     """Give every surface its material.
 
     Parameters
     ----------
-    mesh : Mesh
     materials : mapping from str to str
         From the name of a surface, a group or a file's material, in that precedence, to a
         material. What is not named keeps the file's material name.
     shoebox_m : tuple of three floats, optional
-        Lengths, where the mesh is the box of `geometry.shoebox`.
+        Lengths, where the mesh is that of `shoebox_mesh`.
 
     Returns
     -------
@@ -128,14 +150,11 @@ def surface_materials(
     surfaces: Iterable[Surface], materials: Mapping[str, str]
 ) -> tuple[str | None, ...]:
     """Return the material of every surface, None where neither the mapping nor the file has one."""
-    return tuple(_material_of(surface, materials) for surface in surfaces)
-
-
-def _material_of(surface: Surface, materials: Mapping[str, str]) -> str | None:
-    for key in (surface.name, surface.group, surface.file_material):
-        if key is not None and key in materials:
-            return materials[key]
-    return surface.file_material
+    keys = ((s.file_material, (s.name, s.group, s.file_material)) for s in surfaces)
+    return tuple(
+        next((materials[k] for k in names if k is not None and k in materials), default)
+        for default, names in keys
+    )
 
 
 def material_findings(mesh: Mesh, materials: Mapping[str, str]) -> tuple[Finding, ...]:
@@ -201,38 +220,18 @@ def _check_keys(surfaces: Iterable[Surface], materials: Mapping[str, str]) -> No
 
 @dataclass(frozen=True, slots=True)
 class RoomCheck:
-    """What a room is like.
+    """What a room is like."""
 
-    Attributes
-    ----------
-    volume_m3 : float
-        Approximate where the mesh is not closed.
-    surface_m2 : float
-        Area that sound can strike; both sides of a sheet in the air count.
-    mean_free_path_m : float
-        4 V / S.
-    size_m : tuple of three floats
-        Of the box along x, y and z that just holds the room.
-    n_triangles, n_surfaces : int
-    closed : bool
-    leak : float or None
-        Rays lost per hit of a wall; None where no point inside was found.
-    material_areas_m2 : tuple of (str or None, float)
-        Largest first; None stands for surfaces without a material.
-    findings : tuple of Finding
-        Repairs, doubts and faults; the latter are the serious ones.
-    """
-
-    volume_m3: float
-    surface_m2: float
-    mean_free_path_m: float
-    size_m: tuple[float, float, float]
+    volume_m3: float  # Approximate where the mesh is not closed
+    surface_m2: float  # Area that sound can strike; both sides of a sheet in the air count
+    mean_free_path_m: float  # 4 V / S
+    size_m: tuple[float, float, float]  # of the bounding box along x, y and z
     n_triangles: int
     n_surfaces: int
     closed: bool
-    leak: float | None
-    material_areas_m2: tuple[tuple[str | None, float], ...]
-    findings: tuple[Finding, ...]
+    leak: float | None  # Rays lost per hit of a wall; None where no point inside was found
+    material_areas_m2: tuple[tuple[str | None, float], ...]  # Largest first; None: no material
+    findings: tuple[Finding, ...]  # Repairs, doubts, and faults, which are the serious ones
 
     @property
     def traceable(self) -> bool:
@@ -248,49 +247,49 @@ def check_mesh(
     Parameters
     ----------
     mesh : Mesh
-        Oriented, see `geometry.orientation`.
+        Oriented, see `geometry.build.oriented`.
     materials : mapping from str to str
-        As `scene.rooms.room_from_mesh` takes it.
+        As of `room_from_mesh`.
     earlier : iterable of Finding
-        What was found on the way to this mesh; it comes first in the result.
+        Those of reading and building the mesh; they come first in the result.
 
     Raises
     ------
     InputError
         A key of `materials` matches nothing.
+
+    Examples
+    --------
+    >>> check = check_mesh(shoebox_mesh((6.0, 5.0, 3.0)), {"walls": "plaster"})
+    >>> check.traceable, round(check.volume_m3, 9)
+    (True, 90.0)
+    >>> check.material_areas_m2
+    (('plaster', 66.0), ('floor', 30.0), ('ceiling', 30.0))
     """
     bare = material_findings(mesh, materials)
     examination = examine(mesh)
-    x, y, z = (mesh.vertices_m.max(axis=0) - mesh.vertices_m.min(axis=0)).tolist()
+    x, y, z = np.ptp(mesh.vertices_m, axis=0).tolist()
     return RoomCheck(
-        examination.volume_m3,
-        examination.surface_m2,
-        examination.mean_free_path_m,
-        (x, y, z),
-        len(mesh.triangles),
-        len(mesh.surfaces),
-        examination.closed,
-        examination.leak,
-        tuple(material_areas(mesh, materials).items()),
-        (*earlier, *bare, *examination.findings),
+        volume_m3=examination.volume_m3,
+        surface_m2=examination.surface_m2,
+        mean_free_path_m=examination.mean_free_path_m,
+        size_m=(x, y, z),
+        n_triangles=len(mesh.triangles),
+        n_surfaces=len(mesh.surfaces),
+        closed=examination.closed,
+        leak=examination.leak,
+        material_areas_m2=tuple(material_areas(mesh, materials).items()),
+        findings=(*earlier, *bare, *examination.findings),
     )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Point:
-    """A named position of a source or a receiver.
-
-    Attributes
-    ----------
-    name : str
-    position_m : float array, shape (3,)
-    position_sd_m : float or None
-        Standard deviation of each coordinate as told; None where nothing was told.
-    """
+    """A named position of a source or a receiver."""
 
     name: str
-    position_m: FloatArray
-    position_sd_m: float | None = None
+    position_m: FloatArray  #: (3,)
+    position_sd_m: float | None = None  #: Of each coordinate; None where it is not specified
 
     def __post_init__(self) -> None:
         position = float_array(
@@ -301,22 +300,12 @@ class Point:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scene:
-    """Everything that directs the sound, and nothing that absorbs it at walls.
-
-    Attributes
-    ----------
-    room : Room
-    sources, receivers : tuple of Point
-        Sources are omnidirectional with unit sound power.
-    pairs : int32 array, shape (n_pairs, 2)
-        Index of source and of receiver of each pair whose response is wanted.
-    air : Air
-    """
+    """Everything that directs the sound, and nothing that absorbs it at walls; see `scene_of`."""
 
     room: Room
-    sources: tuple[Point, ...]
+    sources: tuple[Point, ...]  #: Omnidirectional with unit sound power
     receivers: tuple[Point, ...]
-    pairs: IntArray
+    pairs: IntArray  #: int32 (n_pairs, 2), index of source and of receiver of each wanted response
     air: Air
 
     def __post_init__(self) -> None:
@@ -331,6 +320,73 @@ class Scene:
         object.__setattr__(self, "pairs", pairs)
 
 
+def scene_of(
+    room: Room,
+    sources: Mapping[str, ArrayLike] | Sequence[Point],
+    receivers: Mapping[str, ArrayLike] | Sequence[Point],
+    pairs: Iterable[tuple[str, str]] | None = None,
+    air: Air | None = None,
+) -> Scene:
+    """Return a scene from the names of sources and receivers.
+
+    Parameters
+    ----------
+    room : Room
+    sources, receivers : mapping from name to position, or sequence of Point
+        Positions in metres, shape (3,), in the room's coordinates.
+    pairs : iterable of (source, receiver) names, optional
+        Whose responses are wanted; left out: every source with every receiver, receivers fastest.
+    air : Air, optional
+        Left out: 20 degrees Celsius, 50 % and 101.325 kPa.
+
+    Raises
+    ------
+    InputError
+        A position is not three finite numbers or not in the air of the room, a source stands at a
+        receiver, a name occurs twice, or a pair names no source or receiver.
+
+    Examples
+    --------
+    >>> room = shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = scene_of(room, {"LS1": (1, 1, 1.5)}, {"MP1": (4, 3, 1.2), "MP2": (2, 4, 1.2)})
+    >>> scene.pairs.tolist()
+    [[0, 0], [0, 1]]
+    >>> scene_of(room, scene.sources, scene.receivers, [("LS1", "MP2")]).pairs.tolist()
+    [[0, 1]]
+    """
+    emitters, listeners = _points(sources), _points(receivers)
+    named = unique_names("source", (p.name for p in emitters))
+    received = unique_names("receiver", (p.name for p in listeners))
+    refuse(position_findings(room, emitters, listeners))
+    if pairs is None:
+        pairs = [(s, r) for s in named for r in received]
+    indices = [
+        (_index_of("source", s, named), _index_of("receiver", r, received)) for s, r in pairs
+    ]
+    if not indices:
+        raise InputError("a scene without pairs", needed="at least one source and one receiver")
+    return Scene(room, emitters, listeners, np.array(indices), Air() if air is None else air)
+
+
+def _points(given: Mapping[str, ArrayLike] | Sequence[Point]) -> tuple[Point, ...]:
+    if isinstance(given, Mapping):
+        return tuple(Point(name, np.asarray(position)) for name, position in given.items())
+    return tuple(given)
+
+
+def _index_of(kind: str, name: str, known: tuple[str, ...]) -> int:
+    if name in known:
+        return known.index(name)
+    like = nearest(str(name), known)
+    raise InputError(
+        f"a pair names a {kind} that the scene does not have",
+        where="pairs",
+        found=repr(name),
+        needed=f"one of {', '.join(known[:_SHOWN])}",
+        hint=f"did you mean {like!r}?" if like else None,
+    )
+
+
 def distances_m(scene: Scene) -> FloatArray:
     """Return the straight distance of every pair, shape (n_pairs,)."""
     sources = np.array([s.position_m for s in scene.sources])
@@ -339,18 +395,17 @@ def distances_m(scene: Scene) -> FloatArray:
     return np.asarray(np.linalg.norm(steps, axis=1))
 
 
+# A point nearer to a wall than 1 cm counts as inside it; positions are seldom known better.
 NEAREST_WALL_M = 0.01
-"""A point nearer to a wall than 1 cm counts as inside it; positions are seldom known better."""
-
 NEAREST_PAIR_M = 0.01
 
 
 def position_findings(
     room: Room, sources: Sequence[Point], receivers: Sequence[Point]
 ) -> tuple[Finding, ...]:
-    """Return a fault for each point outside the room or in a wall, and each pair at one place.
+    """Return a fault for each point outside the room or in a wall, and each pair at one position.
 
-    Pass the result to `roomfit.geometry.mesh.refuse` to have the first one raised.
+    `roomfit.geometry.mesh.refuse` raises the first one.
     """
     named = [*(("source", p) for p in sources), *(("receiver", p) for p in receivers)]
     if not named:
@@ -376,7 +431,7 @@ def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:
         where=place(point.position_m),
         found=f"{1e3 * distance_m:.1f} mm from surface {wall!r}",
         needed=f"at least {1e3 * NEAREST_WALL_M:.0f} mm",
-        hint="move it to where it truly stood, in front of the wall",
+        hint="correct its position: it stood in front of the wall",
     )
 
 
@@ -388,7 +443,7 @@ def _outside(
         f"{who} stands outside the room",
         where=place(point.position_m),
         found=f"{distance_m:.3g} m from the nearest surface, {wall!r}",
-        needed=f"a place within the walls; the room reaches from {place(low)} to {place(high)}",
+        needed=f"a position within the walls; the room reaches from {place(low)} to {place(high)}",
         hint="check unit, up axis and origin of the room file against the positions",
     )
 

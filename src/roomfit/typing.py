@@ -1,7 +1,4 @@
-"""Names for the array types that every layer uses.
-
-One bar for several steps of a job.
-"""
+"""Types that every layer uses: arrays, and the report of progress."""
 
 from __future__ import annotations
 

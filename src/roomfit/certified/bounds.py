@@ -1,14 +1,9 @@
-"""The log-affine sandwich: every window's log energy between two parallel planes over a box.
+"""Log-affine bounds: every window's log energy between two parallel planes over a box.
 
-One window's misfit as a function of L = log R, and its convex lower bound, as kernels.
-
-Written with f for the misfit, f' and f'' for its derivatives by L, and M, c for what was measured
-and its precision. Kinds: 0 squares, 1 logarithms, 2 Gamma deviance.
-
-Passes over the rows: energies, their logarithms' slopes, and the sandwich over a box.
-
-A box is `lo` and `hi` in g = log(1 - absorption). A coordinate whose `lo` is minus infinity reaches
-an absorption of 1; rows that hit it count as anything from 0 to their value at `hi`.
+The misfit f of a window is a function of L = log R, with derivatives f' and f'', of what was
+measured (M) and of its precision (c); kinds are 0 squares, 1 logarithms, 2 Gamma deviance. A box is
+`lo` and `hi` in g = log(1 - absorption). A coordinate whose `lo` is minus infinity reaches an
+absorption of 1; rows that hit it count as anything from 0 to their value at `hi`.
 """
 
 from __future__ import annotations
@@ -63,10 +58,10 @@ def stiffness(kind: int, c: float, r: float) -> float:
 def tail_of_squares(m: float, left: float) -> float:
     """Return where a straight line from `left` comes to lie on the squares from below.
 
-    ``(exp(L) - m)**2`` bends down for L < log(m / 2). The tangent at the place returned lies below
-    it from `left` on: at the place, because it bends up from there to the right; at `left`, which
+    ``(exp(L) - m)**2`` bends down for L < log(m / 2). The tangent at the level returned lies below
+    it from `left` on: at that level, because it bends up from there to the right; at `left`, which
     is tested; and between them, because it bends down. Where nothing bends down from `left` on,
-    the place is where the bend is: the line goes on to its left, where nothing is asked.
+    it is the bend: the line goes on to its left, where no value is needed.
     """
     if m <= 0.0:
         return -math.inf
@@ -193,7 +188,7 @@ def vertex_remainder(
 ) -> float:
     """Return how far one window's log energy rises above its tangent plane within a box, at most.
 
-    The logarithm of a sum of exponentials is convex, so that the highest place above a plane is a
+    The logarithm of a sum of exponentials is convex, so that the highest point above a plane is a
     vertex; all are tried. Infinite where a row may change by a factor beyond e**600.
 
     Parameters
@@ -243,7 +238,7 @@ def spread_of_window(
     """Fill the weighted second moments of one window's exponents; return their total weight.
 
     ``spread[a, b] = sum_k p_k kappa(rho_k) (n_ka - nbar_a)(n_kb - nbar_b)`` with
-    ``rho_k = sum_m |n_km - nbar_m| h_m + wobble``, for the remainder of the sandwich.
+    ``rho_k = sum_m |n_km - nbar_m| h_m + wobble``, for the remainder of the bounds.
 
     Parameters
     ----------

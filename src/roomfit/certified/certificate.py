@@ -1,18 +1,16 @@
-"""Bands of a campaign fitted with a proof that no other absorption does better.
+"""A band fitted with a proof that no other absorption does better.
 
-The answer of a certified search: value, proven bound, and where other minimisers could be.
+The boxes that a search leaves are joined to clusters; their bounds and the lowest cost found make
+the certificate. The proof holds for the weights of the answer, so that fit and proof take turns.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit.bands import Bands
 from roomfit.certified.convex import descend, is_convex, total_misfit
 from roomfit.certified.question import (
     GlobalProblem,
@@ -30,14 +28,14 @@ from roomfit.certified.search import (
     tools_for,
 )
 from roomfit.errors import InputError
-from roomfit.findings import Code, Finding
 from roomfit.objective.energy import EnergyProblem, tracing_variance
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import BandProblem
-from roomfit.solvers.least_squares import BandFit, ResidualFunction, Solver, fit_band, gauss_newton
+from roomfit.solvers.certificate import Certificate, Cluster, Status
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.least_squares import BandFit, Solver, fit_band, gauss_newton
+from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, IntArray, Progress
-
-Status = Literal["certified", "stopped", "unresolved"]
 
 # Descents within a cluster: from its boxes of lowest bounds.
 _DESCENTS = 24
@@ -46,68 +44,6 @@ _MORE_BOXES = 2000
 _ALMOST_BLACK = math.log(1e-6)
 # In g: far above the rounding of faces that were computed twice, far below any width.
 _TOUCHING = 1e-9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Cluster:
-    """Boxes that touch each other, and the lowest misfit found in them.
-
-    Attributes
-    ----------
-    lower, upper : float arrays, shape (n,)
-        Smallest box round all of them: absorption of the materials, gains as factors.
-    minimiser : float array, shape (n,)
-    value : float
-    unique : bool
-        Whether the misfit is proven convex all over the box: then the cluster has one minimiser.
-    n_boxes : int
-    """
-
-    lower: FloatArray
-    upper: FloatArray
-    minimiser: FloatArray
-    value: float
-    unique: bool
-    n_boxes: int
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Certificate:
-    """What was proven of the lowest misfit.
-
-    Attributes
-    ----------
-    status : {"certified", "stopped", "unresolved"}
-        certified: the lowest misfit anywhere lies between `lower_bound` and `value`, which are
-        within `delta`, and no point outside the clusters comes within `delta` of it.
-        stopped: a cap or an interrupt ended the search; `lower_bound` and the clusters, open boxes
-        included, are proven all the same.
-        unresolved: all boxes are narrow, but some may hold a misfit lower than `value` by more
-        than `delta`.
-    sentence : str
-    coordinates : tuple of str
-    value : float
-    lower_bound : float
-    delta : float
-    clusters : tuple of Cluster
-        By value, the lowest first.
-    n_open : int
-        Boxes still to be worked on when the search stopped.
-    boxes : int
-        Boxes examined.
-    seconds : float
-    """
-
-    status: Status
-    sentence: str
-    coordinates: tuple[str, ...]
-    value: float
-    lower_bound: float
-    delta: float
-    clusters: tuple[Cluster, ...]
-    n_open: int
-    boxes: int
-    seconds: float
 
 
 def certify(
@@ -231,7 +167,7 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
             f"Not resolved: the misfit found, {value:.6g}, could be {better} within boxes too "
             "narrow to be cut."
         )
-    where = "one place comes" if n == 1 else f"{n} places come"
+    where = "one minimum comes" if n == 1 else f"{n} minima come"
     return (
         f"Certified: no absorption has a misfit below {bound:.6g}, {value:.6g} was found, and only "
         f"{where} within {found.delta:.3g} of it."
@@ -240,30 +176,22 @@ def _sentence(status: Status, value: float, bound: float, found: Searched, n: in
 
 # Of half the weighted squares: one standard deviation costs 0.5.
 _LEAST_DELTA = 0.02
-# Of boxes left over; narrower ones would tell more of the places, and take longer.
+# Of boxes left over; narrower ones would locate minima better, and take longer.
 _WIDTH = 0.25
-# Weights change with the answer: certify, fit again from the best place, certify again.
+# Weights change with the answer: certify, fit again from the best minimum, certify again.
 _ROUNDS = 2
 
 
 @dataclass(frozen=True, slots=True)
 class CertifyLimits:
-    """How much one band may cost.
-
-    Attributes
-    ----------
-    max_boxes : int
-    max_seconds : float
-    max_rows : int
-        Rows of all windows, paths of equal hits as one.
-    """
+    """How much one band may cost."""
 
     max_boxes: int = 200_000
     max_seconds: float = 60.0
-    max_rows: int = 400_000
+    max_rows: int = 400_000  # rows of all windows, paths of equal hits as one
 
 
-# What a proof that nobody asked for may cost. With more unknowns it took a minute.
+# What a proof that was not asked for may cost. With more unknowns it took a minute.
 AFFORDABLE = CertifyLimits(max_boxes=3_000, max_seconds=2.0, max_rows=60_000)
 _AFFORDABLE_UNKNOWNS = 3
 # Half of what one standard deviation costs: finer proofs take many times as many boxes.
@@ -278,7 +206,7 @@ def certified_fit(
 ) -> tuple[BandFit, Certificate | None]:
     """Fit one band by least squares, and prove how low its cost can be.
 
-    Where the search finds a better place, the fit starts again from there, and the proof is made
+    Where the search finds a lower minimum, the fit starts again from there, and the proof is made
     again with the weights of the new answer. There is none where nothing is unknown.
 
     Raises
@@ -312,13 +240,14 @@ def certified_fit(
             progress((number + 1) / _ROUNDS)
         if fit.cost <= certificate.value + 1e-3 + 0.01 * settings.delta:
             break
-        place = free_vector(problem, certificate.clusters[0].minimiser)
+        place, before = free_vector(problem, certificate.clusters[0].minimiser), fit.evaluations
         fit = fit_band(problem, _staying_at(place), gauss_newton)
+        fit = replace(fit, evaluations=before + fit.evaluations)
     return fit, certificate
 
 
 def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
-    """Return what is proven of a band's energies near a fit, where that takes a moment.
+    """Return what is proven of a band's energies near a fit, where that takes two seconds at most.
 
     None where other data are fitted, more than three numbers are unknown, there are too many rows,
     or the search is not complete after two seconds.
@@ -327,7 +256,7 @@ def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certific
     ----------
     problem : BandProblem
     vector : float array, shape (n_free,)
-        The fit; its weights are held.
+        The fit; its weights are kept.
     """
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
     if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
@@ -347,14 +276,15 @@ def _settings(limits: CertifyLimits, delta: float) -> SearchSettings:
 
 
 def _staying_at(place: FloatArray) -> Solver:
-    def stay(_residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
-        return place
+    def stay(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
+        values, _ = residuals(place)
+        return Minimum(place, 0.5 * float(values @ values), 1, Ending.CONVERGED)
 
     return stay
 
 
 def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatArray) -> float:
-    """Return how much of a cost may be the rays' own doing: nothing below it is told apart.
+    """Return how much of a cost may be due to the rays: less cannot be distinguished.
 
     Other rays change window energies by errors e of variance v, and the cost ``sum c (r + e)**2``
     by ``sum c v`` on average, give or take twice ``(sum (2 c r)**2 v) ** 0.5``.
@@ -382,34 +312,3 @@ def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatAr
     off = problem.predict(vector).expected - problem.measured()
     linear = float(np.sqrt(np.sum((2.0 * precision * off) ** 2 * variance)))
     return max(float(np.sum(precision * variance)) + 2.0 * linear, _LEAST_DELTA)
-
-
-def certificate_findings(
-    bands: Bands, certificates: Sequence[Certificate | None]
-) -> tuple[Finding, ...]:
-    """Return a finding for bands without proof, and one for those with several answers."""
-    findings = []
-    named = [(float(f), c) for f, c in zip(bands.centres_hz, certificates, strict=True)]
-    open_ = [(f, c) for f, c in named if c is not None and c.status != "certified"]
-    if open_:
-        listed = ", ".join(f"{f:g} Hz (at most {c.value - c.lower_bound:.2g})" for f, c in open_)
-        findings.append(
-            Finding(
-                Code.NOT_CERTIFIED,
-                "The search for a better answer was stopped before it was complete; the cost could "
-                f"be lower at {listed}.",
-                {"bands_hz": [f for f, _ in open_]},
-            )
-        )
-    several = [(f, c) for f, c in named if c is not None and len(c.clusters) > 1]
-    if several:
-        listed = ", ".join(f"{f:g} Hz ({len(c.clusters)} places)" for f, c in several)
-        findings.append(
-            Finding(
-                Code.MULTIPLE_MINIMA_CERTIFIED,
-                f"Absorptions far apart explain the energies within what rays can tell: {listed}. "
-                "The intervals are about one of them; fit.certified holds all.",
-                {"bands_hz": [f for f, _ in several]},
-            )
-        )
-    return tuple(findings)

@@ -1,12 +1,8 @@
-"""A test that the misfit is convex all over a box, so that the box holds one minimum at most.
+"""Convex lower bounds of the misfit over a box, and the descents that use them.
 
-The convex lower bound of the misfit over a box, minimised with a certificate at every step.
-
-The misfit itself, and a descent from a point to a local minimum.
-
-Gaussian priors of logit absorption: values, and lower bounds over an interval.
-
-Slices cut off a box where the convex bound shows that nothing near the lowest lies in them.
+The bound is minimised with a valid lower value at every step; slices where it exceeds the threshold
+are cut off the box; where the misfit itself is proven convex, the box has one minimum at most.
+Gaussian priors of logit absorption have bounds of their own over an interval.
 """
 
 from __future__ import annotations
@@ -156,7 +152,7 @@ def _tangent_bound(
 def newton_step(
     gradient: FloatArray, hessian: FloatArray, d: FloatArray, low: FloatArray, high: FloatArray
 ) -> FloatArray:
-    """Return a descent step in which coordinates held by a face of the box do not move."""
+    """Return a descent step in which coordinates fixed by a face of the box do not move."""
     n = len(d)
     trace = 0.0
     free = np.ones(n, dtype=np.bool_)
@@ -711,7 +707,7 @@ def shave(
     box : float array, shape (2, n)
         In g; a coordinate that reaches minus infinity keeps its lower end.
     threshold : float
-        A slice goes where the convex bound reaches it.
+        A slice is cut off where the convex bound reaches it.
     low_ends : float array, shape (n,)
         Where over the whole box the convex bound is lowest, from the centre.
     """

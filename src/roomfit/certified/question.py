@@ -1,7 +1,4 @@
-"""Problems of the objective layer as questions for a certified search.
-
-What a certified search minimises: misfits of sums of products of powers, and priors.
-"""
+"""What a certified search minimises: misfits of sums of products of powers, and priors."""
 
 from __future__ import annotations
 
@@ -33,40 +30,23 @@ class GlobalProblem:
 
     Window i is expected to have the energy ``R_i = sum over its rows of w prod exp(n_m g_m)``. The
     first coordinates are materials, g = log(1 - absorption); others are log gains.
-
-    Attributes
-    ----------
-    coordinates : tuple of str
-    is_absorption : bool array, shape (n,)
-    misfit : {"squares", "logarithms", "gamma"}
-        ``c (R - M)**2``, ``c (log R - log M)**2``, or the Gamma deviance
-        ``2 c (M / R - 1 - log(M / R))``, summed over windows.
-    offsets : int64 array, shape (n_windows + 1,)
-        Window i owns the rows ``offsets[i]:offsets[i + 1]``.
-    weight : float array, shape (n_rows,)
-        0 or more.
-    exponents : uint16 array, shape (n_rows, n)
-    measured : float array, shape (n_windows,)
-        M; 0 or more, above 0 unless the misfit is "squares".
-    precision : float array, shape (n_windows,)
-        c; 0 or more.
-    least, most : float arrays, shape (n,)
-        Bounds of g. `least` may be minus infinity, an absorption of 1.
-    prior : float array, shape (n, 4)
-        Adds ``p (logit - mean)**2`` for each material, with the logit of its absorption between
-        bounds: columns p, mean, 1 - lower bound, 1 - upper bound. p = 0 adds nothing.
     """
 
     coordinates: tuple[str, ...]
-    is_absorption: BoolArray
+    is_absorption: BoolArray  # (n,)
+    # {"squares", "logarithms", "gamma"}, ``c (R - M)**2``, ``c (log R - log M)**2``, or the Gamma
+    # deviance ``2 c (M / R - 1 - log(M / R))``, summed over windows
     misfit: Misfit
-    offsets: IntArray
-    weight: FloatArray
-    exponents: IntArray
-    measured: FloatArray
-    precision: FloatArray
+    offsets: IntArray  # (n_windows + 1,), window i owns the rows ``offsets[i]:offsets[i + 1]``
+    weight: FloatArray  # (n_rows,), 0 or more
+    exponents: IntArray  # (n_rows, n)
+    measured: FloatArray  # (n_windows,), M; 0 or more, above 0 unless the misfit is "squares"
+    precision: FloatArray  # (n_windows,), c; 0 or more
+    # least, most: (n,), bounds of g. `least` may be minus infinity, an absorption of 1.
     least: FloatArray
     most: FloatArray
+    # (n, 4), adds ``p (logit - mean)**2`` for each material, with the logit of its absorption
+    # between bounds: columns p, mean, 1 - lower bound, 1 - upper bound. p = 0 adds nothing.
     prior: FloatArray
 
     def __post_init__(self) -> None:
@@ -155,7 +135,7 @@ def is_certifiable(problem: EnergyProblem) -> bool:
 def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalProblem:
     """Return half the weighted squares of a band's window energies, and half those of its priors.
 
-    The weights are those of the answer `vector`, held fixed: the cost that a fit's last round has
+    The weights are those of the answer `vector`: the cost that a fit's last round has
     minimised. Coordinates are the fitted absorptions, then the fitted gains.
 
     Parameters
@@ -215,7 +195,7 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
 
 
 def free_vector(problem: EnergyProblem, place: FloatArray) -> FloatArray:
-    """Return the free vector of a minimiser as certificates tell it: absorptions, then gains."""
+    """Return the free vector of a minimiser as certificates give it: absorptions, then gains."""
     values = {}
     position = 0
     for name in ("absorption", "gain"):

@@ -1,6 +1,6 @@
-"""Branch and bound: the boxes that may hold misfits near the lowest, and proof for all others.
+"""Branch and bound: boxes that may hold misfits near the lowest, and proof for all others.
 
-One box of the search: pruned, shaved, kept, or cut in two.
+One box after the other is pruned, shaved, kept, or cut in two.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ class BoxStatus(Enum):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Tools:
-    """A question in the form that kernels take, with what is worked out once."""
+    """A global problem in the form that kernels take, with what is computed once."""
 
     kind: int
     data: Arrays
@@ -69,7 +69,7 @@ class Incumbent:
 
 
 def tools_for(global_problem: GlobalProblem) -> Tools:
-    """Return what working on the boxes of a question needs."""
+    """Return what working on the boxes of a global problem needs."""
     data = arrays(global_problem)
     return Tools(
         KINDS[global_problem.misfit],
@@ -189,33 +189,23 @@ _TOGETHER = 64
 _STARTS = 12
 _NARROW = 1e-4
 _EVEN = (0.05, 0.2, 0.5, 0.8)
-# Where a descent may go in place of minus infinity: an absorption of 1 - 1e-6.
+# Where a descent may reach instead of minus infinity: an absorption of 1 - 1e-6.
 _ALMOST_BLACK = math.log(1e-6)
 
 
 @dataclass(frozen=True, slots=True)
 class SearchSettings:
-    """How far a certified search goes.
+    """How far a certified search goes."""
 
-    Attributes
-    ----------
-    delta : float
-        Every point whose misfit is within this of the lowest will be in a box that is left.
-    width : float
-        Boxes left over are no wider: in absorption, and in the logarithm of a gain.
-    narrowest : float
-        A box no wider than this is left over even where its bound lies more than `delta` below
-        the lowest misfit.
-    max_boxes : int
-    max_seconds : float
-        Of the processor: what other programs take does not count.
-    """
-
+    # every point whose misfit is within this of the lowest will be in a box that is left
     delta: float
+    # boxes left over are no wider: in absorption, and in the logarithm of a gain
     width: float = 0.02
+    # A box no wider than this is left over even where its bound lies more than `delta` below the
+    # lowest misfit
     narrowest: float = 1e-5
     max_boxes: int = 1_000_000
-    max_seconds: float = math.inf
+    max_seconds: float = math.inf  # of the processor: what other programs take does not count
 
     def __post_init__(self) -> None:
         for name in ("delta", "width", "narrowest", "max_boxes", "max_seconds"):
@@ -227,34 +217,16 @@ class SearchSettings:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Searched:
-    """Where a search stands when it ends.
+    """Where a search stands when it ends."""
 
-    Attributes
-    ----------
-    value : float
-        Lowest misfit seen.
-    minimiser : float array, shape (n,)
-        Where, in g.
-    lower_bound : float
-        No point of the whole domain has a lower misfit.
-    boxes : float array, shape (n_left, 2, n)
-        Lower and upper ends in g. Together they hold every point whose misfit is at most
-        ``value + delta``.
-    bounds : float array, shape (n_left,)
-        Lower bound of the misfit in each box.
-    n_open : int
-        How many of the boxes were still to be worked on.
-    examined : int
-    seconds : float
-    delta : float
-    """
-
-    value: float
-    minimiser: FloatArray
-    lower_bound: float
+    value: float  # lowest misfit seen
+    minimiser: FloatArray  # (n,), where, in g
+    lower_bound: float  # no point of the whole domain has a lower misfit
+    # (n_left, 2, n), lower and upper ends in g. Together they hold every point whose misfit is at
+    # most ``value + delta``.
     boxes: FloatArray
-    bounds: FloatArray
-    n_open: int
+    bounds: FloatArray  # (n_left,), lower bound of the misfit in each box
+    n_open: int  # how many of the boxes were still to be worked on
     examined: int
     seconds: float
     delta: float

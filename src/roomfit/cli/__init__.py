@@ -1,37 +1,101 @@
-"""The command line: arguments in, one call into `roomfit.app`, an exit code out.
+"""The command line: arguments in, one call into `roomfit`, an exit code out.
 
 Exit codes: 0 done, 1 a fault of roomfit itself, 2 bad input (or an answer that the data do not
-hold), 130 interrupted.
+hold), 130 interrupted. Every command is a module with `add`, which declares its arguments, and
+`run`, which carries it out and imports what it needs, so that ``roomfit --help`` loads no
+numerical package.
 """
 
 from __future__ import annotations
 
+import argparse
+import os
 import sys
+from collections.abc import Sequence
 
+import roomfit
+from roomfit.cli import (
+    catalogue,
+    check,
+    coverage,
+    demo,
+    design,
+    export,
+    identify,
+    impedance,
+    paper,
+    predict,
+)
+from roomfit.cli.arguments import Commands, Parser, call_error
+from roomfit.errors import InputError, RoomfitError
+
+_COMMANDS = (
+    *(catalogue, check, coverage, demo, design),
+    *(export, identify, impedance, paper, predict),
+)
+_RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130
 
 
-def main() -> None:
-    """Run the command line and leave with its exit code."""
-    from roomfit.errors import RoomfitError
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the command line and leave with its exit code.
 
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Without the name of the program; left out, those of this process.
+    """
     try:
-        _run()
+        options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
+        options.run(options)
     except RoomfitError as error:
         sys.stderr.write(f"{error}\n")
         sys.exit(2)
     except KeyboardInterrupt:
         sys.stderr.write("interrupted; nothing half-written was left behind\n")
         sys.exit(_INTERRUPTED)
+    except BrokenPipeError:
+        # the reader of the output (head, less) went first; the interpreter flushes once more
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        sys.exit(1)
 
 
-def _run() -> None:
-    from roomfit.cli.commands import app
+def command_parsers() -> dict[str, Parser]:
+    """Return the parser of every command by the command's name."""
+    return _parsers()[1]
 
-    try:
-        app()
-    except SystemExit as end:
-        # typer turns Ctrl-C into this code without a word
-        if end.code == _INTERRUPTED:
-            raise KeyboardInterrupt from end
-        raise
+
+def _parsers() -> tuple[Parser, dict[str, Parser]]:
+    parser = Parser(
+        prog="roomfit",
+        description="Absorption of a real room's walls from impulse responses measured in it.",
+        allow_abbrev=False,
+    )
+    parser.add_argument(
+        "--version",
+        action="version",
+        version=f"roomfit {roomfit.__version__}",
+        help="Show the version.",
+    )
+    commands: Commands = parser.add_subparsers(title="commands", metavar="COMMAND")
+    for command in _COMMANDS:
+        command.add(commands)
+    return parser, dict(commands.choices)
+
+
+def _parsed(arguments: list[str]) -> argparse.Namespace:
+    """Return the options of a command and, as `run`, the function that carries it out."""
+    parser, commands = _parsers()
+    if not arguments:
+        sys.stdout.write(parser.format_help())
+        sys.exit(2)
+    name = arguments[0]
+    if name in _RENAMED:
+        raise InputError(f"the command {name!r} is now called {_RENAMED[name]!r}")
+    if name.startswith("-"):
+        parser.refuse_unknown_options(arguments)
+        return parser.parse_args(arguments)
+    if name not in commands:
+        raise call_error(parser, "there is no such command", found=name, known=commands)
+    commands[name].refuse_unknown_options(arguments[1:])
+    return commands[name].parse_args(arguments[1:])

@@ -1,25 +1,28 @@
-"""``roomfit catalogue``: common materials with what tables say of their absorption."""
+"""``roomfit catalogue``: common materials and their published absorption."""
 
 from __future__ import annotations
 
-from typing import Annotated
+import argparse
 
-import typer
+from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.terminal import say
 
 
-def catalogue(
-    words: Annotated[
-        list[str] | None,
-        typer.Argument(help="A name, to see all about it; or words to look for; or nothing."),
-    ] = None,
-) -> None:
-    """List common materials, or show one with the spread of its absorption and the sources."""
+def add(commands: Commands) -> None:
+    about = "List common materials, or show one with the spread of its absorption and the sources."
+    parser = add_command(commands, "catalogue", about, run)
+    parser.add_argument(
+        "words", nargs="*", help="Name of a material to show, or words to search for."
+    )
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.materials.catalogue import find_material, search_catalogue
     from roomfit.report.text import catalogue_text, entry_text
 
-    found = search_catalogue(words or [])
-    name = "-".join(words or [])
-    if words and (not found or name.lower() in (e.name for e in found)):
-        typer.echo(entry_text(find_material(name)))
+    found = search_catalogue(options.words)
+    name = "-".join(options.words)
+    if options.words and (not found or name.lower() in (e.name for e in found)):
+        say(entry_text(find_material(name)))
     else:
-        typer.echo(catalogue_text(found))
+        say(catalogue_text(found))

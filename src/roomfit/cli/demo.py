@@ -1,27 +1,31 @@
-"""``roomfit demo``: the main job on a room whose truth is known."""
+"""``roomfit demo``: the identification of a room whose absorption is known."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command, whole_number
+from roomfit.cli.terminal import progress_line, say
 
 
-def demo(
-    out: Annotated[
-        Path, typer.Option("--out", help="Folder for the campaign and its results.")
-    ] = Path("roomfit-demo"),
-    seed: Annotated[int, typer.Option("--seed", help="Draws positions, levels and noise.")] = 1,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-) -> None:
-    """Simulate a measured room by another road than the fit's own model, and identify it."""
-    from roomfit.cli.progress import progress_bar
+def add(commands: Commands) -> None:
+    about = "Simulate a measured room independently of the fit's own model, and identify it."
+    parser = add_command(commands, "demo", about, run)
+    parser.add_option(
+        "--out", "Folder for the campaign and its results.", type=Path, default=Path("roomfit-demo")
+    )
+    parser.add_option(
+        "--seed", "Of the positions, levels and noise drawn.", type=whole_number, default=1
+    )
+    parser.add_overwrite()
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.commands import demo_text, run_demo
 
-    with progress_bar("simulating and identifying") as progress:
-        result = run_demo(out, seed, overwrite=overwrite, progress=progress)
-    typer.echo(demo_text(result.answer, result.true_absorption))
-    typer.echo(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")
+    out: Path = options.out
+    with progress_line("simulating and identifying") as progress:
+        result = run_demo(out, options.seed, overwrite=options.overwrite, progress=progress)
+    say(demo_text(result.answer, result.true_absorption))
+    say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")

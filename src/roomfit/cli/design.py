@@ -2,54 +2,50 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command, whole_number
+from roomfit.cli.terminal import progress_line, say
 
 
-def design(
-    campaign: Annotated[
-        Path, typer.Argument(help="Campaign file (TOML); it need not have a measurement.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
-    candidates: Annotated[
-        int, typer.Option("--candidates", help="Pairs of source and receiver to choose from.")
-    ] = 200,
-    choose: Annotated[
-        int | None, typer.Option("--choose", help="How many; 6, or 1 after a fit.")
-    ] = None,
-    sources: Annotated[
-        int | None, typer.Option("--sources", help="How many different sources at most.")
-    ] = None,
-    criterion: Annotated[
-        str | None,
-        typer.Option("--criterion", help="determinant, mean or worst: what is to become small."),
-    ] = None,
-    result: Annotated[
-        Path | None,
-        typer.Option("--result", help="result.json of a fit: what to measure next."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-) -> None:
-    """Choose where to measure, so that absorption is found with the narrowest intervals."""
-    from roomfit.cli.progress import progress_bar
-    from roomfit.commands import criterion_of, design_to_folder
-    from roomfit.experiment_design.output import design_text
+def add(commands: Commands) -> None:
+    about = "Choose where to measure, so that absorption is found with the narrowest intervals."
+    parser = add_command(commands, "design", about, run)
+    parser.add_argument(
+        "campaign", type=Path, help="Campaign file (TOML); it need not have a measurement."
+    )
+    parser.add_out()
+    parser.add_option(
+        "--candidates",
+        "Pairs of source and receiver to choose from.",
+        type=whole_number,
+        default=200,
+    )
+    parser.add_option("--choose", "How many (default: 6, or 1 after a fit).", type=whole_number)
+    parser.add_option("--sources", "How many different sources at most.", type=whole_number)
+    parser.add_option("--criterion", "What is to become small: determinant, mean or worst.")
+    parser.add_option("--result", "result.json of a fit: what to measure next.", type=Path)
+    parser.add_overwrite()
 
-    wanted = criterion_of(criterion)
-    with progress_bar("choosing where to measure") as progress:
-        answer = design_to_folder(
-            *(campaign, out),
-            candidates=candidates,
-            choose_n=choose,
-            most_sources=sources,
-            criterion=wanted,
-            result_file=result,
-            overwrite=overwrite,
+
+def run(options: argparse.Namespace) -> None:
+    from roomfit.commands import design_to_folder
+
+    wanted = {
+        "n_candidates": options.candidates,
+        "number": options.choose,
+        "most_sources": options.sources,
+        "criterion": options.criterion,
+    }
+    with progress_line("choosing where to measure") as progress:
+        design = design_to_folder(
+            options.campaign,
+            options.out,
+            {name: value for name, value in wanted.items() if value is not None},
+            result_file=options.result,
+            overwrite=options.overwrite,
             progress=progress,
         )
-    typer.echo(design_text(answer))
-    typer.echo(f"\ndesign.json, design.csv and pictures are in {out}")
+    say(str(design))
+    say(f"\ndesign.json, design.csv and pictures are in {options.out}")

@@ -2,39 +2,38 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command, number
+from roomfit.cli.terminal import say
 
 
-def export(
-    result: Annotated[Path, typer.Argument(help="result.json or absorption.csv of a fit.")],
-    wanted: Annotated[
-        str,
-        typer.Option("--format", help="catt, odeon, isimpa, raven, pyroomacoustics or csv."),
-    ],
-    out: Annotated[Path, typer.Option("--out", help="File to write; for raven a folder.")],
-    scattering: Annotated[
-        float | None,
-        typer.Option("--scattering", help="For all materials, where the result tells none."),
-    ] = None,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Replace what is there already.")
-    ] = False,
-) -> None:
-    """Write the absorption that was found as materials of another program."""
+def add(commands: Commands) -> None:
+    about = "Write the absorption that was found as materials of another program."
+    parser = add_command(commands, "export", about, run)
+    parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
+    parser.add_option(
+        "--format", "catt, odeon, isimpa, raven, pyroomacoustics or csv.", required=True
+    )
+    parser.add_out("File to write; for raven a folder.")
+    parser.add_option(
+        "--scattering", "For all materials, where the result does not specify it.", type=number
+    )
+    parser.add_overwrite("Replace what exists.")
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.commands import export_result
-    from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
 
     written = export_result(
-        result,
-        wanted,
-        out,
-        scattering=DEFAULT_SCATTERING if scattering is None else scattering,
-        overwrite=overwrite,
+        options.result,
+        options.format,
+        options.out,
+        scattering=options.scattering,
+        overwrite=options.overwrite,
     )
     for file in written.files:
-        typer.echo(str(file))
+        say(file)
     for finding in written.findings:
-        typer.echo(f"  {finding.severity:<8} {finding.sentence}")
+        say(f"  {finding.severity:<8} {finding.sentence}")

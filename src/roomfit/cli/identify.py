@@ -1,31 +1,36 @@
-"""``roomfit identify``: the main job."""
+"""``roomfit identify``: the absorption of a measured room."""
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.terminal import progress_line, say
 
 
-def identify(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Do not keep the trace for a later run.")
-    ] = False,
-) -> None:
-    """Find the absorption of a measured room, per material and band, with intervals."""
-    from roomfit.cli.progress import progress_bar
+def add(commands: Commands) -> None:
+    about = "Find the absorption of a measured room, per material and band, with intervals."
+    parser = add_command(commands, "identify", about, run)
+    parser.add_argument("campaign", type=Path, help="Campaign file (TOML).")
+    parser.add_out()
+    parser.add_overwrite()
+    parser.add_argument(
+        "--no-cache", action="store_true", help="Do not keep the trace for a later run."
+    )
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.commands import identify_to_folder
     from roomfit.report.text import answer_text
 
-    with progress_bar("identifying") as progress:
+    with progress_line("identifying") as progress:
         answer = identify_to_folder(
-            campaign, out, overwrite=overwrite, keep=not no_cache, progress=progress
+            options.campaign,
+            options.out,
+            overwrite=options.overwrite,
+            keep=not options.no_cache,
+            progress=progress,
         )
-    typer.echo(answer_text(answer))
-    typer.echo(f"\nreport.html, result.json, absorption.csv and pictures are in {out}")
+    say(answer_text(answer))
+    say(f"\nreport.html, result.json, absorption.csv and pictures are in {options.out}")

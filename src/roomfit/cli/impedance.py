@@ -2,24 +2,27 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.terminal import progress_line, say
 
 
-def impedance(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML).")],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-) -> None:
-    """Find the acoustic impedance of a measured room's walls over frequency, with intervals."""
-    from roomfit.cli.progress import progress_bar
+def add(commands: Commands) -> None:
+    about = "Find the acoustic impedance of a measured room's walls over frequency, with intervals."
+    parser = add_command(commands, "impedance", about, run)
+    parser.add_argument("campaign", type=Path, help="Campaign file (TOML).")
+    parser.add_out()
+    parser.add_overwrite()
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.impedance.campaign import impedance_to_folder
 
-    with progress_bar("identifying impedances") as progress:
-        result = impedance_to_folder(campaign, out, overwrite=overwrite, progress=progress)
-    typer.echo(str(result))
-    typer.echo(f"\nresult.json, impedance.csv and pictures are in {out}")
+    with progress_line("identifying impedances") as progress:
+        result = impedance_to_folder(
+            options.campaign, options.out, overwrite=options.overwrite, progress=progress
+        )
+    say(str(result))
+    say(f"\nresult.json, impedance.csv and pictures are in {options.out}")

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-from typing import Annotated
+import argparse
 
-import typer
+from roomfit.cli.arguments import Commands, add_command, positive_number
+from roomfit.cli.terminal import progress_line, say
 
 
-def paper(
-    out: Annotated[Path, typer.Option("--out", help="Folder for paper.json, tables, pictures.")],
-    seeds: Annotated[
-        int, typer.Option("--seeds", min=1, help="Searches of every problem by every method.")
-    ] = 50,
-    workers: Annotated[int, typer.Option("--workers", min=1, help="Processes.")] = 2,
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-) -> None:
-    """Repeat the paper on its reconstructed room, then ask what other rays would have said."""
-    from roomfit.cli.progress import progress_bar
+def add(commands: Commands) -> None:
+    about = (
+        "Repeat the paper in its reconstructed room, and examine what other rays would have given."
+    )
+    parser = add_command(commands, "paper", about, run)
+    parser.add_out("Folder for paper.json, tables, pictures.")
+    parser.add_option(
+        "--seeds", "Searches of every problem by every method.", type=positive_number, default=50
+    )
+    parser.add_option("--workers", "Processes.", type=positive_number, default=2)
+    parser.add_overwrite()
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.suh2001.output import paper_text, run_paper
     from roomfit.suh2001.repeat import PaperSettings
 
-    with progress_bar("repeating the paper") as progress:
+    with progress_line("repeating the paper") as progress:
         result = run_paper(
-            out, PaperSettings(seeds, workers), overwrite=overwrite, progress=progress
+            options.out,
+            PaperSettings(options.seeds, options.workers),
+            overwrite=options.overwrite,
+            progress=progress,
         )
-    typer.echo(paper_text(result))
-    typer.echo(f"\npaper.json, tables and pictures are in {out}.")
+    say(paper_text(result))
+    say(f"\npaper.json, tables and pictures are in {options.out}.")

@@ -2,52 +2,57 @@
 
 from __future__ import annotations
 
+import argparse
 from pathlib import Path
-from typing import Annotated
 
-import typer
+from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.terminal import progress_line, say
 
 
-def predict(
-    campaign: Annotated[Path, typer.Argument(help="Campaign file (TOML) of the room to predict.")],
-    absorption: Annotated[
-        Path, typer.Option("--absorption", help="result.json or absorption.csv of a fit.")
-    ],
-    out: Annotated[Path, typer.Option("--out", help="Folder for the results; made if needed.")],
-    changes: Annotated[
-        list[str] | None,
-        typer.Option(
-            "--set",
-            help="What if: MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of "
-            "the catalogue. May be given several times.",
-        ),
-    ] = None,
-    pairs: Annotated[
-        str,
-        typer.Option("--pairs", help="all: every source with every receiver; campaign: measured."),
-    ] = "all",
-    overwrite: Annotated[
-        bool, typer.Option("--overwrite", help="Write into a folder that is not empty.")
-    ] = False,
-    no_cache: Annotated[
-        bool, typer.Option("--no-cache", help="Neither use nor keep intermediate results.")
-    ] = False,
-) -> None:
-    """Predict reverberation and clarity with their intervals, as the room is or with changes."""
-    from roomfit.cli.progress import progress_bar
+def add(commands: Commands) -> None:
+    about = "Predict reverberation and clarity with their intervals, as the room is or changed."
+    parser = add_command(commands, "predict", about, run)
+    parser.add_argument("campaign", type=Path, help="Campaign file (TOML) of the room to predict.")
+    parser.add_option(
+        "--absorption", "result.json or absorption.csv of a fit.", type=Path, required=True
+    )
+    parser.add_out()
+    parser.add_option(
+        "--set",
+        "What if: MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the "
+        "catalogue. May be given several times.",
+        dest="changes",
+        metavar="CHANGE",
+        action="append",
+    )
+    parser.add_option(
+        "--pairs",
+        "all: every source with every receiver; campaign: the measured ones.",
+        default="all",
+    )
+    parser.add_overwrite()
+    parser.add_argument(
+        "--no-cache", action="store_true", help="Neither use nor keep intermediate results."
+    )
+
+
+def run(options: argparse.Namespace) -> None:
     from roomfit.commands import predict_to_folder
-    from roomfit.prediction.output import predict_text
-    from roomfit.prediction.setup import pair_choice, read_change
+    from roomfit.prediction.campaign import pair_choice
+    from roomfit.prediction.changes import read_change
 
-    wanted = [read_change(text) for text in changes or []]
-    chosen = pair_choice(pairs)
-    with progress_bar("predicting") as progress:
+    changes = [read_change(text) for text in options.changes or []]
+    pairs = pair_choice(options.pairs)
+    with progress_line("predicting") as progress:
         predicted = predict_to_folder(
-            *(campaign, absorption, out, wanted),
-            pairs=chosen,
-            overwrite=overwrite,
-            use_cache=not no_cache,
+            options.campaign,
+            options.absorption,
+            options.out,
+            changes,
+            pairs=pairs,
+            overwrite=options.overwrite,
+            use_cache=not options.no_cache,
             progress=progress,
         )
-    typer.echo(predict_text(predicted))
-    typer.echo(f"\npredicted.json, predicted.csv and pictures are in {out}")
+    say(str(predicted))
+    say(f"\npredicted.json, predicted.csv and pictures are in {options.out}")

@@ -1,15 +1,10 @@
-"""Responses that a room would give under a known truth, by a road apart from the fit's own.
+"""Synthetic recordings of a room whose absorption is known, simulated independently of the fit.
 
 Boxes whose walls are smooth and rooms that are convex: pressures of an own enumeration of image
 sources. Boxes that scatter: these, thinned, and noise that an own tracer of rays modulates. All
 else: a trace of roomfit's with other seeds, whose image sources add as pressures and whose rays
-fill with Gaussian noise.
-
-Made responses as a measuring chain would have written them, and a campaign that names them.
-
-Room parameters of made responses, as somebody would have written them into a table.
-
-Responses of any room from a trace of its own: image sources as pressures, rays as noise.
+fill with Gaussian noise. Responses are then recorded as by a measuring chain, and tables of room
+parameters derived from them; both are written as files that a campaign names.
 """
 
 from __future__ import annotations
@@ -22,15 +17,17 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
-from roomfit.coverage.truth import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
-from roomfit.inversion.trace_plan import N_RAYS, plan_trace
-from roomfit.io.campaign import Campaign, Directivity
+from roomfit.inversion.trace_plan import plan_trace
+from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
-from roomfit.measurement import MeasuredTable, ResponseSpec
-from roomfit.response.directivity import FirstOrderBands, aimed
+from roomfit.io.responses.spec import ResponseSpec
+from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
 from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
@@ -42,7 +39,8 @@ from roomfit.synthetic.boxes import (
     modulated_noise,
     octave_shares,
     pressure_response,
-    scattered_response,
+    specular_box,
+    with_diffuse_noise,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
@@ -69,24 +67,24 @@ def traced_pressures(
     Image sources are followed as far as the fit's own, with another enumeration for moved points;
     rays are others, and three times as many. What rays bring is Gaussian noise with their energy.
     """
-    scene = _true_scene(plan, synthetic, pairs)
+    sources = [s.name for s in synthetic.sources]
+    receivers = [r.name for r in synthetic.receivers]
+    index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
+    air = replace(plan.campaign.air, speed_of_sound_m_s=synthetic.speed_of_sound_m_s)
+    scene = Scene(plan.room, synthetic.sources, synthetic.receivers, index, air)
     priors = tuple(
         replace(k, scattering=row, fit_scattering=False)
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
-    seed = int(rng.integers(2**62))
-    planned = plan_trace(scene, priors, 0.0, duration_s, seed, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else N_RAYS
+    fineness = Settings(seed=int(rng.integers(2**62)))
+    planned = plan_trace(scene, priors, 0.0, duration_s, fineness, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else fineness.n_rays
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    directivities = {
-        name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()
-    }
-    directed = replace(
-        plan.campaign, directivities={**plan.campaign.directivities, **directivities}
-    )
-    factors, _ = band_factors(directed, scene, bands, paths, synthetic.scattering)
+    drawn = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
+    directivities = {**plan.directivities, **drawn}
+    factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
     energy = _energies(plan, synthetic, paths, factors)
     times_s = paths.length_m / synthetic.speed_of_sound_m_s + hits(paths) @ synthetic.delays_s
     images = paths.batch < 0
@@ -99,20 +97,10 @@ def traced_pressures(
     return found
 
 
-def _true_scene(
-    plan: CoveragePlan, synthetic: SyntheticRoom, pairs: tuple[tuple[str, str], ...]
-) -> Scene:
-    sources = [s.name for s in synthetic.sources]
-    receivers = [r.name for r in synthetic.receivers]
-    index = np.array([(sources.index(s), receivers.index(r)) for s, r in pairs])
-    air = replace(plan.campaign.air, speed_of_sound_m_s=synthetic.speed_of_sound_m_s)
-    return Scene(plan.room, synthetic.sources, synthetic.receivers, index, air)
-
-
 def _energies(
     plan: CoveragePlan, synthetic: SyntheticRoom, paths: Paths, factors: FloatArray | None
 ) -> FloatArray:
-    """Return what every path brings in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
+    """Return the energy of every path in every band of the grid, 1/m2, shape (n_grid, n_paths)."""
     struck = hits(paths).astype(np.float64)
     attenuation = attenuation_per_m(plan.campaign.air, plan.grid)
     out: FloatArray = np.empty((len(plan.grid), len(paths)))
@@ -149,12 +137,12 @@ def _pressure(
         impulse_grid = np.bincount(fine, amplitude, 2 * n_samples * _OVERSAMPLING)
         spectrum += share * np.fft.rfft(impulse_grid)[: n_samples + 1]
         echogram[band] = np.bincount(bins, energy[band, caught], n_bins)
-    made = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
+    specular = np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
     flat = np.zeros(len(plan.grid))
     if not caught.size:
-        return made
+        return specular
     noise = modulated_noise(echogram, _BIN_S, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
-    return np.asarray(made + noise)
+    return np.asarray(specular + noise)
 
 
 BOX, SCATTERING_BOX = "images of a box", "images and scattered noise of a box"
@@ -172,16 +160,10 @@ Pair = tuple[str, str]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sound:
-    """Pressures of every pair after an impulse at time 0, and the road they came by.
+    """Pressures of every pair after an impulse at time 0."""
 
-    Attributes
-    ----------
-    synthesis : str
-    pressure : mapping of (source, receiver) to float array, shape (n_samples,)
-        In the unit in which a unit source's direct sound is ``1 / (4 pi r)``.
-    """
-
-    synthesis: str
+    synthesis: str  # how they were simulated
+    # by (source, receiver), (n_samples,): a unit source's direct sound is 1 / (4 pi r)
     pressure: dict[Pair, FloatArray]
 
 
@@ -194,8 +176,8 @@ def synthetic_sound(
 ) -> Sound:
     """Return the pressures of all pairs.
 
-    Files last until the slowest band has fallen to its noise, as long as the measured ones at most,
-    and as long as their image sources can be counted.
+    They last until the slowest band has fallen to its noise, as long as the recordings at most,
+    and as long as their image sources can be enumerated.
     """
     synthesis = synthesis_of(plan, synthetic)
     duration_s = _duration_s(plan, synthetic, synthesis)
@@ -209,10 +191,10 @@ def synthetic_sound(
 
 
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
-    """Return by which road the sound of a room is made."""
-    first_order = all(_is_first_order(plan.campaign, s.name) for s in synthetic.sources)
-    even = first_order and not any(_b(plan.campaign, synthetic, s.name) is not None
-                                   for s in synthetic.sources)  # fmt: skip
+    """Return how the sound of a room is simulated."""
+    known = [plan.directivities.get(s.name) for s in synthetic.sources]
+    first_order = all(d is None or isinstance(d, FirstOrder | UnknownDirectivity) for d in known)
+    even = first_order and not any(d is not None for d in known)
     smooth = not np.any(synthetic.scattering)
     if plan.room.shoebox_m is not None:
         if smooth and first_order:
@@ -227,16 +209,10 @@ def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     return CONVEX if convex else TRACED
 
 
-def _is_first_order(campaign: Campaign, source: str) -> bool:
-    directivity = campaign.directivities.get(source, "omni")
-    return directivity in ("omni", "fit") or isinstance(directivity, Directivity)
-
-
-def _b(campaign: Campaign, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
-    directivity = campaign.directivities.get(source, "omni")
-    if source in synthetic.b:
-        return synthetic.b[source]
-    return aimed(directivity.aim, directivity.b).b if isinstance(directivity, Directivity) else None
+def _b(plan: CoveragePlan, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
+    """Return the first-order vector of a source; None where it is omnidirectional."""
+    directivity = plan.directivities.get(source)
+    return directivity.b if isinstance(directivity, FirstOrder) else synthetic.b.get(source)
 
 
 def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) -> float:
@@ -245,8 +221,8 @@ def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) ->
     mean = (areas @ synthetic.absorption / areas.sum())[plan.columns]
     m = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
     volume = volume_m3(plan.room.mesh)
-    left = -np.log1p(-np.minimum(mean, 0.999)) * surface_area_m2(plan.room.mesh) + 4.0 * m * volume
-    t60_s = 24.0 * np.log(10.0) / synthetic.speed_of_sound_m_s * volume / left
+    room = (volume, surface_area_m2(plan.room.mesh), synthetic.speed_of_sound_m_s)
+    t60_s = eyring_time_s(mean, *room, m)
     ratio_db = float(plan.snr_db.max(initial=60.0)) + 10.0
     wanted_s = _LONGER_THAN_EYRING * float(t60_s.max()) * ratio_db / 60.0
     reach_m = (0.75 / np.pi * volume * _MOST_IMAGES[synthesis]) ** (1.0 / 3.0)
@@ -264,7 +240,7 @@ def _box(
 ) -> dict[Pair, FloatArray]:
     owner = plan.room.surface_material
     lengths = plan.room.shoebox_m
-    assert lengths is not None  # noqa: S101 - the road says that it is a box
+    assert lengths is not None  # noqa: S101 - `synthesis_of` says that it is a box
     box = SyntheticBox(
         lengths,
         plan.grid.centres_hz,
@@ -279,7 +255,7 @@ def _box(
     found = {}
     for source in synthetic.sources:
         own = [r for s, r in pairs if s == source.name]
-        b = _b(plan.campaign, synthetic, source.name)
+        b = _b(plan, synthetic, source.name)
         if not np.any(scattering):
             for r in own:
                 ends = (source.position_m, at[r], duration_s, rate_hz)
@@ -290,9 +266,10 @@ def _box(
                 box, scattering, source.position_m, receivers_m, duration_s, rng
             )
             for r, energy in zip(own, echo.energy, strict=True):
-                found[source.name, r] = scattered_response(
-                    *(box, scattering, source.position_m, at[r], energy),
-                    *(duration_s, rate_hz, flat, rng),
+                ends = (source.position_m, at[r], duration_s, rate_hz)
+                specular = pressure_response(specular_box(box, scattering), *ends, flat)
+                found[source.name, r] = with_diffuse_noise(
+                    specular, energy, box, rate_hz, flat, rng
                 )
     return found
 
@@ -305,7 +282,7 @@ def _convex(
     rate_hz: float,
 ) -> dict[Pair, FloatArray]:
     cells = convex_cells(plan.room)
-    assert cells is not None  # noqa: S101 - the road says that it is convex
+    assert cells is not None  # noqa: S101 - `synthesis_of` says that it is convex
     room = SyntheticPolyhedron(
         cells,
         plan.grid.centres_hz,
@@ -320,10 +297,10 @@ def _convex(
         own = [r for s, r in pairs if s == source.name]
         if own:
             receivers_m = np.array([at[r] for r in own])
-            made = pressure_responses(
+            pressures = pressure_responses(
                 room, source.position_m, receivers_m, duration_s, rate_hz, np.zeros(len(plan.grid))
             )
-            found.update({(source.name, r): p for r, p in zip(own, made, strict=True)})
+            found.update({(source.name, r): p for r, p in zip(own, pressures, strict=True)})
     return found
 
 
@@ -340,8 +317,8 @@ def synthetic_table(
 ) -> str:
     """Return a table of the same pairs, parameters and stated spreads as the user's.
 
-    Values come from the made responses by roomfit's own analysis, in the fitted bands; to each the
-    error is added that its stated spread owns. Where a response does not hold a parameter the cell
+    Values come from the synthetic responses by roomfit's own analysis, in the fitted bands; to each
+    an error of its stated spread is added. Where a response does not hold a parameter the cell
     stays empty.
     """
     bands = plan.campaign.bands
@@ -382,15 +359,16 @@ def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
 
 
 def _distance_m(synthetic: SyntheticRoom, measured: TabulatedPair) -> float:
-    def place(points: tuple[Point, ...], name: str) -> FloatArray:
+    def position(points: tuple[Point, ...], name: str) -> FloatArray:
         return next(p.position_m for p in points if p.name == name)
 
-    step = place(synthetic.receivers, measured.receiver) - place(synthetic.sources, measured.source)
+    receiver_m = position(synthetic.receivers, measured.receiver)
+    step = receiver_m - position(synthetic.sources, measured.source)
     return float(np.linalg.norm(step))
 
 
 def _possible(name: ValueName, values: FloatArray) -> FloatArray:
-    """Leave out what an added error has driven where no room is."""
+    """Clip or leave out what an added error has driven out of the possible range."""
     if name == "D50_percent":
         return np.clip(values, 0.0, 100.0)
     if name.endswith("_dB"):
@@ -432,7 +410,7 @@ def synthetic_campaign(
 ) -> Campaign:
     """Write WAV files and a table into a folder; return the campaign that reads them.
 
-    It says of room, places, air and materials what the user's own says.
+    It says of room, positions, air and materials what the user's own says.
     """
     import soundfile
 
@@ -476,7 +454,7 @@ def recorded(
     """Return a response behind a loudspeaker with levels of its own, late, and in noise.
 
     The noise of each band lies so far below the loudest 10 ms, or four periods of the band's
-    width, of what is heard in that band.
+    width, of the sound in that band.
 
     Parameters
     ----------

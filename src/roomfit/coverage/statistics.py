@@ -1,4 +1,4 @@
-"""How often intervals hold a known truth, and how surely that is known."""
+"""How often intervals hold the true value, and how surely that is known."""
 
 from __future__ import annotations
 
@@ -9,98 +9,59 @@ from scipy.special import ndtri
 from scipy.stats import beta
 
 from roomfit.bands import Bands
+from roomfit.logit import Z95, logit
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.posterior import logit
-
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverageSample:
-    """Answers to campaigns whose truth is known.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    bands : Bands
-    true, absorption, lower95, upper95 : float arrays, shape (n_replicates, n_materials, n_bands)
-    identifiable : bool array, shape (n_replicates, n_materials, n_bands)
-    has_interval : bool array, shape (n_replicates, n_materials, n_bands)
-        Where an interval says anything: not where an absorption was held, tied to another or not
-        fitted at all.
-    prior : float array, shape (n_materials, n_bands)
-        Mean absorption beforehand: a null model.
-    uniform : float array, shape (n_replicates, n_bands)
-        Eyring's absorption of the measured decay: another.
-    chi2_reduced : float array, shape (n_replicates, n_bands)
-    """
+    """Answers to campaigns whose absorption is known."""
 
     materials: tuple[str, ...]
     bands: Bands
-    true: FloatArray
+    true: FloatArray  # absorption, (n_replicates, n_materials, n_bands), as the next five
     absorption: FloatArray
     lower95: FloatArray
     upper95: FloatArray
     identifiable: BoolArray
-    has_interval: BoolArray
-    prior: FloatArray
+    has_interval: BoolArray  # not where an absorption was fixed, tied to another or not fitted
+    prior: FloatArray  # (n_materials, n_bands), its middle absorption: a baseline
+    # (n_replicates, n_bands), Eyring's absorption of the measured decay: another baseline
     uniform: FloatArray
-    chi2_reduced: FloatArray
+    chi2_reduced: FloatArray  # (n_replicates, n_bands)
 
 
 @dataclass(frozen=True, slots=True)
 class Proportion:
-    """A share with its own 95 % interval.
-
-    Attributes
-    ----------
-    count, of : int
-    low, high : float
-        0 to 1 where there is nothing to count.
-    """
+    """A proportion with its own 95 % interval."""
 
     count: int
     of: int
-    low: float
-    high: float
+    low: float  # 0 where there is nothing to count
+    high: float  # 1 where there is nothing to count
 
     @property
     def value(self) -> float:
-        """The share itself, NaN where there is nothing to count."""
+        """The proportion itself, NaN where there is nothing to count."""
         return self.count / self.of if self.of else float("nan")
 
 
 @dataclass(frozen=True, slots=True)
 class CoverageRow:
-    """One band, or all of them.
+    """One band, or all of them; medians are NaN where there is nothing to count."""
 
-    Attributes
-    ----------
-    band_hz : float or None
-        None for all bands together.
-    holds : Proportion
-        95 % intervals that hold the truth.
-    identifiable : Proportion
-        Values called identifiable.
-    outside : Proportion
-        Of these, those whose interval does not hold the truth.
-    width, error, error_prior, error_uniform : float
-        Medians: width of the interval, |error| of the answer and of the two null models; NaN where
-        there is nothing to count.
-    """
-
-    band_hz: float | None
-    holds: Proportion
-    identifiable: Proportion
-    outside: Proportion
-    width: float
-    error: float
+    band_hz: float | None  # None for all bands together
+    holds: Proportion  # 95 % intervals that hold the true value
+    identifiable: Proportion  # values called identifiable
+    outside: Proportion  # of these, those whose interval does not hold the true value
+    width: float  # median width of the interval
+    error: float  # median |error| of the answer, and then of the two baselines
     error_prior: float
     error_uniform: float
 
 
 def coverage_rows(found: CoverageSample) -> tuple[CoverageRow, ...]:
-    """Return the table of a calibration: each band, then all of them."""
+    """Return the table of an estimate of coverage: each band, then all of them."""
     rows = [_row(found, slice(j, j + 1), float(f)) for j, f in enumerate(found.bands.centres_hz)]
     return (*rows, _row(found, slice(None), None))
 
@@ -130,10 +91,10 @@ def _median(values: FloatArray, counted: BoolArray) -> float:
 
 
 def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
-    """Return a share of values that come in groups, with its 95 % interval.
+    """Return a proportion of values that come in groups, with its 95 % interval.
 
-    Values of one replicate share its misfortunes, so that they tell less than as many independent
-    ones. The interval is that of [1]_ for the effective number: the number over the design effect,
+    Values of one replicate are correlated, so that they count less than as many independent ones.
+    The interval is that of [1]_ for the effective number: the number over the design effect,
     the variance of a group's sum over what independent values would have [2]_, never below one.
 
     Parameters
@@ -149,7 +110,7 @@ def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
 
     Examples
     --------
-    Ten of ten leave room for a share of 0.69.
+    Ten of ten leave room for a proportion of 0.69.
 
     >>> share = grouped_proportion(np.ones((10, 1), bool), np.ones((10, 1), bool))
     >>> round(share.low, 2), share.high
@@ -175,22 +136,22 @@ def grouped_proportion(hit: BoolArray, counted: BoolArray) -> Proportion:
 def scaled_errors(found: CoverageSample) -> FloatArray:
     """Return errors in standard deviations of logit absorption, as the intervals have them.
 
-    Each by the side of the interval on which the truth lies, so that a value within +-1.96 is held
-    by its 95 % interval; standard normal where intervals are right.
+    Each by the side of the interval on which the true value lies, so that one within +-1.96 lies
+    in its 95 % interval; standard normal where intervals are right.
 
     Returns
     -------
-    float array, shape (n_told,)
+    float array, shape (n_intervals,)
     """
     middle, true = logit(found.absorption), logit(found.true)
     up, down = logit(found.upper95) - middle, middle - logit(found.lower95)
     side = np.where(true > middle, up, down)
-    z = _Z95 * (true - middle) / np.maximum(side, 1e-12)
+    z = Z95 * (true - middle) / np.maximum(side, 1e-12)
     return np.asarray(z[found.has_interval])
 
 
 def coverage_at(found: CoverageSample, nominal: FloatArray) -> tuple[Proportion, ...]:
-    """Return how many intervals of other levels hold the truth, stretched from the 95 % ones.
+    """Return how many intervals of other levels hold the true value, stretched from the 95 % ones.
 
     Parameters
     ----------

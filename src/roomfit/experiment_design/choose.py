@@ -1,7 +1,4 @@
-"""Which few of many possible measurements tell most: greedily, then by exchanges.
-
-The answer of a design: where to measure, and what to expect of it.
-"""
+"""Which few of many possible measurements tell most: greedily, then by exchanges."""
 
 from __future__ import annotations
 
@@ -11,7 +8,6 @@ from typing import Literal
 import numpy as np
 
 from roomfit._checks import bool_array, int_array
-from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.experiment_design.information import (
     PairInformation,
@@ -20,8 +16,6 @@ from roomfit.experiment_design.information import (
     interval_widths,
     without_gain,
 )
-from roomfit.findings import Finding
-from roomfit.scene import Scene
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Criterion = Literal["determinant", "mean", "worst"]
@@ -35,25 +29,14 @@ _MOST_EXCHANGES = 100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Rules:
-    """What may stand together in one design.
+    """What may stand together in one design."""
 
-    Attributes
-    ----------
-    source : int array, shape (n_pairs,)
-        Which source each pair has.
-    compatible : bool array, shape (n_pairs, n_pairs)
-        Whether two pairs may both be measured; symmetric. No pair is compatible with itself, and
-        one that is compatible with none but allowed alone is still a candidate.
-    candidate : bool array, shape (n_pairs,)
-        False for what has been measured already.
-    most_sources : int or None
-        How many different sources a design may have.
-    """
-
-    source: IntArray
+    source: IntArray  # (n_pairs,), which source each pair has
+    # (n_pairs, n_pairs), whether two pairs may both be measured; symmetric. No pair is compatible
+    # with itself, and one that is compatible with none but allowed alone is still a candidate.
     compatible: BoolArray
-    candidate: BoolArray
-    most_sources: int | None = None
+    candidate: BoolArray  # (n_pairs,), False for what has been measured already
+    most_sources: int | None = None  # how many different sources a design may have
 
     def __post_init__(self) -> None:
         n = len(self.source)
@@ -63,7 +46,7 @@ class Rules:
 
 
 def allowed(rules: Rules, chosen: list[int], fixed: tuple[int, ...] = ()) -> BoolArray:
-    """Return which pairs may be added to those that are chosen or held, shape (n_pairs,)."""
+    """Return which pairs may be added to those that are chosen or fixed, shape (n_pairs,)."""
     together = [*fixed, *chosen]
     mask = rules.candidate & rules.compatible[together].all(axis=0)
     mask[chosen] = False
@@ -178,7 +161,7 @@ def _greedy(
         mask = allowed(rules, chosen, fixed)
         if not mask.any():
             raise InputError(
-                "the rules leave no place for another measurement",
+                "the rules leave no position for another measurement",
                 found=f"{number} of {n}",
                 hint="choose fewer, give more candidates, or lower the least distances in [design]",
             )
@@ -230,7 +213,7 @@ def _in_order(
     criterion: Criterion,
     fixed: tuple[int, ...],
 ) -> tuple[int, ...]:
-    """Return the chosen pairs, at every place the one that helps most."""
+    """Return the chosen pairs, at every step the one that helps most."""
     order: list[int] = []
     while len(order) < len(chosen):
         mask = np.zeros(len(pairs.gain), dtype=np.bool_)
@@ -244,7 +227,7 @@ def random_design(
 ) -> tuple[int, ...]:
     """Return pairs drawn one after the other, each evenly from those that the rules still allow.
 
-    Fewer than n where the rules leave no further place.
+    Fewer than n where the rules allow no further one.
     """
     chosen: list[int] = []
     for _ in range(n):
@@ -253,72 +236,3 @@ def random_design(
             break
         chosen.append(int(rng.choice(open_)))
     return tuple(chosen)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Design:
-    """Where to measure.
-
-    Attributes
-    ----------
-    scene : Scene
-        Measured pairs, then candidates.
-    n_fixed : int
-        How many of its pairs have been measured and count as held.
-    chosen : int array, shape (n_chosen,)
-        Pairs to measure, those that tell most first.
-    bands : Bands
-    materials : tuple of str
-    to_find : bool array, shape (n_materials,)
-        False where the absorption is known.
-    widths : float array, shape (n_chosen + 1, n_materials, n_bands)
-        Expected width of the 95 % interval of every absorption before, and after each of the
-        chosen pairs; 0 where it is known. The mean over draws of the absorption.
-    random_means : float array, shape (n_random, n_chosen + 1)
-        Mean width of random designs under the same rules; NaN where one ended early.
-    criterion : {"determinant", "mean", "worst"}
-    model : {"energy", "coherent"}
-        What the fit is expected to compare.
-    absorption : float array, shape (n_materials, n_bands)
-        Middle of what is known beforehand.
-    n_draws : int
-    after_fit : bool
-        Whether the widths before are those of a finished fit.
-    source_distance_m, receiver_distance_m, wall_distance_m : float
-        The rules that were obeyed.
-    findings : tuple of Finding
-    seed : int
-    seconds : float
-    """
-
-    scene: Scene
-    n_fixed: int
-    chosen: IntArray
-    bands: Bands
-    materials: tuple[str, ...]
-    to_find: BoolArray
-    widths: FloatArray
-    random_means: FloatArray
-    criterion: Criterion
-    model: Literal["energy", "coherent"]
-    absorption: FloatArray
-    n_draws: int
-    after_fit: bool
-    source_distance_m: float
-    receiver_distance_m: float
-    wall_distance_m: float
-    findings: tuple[Finding, ...]
-    seed: int
-    seconds: float
-
-
-def mean_widths(design: Design) -> FloatArray:
-    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
-    return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
-
-
-def widest(design: Design, step: int = 0) -> tuple[int, int]:
-    """Return material and band of the widest interval after so many of the chosen pairs."""
-    widths = design.widths[step]
-    material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
-    return int(material), int(band)

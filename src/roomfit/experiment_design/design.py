@@ -1,25 +1,26 @@
-"""Use case: where to measure, so that the absorption comes out as sure as it can."""
+"""Where to measure, so that the intervals of the absorption become as narrow as they can."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
 from roomfit._numba import one_blas_thread
 from roomfit.air import speed_of_sound_m_s
+from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.experiment_design.candidates import (
     Candidates,
-    PriorInformation,
+    DesignOptions,
     design_candidates,
-    information_from_fit,
-    information_from_priors,
+    information_of_candidates,
     least_source_distance_m,
-    measured_pairs,
-    trace_candidates,
 )
-from roomfit.experiment_design.choose import Criterion, Design, choose, random_design
+from roomfit.experiment_design.choose import Criterion, choose, random_design
 from roomfit.experiment_design.information import (
     PairInformation,
     Unknowns,
@@ -27,139 +28,252 @@ from roomfit.experiment_design.information import (
     interval_widths,
     material_widths,
 )
+from roomfit.experiment_design.prior import (
+    PriorInformation,
+    information_from_fit,
+    information_from_priors,
+)
+from roomfit.findings import Finding
 from roomfit.geometry.mesh import volume_m3
-from roomfit.io.campaign import Campaign
-from roomfit.io.rooms import read_room
-from roomfit.prediction.setup import eyring_time_s
-from roomfit.scene import Room, Scene
-from roomfit.typing import FloatArray, IntArray, Progress, part
+from roomfit.materials.priors import MaterialPrior, complete_priors
+from roomfit.measurement import Level
+from roomfit.prediction.decay import eyring_time_s
+from roomfit.response.directivity import Directivities
+from roomfit.scene import Scene
+from roomfit.settings import Settings
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
-CANDIDATES = 200
-CHOSEN = 6
-N_RANDOM = 200
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+_NUMBER, _NUMBER_AFTER_FIT = 6, 1  # pairs that are chosen where nothing else is asked for
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Design:
+    """Where to measure."""
+
+    scene: Scene  # measured pairs, then candidates
+    n_fixed: int  # how many of its pairs have been measured and count
+    chosen: IntArray  # (n_chosen,), pairs to measure, those that tell most first
+    bands: Bands
+    materials: tuple[str, ...]
+    to_find: BoolArray  # (n_materials,), False where the absorption is known
+    # (n_chosen + 1, n_materials, n_bands), expected width of the 95 % interval of every absorption
+    # before, and after each of the chosen pairs; 0 where it is known. The mean over draws of the
+    # absorption.
+    widths: FloatArray
+    # (n_random, n_chosen + 1), mean width of random designs under the same rules; NaN where one
+    # ended early
+    random_means: FloatArray
+    criterion: Criterion
+    model: Literal["energy", "coherent"]  # what the fit is expected to compare
+    absorption: FloatArray  # (n_materials, n_bands), the middle of the prior
+    n_draws: int
+    after_fit: bool  # whether the widths before are those of a finished fit
+    source_distance_m: float  # this and the next two: the rules that were obeyed
+    receiver_distance_m: float
+    wall_distance_m: float
+    findings: tuple[Finding, ...]
+    seed: int
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return the chosen pairs, the expected intervals of every material, and all findings."""
+        from roomfit.experiment_design.output import design_text
+
+        return design_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the chosen pairs and all findings in HTML, for notebooks."""
+        from roomfit.experiment_design.output import design_html
+
+        return design_html(self)
+
+    def plot(self) -> Figure:
+        """Return the room from above and from the side, with candidates and chosen pairs."""
+        from roomfit.experiment_design.output import design_map
+
+        return design_map(self)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a chosen pair, as design.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.experiment_design.output import COLUMNS, design_rows
+        from roomfit.report.frames import data_frame
+
+        return data_frame(COLUMNS, design_rows(self), "design.csv")
 
 
 @one_blas_thread
 def design(
-    campaign: Campaign,
+    scene: Scene,
+    materials: Sequence[MaterialPrior] = (),
+    bands: Bands | None = None,
     *,
-    candidates: int = CANDIDATES,
-    choose_n: int | None = None,
-    most_sources: int | None = None,
-    criterion: Criterion | None = None,
-    result: AbsorptionPosterior | None = None,
-    misfit: FloatArray | None = None,
-    n_random: int = N_RANDOM,
+    absorption: AbsorptionPosterior | None = None,
+    directivities: Directivities | None = None,
+    options: DesignOptions | None = None,
+    settings: Settings | None = None,
     progress: Progress | None = None,
 ) -> Design:
     """Choose the pairs of source and receiver that tell most of the absorption.
 
     The room is traced once for all candidates. What each of them would tell comes from the noise
     model of the fit, at several draws of the absorption; gains and, where pressures will be added,
-    places, latency, speed of sound and delays of walls are unknown as they are in a fit. Measured
-    pairs count as held, by the same model; or the covariance of a finished fit does.
+    positions, latency, speed of sound and delays of walls are unknown as they are in a fit.
+    Measured pairs count, by the same model; or the covariance of a finished fit does.
 
     Parameters
     ----------
-    campaign : Campaign
-        Read with ``to_fit=False``: it need not have a measurement.
-    candidates : int
-        Most pairs to choose from.
-    choose_n : int, optional
-        How many to choose; left out: 6, or 1 after a fit.
-    most_sources : int, optional
-        How many different sources they may have; left out: what the campaign says.
-    criterion : {"determinant", "mean", "worst"}, optional
-        Left out: what the campaign says, or "worst" after a fit.
-    result : AbsorptionPosterior, optional
-        A finished fit, from `roomfit.io.results.read_result`.
-    misfit : float array, shape (n_result_bands,), optional
-        phi of that fit: where it is above 1, new measurements are taken to tell less by it.
-    n_random : int
-        Random designs to compare with.
+    scene : Scene
+        Room and air, sources and receivers that exist, and the pairs that have been measured and
+        are fitted; there need be none.
+    materials : sequence of MaterialPrior, optional
+        What is known of materials, in these bands; the broad prior for those that are left out.
+    bands : Bands, optional
+        To be fitted. Left out: those of `absorption`, or octaves from 125 Hz to 4 kHz.
+    absorption : AbsorptionPosterior, optional
+        A finished fit, of exactly the room's materials in their order and of these bands. Where
+        its reduced chi-square is above 1, new measurements are taken to tell less by it.
+    directivities : mapping from source to directivity, optional
+        Of existing sources that are not omnidirectional.
+    options : DesignOptions, optional
+        How many to choose from which candidates, and what is to become small.
+    settings : Settings, optional
+        Of the fit to come.
     progress : callable, optional
+        Called with the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Design
+        Shapes and units stand with its fields.
 
     Raises
     ------
     InputError
-        The rules leave no candidate or too few, or something in campaign or room is not as needed.
+        The rules leave no candidate or too few, a listed position is in a wall or outside, or
+        materials or bands disagree.
+
+    Notes
+    -----
+    Distances from walls, sources and each other follow ISO 3382-2:2008, 4.3.3 where nothing else is
+    asked for; the choice is that of V. V. Fedorov, see `roomfit.experiment_design.choose`.
+
+    Examples
+    --------
+    ``roomfit.design(scene, options=roomfit.DesignOptions(number=4))`` in a room of which nothing is
+    known; ``roomfit.design(**roomfit.design_arguments(campaign))`` is what the command line does.
     """
     began = time.perf_counter()
-    _check_numbers(candidates, choose_n, most_sources)
-    room, findings = read_room(campaign.room)
-    names = room.materials
-    known = (
-        information_from_priors(campaign, names)
-        if result is None
-        else information_from_fit(campaign, names, result)
-    )
-    distance_m = _source_distance_m(campaign, room, known)
+    options = DesignOptions() if options is None else options
+    settings = Settings() if settings is None else settings
+    after_fit = absorption is not None
+    known = _prior_information(scene, materials, bands, absorption, options, settings)
+    distance_m = _source_distance_m(scene, options, known)
     found = design_candidates(
-        *(campaign, room, candidates, distance_m),
-        most_sources=most_sources,
-        count_measured=result is None,
+        scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
-    n = choose_n or (CHOSEN if result is None else 1)
-    n_pairs = n + len(measured_pairs(campaign))
-    traced = trace_candidates(campaign, found.scene, known, n_pairs, part(progress, 0.0, 0.95))
+    n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
+    n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
+    traced = information_of_candidates(
+        found.scene,
+        known,
+        n_pairs,
+        options,
+        settings,
+        directivities or {},
+        part(progress, 0.0, 0.95),
+    )
     matrices = traced.matrices
-    if misfit is not None and result is not None:
-        at = np.searchsorted(result.bands.centres_hz, known.bands.centres_hz)
-        matrices = matrices / np.maximum(misfit[at], 1.0)[:, None, None]
-    pairs = PairInformation(matrices, _gains(campaign, found.scene))
-    wanted = criterion or (campaign.design.criterion if result is None else "worst")
+    if absorption is not None and absorption.chi2_reduced is not None:
+        matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
+    pairs = PairInformation(matrices, _gains(options.level, found.scene))
+    criterion = options.criterion or ("worst" if after_fit else "determinant")
     fixed = tuple(range(found.n_fixed))
-    rng = np.random.default_rng(campaign.seed)
-    chosen = choose(known.unknowns, pairs, found.rules, n, wanted, fixed, rng=rng)
+    rng = np.random.default_rng(settings.seed)
+    chosen = choose(known.unknowns, pairs, found.rules, n, criterion, fixed, rng=rng)
+    rng = np.random.default_rng(settings.seed)
     return Design(
         scene=found.scene,
         n_fixed=found.n_fixed,
         chosen=np.array(chosen),
         bands=known.bands,
-        materials=names,
+        materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
         widths=_widths(known.unknowns, pairs, fixed, chosen),
-        random_means=_random_means(campaign, known.unknowns, pairs, found, n, n_random),
-        criterion=wanted,
+        random_means=_random_means(known.unknowns, pairs, found, n, options.n_random, rng),
+        criterion=criterion,
         model="coherent" if traced.coherent else "energy",
         absorption=known.typical,
         n_draws=len(known.draws),
-        after_fit=result is not None,
+        after_fit=after_fit,
         source_distance_m=distance_m,
-        receiver_distance_m=campaign.design.receiver_distance_m,
-        wall_distance_m=campaign.design.wall_distance_m,
-        findings=(*findings, *known.findings, *found.findings, *traced.findings),
-        seed=campaign.seed,
+        receiver_distance_m=options.receiver_distance_m,
+        wall_distance_m=options.wall_distance_m,
+        findings=(
+            *scene.room.findings,
+            *(() if absorption is None else absorption.findings),
+            *found.findings,
+            *traced.findings,
+        ),
+        seed=settings.seed,
         seconds=time.perf_counter() - began,
     )
 
 
-def _check_numbers(candidates: int, chosen: int | None, most_sources: int | None) -> None:
-    for name, number in (
-        ("candidates", candidates),
-        ("measurements to choose", chosen),
-        ("sources", most_sources),
-    ):
-        if number is not None and number < 1:
-            raise InputError(f"the number of {name} is below 1", found=str(number), needed="1")
+def _prior_information(
+    scene: Scene,
+    materials: Sequence[MaterialPrior],
+    bands: Bands | None,
+    absorption: AbsorptionPosterior | None,
+    options: DesignOptions,
+    settings: Settings,
+) -> PriorInformation:
+    names = scene.room.materials
+    if absorption is None:
+        bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
+        priors = complete_priors(names, materials, bands)
+        rng = np.random.default_rng(settings.seed)
+        return information_from_priors(priors, bands, options.n_draws, rng)
+    if absorption.materials != names:
+        raise InputError(
+            "the absorption is of other materials than the room's",
+            found=", ".join(absorption.materials),
+            needed=", ".join(names) + ", in this order",
+            hint="room_posterior of roomfit.prediction.campaign matches materials by name",
+        )
+    own = absorption.bands
+    if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
+        raise InputError(
+            "the absorption is of other bands than those to be fitted",
+            found=", ".join(f"{f:g}" for f in own.centres_hz) + " Hz",
+            needed=", ".join(f"{f:g}" for f in bands.centres_hz) + " Hz",
+        )
+    return information_from_fit(complete_priors(names, materials, own), absorption)
 
 
-def _source_distance_m(campaign: Campaign, room: Room, known: PriorInformation) -> float:
-    """Return the least distance of a receiver from its source, ISO 3382's where none is told."""
-    specified_m = campaign.design.source_distance_m
-    if specified_m is not None:
-        return specified_m
-    nobody = Scene(room, (), (), np.zeros((0, 2), dtype=np.int64), campaign.air)
-    decay_s = float(np.median(eyring_time_s(nobody, known.bands, known.typical)))
-    return least_source_distance_m(volume_m3(room.mesh), speed_of_sound_m_s(campaign.air), decay_s)
+def _source_distance_m(scene: Scene, options: DesignOptions, known: PriorInformation) -> float:
+    """Return the least distance of a receiver from its source, ISO 3382's where unspecified."""
+    if options.source_distance_m is not None:
+        return options.source_distance_m
+    decay_s = float(np.median(eyring_time_s(scene, known.bands, known.typical)))
+    volume = volume_m3(scene.room.mesh)
+    return least_source_distance_m(volume, speed_of_sound_m_s(scene.air), decay_s)
 
 
-def _gains(campaign: Campaign, scene: Scene) -> IntArray:
+def _gains(level: Level, scene: Scene) -> IntArray:
     n = len(scene.pairs)
-    if campaign.design.level == "per-source":
+    if level == "per-source":
         return np.asarray(scene.pairs[:, 0])
-    return np.arange(n) if campaign.design.level == "per-file" else np.full(n, -1)
+    return np.arange(n) if level == "per-file" else np.full(n, -1)
 
 
 def _widths(
@@ -178,15 +292,14 @@ def _widths(
 
 
 def _random_means(
-    campaign: Campaign,
     unknowns: Unknowns,
     pairs: PairInformation,
     found: Candidates,
     n: int,
     n_random: int,
+    rng: np.random.Generator,
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
-    rng = np.random.default_rng(campaign.seed)
     fixed = tuple(range(found.n_fixed))
     out: FloatArray = np.full((n_random, n + 1), np.nan)
     for row in out:

@@ -22,6 +22,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.inversion.sequential import FIT_END_S
+from roomfit.logit import Z95, expit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.objective.coherent import (
@@ -381,11 +382,11 @@ def _problems(
     problems: list[EnergyProblem | CoherentProblem] = []
     for f in filters:
         energies = expected_problem(
-            *(f, in_band(binned, f.centre_hz), direct_s),
-            *(
-                _absorption(expected_measurement, f.band, typical[:, f.band]),
-                expected_measurement.decay_range_db,
-            ),
+            f,
+            in_band(binned, f.centre_hz),
+            direct_s,
+            _absorption(expected_measurement, f.band, typical[:, f.band]),
+            expected_measurement.decay_range_db,
             timing_sd_s,
             periods=_PRESSURE_PERIODS if expected_measurement.coherent else _ENERGY_PERIODS,
         )
@@ -397,13 +398,15 @@ def _problems(
         )
         problems.append(
             coherent_problem(
-                *(expected_measurement.bands, f.band, energies, f.attenuation_per_m),
-                *(
-                    paths_at(images, weights, f.band),
-                    binned,
-                    _pair_geometry(expected_measurement, c),
-                ),
-                *(None, FIT_END_S),
+                expected_measurement.bands,
+                f.band,
+                energies,
+                f.attenuation_per_m,
+                paths_at(images, weights, f.band),
+                binned,
+                _pair_geometry(expected_measurement, c),
+                None,
+                FIT_END_S,
             )
         )
     return problems
@@ -521,7 +524,6 @@ def _shared(expected_measurement: ExpectedMeasurement) -> BoolArray:
     return np.asarray(common[geometry.fitted & (geometry.sd > 0.0)])
 
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 # Of a gain: next to nothing, so that a pair that nobody hears does not divide by zero.
 _LEAST_GAIN_INFORMATION = 1e-9
 
@@ -648,8 +650,8 @@ def interval_widths(unknowns: Unknowns, information: FloatArray) -> FloatArray:
     information : float array, shape (..., n_draws, n_bands, n, n)
     """
     covariance = np.linalg.inv(information)
-    reach = _Z95 * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
-    ends = [1.0 / (1.0 + np.exp(-unknowns.logit - sign * reach)) for sign in (1.0, -1.0)]
+    reach = Z95 * np.sqrt(np.diagonal(covariance, axis1=-2, axis2=-1))
+    ends = [expit(unknowns.logit + sign * reach) for sign in (1.0, -1.0)]
     width = (unknowns.upper - unknowns.lower) * (ends[0] - ends[1])
     return np.asarray(width.mean(axis=-3))
 

@@ -1,18 +1,10 @@
-"""design.json and design.csv, format_version 1.
-
-A design in pictures: where to measure, and what it is worth beside chance.
-
-A design in words and tables, for a terminal.
-"""
+"""A design as design.json and design.csv (format_version 1), as text, and as figures."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable
-from importlib.metadata import version
+from collections.abc import Iterable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -22,18 +14,33 @@ from matplotlib.patheffects import withStroke
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.experiment_design.choose import Design, mean_widths, widest
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, new_figure
+from roomfit.report.frames import html_findings, html_table
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
 from roomfit.typing import FloatArray
 
-_COLUMNS = (
+if TYPE_CHECKING:
+    from roomfit.experiment_design.design import Design
+
+COLUMNS = (
     *("number", "source", "source_x_m", "source_y_m", "source_z_m"),
     *("receiver", "receiver_x_m", "receiver_y_m", "receiver_z_m"),
     *("distance_m", "mean_width95"),
 )
+
+
+def mean_widths(design: Design) -> FloatArray:
+    """Return the mean width over all bands and materials to be found, shape (n_chosen + 1,)."""
+    return np.asarray(design.widths[:, design.to_find].mean(axis=(1, 2)))
+
+
+def widest(design: Design, step: int = 0) -> tuple[int, int]:
+    """Return material and band of the widest interval after so many of the chosen pairs."""
+    widths = design.widths[step]
+    material, band = np.unravel_index(int(np.argmax(widths)), widths.shape)
+    return int(material), int(band)
 
 
 def write_design(folder: Path, design: Design, inputs: Iterable[Path]) -> None:
@@ -54,13 +61,13 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
     return {
         "format": "roomfit-design",
         "format_version": 1,
-        "bands_hz": numbers(design.bands.centres_hz),
+        "bands_hz": design.bands.centres_hz,
         "chosen": [
             {
                 "source": source,
-                "source_m": numbers(source_m),
+                "source_m": source_m,
                 "receiver": receiver,
-                "receiver_m": numbers(receiver_m),
+                "receiver_m": receiver_m,
                 "mean_width95": float(means[i + 1]),
                 "width95": _by_material(design, design.widths[i + 1]),
             }
@@ -86,25 +93,26 @@ def design_content(design: Design, inputs: Iterable[Path]) -> dict[str, Any]:
         },
         "findings": [finding_content(f) for f in design.findings],
         "design": {"seed": design.seed, "seconds": round(design.seconds, 3)},
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def design_csv(design: Design) -> str:
-    """Return one row a chosen pair: its places, and the mean width of the intervals after it."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
+    """Return one row a chosen pair: its positions, and the mean width of the intervals after it."""
+    rows = []
+    for number, source, x, y, z, receiver, *more, width in design_rows(design):
+        at, to = ([f"{v:.3f}" for v in values] for values in ((x, y, z), more))
+        rows.append([number, source, *at, receiver, *to, f"{width:.4f}"])
+    return csv_text(COLUMNS, rows)
+
+
+def design_rows(design: Design) -> Iterator[tuple[Any, ...]]:
+    """Yield one row a chosen pair, as `COLUMNS` says."""
     after = mean_widths(design)[1:]
     for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
-        at = [[f"{x:.3f}" for x in place] for place in (source_m, receiver_m)]
         distance = float(np.linalg.norm(source_m - receiver_m))
-        row = [i + 1, source, *at[0], receiver, *at[1], f"{distance:.3f}", f"{after[i]:.4f}"]
-        writer.writerow(row)
-    return stream.getvalue()
+        ends = (source, *source_m.tolist(), receiver, *receiver_m.tolist())
+        yield (i + 1, *ends, distance, float(after[i]))
 
 
 def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
@@ -115,8 +123,8 @@ def _positions(design: Design) -> list[tuple[str, FloatArray, str, FloatArray]]:
     return found
 
 
-def _by_material(design: Design, table: FloatArray) -> dict[str, list[float]]:
-    return {name: numbers(row) for name, row in zip(design.materials, table, strict=True)}
+def _by_material(design: Design, table: FloatArray) -> dict[str, FloatArray]:
+    return dict(zip(design.materials, table, strict=True))
 
 
 def _widest(design: Design) -> dict[str, Any]:
@@ -124,7 +132,7 @@ def _widest(design: Design) -> dict[str, Any]:
     return {
         "material": design.materials[material],
         "band_hz": float(design.bands.centres_hz[band]),
-        "width95": numbers(design.widths[:, material, band]),
+        "width95": design.widths[:, material, band],
     }
 
 
@@ -185,10 +193,10 @@ def _panel(axes: Axes, design: Design, edges: FloatArray, up: int) -> None:
         axes.plot(*ends.T, "-", color=_BLUE, lw=0.9, alpha=0.6)
     axes.plot(*sources[np.unique(pairs[:, 0])].T, "^", color=_ORANGE, ms=10, label="source")
     axes.plot(*receivers[pairs[:, 1]].T, "o", color=_BLUE, ms=12, label="receiver, in this order")
-    for place in np.unique(pairs[:, 1]):
-        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == place))
+    for r in np.unique(pairs[:, 1]):
+        number = ",".join(str(i + 1) for i in np.flatnonzero(pairs[:, 1] == r))
         axes.annotate(
-            number, receivers[place], color="white", fontsize=8, ha="center", va="center_baseline",
+            number, receivers[r], color="white", fontsize=8, ha="center", va="center_baseline",
             fontweight="bold", zorder=5,
         )  # fmt: skip
     for s in np.unique(pairs[:, 0]):
@@ -226,6 +234,20 @@ def design_gain(design: Design) -> Figure:
     axes.grid(alpha=0.25)
     axes.legend(frameon=False)
     return figure
+
+
+def design_html(design: Design) -> str:
+    """Return the chosen pairs, and all findings, in HTML."""
+    means = mean_widths(design)
+    rows = [["before", "", "", f"{means[0]:.3f}"]]
+    for i, (source, source_m, receiver, receiver_m) in enumerate(_positions(design)):
+        ends = [
+            f"{name} ({', '.join(f'{x:.2f}' for x in at)}) m"
+            for name, at in ((source, source_m), (receiver, receiver_m))
+        ]
+        rows.append([str(i + 1), *ends, f"{means[i + 1]:.3f}"])
+    columns = ("", "source", "receiver", "mean width of the 95 % intervals")
+    return html_table(_opening(design), columns, rows) + html_findings(design.findings)
 
 
 _CRITERIA = {

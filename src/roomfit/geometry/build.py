@@ -1,6 +1,6 @@
-"""From the polygons of a file to a mesh of triangles, telling what was wrong with them.
+"""From the polygons of a file to a mesh of triangles whose normals point out of the air.
 
-Turn triangles so that every normal points out of the air.
+What was wrong with the polygons is reported in findings.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ class Face(NamedTuple):
 
 @dataclass(slots=True)
 class _Doubts:
-    """Where each kind of trouble was met, as (surface name, place), while a mesh is built."""
+    """Where each kind of fault occurs, as (surface name, position), while a mesh is built."""
 
     no_area: list[tuple[str, str]]
     seams: list[tuple[str, str]]
@@ -103,12 +103,18 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         index = surfaces.setdefault(surface, len(surfaces))
         triangles.append(corners[cut.triangles])
         owner.extend([index] * len(cut.triangles))
-    _sort_flat(flat, triangles, vertices, doubts)
+    all_corners = np.concatenate([np.zeros((0, 3), dtype=np.int64), *triangles])
+    used, renumbered = np.unique(all_corners, return_inverse=True)
+    for corners, surface in flat:
+        # Programs that cut surfaces into triangles leave faces without area where the corners of
+        # other faces stand on a long edge; the mesh is as tight without them. Such a face with a
+        # corner of its own is a mistake.
+        kind = doubts.seams if np.isin(corners, used).all() else doubts.no_area
+        kind.append(_spot(surface, vertices[corners]))
     findings = _findings(doubts)
     if not triangles:
         refuse(findings)
         raise InputError("the room has no faces", needed="at least four faces with an area")
-    used, renumbered = np.unique(np.concatenate(triangles), return_inverse=True)
     mesh = Mesh(vertices[used], renumbered.reshape(-1, 3), np.array(owner), tuple(surfaces))
     return mesh, findings
 
@@ -135,7 +141,7 @@ def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
 def _distinct(
     faces: Iterable[Face], representative: IntArray, vertices: FloatArray, doubts: _Doubts
 ) -> Iterable[tuple[IntArray, Surface]]:
-    """Yield welded corners and surface of each face that was not there before.
+    """Yield welded corners and surface of each face that does not repeat an earlier one.
 
     Fewer than three corners mean a face that welding has closed up.
     """
@@ -162,24 +168,6 @@ def _distinct(
         else:
             doubts.back_to_back.append(_spot(face.surface, vertices[corners]))
             yield np.array(corners), face.surface
-
-
-def _sort_flat(
-    flat: list[tuple[IntArray, Surface]],
-    triangles: list[IntArray],
-    vertices: FloatArray,
-    doubts: _Doubts,
-) -> None:
-    """Tell seams from faults among the faces that came out without area.
-
-    Programs that cut surfaces into triangles leave such faces where the corners of other faces
-    stand on a long edge; the mesh is as tight without them. A face without area that has a corner
-    of its own is a mistake.
-    """
-    used = np.unique(np.concatenate(triangles)) if triangles else np.zeros(0, dtype=np.int64)
-    for corners, surface in flat:
-        kind = doubts.seams if np.isin(corners, used).all() else doubts.no_area
-        kind.append(_spot(surface, vertices[corners]))
 
 
 def _from_smallest(corners: list[int]) -> tuple[int, ...]:
@@ -269,7 +257,7 @@ _PROBES = 5
 
 
 def oriented(mesh: Mesh) -> tuple[Mesh, tuple[Finding, ...]]:
-    """Return the mesh with normals that point out of the air, and what had to be turned.
+    """Return the mesh with normals that point out of the air, and what was turned.
 
     Neighbours are made to agree across every edge that two triangles share. Then each connected
     part is turned as a whole, by asking on which side of its largest faces the room encloses a

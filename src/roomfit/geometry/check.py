@@ -1,7 +1,4 @@
-"""What is wrong with a mesh, each fault with its place.
-
-How much sound a mesh loses through its gaps, measured with rays.
-"""
+"""Faults of a mesh, each with its position; leaks are found by rays followed inside it."""
 
 from __future__ import annotations
 
@@ -44,22 +41,12 @@ _ON_WALL_M = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Leak:
-    """What became of test rays that were followed inside a room.
+    """Outcome of test rays that were followed inside a room."""
 
-    Attributes
-    ----------
-    n_hits, n_escapes : int
-        How often a wall was hit, and how many rays met none.
-    last_m : float array, shape (n_escapes, 3)
-        Where each lost ray started its last flight.
-    directions : float array, shape (n_escapes, 3)
-        In which direction.
-    """
-
-    n_hits: int
-    n_escapes: int
-    last_m: FloatArray
-    directions: FloatArray
+    n_hits: int  # of walls
+    n_escapes: int  # rays that left the room
+    last_m: FloatArray  # (n_escapes, 3), where each lost ray started its last flight
+    directions: FloatArray  # (n_escapes, 3), unit vectors of these flights
 
     @property
     def fraction(self) -> float:
@@ -84,11 +71,6 @@ def find_leaks(
     hits, escaped = _bounce(corners_m(mesh), starts, directions, n_bounces)
     lost = escaped.astype(np.bool_)
     return Leak(int(hits.sum()), int(lost.sum()), starts[lost], directions[lost])
-
-
-def leak_fraction(mesh: Mesh, points_m: FloatArray, n_rays: int, seed: int) -> float:
-    """Return how many rays leave the room for each time one hits a wall; see `find_leaks`."""
-    return find_leaks(mesh, points_m, n_rays, seed).fraction
 
 
 @kernel()
@@ -126,11 +108,9 @@ def _reflect(corners_m: FloatArray, i: int, directions: FloatArray, r: int) -> N
     directions[r, :] = along((0.0, 0.0, 0.0), d, 1.0 / np.sqrt(dot(d, d)))
 
 
+# Escapes per hit above which a mesh is no room; a decay to -60 dB takes about 100 hits.
 LEAK_LIMIT = 1e-3
-"""Escapes per hit above which a mesh is no room; a decay to -60 dB takes about 100 hits."""
-
 SLIVER_M = 1e-4
-
 # Rays against all triangles: at most so many tests, at most and at least so many rays.
 _LEAK_TESTS = 2e8
 _LEAK_RAYS = (64, 2000)
@@ -140,26 +120,14 @@ _BOUNCES = 50
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Examination:
-    """What a mesh is like.
+    """What a mesh is like."""
 
-    Attributes
-    ----------
-    volume_m3, surface_m2, mean_free_path_m : float
-        Of the air; the volume is approximate where the mesh is not closed.
-    closed : bool
-        Every edge is matched by one that runs the other way.
-    leak : float or None
-        Escapes per hit of test rays; None where no point inside was found.
-    findings : tuple of Finding
-        Faults are serious ones.
-    """
-
-    volume_m3: float
+    volume_m3: float  # Of the air; approximate where the mesh is not closed
     surface_m2: float
     mean_free_path_m: float
-    closed: bool
-    leak: float | None
-    findings: tuple[Finding, ...]
+    closed: bool  # Every edge is matched by one that runs the other way
+    leak: float | None  # Escapes per hit of test rays; None where no point inside was found
+    findings: tuple[Finding, ...]  # Faults are serious ones
 
 
 def examine(mesh: Mesh, seed: int = 1) -> Examination:
@@ -168,7 +136,7 @@ def examine(mesh: Mesh, seed: int = 1) -> Examination:
     Parameters
     ----------
     mesh : Mesh
-        As `orientation.oriented` returns it.
+        As `geometry.build.oriented` returns it.
     seed : int
         Of the test rays.
     """
@@ -176,11 +144,22 @@ def examine(mesh: Mesh, seed: int = 1) -> Examination:
     edges = edges_of(mesh)
     open_edges = unmatched(edges)
     leak, leak_findings = _leak(mesh, seed)
-    findings = [*leak_findings, *_slivers(mesh), *_size(volume)]
+    findings = [*leak_findings, *_slivers(mesh)]
+    if volume > 0.0 and not 1.0 <= volume <= 1e6:
+        text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
+        findings.append(Finding(Code.UNUSUAL_SIZE, text, {"volume_m3": volume}))
     if len(open_edges):
         findings.append(_not_closed(mesh, edges, open_edges, volume))
     if not volume > 0.0:
-        findings.append(_no_volume(volume))
+        findings.append(
+            fault(
+                Code.NO_VOLUME,
+                "the room encloses no volume",
+                found=f"{volume:.3g} m3",
+                needed="more than 0 m3",
+                hint="draw floor, ceiling and all walls as faces that enclose the air",
+            )
+        )
     return Examination(
         volume,
         surface_area_m2(mesh),
@@ -224,7 +203,7 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
 
 
 def _ways_out(mesh: Mesh, leak: Leak) -> str:
-    """Say from which walls the first lost rays took off, and whereto."""
+    """Return in words from which walls the first lost rays started, and in which direction."""
     last = leak.last_m[:3]
     _, triangle = nearest_triangles(mesh, last)
     texts = []
@@ -253,7 +232,7 @@ def _not_closed(mesh: Mesh, edges: Edges, open_edges: IntArray, volume: float) -
 
 
 def _slivers(mesh: Mesh) -> list[Finding]:
-    """Tell of triangles less high than 0.1 mm; they are harmless but show a careless drawing."""
+    """Report triangles less high than 0.1 mm; they are harmless but show a careless drawing."""
     corners = corners_m(mesh)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     height = 2.0 * triangle_areas_m2(mesh) / longest
@@ -266,20 +245,3 @@ def _slivers(mesh: Mesh) -> list[Finding]:
     count = "1 triangle is" if len(thin) == 1 else f"{len(thin)} triangles are"
     text = f"{count} thinner than 0.1 mm: {listed(spots)}."
     return [Finding(Code.SLIVERS, text, {"triangles": len(thin)})]
-
-
-def _size(volume: float) -> list[Finding]:
-    if volume <= 0.0 or 1.0 <= volume <= 1e6:
-        return []
-    text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
-    return [Finding(Code.UNUSUAL_SIZE, text, {"volume_m3": volume})]
-
-
-def _no_volume(volume: float) -> Finding:
-    return fault(
-        Code.NO_VOLUME,
-        "the room encloses no volume",
-        found=f"{volume:.3g} m3",
-        needed="more than 0 m3",
-        hint="draw floor, ceiling and all walls as faces that enclose the air",
-    )

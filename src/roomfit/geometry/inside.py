@@ -1,9 +1,8 @@
 """Which points a room encloses, and how far they are from its walls.
 
-One ray or one point against one triangle, in plain float64.
-
-Slow and simple next to the tracer's kernels, and independent of them, because it is there to check
-rooms. Triangles count on both sides, whatever their orientation.
+One ray or one point against one triangle, in plain float64: slower and simpler than the tracer's
+kernels and independent of them, because it checks rooms. Triangles count on both sides, whatever
+their orientation.
 """
 
 from __future__ import annotations

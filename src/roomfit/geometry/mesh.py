@@ -1,16 +1,7 @@
-"""The edges where triangles meet, also where a long edge meets several short ones.
+"""The surface of a room as triangles that keep the names, groups and materials of their file.
 
-Faults: findings so serious that a room cannot be traced, and how they become errors.
-
-Volume, area and mean free path of a room.
-
-The surface of a room as triangles that remember where they came from.
-
-Flat polygons with any outline: their plane, their area and their triangles.
-
-A box, the simplest room.
-
-Corners that are meant to be one point are made one.
+Polygons are cut into triangles, corners welded, edges matched, and volume, area and mean free path
+measured. A fault is a finding so serious that a room cannot be traced.
 """
 
 from __future__ import annotations
@@ -42,7 +33,7 @@ def fault(
     hint: str | None = None,
     **evidence: Any,
 ) -> Finding:
-    """Return a finding of a serious code that keeps the parts of an error message apart.
+    """Return a finding of a serious code with the parts of an error message in its evidence.
 
     `roomfit check` lists all faults of a room; everything else stops at the first, see `refuse`.
     """
@@ -92,44 +83,23 @@ def place(point_m: FloatArray) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Surface:
-    """The faces of a file that share a name, a group and a material.
+    """The faces of a file that share a name, a group and a material."""
 
-    Attributes
-    ----------
-    name : str
-        Name of the surface, object or plane in the file; "west", "floor", ... for a shoebox.
-    group : str or None
-        Group in the file, where it has groups.
-    file_material : str or None
-        Material that the file gives.
-    double_sided : bool
-        A sheet that stands in the air and reflects on both sides, such as a curtain. It does not
-        enclose anything, so it is left out of volume and closure checks; its area counts twice.
-    """
-
-    name: str
-    group: str | None = None
+    name: str  # Of surface, object or plane in the file; "west", "floor", ... for a shoebox
+    group: str | None = None  # In the file, where it has groups
     file_material: str | None = None
+    # A sheet in the air that reflects on both sides, such as a curtain. It encloses nothing, so it
+    # is left out of volume and closure checks; its area counts twice.
     double_sided: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Mesh:
-    """Triangles in metres, z up, normals pointing out of the air (so a room has volume > 0).
+    """Triangles in metres, z up, normals pointing out of the air (so a room has volume > 0)."""
 
-    Attributes
-    ----------
-    vertices_m : float array, shape (n_vertices, 3)
-    triangles : int32 array, shape (n_triangles, 3)
-        Indices of the corners, counter-clockwise when looked at from outside the room.
-    triangle_surface : int32 array, shape (n_triangles,)
-        Index into `surfaces`.
-    surfaces : tuple of Surface
-    """
-
-    vertices_m: FloatArray
-    triangles: IntArray
-    triangle_surface: IntArray
+    vertices_m: FloatArray  # (n_vertices, 3)
+    triangles: IntArray  # int32 (n_triangles, 3), corners, counter-clockwise from outside the room
+    triangle_surface: IntArray  # int32 (n_triangles,), index into `surfaces`
     surfaces: tuple[Surface, ...]
 
     def __post_init__(self) -> None:
@@ -210,24 +180,12 @@ _NO_AREA = 1e-12  # of the squared perimeter: what rounding leaves of a polygon 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Triangulation:
-    """The triangles of one polygon.
+    """The triangles of one polygon."""
 
-    Attributes
-    ----------
-    triangles : int array, shape (n_triangles, 3)
-        Indices into the polygon's corners, turning as the polygon does. Empty where it has no area.
-    area_m2 : float
-        Area of the polygon seen along its normal.
-    off_plane_m : float
-        Largest distance of a corner from the best plane.
-    crosses_itself : bool
-        The triangles do not cover the polygon's area: its outline is no simple one.
-    """
-
-    triangles: IntArray
-    area_m2: float
-    off_plane_m: float
-    crosses_itself: bool
+    triangles: IntArray  # (n_triangles, 3), corners in the polygon's sense; empty without area
+    area_m2: float  # Of the polygon's projection along its normal
+    off_plane_m: float  # Largest distance of a corner from the best plane
+    crosses_itself: bool  # The triangles do not cover the polygon's area
 
 
 def area_vector_m2(corners_m: FloatArray) -> FloatArray:
@@ -247,7 +205,7 @@ def area_vector_m2(corners_m: FloatArray) -> FloatArray:
 def triangulate(corners_m: FloatArray) -> Triangulation:
     """Cut a polygon into triangles with the ear-cutting method.
 
-    The polygon may be concave, hold corners that stand on a straight line, or the same corner
+    The polygon may be concave, have corners that stand on a straight line, or the same corner
     twice. A fan from the first corner, as many readers cut it, would cover the notch of an
     L-shaped floor.
 
@@ -267,29 +225,25 @@ def triangulate(corners_m: FloatArray) -> Triangulation:
     off_plane = float(np.abs(from_middle @ normal).max())
     if len(corners_m) == 3:
         return Triangulation(np.array([[0, 1, 2]]), area, off_plane, False)
-    flat = np.ascontiguousarray(from_middle @ _plane_axes(normal).T)
+    flat = np.ascontiguousarray(from_middle @ plane_axes(normal).T)
     ring = np.array([len(flat)], dtype=np.uint32)
     cut = mapbox_earcut.triangulate_float64(flat, ring).astype(np.int64).reshape(-1, 3)
-    twice = _twice_areas(flat, cut)
+    a, b, c = (flat[cut[:, k]] for k in range(3))
+    ab, ac = b - a, c - a
+    twice = ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0]
     cut[twice < 0.0] = cut[twice < 0.0][:, ::-1]
     covered = 0.5 * float(np.abs(twice).sum())
     triangles = cut[np.abs(twice) > _NO_AREA * perimeter**2]
     return Triangulation(triangles, area, off_plane, abs(covered - area) > 1e-6 * area)
 
 
-def _plane_axes(normal: FloatArray) -> FloatArray:
+def plane_axes(normal: FloatArray) -> FloatArray:
     """Return two unit vectors that with the normal form a right-handed frame, shape (2, 3)."""
     helper = np.zeros(3)
     helper[np.argmin(np.abs(normal))] = 1.0
     u = np.cross(helper, normal)
     u /= np.linalg.norm(u)
     return np.array([u, np.cross(normal, u)])
-
-
-def _twice_areas(flat: FloatArray, triangles: IntArray) -> FloatArray:
-    a, b, c = (flat[triangles[:, k]] for k in range(3))
-    ab, ac = b - a, c - a
-    return np.asarray(ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
 
 
 SHOEBOX_SURFACES = ("west", "east", "south", "north", "floor", "ceiling")
@@ -316,6 +270,12 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
         12 triangles, outward normals; surfaces west (x = 0), east, south (y = 0), north, floor
         and ceiling, in that order. Each carries its own name as material; the four upright ones
         form the group "walls", so that one key can name them all.
+
+    Examples
+    --------
+    >>> box = shoebox_mesh((6.0, 5.0, 3.0))
+    >>> round(volume_m3(box), 9), surface_area_m2(box), round(mean_free_path_m(box), 3)
+    (90.0, 126.0, 2.857)
     """
     lengths = float_array("length of the box", lengths_m, (3,), low=1e-3, high=1e4, unit="m")
     corners = np.array([[k & 1, k >> 1 & 1, k >> 2 & 1] for k in range(8)]) * lengths
@@ -326,13 +286,10 @@ def shoebox_mesh(lengths_m: ArrayLike) -> Mesh:
     return Mesh(corners, np.array(triangles), np.repeat(np.arange(6), 2), surfaces)
 
 
+# Corners nearer than 0.1 mm are one corner. An absolute length, because what is welded is the
+# rounding of drawing programs (six decimals of a metre, three of a millimetre), which does not grow
+# with the room, and because it must stay far below any wavelength (21 mm at 16 kHz).
 WELD_TOLERANCE_M = 1e-4
-"""Corners nearer than 0.1 mm are one corner.
-
-An absolute length, because what is welded is the rounding of drawing programs (six decimals of a
-metre, three of a millimetre), which does not grow with the room, and because it must stay far
-below anything that sound can notice (the wavelength at 16 kHz is 21 mm) or a room is drawn with.
-"""
 
 
 def weld(points_m: FloatArray, tolerance_m: float = WELD_TOLERANCE_M) -> IntArray:
@@ -361,20 +318,11 @@ class Edges:
     """Directed edges of the enclosing triangles (sheets in the air are left out).
 
     An edge on which corners of others stand is split there, so that edges match piece by piece.
-
-    Attributes
-    ----------
-    ends : int array, shape (n_edges, 2)
-        Corner from which and to which each edge runs.
-    triangle : int array, shape (n_edges,)
-        Triangle whose border it is.
-    line : int array, shape (n_edges,)
-        Equal for edges between the same two corners, in whichever direction.
     """
 
-    ends: IntArray
-    triangle: IntArray
-    line: IntArray
+    ends: IntArray  # (n_edges, 2), corner from which and to which each edge runs
+    triangle: IntArray  # (n_edges,), triangle whose border it is
+    line: IntArray  # (n_edges,), equal for edges between the same two corners, of either sense
 
 
 def edges_of(mesh: Mesh, tolerance_m: float = WELD_TOLERANCE_M) -> Edges:

@@ -26,11 +26,18 @@ from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import LAWS, Parameter
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import GainMode, Nuisances
-from roomfit.io.campaign import Campaign, MaterialTable, input_files, read_campaign
-from roomfit.io.measurements import from_emission
-from roomfit.io.responses import read_response
+from roomfit.inversion.measurements import from_emission
+from roomfit.io.campaign import (
+    Campaign,
+    MaterialTable,
+    MeasuredFile,
+    MeasuredSpectrum,
+    input_files,
+    read_campaign,
+)
+from roomfit.io.measurements import read_file
 from roomfit.io.rooms import read_room
-from roomfit.measurement import LATENCY_SD_S, MeasuredFile, MeasuredSpectrum
+from roomfit.measurement import LATENCY_SD_S
 from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part
@@ -114,12 +121,12 @@ def identify_campaign_impedance(
         given.observed,
         given.walls,
         given.nuisances,
-        rng=np.random.default_rng(campaign.seed),
+        rng=np.random.default_rng(campaign.settings.seed),
         settings=given.settings,
         progress=progress,
     )
     findings = (*given.findings, *result.findings)
-    return replace(result, findings=findings, seed=campaign.seed)
+    return replace(result, findings=findings, seed=campaign.settings.seed)
 
 
 def impedance_to_folder(
@@ -245,11 +252,11 @@ def _damped_responses(
     """
     speed = speed_of_sound_m_s(scene.air)
     travel_s = [float(d) / speed for d in distances_m(scene)[: len(files)]]
-    read = [read_response(file.response) for file in files]
-    findings = [finding for _, doubts in read for finding in doubts]
+    read = [read_file(file) for file in files]
+    findings = [finding for m in read for finding in m.findings]
     pressure, noise = [], []
     for file, response, direct_s in zip(
-        files, from_emission(files, [r for r, _ in read], travel_s), travel_s, strict=True
+        files, from_emission(read, travel_s), travel_s, strict=True
     ):
         where = str(file.response.path)
         check_travel(response, direct_s, where)
@@ -380,7 +387,7 @@ def _nuisances(
     table, usual = campaign.impedance, Nuisances()
     speed_sd = 0.0
     if table.speed_of_sound == "fit":
-        kelvin = campaign.temperature_sd_c
+        kelvin = campaign.settings.temperature_sd_c
         # c grows as the root of the absolute temperature
         speed_sd = usual.speed_sd if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
     gain = _gain(campaign, files, spectra)

@@ -183,7 +183,7 @@ def judged_result(
         measured=problem.observed.pressure,
         predicted=_predicted_pairs(fit),
         expected_rms=problem.sd,
-        ending="nothing moved any more" if fit.converged else "the most rounds were used up",
+        ending=fit.ending.advice,
         evaluations=fit.evaluations,
         rounds=fit.rounds,
         seconds=seconds,

@@ -34,12 +34,10 @@ from roomfit.impedance.laws import (
 from roomfit.impedance.problem import (
     Layout,
     Linear,
-    Minimum,
     Problem,
     Whitened,
     data_rows,
     layout_of,
-    levenberg_marquardt,
     marginal_likelihood_error,
     prior_rows,
     r0_of,
@@ -48,7 +46,19 @@ from roomfit.impedance.problem import (
     state_of,
 )
 from roomfit.impedance.wave_model import State, at_frequencies, frozen_correction, has_free_spectra
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.levenberg_marquardt import MarquardtSettings, Minimum, levenberg_marquardt
 from roomfit.typing import ComplexArray, FloatArray, Progress
+
+# A step that lowers the cost by less than a share of it is the last one.
+_SETTINGS = MarquardtSettings(
+    max_trials=29,
+    damping=1e-2,
+    lowered=0.2,
+    least_damping=1e-9,
+    most_damping=8e9,
+    ridge=1e-12,
+)
 
 # Standard deviations of second differences of spline coefficients: first nearly constant.
 STAGES = (0.003, 0.01, 0.03)
@@ -77,7 +87,7 @@ class ImpedanceFit:
     model_error: float  # that error, see `roomfit.impedance.problem.marginal_likelihood_error`
     evaluations: int
     rounds: int
-    converged: bool  # whether the rounds ended because nothing moved any more
+    ending: Ending  # converged where R0 moved no more from one round to the next
 
 
 def reduced_chi2(fit: ImpedanceFit) -> float:
@@ -111,7 +121,12 @@ def descend(
             np.vstack([data.jacobian, prior.jacobian]),
         )
 
-    return levenberg_marquardt(rows, x, gain=gain)
+    return levenberg_marquardt(rows, x, _ending_at(_SETTINGS, gain))
+
+
+def _ending_at(settings: MarquardtSettings, gain: float) -> MarquardtSettings:
+    """Return settings whose last step gains, or promises a hundredth of, a share of the cost."""
+    return replace(settings, relative_gain=gain, least_promise=0.01 * gain)
 
 
 def continuation(
@@ -162,7 +177,7 @@ def polish(
     layout = layout_of(problem)
     rough = np.full(len(problem.curves), STAGES[-1]) if roughness_sd is None else roughness_sd
     correction = _correction(problem, layout, x)
-    r0, evaluations, converged, rounds = r0_of(problem, layout, x), 0, False, 0
+    r0, evaluations, rounds = r0_of(problem, layout, x), 0, 0
     while True:
         rounds += 1
         found = descend(problem, layout, x, rough, correction)
@@ -177,7 +192,10 @@ def polish(
         if rounds <= _EVIDENCE_ROUNDS:
             rough = _marginal_likelihood_roughness(problem, layout, found, rough)
         correction = _correction(problem, layout, x)
-    return _fit(problem, layout, found, correction, rough, (evaluations, rounds, converged))
+    ending = Ending.CONVERGED if converged else Ending.OUT_OF_ROUNDS
+    if found.ending is Ending.OUT_OF_DAMPING:
+        ending = found.ending
+    return _fit(problem, layout, found, correction, rough, (evaluations, rounds, ending))
 
 
 def _correction(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
@@ -225,7 +243,7 @@ def _fit(
     found: Minimum,
     correction: ComplexArray,
     rough: FloatArray,
-    ended: tuple[int, int, bool],
+    ended: tuple[int, int, Ending],
 ) -> ImpedanceFit:
     data = data_rows(problem, layout, found.x, correction)
     own = data.jacobian.T @ data.jacobian
@@ -412,7 +430,8 @@ def _fitted_law(
     drawn = np.vstack([law.start, rng.normal(scale=1.5, size=(_DRAWN, n))])
     costs = [float(np.sum(np.abs(weight * (law.r0(x) - r0)) ** 2)) for x in drawn]
     best = np.argsort(costs)[:_POLISHED]
-    ends = [levenberg_marquardt(rows, drawn[i], most=60, gain=1e-6) for i in best]
+    settings = _ending_at(replace(_SETTINGS, max_trials=59), 1e-6)
+    ends = [levenberg_marquardt(rows, drawn[i], settings) for i in best]
     x = min(ends, key=lambda end: end.cost).x
     misfit = float(np.mean(np.abs(weight * (law.r0(x) - r0)) ** 2))
     values = law.values(np.clip(x, -4.0, 4.0))

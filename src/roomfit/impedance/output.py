@@ -2,12 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict
-from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,7 +17,13 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
+from roomfit.io.encoding import (
+    csv_text,
+    finding_content,
+    number_or_null,
+    numbers_or_null,
+    provenance,
+)
 from roomfit.report.figures import OKABE_ITO, new_figure, png
 from roomfit.typing import ComplexArray, FloatArray
 
@@ -76,7 +78,7 @@ def impedance_content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[s
     return {
         "format": "roomfit-impedance",
         "format_version": 1,
-        "frequency_hz": numbers(result.frequency_hz),
+        "frequency_hz": result.frequency_hz,
         "tau_s": result.tau_s,
         "materials": {m.name: _material(result, m) for m in result.materials},
         "nuisances": [
@@ -87,9 +89,9 @@ def impedance_content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[s
         "findings": [finding_content(f) for f in result.findings],
         "pairs": [_pair(result, i) for i in range(len(result.pairs))],
         "fit": {
-            "chi2": _or_null(result.chi2),
-            "model_error": _or_null(result.model_error),
-            "condition": _or_null(result.condition),
+            "chi2": number_or_null(result.chi2),
+            "model_error": number_or_null(result.model_error),
+            "condition": number_or_null(result.condition),
             "starts": result.n_starts,
             "agreeing_starts": result.agreeing_starts,
             "ending": result.ending,
@@ -98,15 +100,12 @@ def impedance_content(result: ImpedanceResult, inputs: Iterable[Path]) -> dict[s
             "seconds": round(result.seconds, 3),
             "seed": result.seed,
         },
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
 
 
 def _material(result: ImpedanceResult, material: MaterialImpedance) -> dict[str, Any]:
-    content: dict[str, Any] = {"frequency_hz": numbers(result.frequency_hz), "model": material.kind}
+    content: dict[str, Any] = {"frequency_hz": result.frequency_hz, "model": material.kind}
     content |= {name: numbers_or_null(values) for name, values in material.columns().items()}
     content["identified"] = [bool(b) for b in material.identified]
     content["parameters"] = {
@@ -122,30 +121,25 @@ def _pair(result: ImpedanceResult, i: int) -> dict[str, Any]:
     return {
         "source": result.pairs[i][0],
         "receiver": result.pairs[i][1],
-        "measured_real": numbers(measured.real),
-        "measured_imag": numbers(measured.imag),
-        "predicted_real": numbers(predicted.real) if fitted else None,
-        "predicted_imag": numbers(predicted.imag) if fitted else None,
-        "expected_rms": numbers(result.expected_rms[i]),
+        "measured_real": measured.real,
+        "measured_imag": measured.imag,
+        "predicted_real": predicted.real if fitted else None,
+        "predicted_imag": predicted.imag if fitted else None,
+        "expected_rms": result.expected_rms[i],
     }
-
-
-def _or_null(value: float) -> float | None:
-    return value if math.isfinite(value) else None
 
 
 def _csv(result: ImpedanceResult) -> str:
     """Return one row a material and frequency; cells of Z are empty where it is not shown."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["material", "frequency_hz", *result.materials[0].columns(), "identified"])
+    rows = []
     for material in result.materials:
         columns = material.columns().values()
         for j, frequency in enumerate(result.frequency_hz):
             cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
             identified = "true" if material.identified[j] else "false"
-            writer.writerow([material.name, f"{frequency:g}", *cells, identified])
-    return stream.getvalue()
+            rows.append([material.name, f"{frequency:g}", *cells, identified])
+    heading = ["material", "frequency_hz", *result.materials[0].columns(), "identified"]
+    return csv_text(heading, rows)
 
 
 def walls_figure(result: ImpedanceResult, materials: Sequence[MaterialImpedance]) -> Figure:

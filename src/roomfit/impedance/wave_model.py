@@ -23,6 +23,7 @@ from roomfit.tracing.image_sources import (
     expected_images,
     image_positions_m,
     lattice_indices,
+    limits_of,
     polyhedron_images,
     wall_hits,
 )
@@ -195,8 +196,7 @@ def _polyhedron_paths(scene: Scene, longest_m: float) -> list[_PairPaths]:
             scene.room,
             scene.sources[s].position_m,
             np.array([scene.receivers[r].position_m for r in scene.pairs[own, 1]]),
-            _ANY_ORDER,
-            longest_m,
+            limits_of(_ANY_ORDER, longest_m),
             with_reflections=True,
             with_image_transforms=True,
             mirrors=mirrors,

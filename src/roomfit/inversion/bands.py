@@ -1,17 +1,13 @@
-"""Every band of a campaign fitted, with its intervals.
-
-Energies of a band fitted from random starts as well: do they end in one place?
-"""
+"""Bands fitted one by one, energies also from random starts: do they end in one minimum?"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate, certified_fit
 from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import EnergyProblem
@@ -23,9 +19,10 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import BandProblem
+from roomfit.settings import Settings
+from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.least_squares import (
     BandFit,
-    ResidualFunction,
     Solver,
     annealing_solver,
     few_gauss_newton_steps,
@@ -34,6 +31,7 @@ from roomfit.solvers.least_squares import (
     gauss_newton,
     simplex_solver,
 )
+from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
     BandAnswer,
@@ -68,12 +66,14 @@ def from_random_starts(
     number : int
     """
     usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    evaluations = fit.evaluations + usual.evaluations
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     fits = [fit]
     for _ in range(number):
-        place = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
-        alike = bool(np.all(np.abs(place - usual) <= _SAME_PLACE * sd))
-        fits.append(fit if alike else _from(problem, place))
+        other = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        alike = bool(np.all(np.abs(other.x - usual.x) <= _SAME_PLACE * sd))
+        fits.append(fit if alike else _from(problem, other.x))
+        evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
     worth = [_log_posterior(problem, f) for f in fits]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
@@ -86,7 +86,7 @@ def from_random_starts(
     losses = [worth[best] - w for w in worth]
     others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
     nearest = min(others, key=lambda i: losses[i], default=None)
-    return fits[best], Starts(
+    return replace(fits[best], evaluations=evaluations), Starts(
         number,
         sum(within) - 1,
         None if nearest is None else absorptions[nearest],
@@ -125,7 +125,7 @@ def starts_findings(
 
 
 def _from(problem: BandProblem, start: FloatArray) -> BandFit:
-    def there(residuals: ResidualFunction, _start: FloatArray) -> FloatArray:
+    def there(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
         return gauss_newton(residuals, start)
 
     return fit_band(problem, there, few_gauss_newton_steps)
@@ -148,63 +148,85 @@ def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
 """Number of a band, its problem and its fit to the same fit, less sure."""
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBand:
+    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
+
+    estimate: BandAnswer
+    problem: BandProblem | None = None  # None, as the fit, where only the prior is known
+    fit: BandFit | None = None
+
+
+def refined(
+    band: FittedBand, refine: Refine | None, progress: Progress | None = None
+) -> BandAnswer:
+    """Return the estimate of a band with better intervals, where there are data and a wish."""
+    if refine is None or band.problem is None or band.fit is None:
+        return band.estimate
+    return refine(band.problem, band.fit, band.estimate, progress)
+
+
 def fit_bands(
     problems: Iterable[BandProblem | None],
     priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
-    method: str,
-    seed: int,
-    progress: Progress | None,
+    settings: Settings,
+    progress: Progress | None = None,
     *,
     watch: Callable[[int, BandProblem, BandFit], None] | None = None,
     shared_covariance: SharedCovariance | None = None,
-    refine: Refine | None = None,
-) -> tuple[BandAnswer, ...]:
-    """Fit one band after the other; where there is no problem, what was known is the answer.
+) -> Iterator[FittedBand]:
+    """Fit one band after the other, each when it is asked for; without a problem, take the prior.
 
     Parameters
     ----------
     problems : iterable of BandProblem or None
         Taken one at a time, so that they may be made when they are needed.
-    method : {"auto", "least-squares", "simplex", "annealing", "certified", "posterior"}
-        "auto" is least squares, with a proof where one is affordable. The paper's two methods
-        search with the same squares; after annealing's first round the simplex refines.
-        "certified" is least squares with a proof.
+    settings : Settings
+        Method and seed. "auto" is least squares, with a proof where one is affordable. The
+        paper's two methods search with the same squares; after annealing's first round the simplex
+        refines. "certified" is least squares with a proof.
     watch : callable, optional
         Called with every band that was fitted, its problem and its fit.
     shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
-    refine : callable, optional
-        Makes better intervals while a band's problem is at hand.
     """
+    method, seed = settings.method, settings.seed
     n_bands = priors[0].prior_logit_mean.size
-    answers: list[BandAnswer] = []
     for band, problem in enumerate(problems):
         if problem is None:
-            answers.append(prior_only_band(priors, band, areas_m2))
+            yield FittedBand(prior_only_band(priors, band, areas_m2))
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
-        if method == "certified":
-            fit, proof = certified_fit(problem, progress=done)
-            noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-            own = band_answer(problem.parameters, noisy, areas_m2, "energy")
-            own = own if refine is None else refine(problem, fit, own, None)
-            answers.append(replace(own, certificate=proof))
-            continue
-        solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
-        fit = fit_band(problem, solver, refiner, progress=done)
         starts: Starts | None = None
-        if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
-            fit, starts = from_random_starts(problem, fit, np.random.default_rng(seed))
-        if watch is not None:
-            watch(band, problem, fit)
+        proof: Certificate | None = None
         model = "energy" if problem.is_gamma().any() else "values"
-        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-        own = replace(band_answer(problem.parameters, noisy, areas_m2, model), starts=starts)
+        if method == "certified":
+            from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
+
+            fit, proof = certified_fit(problem, progress=done)
+            model = "energy"
+        else:
+            solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
+            fit = fit_band(problem, solver, refiner, progress=done)
+            if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
+                fit, starts = from_random_starts(
+                    problem, fit, np.random.default_rng(seed), settings.n_random_starts
+                )
+            if watch is not None:
+                watch(band, problem, fit)
         if method == "auto":
-            own = replace(own, certificate=affordable_certificate(problem, fit.vector))
-        answers.append(own if refine is None else refine(problem, fit, own, done))
-    return tuple(answers)
+            proof = affordable_certificate(problem, fit.vector)
+        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
+        own = band_answer(problem.parameters, noisy, areas_m2, model)
+        yield FittedBand(replace(own, starts=starts, certificate=proof), problem, fit)
+
+
+def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+    """Return what is proven of a band's energies near a fit, where that takes a moment."""
+    from roomfit.certified.certificate import affordable_certificate as certificate  # heavy
+
+    return certificate(problem, vector)
 
 
 def _solvers(

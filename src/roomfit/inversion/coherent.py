@@ -16,15 +16,15 @@ What every band needs before it is fitted: energies, spoiled files, and its cohe
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
-from roomfit.certified.certificate import affordable_certificate
 from roomfit.findings import Finding
+from roomfit.inversion.bands import FittedBand, affordable_certificate
 from roomfit.inversion.directivity import (
     directivities_under_cavity_priors,
     directivity_score,
@@ -48,6 +48,7 @@ from roomfit.inversion.outliers import (
     outlier_findings,
     variance_inflation,
 )
+from roomfit.inversion.paths import Retrace, TracedPaths
 from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
@@ -61,7 +62,6 @@ from roomfit.inversion.sequential import (
 from roomfit.inversion.systematics import (
     air_error,
     shared_steps,
-    widened_by_neighbours,
     with_both_intervals,
     with_tracing_noise,
 )
@@ -97,7 +97,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandAnswer, Refine, add_covariance, band_answer
+from roomfit.uncertainty.gaussian import BandAnswer, add_covariance, band_answer
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -109,7 +109,7 @@ class CoherentTask:
 
     `directivity_parameters` are the sources whose directivity is fitted, `tested_sources` those
     that are taken for omnidirectional. `outliers` says how many times worse than others pressures
-    explain a file, `refine` makes better intervals of a band's fit.
+    explain a file.
     """
 
     scene: Scene
@@ -121,8 +121,7 @@ class CoherentTask:
     parts: Sequence[tuple[PartFactory, ...]]
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
-    outliers: Mapping[int, float] = field(default_factory=dict)
-    refine: Refine | None = None
+    outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
 
 
 def prepared_bands(
@@ -153,9 +152,11 @@ def prepared_bands(
     energies = _under_cavity_priors(task, energies)
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
-    fitted = tuple(m for m in task.measured if m.file.use == "fit")
+    fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
     whole = campaign_geometry(
-        *(scene, task.priors, fitted),
+        scene,
+        task.priors,
+        fitted,
         positions=task.settings.positions == "fit",
         delays=task.settings.delays,
         speed_sd=task.settings.speed_sd,
@@ -290,52 +291,10 @@ def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None])
     return out
 
 
-def energy_answers(
-    task: CoherentTask,
-    paths: Paths,
-    problems: Iterable[EnergyProblem | None],
-    prepared: tuple[CoherentBand | None, ...],
-    areas_m2: FloatArray,
-) -> tuple[BandAnswer | None, ...]:
-    """Return what energies alone say, in the windows whose noise is known to suit them."""
-    out: list[BandAnswer | None] = []
-    bands = zip(problems, prepared, task.parts, strict=True)
-    for number, (problem, band, own) in enumerate(bands):
-        if problem is None:
-            out.append(None)
-            continue
-        factor = np.ones(problem.measured().size)
-        if band is not None:
-            # as for the finer windows: one factor an observation
-            fine = [o.energy.size for o in band.energies.observations]
-            first = np.cumsum([0, *fine[:-1]])
-            sizes = [o.energy.size for o in problem.observations]
-            factor = np.repeat(band.factor[first], sizes)
-        directivity = None if band is None else band.directed
-        if directivity is not None and task.directivity_parameters is not None:
-            # other windows may hear other rows
-            observed = files_of_band(task, number)
-            rows = directed_band(task.directivity_parameters, task.scene, paths, problem, observed)
-            directivity = replace(rows, unknown=directivity.unknown)
-            problem = with_unknown(problem, directivity.unknown)
-        whole = joined(with_directivity_unknown(problem, directivity), factor, own)
-        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
-        noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), fit)
-        air = air_error(task.scene.air, task.bands, number, problem)
-        steps = shared_steps(whole, fit, problem, air)
-        noisy = add_covariance(noisy, steps)
-        answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
-        out.append(answer if task.refine is None else task.refine(whole, fit, answer, None))
-    return tuple(out)
-
-
 # Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
 _RETRACE_BELOW_HZ = 1000.0
 # Bands up to here are those of which a loudspeaker's colour is not told by a first guess of walls.
 _RETRACE_ENERGIES_BELOW_HZ = 250.0
-
-Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
-"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -496,98 +455,45 @@ def _n_unknowns(state: SequentialState) -> int:
     return int(np.count_nonzero(geometry.fitted & (geometry.sd > 0.0)))
 
 
-__all__ = ["CoherentFit", "CoherentOptions", "Retrace", "fit_coherent"]
-
 # Log-likelihoods nearer than this do not decide between two models.
 _UNDECIDED = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentFit:
-    """The answer of every band.
+    """Every band fitted with partly coherent image sources, and what was found on the way."""
 
-    Attributes
-    ----------
-    answers : tuple of BandAnswer or None, one a band
-        None where too few windows rise above the noise.
-    log_likelihoods : float array, shape (n_bands, 2)
-        Of the energy model and of the partly coherent one; NaN where not tried.
-    geometry : FittedGeometry or None
-        None where no band was coherent.
-    findings : tuple of Finding
-    directed : tuple of BandDirectivities or None, one a band
-        What the free numbers of an answer's directivity mean; None where there are none.
-    """
-
-    answers: tuple[BandAnswer | None, ...]
+    state: SequentialState
+    fits: tuple[CoherentBandFit | None, ...]  # None where too few windows rise above the noise
+    # of the energy model and of the partly coherent one; NaN where not tried; (n_bands, 2)
     log_likelihoods: FloatArray
-    geometry: FittedGeometry | None
+    geometry: FittedGeometry | None  # None where no band was coherent
     findings: tuple[Finding, ...]
-    directed: tuple[BandDirectivities | None, ...] = ()
 
 
 def fit_coherent(
-    scene: Scene,
-    bands: Bands,
-    priors: tuple[MaterialPrior, ...],
-    measured: tuple[MeasuredPair, ...],
-    paths: Paths,
-    binned: BinnedPaths,
-    start: FloatArray,
-    *,
-    options: CoherentOptions | None = None,
-    extra_parts: Sequence[tuple[PartFactory, ...]] = (),
-    weights: FloatArray | None = None,
-    retrace: Retrace | None = None,
-    directivity_parameters: DirectivityParameters | None = None,
-    tested_sources: DirectivityParameters | None = None,
-    refine: Refine | None = None,
-    progress: Progress | None = None,
+    task: CoherentTask, traced: TracedPaths, progress: Progress | None = None
 ) -> CoherentFit:
     """Fit every band with image sources as coherent as their times are known.
 
+    Which images a receiver sees depends on where it stands, except in a box: elsewhere the bands
+    up to 1 kHz are fitted first, images are found anew at the positions they tell, and everything
+    is fitted again from the specified prior.
+
     Parameters
     ----------
-    paths : Paths
+    task : CoherentTask
+    traced : TracedPaths
         Of all pairs: image sources, the further the better, and rays for what they leave.
-    binned : BinnedPaths
-        The same paths in bins (`bin_paths`).
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    options : CoherentOptions, optional
-    extra_parts : sequence of tuples, one a band; optional
-        Other kinds of data of each band, made from the unknowns that all kinds share.
-    weights : float array, shape (n_bands, n_paths), optional
-        Factor of every path's weight in each band, as in `binned`.
-    retrace : callable, optional
-        Traces a scene with other positions, as `paths` were. Which images a receiver sees
-        depends on where it stands, except in a box: there the bands up to 1 kHz are fitted first,
-        images are found anew at the positions they tell, and everything is fitted again from what
-        was told.
-    directivity_parameters : DirectivityParameters, optional
-        Sources whose directivity is fitted.
-    tested_sources : DirectivityParameters, optional
-        Sources taken for omnidirectional, of which to ask whether the data agree.
-    refine : callable, optional
-        Makes better intervals of each band's last fit.
     """
-    settings = CoherentOptions() if options is None else options
-    parts = tuple(extra_parts) or ((),) * len(bands)
-    task = CoherentTask(
-        *(
-            scene,
-            bands,
-            priors,
-            measured,
-            start,
-            settings,
-            parts,
-            directivity_parameters,
-            tested_sources,
-        ),
-        refine=refine,
+    settings = task.settings
+    state = initialise(
+        task,
+        traced.paths,
+        traced.factors,
+        cut_at(traced.binned, settings.late_end_s),
+        traced.again,
     )
-    state = initialise(task, paths, weights, cut_at(binned, settings.late_end_s), retrace)
     fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
     outliers = outlier_files(_band_comparisons(state, fits), LEAST_BY_PRESSURES)
     if outliers:
@@ -601,16 +507,10 @@ def fit_coherent(
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, chosen_noise, settings)
-    likelihoods = band_likelihoods(state.bands, fits)
-    answers = _answers(state, fits, likelihoods, part(progress, 0.8, 1.0))
-    findings = (*findings, *_source_findings(state))
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
-    geometry_estimate = (
-        None if geometry is None or final is None else fitted_geometry(geometry, final)
-    )
-    findings = (*findings, *geometry_findings(geometry_estimate))
-    directed = tuple(None if b is None else b.directed for b in state.bands)
-    return CoherentFit(answers, likelihoods, geometry_estimate, findings, directed)
+    estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
+    findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
+    return CoherentFit(state, tuple(fits), band_likelihoods(state.bands, fits), estimate, findings)
 
 
 def _band_comparisons(
@@ -637,69 +537,107 @@ def _source_findings(state: SequentialState) -> tuple[Finding, ...]:
     return source_findings(task.tested_sources, doubts)
 
 
-def _answers(
-    state: SequentialState,
-    fits: Sequence[CoherentBandFit | None],
-    likelihoods: FloatArray,
-    progress: Progress | None,
-) -> tuple[BandAnswer | None, ...]:
-    """Return each band's answer by the model that explains it better."""
-    task = state.task
-    areas = material_areas_m2(task.scene.room)
-    coherent: tuple[BandAnswer | None, ...] = tuple(
-        _coherent_answer(task, i, *each, part(progress, i / len(fits), (i + 1) / len(fits)))
-        for i, each in enumerate(zip(state.bands, fits, likelihoods, strict=True))
-    )
-    coherent = widened_by_neighbours(coherent, areas)
-    energy: Sequence[BandAnswer | None] = (None,) * len(task.bands)
-    needs_energies = [
-        _needs_energy_fit(f, x, task.settings) for f, x in zip(fits, likelihoods, strict=True)
+def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
+    """Give what pressures say of each band, with the errors that windows share.
+
+    Without fit and problem where energies explain the band better: its intervals are of no use.
+    """
+    state, task = fit.state, fit.state.task
+    areas_m2 = material_areas_m2(task.scene.room)
+    each = zip(state.bands, fit.fits, fit.log_likelihoods, strict=True)
+    for number, (band, found, likelihoods) in enumerate(each):
+        if band is None or found is None:
+            yield None
+            continue
+        sources = sources_of_band(task, number)
+        noisy = with_tracing_noise(found.problem, band.energies, sources, found.fit)
+        air = air_error(task.scene.air, task.bands, number, band.energies)
+        steps = shared_steps(found.problem, found.fit, band.energies, air, band)
+        noisy = add_covariance(noisy, steps)
+        own = band_answer(found.parameters, noisy, areas_m2, "coherent")
+        beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
+        yield FittedBand(own) if beaten else FittedBand(own, found.problem, found.fit)
+
+
+def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
+    """Give what energies alone say of each band, in the windows whose noise is known to suit them.
+
+    None where the partly coherent model decides, or where there are no data.
+    """
+    state, task = fit.state, fit.state.task
+    areas_m2 = material_areas_m2(task.scene.room)
+    wanted = [
+        _needs_energy_fit(f, x, task.settings)
+        for f, x in zip(fit.fits, fit.log_likelihoods, strict=True)
     ]
-    if any(needs_energies):
-        coarse = band_problems(
-            *(task.scene, task.bands, task.priors, task.measured, state.binned, task.start)
-        )
-        wanted = (p if wants else None for p, wants in zip(coarse, needs_energies, strict=True))
-        energy = energy_answers(task, state.paths, wanted, state.bands, areas)
-    decided = [
-        _decided(*each, task.settings) for each in zip(energy, coherent, likelihoods, strict=True)
+    if not any(wanted):
+        yield from [None] * len(wanted)
+        return
+    problems = band_problems(
+        task.scene, task.bands, task.priors, task.measured, state.binned, task.start
+    )
+    bands = zip(
+        (p if wants else None for p, wants in zip(problems, wanted, strict=True)),
+        state.bands,
+        task.parts,
+        strict=True,
+    )
+    for number, (problem, band, own) in enumerate(bands):
+        if problem is None:
+            yield None
+            continue
+        factor = np.ones(problem.measured().size)
+        if band is not None:
+            # as for the finer windows: one factor an observation
+            fine = [o.energy.size for o in band.energies.observations]
+            first = np.cumsum([0, *fine[:-1]])
+            sizes = [o.energy.size for o in problem.observations]
+            factor = np.repeat(band.factor[first], sizes)
+        directivity = None if band is None else band.directed
+        if directivity is not None and task.directivity_parameters is not None:
+            # other windows may hear other rows
+            observed = files_of_band(task, number)
+            rows = directed_band(
+                task.directivity_parameters, task.scene, state.paths, problem, observed
+            )
+            directivity = replace(rows, unknown=directivity.unknown)
+            problem = with_unknown(problem, directivity.unknown)
+        whole = joined(with_directivity_unknown(problem, directivity), factor, own)
+        own_fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), own_fit)
+        air = air_error(task.scene.air, task.bands, number, problem)
+        steps = shared_steps(whole, own_fit, problem, air)
+        noisy = add_covariance(noisy, steps)
+        answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
+        yield FittedBand(answer, whole, own_fit)
+
+
+def decided(
+    fit: CoherentFit,
+    energy: Sequence[BandAnswer | None],
+    coherent: Sequence[BandAnswer | None],
+) -> tuple[BandAnswer | None, ...]:
+    """Return each band's estimate by the model that explains it better, None without data.
+
+    With what is proven of its energies alone, where that is affordable.
+    """
+    task = fit.state.task
+    chosen = [
+        _decided(*each, task.settings)
+        for each in zip(energy, coherent, fit.log_likelihoods, strict=True)
     ]
     if task.settings.model != "auto":
-        return tuple(decided)
-    return tuple(_certified(*each) for each in zip(decided, state.bands, strict=True))
+        return tuple(chosen)
+    return tuple(_certified(*each) for each in zip(chosen, fit.state.bands, strict=True))
 
 
 def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnswer | None:
-    """Return an answer with what is proven of its energies alone, where that is affordable."""
-    # a proof would be of other costs where data are softened, or joined by other kinds
+    """Return an estimate with what is proven of its energies alone, where that is affordable."""
+    # a proof would be of other costs where variances are inflated, or data of other kinds joined
     if answer is None or band is None or band.parts or np.any(band.factor != 1.0):
         return answer
     proof = affordable_certificate(band.energies, band.energy_fit.vector)
     return replace(answer, certificate=proof)
-
-
-def _coherent_answer(
-    task: CoherentTask,
-    number: int,
-    band: CoherentBand | None,
-    found: CoherentBandFit | None,
-    likelihoods: FloatArray,
-    progress: Progress | None,
-) -> BandAnswer | None:
-    """Return what pressures say; with better intervals where that may be the answer."""
-    if band is None or found is None:
-        return None
-    noisy = with_tracing_noise(
-        found.problem, band.energies, sources_of_band(task, number), found.fit
-    )
-    air = air_error(task.scene.air, task.bands, number, band.energies)
-    steps = shared_steps(found.problem, found.fit, band.energies, air, band)
-    noisy = add_covariance(noisy, steps)
-    answer = band_answer(found.parameters, noisy, material_areas_m2(task.scene.room), "coherent")
-    beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
-    if task.refine is None or beaten:
-        return answer
-    return task.refine(found.problem, found.fit, answer, progress)
 
 
 def _needs_energy_fit(

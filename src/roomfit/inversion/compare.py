@@ -9,7 +9,6 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.inversion.measurements import Measurements
-from roomfit.io.campaign import Campaign
 from roomfit.measurement import MeasuredPair, Use
 from roomfit.objective.observation import spread_over_time
 from roomfit.objective.room_parameters import predicted_values, values_at
@@ -69,7 +68,7 @@ _PICTURE_STEP_S = 2e-3
 
 
 def compare_all(
-    campaign: Campaign, measurements: Measurements, binned: BinnedPaths, absorption: FloatArray
+    measurements: Measurements, binned: BinnedPaths, absorption: FloatArray
 ) -> tuple[ComparedPair, ...]:
     """Return measured against predicted for every response, then for every table's pairs.
 
@@ -77,7 +76,7 @@ def compare_all(
     ----------
     absorption : float array, shape (n_materials, n_bands)
     """
-    scene, bands = measurements.scene, campaign.bands
+    scene, bands = measurements.scene, measurements.bands
     attenuation = attenuation_per_m(scene.air, bands)
     observed = compare_pairs(bands, binned, measurements.responses, absorption, attenuation)
     tabulated = (*measurements.values, *measurements.kept_values)
@@ -139,7 +138,7 @@ def _compare(
 ) -> ComparedPair:
     curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
     predicted = room_parameters(curve)
-    others = [o.parameters for o in measured if o.file.use == "fit" and o is not m]
+    others = [o.parameters for o in measured if o.measurement.use == "fit" and o is not m]
     compared: dict[str, Compared] = {}
     for name in PARAMETER_NAMES:
         found = m.parameters.of(name)
@@ -147,7 +146,11 @@ def _compare(
         null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
         compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
     return ComparedPair(
-        m.file.source, m.file.receiver, m.file.use, compared, _decay(m.curve, curve)
+        m.measurement.source,
+        m.measurement.receiver,
+        m.measurement.use,
+        compared,
+        _decay(m.curve, curve),
     )
 
 

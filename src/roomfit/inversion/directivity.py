@@ -17,8 +17,7 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.campaign import Campaign
-from roomfit.io.materials import unknown_directivity
+from roomfit.inversion.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.directivity import (
@@ -42,7 +41,9 @@ from roomfit.objective.observation import band_problems, has_data_in_band
 from roomfit.objective.parameters import Parameters, position_of
 from roomfit.objective.problem import BandProblem, InflatedVariance, JointProblem
 from roomfit.response.binned import BinnedPaths
+from roomfit.response.directivity import UnknownDirectivity
 from roomfit.scene import Scene
+from roomfit.settings import Settings
 from roomfit.solvers.least_squares import (
     BandFit,
     few_gauss_newton_steps,
@@ -469,36 +470,36 @@ def _files(task: EnergyTask, band: int) -> tuple[MeasuredPair, ...]:
 _METHODS = ("auto", "least-squares", "posterior")
 
 
-def campaign_directivity_parameters(
-    campaign: Campaign, scene: Scene
+def directivity_parameters(
+    measurements: Measurements, settings: Settings
 ) -> DirectivityParameters | None:
-    """Return the sources of a scene whose directivity is to be fitted; None where there is none.
+    """Return the sources whose directivity is to be fitted; None where there is none.
 
     Raises
     ------
     InputError
-        The campaign asks for a method that cannot, or has no response to fit.
+        The method cannot, or there are room parameters to be fitted as well.
     """
-    specified = [
-        (i, s.name, known)
-        for i, s in enumerate(scene.sources)
-        if (known := unknown_directivity(campaign, s.name)) is not None
+    unknown = [
+        (i, s.name, d)
+        for i, s in enumerate(measurements.scene.sources)
+        if isinstance(d := measurements.directivities.get(s.name), UnknownDirectivity)
     ]
-    if not specified:
+    if not unknown:
         return None
-    _refuse(campaign, [name for _, name, _ in specified])
-    mean = np.array([np.zeros(3) if k.mean is None else k.mean for _, _, k in specified])
-    sd = np.array([DEFAULT_B_SD if k.sd is None else k.sd for _, _, k in specified])
-    number = np.array([i for i, _, _ in specified])
-    return DirectivityParameters(tuple(name for _, name, _ in specified), number, mean, sd)
+    names = tuple(name for _, name, _ in unknown)
+    _check_fittable(measurements, settings, names)
+    mean = np.array([np.zeros(3) if d.mean is None else d.mean for _, _, d in unknown])
+    sd = np.array([DEFAULT_B_SD if d.sd is None else d.sd for _, _, d in unknown])
+    return DirectivityParameters(names, np.array([i for i, _, _ in unknown]), mean, sd)
 
 
-def omnidirectional(campaign: Campaign, scene: Scene) -> DirectivityParameters | None:
+def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     """Return the sources that are taken for omnidirectional, to see whether the data agree."""
     own = [
         (i, s.name)
-        for i, s in enumerate(scene.sources)
-        if campaign.directivities.get(s.name, "omni") == "omni"
+        for i, s in enumerate(measurements.scene.sources)
+        if s.name not in measurements.directivities
     ]
     if not own:
         return None
@@ -507,20 +508,21 @@ def omnidirectional(campaign: Campaign, scene: Scene) -> DirectivityParameters |
     return DirectivityParameters(names, number, np.zeros((n, 3)), np.full(n, DEFAULT_B_SD))
 
 
-def _refuse(campaign: Campaign, sources: Sequence[str]) -> None:
-    where = f"{campaign.path}, sources.{sources[0]}.directivity"
-    if campaign.method not in _METHODS:
+def _check_fittable(measurements: Measurements, settings: Settings, sources: Sequence[str]) -> None:
+    where = f"sources.{sources[0]}.directivity"
+    if settings.method not in _METHODS:
         raise InputError(
             "directivity is fitted by least squares only",
             where=where,
-            found=f"method = {campaign.method!r}",
-            needed='method = "auto", "least-squares" or "posterior", or a directivity that is told',
+            found=f"method = {settings.method!r}",
+            needed='method = "auto", "least-squares" or "posterior", or a directivity that is '
+            "specified",
         )
-    if any(t.use == "fit" for t in campaign.tables):
+    if measurements.values:
         raise InputError(
             "directivity is fitted to impulse responses only",
             where=where,
             found="room parameters that are to be fitted as well",
             needed='impulse responses alone, or use = "validate" for the tables',
-            hint="fit the directivity to the responses first, then tell it as {aim, b}",
+            hint="fit the directivity to the responses first, then specify it as {aim, b}",
         )

@@ -51,12 +51,14 @@ def equalise_sources(
         Schroeder frequencies up to which the guess is not trusted, since single modes stand out; 0
         where pressures have told the absorption of the lowest bands.
     """
-    fitted = [m for m in measured if m.file.use == "fit" and m.file.level != "absolute"]
+    fitted = [
+        m for m in measured if m.measurement.use == "fit" and m.measurement.level != "absolute"
+    ]
     # octave filters begin an octave below the centre, others nearer
     lowest_hz = float(bands.lower_hz[0] ** 2 / bands.exact_centres_hz[0])
     colours: dict[str, SourceMagnitude] = {}
-    for source in dict.fromkeys(m.file.source for m in fitted):
-        own = [m for m in fitted if m.file.source == source]
+    for source in dict.fromkeys(m.measurement.source for m in fitted):
+        own = [m for m in fitted if m.measurement.source == source]
         colours[source] = source_magnitude(
             [m.response for m in own],
             [_expected(scene, bands, m, paths, absorption) for m in own],
@@ -65,10 +67,10 @@ def equalise_sources(
             schroeder_factor * _schroeder_hz(scene, own),
         )
     return tuple(
-        _without(m, colours[m.file.source], bands)
-        if m.file.source in colours
-        and m.file.level != "absolute"
-        and np.any(colours[m.file.source].level_db)
+        _without(m, colours[m.measurement.source], bands)
+        if m.measurement.source in colours
+        and m.measurement.level != "absolute"
+        and np.any(colours[m.measurement.source].level_db)
         else m
         for m in measured
     )

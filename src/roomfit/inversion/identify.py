@@ -1,11 +1,9 @@
-"""Use case: the absorption of a measured room.
-
-The answers of all bands side by side, with what they say together.
-"""
+"""The absorption of a measured room: the whole way from measurements to a result."""
 
 from __future__ import annotations
 
 import time
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Literal
 
@@ -13,8 +11,9 @@ import numpy as np
 
 from roomfit._numba import one_blas_thread
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands, bands_between
 from roomfit.cache import Cache
-from roomfit.certified.certificate import certificate_findings
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
@@ -33,21 +32,23 @@ from roomfit.inversion.model_checks import (
     sampling_findings,
     schroeder_findings,
 )
-from roomfit.inversion.paths import TracedCampaign, redirected, trace_campaign
-from roomfit.inversion.solve import BandFits, solve
+from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
+from roomfit.inversion.solve import BandFits, estimate_energies, estimate_pressures
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
-from roomfit.io.campaign import Campaign
-from roomfit.io.materials import material_priors
-from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialPrior, prior_logits
+from roomfit.inversion.trace_plan import is_coherent
+from roomfit.materials.priors import MaterialPrior, are_specified, complete_priors, prior_logits
+from roomfit.measurement import Measurement
 from roomfit.objective.observation import (
     left_out_findings,
     prior_only_band_findings,
     unspecified_position_findings,
 )
+from roomfit.response.directivity import Directivities
 from roomfit.results import Answer
 from roomfit.scene import Scene, material_areas_m2
-from roomfit.solvers.least_squares import eyring_absorption
+from roomfit.settings import Settings
+from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import determined, inseparable_findings
 from roomfit.uncertainty.gaussian import BandAnswer
@@ -57,25 +58,133 @@ from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
 
 
-def combine(
-    campaign: Campaign,
-    measurements: Measurements,
-    traced: TracedCampaign,
-    band_fits: BandFits,
-    findings: tuple[Finding, ...],
-    began: float,
-    priors: tuple[MaterialPrior, ...],
+@one_blas_thread
+def identify(
+    scene: Scene,
+    measurements: Sequence[Measurement | MeasuredValues],
+    materials: Sequence[MaterialPrior] = (),
+    bands: Bands | None = None,
+    *,
+    settings: Settings | None = None,
+    directivities: Directivities | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
 ) -> Answer:
-    """Put the bands side by side and predict every pair with what they say.
+    """Return the absorption of every material of a measured room in every band.
+
+    Traces the room once, fits every band, finds 95 % confidence intervals, and predicts every
+    measured pair.
+
+    Parameters
+    ----------
+    scene : Scene
+        Room, sources, receivers and air; which of its pairs were measured, the measurements say.
+    measurements : sequence of Measurement or MeasuredValues
+        Impulse responses, ISO 3382-1 values, or both.
+    materials : sequence of MaterialPrior, optional
+        What is known of materials before the measurement, in these bands; a material of the room
+        that is not among them has the broad prior (`roomfit.material_prior`).
+    bands : Bands, optional
+        Octaves from 125 Hz to 4 kHz where left out.
+    settings : Settings, optional
+    directivities : mapping from source to directivity, optional
+        Of sources that are not omnidirectional; an `UnknownDirectivity` is fitted.
+    cache : Cache, optional
+        Where a trace is kept, and found again by a run that was stopped.
+    progress : callable, optional
+        Called with the share of the work that is done, 0 to 1.
+
+    Raises
+    ------
+    InputError
+        A name, a position, a response or a prior is not as needed, or the method does not go with
+        the data.
+    CannotTell
+        The data cannot be fitted at all.
+
+    Notes
+    -----
+    The model is that of docs/how-it-works.md; its references stand with each part.
+    """
+    began = time.perf_counter()
+    bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
+    settings = Settings() if settings is None else settings
+    measured = collect_measurements(scene, measurements, bands, directivities or {})
+    check_certifiable(measured, settings)
+    if settings.method == "posterior":
+        check_sampler()
+    priors = complete_priors(scene.room.materials, materials, bands)
+    start = _eyring_start(measured)
+    traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
+    pressures = is_coherent(measured.responses, settings) and (
+        traced.far_images or settings.model == "coherent"
+    )
+    fits = (estimate_pressures if pressures else estimate_energies)(
+        measured,
+        priors,
+        traced,
+        start,
+        settings,
+        _refinement(measured, priors, settings),
+        part(progress, 0.45, 0.98),
+    )
+    if fits.directivities:
+        traced = redirected(measured, traced, fits.directivities)
+    estimates = fits.answers
+    if settings.smoothness_per_octave is not None:
+        areas_m2 = material_areas_m2(scene.room)
+        estimates = smoothed(
+            estimates, priors, bands, settings.smoothness_per_octave, areas_m2=areas_m2
+        )
+    fits = replace(fits, answers=estimates)
+    findings = _findings(measured, priors, traced, fits)
+    result = combine(measured, priors, traced, fits, findings, settings)
+    return replace(result, seconds=time.perf_counter() - began)
+
+
+def _findings(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    fits: BandFits,
+) -> tuple[Finding, ...]:
+    """Return all that is doubtful before the bands are seen together."""
+    scene, bands, estimates = measured.scene, measured.bands, fits.answers
+    decay_s = median_decay_s(measured, bands.centres_hz)
+    return (
+        *scene.room.findings,
+        *measured.findings,
+        *left_out_findings(bands, measured.responses),
+        *traced.findings,
+        *unspecified_position_findings(scene),
+        *prior_only_band_findings(bands, [e.model != "prior" for e in estimates]),
+        *fits.findings,
+        *fit_findings(bands, estimates),
+        *description_findings(estimates),
+        *certificate_findings(bands, [e.certificate for e in estimates]),
+        *starts_findings(bands, scene.room.materials, [e.starts for e in estimates]),
+        *sampling_findings(bands, estimates),
+        *prior_findings(bands, priors, estimates),
+        *schroeder_findings(bands, decay_s, volume_m3(scene.room.mesh)),
+    )
+
+
+def combine(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    fits: BandFits,
+    findings: tuple[Finding, ...],
+    settings: Settings,
+) -> Answer:
+    """Return the result of all bands together, with every pair predicted.
 
     Parameters
     ----------
     findings : tuple of Finding
         All that is doubtful before the bands are seen together.
-    began : float
-        Of `time.perf_counter`.
     """
-    scene, found = measurements.scene, band_fits.answers
+    scene, bands, found = measured.scene, measured.bands, fits.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
     misspecified = any(f.code.voids_identifiability for f in findings)
@@ -85,16 +194,21 @@ def combine(
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
     )
     ambiguous, mirrors = mirror_findings(
-        *(measurements, campaign.bands, priors, absorption, lower, upper),
-        [b.mirrors for b in found],
+        measured, bands, priors, absorption, lower, upper, [b.mirrors for b in found]
     )
     identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, priors)
     prior = prior_logits(priors)
     determined_groups = determined(
-        *(scene.room.materials, absorption, covariance, prior, areas, campaign.seed),
+        scene.room.materials,
+        absorption,
+        covariance,
+        prior,
+        areas,
+        settings.seed,
         [b.samples for b in found],
+        are_specified(priors),
     )
     models = tuple(b.model for b in found)
     inseparable = (
@@ -102,13 +216,13 @@ def combine(
         if misspecified
         else inseparable_findings(
             scene.room.materials,
-            campaign.bands.centres_hz,
+            bands.centres_hz,
             identifiable,
             determined_groups.combinations,
         )
     )
     return Answer(
-        bands=campaign.bands,
+        bands=bands,
         materials=scene.room.materials,
         areas_m2=areas,
         absorption=absorption,
@@ -123,16 +237,17 @@ def combine(
         cost=float(sum(b.cost for b in found)),
         evaluations=sum(b.evaluations for b in found),
         converged=np.array([b.converged for b in found]),
-        pairs=compare_all(campaign, measurements, traced.binned, absorption),
+        pairs=compare_all(measured, traced.binned, absorption),
         findings=(*findings, *mirrors, *inseparable),
-        method=method_chosen(campaign.method),
+        method=method_chosen(settings.method),
         model=_model_of(models),
         interval_kind=interval_words(found),
         speed_of_sound_m_s=speed_of_sound_m_s(scene.air),
-        seed=campaign.seed,
-        seconds=time.perf_counter() - began,
+        seed=settings.seed,
+        seconds=0.0,
         logit_covariance=covariance,
         logit_prior=prior,
+        prior_specified=are_specified(priors),
         combinations=determined_groups.combinations,
         sentences=determined_groups.sentences,
         shares=determined_groups.shares,
@@ -141,11 +256,11 @@ def combine(
         samples=tuple(b.samples for b in found),
         sampling=tuple(b.sampling for b in found),
         prior=prior_intervals(priors),
-        reasons=reasons(campaign.method, campaign.bands, found),
+        reasons=reasons(settings.method, bands, found),
         models=models,
         scattering=traced.scattering,
-        geometry=band_fits.geometry,
-        directivities=fitted_directivities(band_fits.directivities),
+        geometry=fits.geometry,
+        directivities=fitted_directivities(fits.directivities),
         certificates=tuple(b.certificate for b in found),
     )
 
@@ -169,94 +284,29 @@ def _logit_covariance(
     )
 
 
-@one_blas_thread
-def identify(
-    campaign: Campaign, *, cache: Cache | None = None, progress: Progress | None = None
-) -> Answer:
-    """Return the absorption of every material of a measured room in every band.
-
-    Reads the room and what was measured, traces, fits every band, and predicts every pair.
-
-    Parameters
-    ----------
-    campaign : Campaign
-    cache : Cache, optional
-        Where a trace is kept, and found again by a run that was stopped.
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError, CannotTell
-        See `identify_to_folder`.
-    """
-    began = time.perf_counter()
-    check_certifiable(campaign)
-    if campaign.method == "posterior":
-        check_sampler()
-    room, room_findings = read_room(campaign.room)
-    priors = material_priors(campaign, room.materials)
-    measurements = collect_measurements(campaign, room)
-    decay_s = median_decay_s(measurements, campaign.bands.centres_hz)
-    start = _eyring_start(measurements.scene, campaign, decay_s)
-    traced = trace_campaign(
-        campaign, measurements, priors, start, cache, part(progress, 0.02, 0.45)
-    )
-    band_fits = solve(
-        *(campaign, measurements, priors, traced.paths, traced.factors, traced.binned, start),
-        traced.far_images,
-        traced.fit_until_s,
-        traced.again,
-        _refinement(campaign, measurements, priors),
-        part(progress, 0.45, 0.98),
-    )
-    if band_fits.directivities:
-        traced = redirected(campaign, measurements.scene, traced, band_fits.directivities)
-    answers = band_fits.answers
-    if campaign.smoothness_per_octave is not None:
-        answers = smoothed(
-            *(answers, priors, campaign.bands, campaign.smoothness_per_octave),
-            areas_m2=material_areas_m2(room),
-        )
-    findings = (
-        *room_findings,
-        *measurements.findings,
-        *left_out_findings(campaign.bands, measurements.responses),
-        *traced.findings,
-        *unspecified_position_findings(measurements.scene),
-        *prior_only_band_findings(campaign.bands, [a.model != "prior" for a in answers]),
-        *band_fits.findings,
-        *fit_findings(campaign.bands, answers),
-        *description_findings(answers),
-        *certificate_findings(campaign.bands, [a.certificate for a in answers]),
-        *starts_findings(campaign.bands, room.materials, [a.starts for a in answers]),
-        *sampling_findings(campaign.bands, answers),
-        *prior_findings(campaign.bands, priors, answers),
-        *schroeder_findings(campaign.bands, decay_s, volume_m3(room.mesh)),
-    )
-    return combine(
-        campaign, measurements, traced, replace(band_fits, answers=answers), findings, began, priors
-    )
-
-
 def _refinement(
-    campaign: Campaign, measurements: Measurements, priors: tuple[MaterialPrior, ...]
+    measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
     intervals: Literal["gaussian", "profile", "posterior"] = "profile"
-    if campaign.method in ("simplex", "annealing"):
+    if settings.method in ("simplex", "annealing"):
         intervals = "gaussian"
-    elif campaign.method == "posterior":
+    elif settings.method == "posterior":
         intervals = "posterior"
     return Refinement(
-        *(intervals, material_areas_m2(measurements.scene.room), campaign.seed),
-        tuple(s.exchange for s in mirror_symmetries(measurements, priors)),
+        intervals,
+        material_areas_m2(measured.scene.room),
+        settings.seed,
+        tuple(s.exchange for s in mirror_symmetries(measured, priors)),
     )
 
 
-def _eyring_start(scene: Scene, campaign: Campaign, decay_s: FloatArray) -> FloatArray:
+def _eyring_start(measured: Measurements) -> FloatArray:
     """Return one absorption for all walls in every band, from the measured decays."""
+    scene, bands = measured.scene, measured.bands
     mesh = scene.room.mesh
-    attenuation = attenuation_per_m(scene.air, campaign.bands)
+    attenuation = attenuation_per_m(scene.air, bands)
+    decay_s = median_decay_s(measured, bands.centres_hz)
     starts = [
         eyring_absorption(
             6.0 * np.log(10.0) / t if np.isfinite(t) else 0.0,

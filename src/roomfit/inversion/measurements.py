@@ -1,27 +1,42 @@
-"""Everything that was measured, read and put on one scene.
-
-Doubts that need no fit: a pair measured twice with other results, a material nobody hears.
-"""
+"""Everything that was measured on one scene, and what can be said of it without a model."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 
 import numpy as np
 
+from roomfit._checks import nearest
+from roomfit.air import speed_of_sound_m_s
+from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.inversion.room_outline import outline_findings
-from roomfit.io.campaign import Campaign
-from roomfit.io.iso3382 import read_parameters
-from roomfit.io.measurements import measure
-from roomfit.measurement import MeasuredPair, Use
-from roomfit.scene import Room, Scene, position_findings
-from roomfit.signals.decay import ParameterName, in_jnd
+from roomfit.measurement import MeasuredPair, Measurement, Use
+from roomfit.response.directivity import Directivities
+from roomfit.scene import Scene, distances_m, position_findings
+from roomfit.signals.decay import (
+    ParameterName,
+    check_decay_range,
+    check_is_response,
+    decay_curve,
+    in_jnd,
+    range_findings,
+    room_parameters,
+)
+from roomfit.signals.filters import FilterBank, check_sampling_rate, filter_pressure
 from roomfit.signals.iso3382 import MeasuredValues, joined_values
+from roomfit.signals.noise import estimate_noise
+from roomfit.signals.response import (
+    ImpulseResponse,
+    check_travel,
+    compare_onset,
+    find_onset,
+    time_zero_from_direct,
+)
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
@@ -50,17 +65,17 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
         ways = [*_differing(one, other), *_levels(one, other)]
         if not ways:
             continue
-        names = f"{one.file.response.path.name} and {other.file.response.path.name}"
+        names = f"{one.measurement.name} and {other.measurement.name}"
         findings.append(
             Finding(
                 Code.REPEATED_RESPONSES_DIFFER,
-                f"{one.file.source} to {one.file.receiver} was measured twice ({names}) with "
-                f"different results: {'; '.join(ways)}. One of them may belong to another pair, or "
-                "the room was changed in between.",
+                f"{one.measurement.source} to {one.measurement.receiver} was measured twice "
+                f"({names}) with different results: {'; '.join(ways)}. One of them may belong to "
+                "another pair, or the room was changed in between.",
                 {
-                    "source": one.file.source,
-                    "receiver": one.file.receiver,
-                    "files": [str(one.file.response.path), str(other.file.response.path)],
+                    "source": one.measurement.source,
+                    "receiver": one.measurement.receiver,
+                    "files": [one.measurement.where, other.measurement.where],
                     "differences": ways,
                 },
             )
@@ -124,7 +139,7 @@ def _differing(one: MeasuredPair, other: MeasuredPair) -> list[str]:
 
 
 def _levels(one: MeasuredPair, other: MeasuredPair) -> list[str]:
-    if one.file.level != other.file.level or one.file.level == "per-file":
+    if one.measurement.level != other.measurement.level or one.measurement.level == "per-file":
         return []
     difference = _level_db(one) - _level_db(other)
     known: FloatArray = np.abs(np.nan_to_num(difference, nan=0.0))
@@ -141,103 +156,188 @@ def _level_db(m: MeasuredPair) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Measurements:
-    """What a campaign's files hold.
+    """What was measured, on one scene and in the bands of the fit."""
 
-    Attributes
-    ----------
-    scene : Scene
-        Each measured pair once, however often it was measured.
-    responses : tuple of MeasuredPair
-        All impulse responses, those kept for validation included.
-    values : tuple of MeasuredValues
-        Room parameters to be fitted, one a pair.
-    kept_values : tuple of MeasuredValues
-        Room parameters to be predicted only.
-    findings : tuple of Finding
-    """
-
-    scene: Scene
-    responses: tuple[MeasuredPair, ...]
-    values: tuple[MeasuredValues, ...]
-    kept_values: tuple[MeasuredValues, ...]
+    scene: Scene  # each measured pair once, however often it was measured
+    bands: Bands
+    directivities: Directivities
+    responses: tuple[MeasuredPair, ...]  # those kept for validation included
+    values: tuple[MeasuredValues, ...]  # room parameters to be fitted, one record a pair
+    kept_values: tuple[MeasuredValues, ...]  # room parameters to be predicted only
     findings: tuple[Finding, ...]
 
 
-def collect_measurements(campaign: Campaign, room: Room) -> Measurements:
-    """Read and examine every measured file of a campaign.
+def collect_measurements(
+    scene: Scene,
+    measurements: Sequence[Measurement | MeasuredValues],
+    bands: Bands,
+    directivities: Directivities,
+) -> Measurements:
+    """Put everything that was measured on one scene, and examine it without any model.
+
+    Parameters
+    ----------
+    scene : Scene
+        Its pairs do not matter: those that were measured are taken.
+    measurements : sequence of Measurement or MeasuredValues
 
     Raises
     ------
     InputError
-        A file is missing, broken or empty, a position is impossible, or a table names a source or
-        a receiver that the campaign does not define.
+        Nothing was measured, a name is not in the scene, a position is impossible, or a response
+        is silent, too short, or sampled at too low a rate.
     """
-    _refuse_spectra(campaign)
-    fitted, doubts = _values(campaign, "fit")
-    kept, more_doubts = _values(campaign, "validate")
-    scene = _scene(campaign, room, (*fitted, *kept))
-    responses, findings = measure(campaign, scene)
-    observed = [(m.pair, m.response) for m in responses if m.file.use == "fit"]
+    responses = [m for m in measurements if isinstance(m, Measurement)]
+    tabulated = [m for m in measurements if isinstance(m, MeasuredValues)]
+    if not measurements:
+        raise InputError(
+            "nothing was measured", needed="at least one impulse response or room parameter"
+        )
+    fitted, doubts = _joined(tabulated, "fit")
+    kept, more_doubts = _joined(tabulated, "validate")
+    own = measured_scene(scene, [*responses, *fitted, *kept])
+    pairs, findings = observe(own, responses, bands)
+    observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
     return Measurements(
-        scene,
-        responses,
+        own,
+        bands,
+        {s.name: directivities[s.name] for s in own.sources if s.name in directivities},
+        pairs,
         fitted,
         kept,
         (
             *doubts,
             *more_doubts,
             *findings,
-            *duplicate_findings(responses),
-            *outline_findings(scene, observed),
+            *duplicate_findings(pairs),
+            *outline_findings(own, observed),
         ),
     )
 
 
-def _refuse_spectra(campaign: Campaign) -> None:
-    if campaign.spectra:
-        raise InputError(
-            "damped spectra tell impedances, not absorption in bands",
-            where=str(campaign.path),
-            found=str(campaign.spectra[0].path.name),
-            needed="impulse responses (file) or room parameters",
-            hint="roomfit impedance reads this campaign",
-        )
-
-
-def campaign_scene(campaign: Campaign, room: Room) -> Scene:
-    """Return the scene of all measured pairs, each once.
+def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues]) -> Scene:
+    """Return the scene with the sources, receivers and pairs that were measured, each once.
 
     Raises
     ------
     InputError
-        A source or a receiver stands outside the room, in a wall, or upon another; or a table of
-        room parameters cannot be read.
+        A name is not in the scene; or a source or a receiver stands outside the room, in a wall,
+        or upon another.
     """
-    tabulated = (*_values(campaign, "fit")[0], *_values(campaign, "validate")[0])
-    return _scene(campaign, room, tabulated)
-
-
-def _scene(campaign: Campaign, room: Room, tabulated: Sequence[MeasuredValues]) -> Scene:
-    pairs = [(m.source, m.receiver) for m in campaign.measurements]
-    pairs += [(v.source, v.receiver) for v in tabulated]
-    pairs += [(s.source, s.receiver) for s in campaign.spectra]
-    wanted = list(dict.fromkeys(pairs))
+    known_names = ([s.name for s in scene.sources], [r.name for r in scene.receivers])
+    for m in measured:
+        for kind, name, known in zip(
+            ("source", "receiver"), (m.source, m.receiver), known_names, strict=True
+        ):
+            if name not in known:
+                guess = nearest(name, known)
+                raise InputError(
+                    f"a measurement names a {kind} that the scene does not have",
+                    found=repr(name),
+                    needed=f"one of {', '.join(known)}" if known else f"a {kind} in the scene",
+                    hint=f"did you mean {guess!r}?" if guess else None,
+                )
+    wanted = list(dict.fromkeys((m.source, m.receiver) for m in measured))
     used_sources, used_receivers = ({pair[i] for pair in wanted} for i in (0, 1))
-    sources = tuple(s for s in campaign.sources if s.name in used_sources)
-    receivers = tuple(r for r in campaign.receivers if r.name in used_receivers)
-    refuse(position_findings(room, sources, receivers))
+    sources = tuple(s for s in scene.sources if s.name in used_sources)
+    receivers = tuple(r for r in scene.receivers if r.name in used_receivers)
+    refuse(position_findings(scene.room, sources, receivers))
     source_at = {s.name: i for i, s in enumerate(sources)}
     receiver_at = {r.name: i for i, r in enumerate(receivers)}
     indices = np.array([(source_at[s], receiver_at[r]) for s, r in wanted])
-    return Scene(room, sources, receivers, indices, campaign.air)
+    return Scene(scene.room, sources, receivers, indices, scene.air)
+
+
+def observe(
+    scene: Scene, measurements: Sequence[Measurement], bands: Bands
+) -> tuple[tuple[MeasuredPair, ...], tuple[Finding, ...]]:
+    """Put responses on the clock of emission and examine them in every band, in their order.
+
+    Raises
+    ------
+    InputError
+        A response is silent or too short, rates differ, or a band reaches above half of the
+        sampling rate.
+    """
+    bank = FilterBank(bands)
+    c = speed_of_sound_m_s(scene.air)
+    pair_of = {
+        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
+    }
+    pairs = [pair_of[m.source, m.receiver] for m in measurements]
+    travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
+    findings: list[Finding] = []
+    for m in measurements:
+        check_sampling_rate(bank, m.response.sampling_rate_hz, m.where)
+        _check_same_rate(m, measurements[0])
+        check_is_response(m.response, m.where)
+        findings += m.findings
+    observed = []
+    for m, pair, direct_s, response in zip(
+        measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True
+    ):
+        name = f"{m.source} to {m.receiver} ({m.name})"
+        check_travel(response, direct_s, m.where)
+        if m.time_zero == "emission":
+            onset_s = find_onset(response, m.where)
+            findings += compare_onset(onset_s, direct_s, c, name, response.sampling_rate_hz)
+        noise = estimate_noise(bank, response, filter_pressure(bank, response), direct_s)
+        curve = decay_curve(bank, response, direct_s)
+        parameters = room_parameters(curve)
+        check_decay_range(curve, m.where)
+        findings += range_findings(parameters, name)
+        observed.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters))
+    return tuple(observed), tuple(findings)
+
+
+def _check_same_rate(m: Measurement, first: Measurement) -> None:
+    if m.sampling_rate_hz == first.sampling_rate_hz:
+        return
+    raise InputError(
+        "the measurements have different sampling rates",
+        where=m.where,
+        found=f"{m.sampling_rate_hz:g} Hz, after {first.sampling_rate_hz:g} Hz in those before",
+        needed="one sampling rate in a campaign, since one equipment measured it",
+        hint="check that no file was saved at a wrong rate; resample those that were not",
+    )
+
+
+def from_emission(
+    measurements: Sequence[Measurement], travel_s: Sequence[float]
+) -> list[ImpulseResponse]:
+    """Return the responses on a clock that counts from emission.
+
+    ``direct``: the response's own onset is the direct sound. ``unknown``: one offset a source, the
+    median over its responses, so that a single masked onset moves nothing. Responses for validation
+    contribute only where a source has no other.
+    """
+    aligned = [
+        m.response
+        if m.time_zero == "emission"
+        else time_zero_from_direct(m.response, direct_s, m.where)
+        for m, direct_s in zip(measurements, travel_s, strict=True)
+    ]
+    offsets: dict[tuple[str, str], list[float]] = {}
+    for m, own in zip(measurements, aligned, strict=True):
+        if m.time_zero == "unknown":
+            offsets.setdefault((m.source, m.use), []).append(own.time_zero_s)
+
+    def offset_s(source: str) -> float:
+        fitted = offsets.get((source, "fit"))
+        return float(np.median(fitted if fitted else offsets[source, "validate"]))
+
+    return [
+        replace(own, time_zero_s=offset_s(m.source)) if m.time_zero == "unknown" else own
+        for m, own in zip(measurements, aligned, strict=True)
+    ]
 
 
 def time_scales(measurements: Measurements) -> tuple[float, float]:
     """Return the longest decay time of any band, and where the last usable window ends, in s.
 
-    What is kept for validation has no say, so that it cannot change the answer.
+    What is kept for validation does not contribute, so that it cannot change the answer.
     """
-    fitted = [m for m in measurements.responses if m.file.use == "fit"]
+    fitted = [m for m in measurements.responses if m.measurement.use == "fit"]
     longest = 0.0
     names: tuple[ParameterName, ...] = ("T20_s", "EDT_s")
     for m in fitted:
@@ -265,7 +365,7 @@ def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatA
     found: FloatArray = np.full(centres_hz.size, np.nan)
     names: tuple[ParameterName, ...] = ("EDT_s", "T30_s", "T20_s")
     for name in names:
-        rows = [m.parameters.of(name) for m in measurements.responses if m.file.use == "fit"]
+        rows = [m.parameters.of(name) for m in measurements.responses if m.measurement.use == "fit"]
         for v in measurements.values:
             if name in v.values:
                 rows.append(_at(v.centres_hz, v.values[name], centres_hz))
@@ -275,18 +375,16 @@ def median_decay_s(measurements: Measurements, centres_hz: FloatArray) -> FloatA
     return found
 
 
-def _values(campaign: Campaign, use: Use) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
-    """Read the tables of one use; a pair that stands in several of them is joined."""
+def _joined(
+    tabulated: Sequence[MeasuredValues], use: Use
+) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
+    """Return the values of one use; a pair that stands in several tables is joined."""
     by_pair: dict[tuple[str, str], list[MeasuredValues]] = {}
     findings: list[Finding] = []
-    for table in campaign.tables:
-        if table.use != use:
-            continue
-        read, doubts = read_parameters(table.path, table.source, table.receiver)
-        findings += doubts
-        for found in read:
-            _check_names(campaign, found, str(table.path))
-            by_pair.setdefault((found.source, found.receiver), []).append(found)
+    for m in tabulated:
+        if m.use == use:
+            findings += m.findings
+            by_pair.setdefault((m.source, m.receiver), []).append(m)
     joined = []
     for repeated in by_pair.values():
         one, doubts = joined_values(tuple(_same_bands(repeated)))
@@ -295,31 +393,15 @@ def _values(campaign: Campaign, use: Use) -> tuple[tuple[MeasuredValues, ...], t
     return tuple(joined), tuple(findings)
 
 
-def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
-    for kind, name, known in (
-        ("source", found.source, [s.name for s in campaign.sources]),
-        ("receiver", found.receiver, [r.name for r in campaign.receivers]),
-    ):
-        if name not in known:
-            raise InputError(
-                f"a table of room parameters names a {kind} that the campaign does not define",
-                where=where,
-                found=repr(name),
-                needed=f"one of {', '.join(known)}",
-                hint=f"add [{kind}s.{name}], or choose rows with source and receiver",
-            )
-
-
 def _same_bands(repeated: Sequence[MeasuredValues]) -> list[MeasuredValues]:
     """Return values of one pair on the bands of the first."""
     centres = repeated[0].centres_hz
     return [
-        MeasuredValues(
-            m.source,
-            m.receiver,
-            centres,
-            {name: _at(m.centres_hz, row, centres) for name, row in m.values.items()},
-            {name: _at(m.centres_hz, row, centres) for name, row in m.spread.items()},
+        replace(
+            m,
+            centres_hz=centres,
+            values={name: _at(m.centres_hz, row, centres) for name, row in m.values.items()},
+            spread={name: _at(m.centres_hz, row, centres) for name, row in m.spread.items()},
         )
         for m in repeated
     ]

@@ -14,8 +14,9 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.campaign import Campaign
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.inversion.measurements import Measurements
+from roomfit.materials.priors import MaterialPrior
+from roomfit.settings import Settings
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
 from roomfit.uncertainty.sampling import Sampled
@@ -151,15 +152,11 @@ def prior_findings(
     """
     findings = []
     for i, own in enumerate(priors):
-        if own.known is not None or own.tied_to is not None:
+        if own.known is not None or own.tied_to is not None or not own.specified:
             continue
-        plain = unknown_material(own.name, len(bands))
-        given = (own.prior_logit_mean != plain.prior_logit_mean) | (
-            own.prior_logit_sd != plain.prior_logit_sd
-        )
         left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / own.prior_logit_sd
         fitted = np.array([a.model != "prior" for a in answers])
-        bad = np.flatnonzero(given & fitted & (left > NEARLY_THE_PRIOR))
+        bad = np.flatnonzero(fitted & (left > NEARLY_THE_PRIOR))
         if not bad.size:
             continue
         listed = ", ".join(
@@ -297,7 +294,7 @@ def _samples(bands: Bands, answers: Sequence[BandAnswer]) -> str:
     )
 
 
-def check_certifiable(campaign: Campaign) -> None:
+def check_certifiable(measurements: Measurements, settings: Settings) -> None:
     """Refuse a certificate of what has no bounds over boxes: pressures and room parameters.
 
     Raises
@@ -305,17 +302,17 @@ def check_certifiable(campaign: Campaign) -> None:
     InputError
         A certificate is asked for, and not of energies alone.
     """
-    if campaign.method != "certified":
+    if settings.method != "certified":
         return
     found = []
-    if campaign.model == "coherent":
+    if settings.model == "coherent":
         found.append('model = "coherent"')
-    if any(t.use == "fit" for t in campaign.tables):
+    if measurements.values:
         found.append("room parameters that are to be fitted")
     if found:
         raise InputError(
             "there is no certificate but for energies",
-            where=f"{campaign.path}, identify.method",
+            where="identify.method",
             found=" and ".join(found),
             needed='impulse responses alone, and model = "energy" or "auto"',
             hint="pressures and room parameters may rise and fall with an absorption, so that "

@@ -44,7 +44,9 @@ class BandComparison:
     factor: FloatArray
 
 
-def outlier_files(bands: Sequence[BandComparison], least_misfit: float) -> dict[int, float]:
+def outlier_files(
+    bands: Sequence[BandComparison], least_misfit: float
+) -> dict[MeasuredPair, float]:
     """Return how many times worse than the others the spoiled files are explained.
 
     A file is spoiled where its mean squared weighted residual is far above the median of all
@@ -60,33 +62,33 @@ def outlier_files(bands: Sequence[BandComparison], least_misfit: float) -> dict[
     Returns
     -------
     dict
-        By ``id`` of the `MeasuredPair`.
+        By measurement, which is the same only as itself.
     """
-    ratios: dict[int, list[float]] = {}
+    ratios: dict[MeasuredPair, list[float]] = {}
     for band in bands:
         if len(band.files) < _FEWEST:
             continue
         misfits = _misfits(band)
         for m, misfit in zip(band.files, misfits, strict=True):
             beside = float(misfit / np.median(misfits)) if misfit > least_misfit else 1.0
-            ratios.setdefault(id(m), []).append(beside)
+            ratios.setdefault(m, []).append(beside)
     medians = {i: float(np.median(each)) for i, each in ratios.items()}
     return {i: ratio for i, ratio in medians.items() if ratio > _TIMES_OTHERS}
 
 
 def variance_inflation(
-    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[int, float]
+    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> FloatArray:
     """Return by how much the variance of each window is to be enlarged, shape (n_windows,)."""
     sizes = [o.energy.size for o in problem.observations]
-    return np.repeat(np.array([outliers.get(id(m), 1.0) for m in files]), sizes)
+    return np.repeat(np.array([outliers.get(m, 1.0) for m in files]), sizes)
 
 
 def outlier_findings(
-    measured: Sequence[MeasuredPair], outliers: Mapping[int, float]
+    measured: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
 ) -> tuple[Finding, ...]:
     """Return a finding for each spoiled file, in the order of the campaign."""
-    return tuple(_finding(m, outliers[id(m)]) for m in measured if id(m) in outliers)
+    return tuple(_finding(m, outliers[m]) for m in measured if m in outliers)
 
 
 def _misfits(band: BandComparison) -> FloatArray:
@@ -99,7 +101,7 @@ def _misfits(band: BandComparison) -> FloatArray:
 
 
 def _finding(m: MeasuredPair, ratio: float) -> Finding:
-    name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
+    name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
     return Finding(
         Code.MEASUREMENT_OUTLIER,
         f"{name} fits the room {ratio:.0f} times worse than the other measurements do: it was "

@@ -1,15 +1,14 @@
-"""The paths of a campaign: traced, or found again, with the scattering that the data prefer."""
+"""The paths of a measurement: traced, or found again, with the scattering that the data prefer."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from roomfit.cache import Cache
 from roomfit.findings import Finding
-from roomfit.inversion.coherent import Retrace
 from roomfit.inversion.directivity import FoundDirectivities, fitted_directivities
 from roomfit.inversion.measurements import Measurements, time_scales, unreached_findings
 from roomfit.inversion.scattering import (
@@ -20,18 +19,21 @@ from roomfit.inversion.scattering import (
     specified_scattering,
 )
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
-from roomfit.io.campaign import Campaign
 from roomfit.materials.priors import MaterialPrior
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import FirstOrderBands, directivity_factors
-from roomfit.scene import Room, Scene
+from roomfit.scene import Scene
+from roomfit.settings import Settings
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, concatenate, select
 from roomfit.typing import FloatArray, Progress, part
 
+Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
+"""Traces a scene whose positions have moved: paths, their factors in each band, the same binned."""
+
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TracedCampaign:
+class TracedPaths:
     """Paths, the same in fine bins, the scattering they were traced with, and every doubt.
 
     Attributes
@@ -65,18 +67,17 @@ class TracedCampaign:
 
 
 def redirected(
-    campaign: Campaign,
-    scene: Scene,
-    traced: TracedCampaign,
+    measurements: Measurements,
+    traced: TracedPaths,
     found: Sequence[FoundDirectivities],
-) -> TracedCampaign:
+) -> TracedPaths:
     """Return the same paths with the weights that fitted directivities give them.
 
     Parameters
     ----------
     found : sequence of FoundDirectivities, one a band
     """
-    paths, bands = traced.paths, campaign.bands
+    scene, bands, paths = measurements.scene, measurements.bands, traced.paths
     factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
     source_of_pair = scene.pairs[:, 0].tolist()
     known = {d.source: FirstOrderBands(d.b) for d in fitted_directivities(found)}
@@ -88,35 +89,35 @@ def redirected(
 
 
 def _finder(
-    campaign: Campaign, room: Room, plan: TracePlan, paths: Paths, scattering: FloatArray
+    measurements: Measurements, plan: TracePlan, paths: Paths, scattering: FloatArray
 ) -> Retrace | None:
     """Return what finds the image sources of moved points, with the rays of the first trace."""
-    settings = plan.settings
+    settings, bands = plan.settings, measurements.bands
     until_s = settings.image_until_s
-    if until_s is None or room.shoebox_m is not None:
+    if until_s is None or measurements.scene.room.shoebox_m is not None:
         return None
     rays = select(paths, paths.batch >= 0)
 
     def again(moved: Scene) -> tuple[Paths, FloatArray | None, BinnedPaths]:
         images = trace_images(
-            *(moved, settings.image_order, until_s, plan.scattering), with_image_transforms=True
+            moved, settings.image_order, until_s, plan.scattering, with_image_transforms=True
         )
         both = concatenate([images, rays])
-        factors, _ = band_factors(campaign, moved, campaign.bands, both, scattering)
-        binned = bin_paths(moved, campaign.bands, both, settings.duration_s, factors)
+        factors, _ = band_factors(measurements.directivities, moved, bands, both, scattering)
+        binned = bin_paths(moved, bands, both, settings.duration_s, factors)
         return both, factors, binned
 
     return again
 
 
-def trace_campaign(
-    campaign: Campaign,
+def traced_paths(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
+    settings: Settings,
     start: FloatArray,
     cache: Cache | None,
     progress: Progress | None,
-) -> TracedCampaign:
+) -> TracedPaths:
     """Trace every measured pair for as long as its decay is to be compared.
 
     Parameters
@@ -124,31 +125,35 @@ def trace_campaign(
     start : float array, shape (n_bands,)
         Uniform absorption to start from, where scattering has to be chosen first.
     """
-    scene = measurements.scene
+    scene, bands = measurements.scene, measurements.bands
     slowest_s, latest_s = time_scales(measurements)
-    coherent = is_coherent(campaign)
-    plan = plan_trace(scene, priors, slowest_s, latest_s, campaign.seed, coherent=coherent)
-    priors, assumed = assumed_scattering(measurements, campaign.bands, priors, plan.settings, start)
+    coherent = is_coherent(measurements.responses, settings)
+    plan = plan_trace(scene, priors, slowest_s, latest_s, settings, coherent=coherent)
+    priors, assumed = assumed_scattering(measurements, priors, settings, plan.settings, start)
     priors, chosen = chosen_scattering(
-        *(campaign, measurements, priors, plan.settings, start), part(progress, 0.0, 0.5)
+        measurements, priors, settings, plan.settings, start, part(progress, 0.0, 0.5)
     )
     doubts: tuple[Finding, ...] = ()
     if assumed or chosen:
         plan = plan_trace(
-            *(scene, priors, slowest_s, latest_s, campaign.seed),
+            scene,
+            priors,
+            slowest_s,
+            latest_s,
+            settings,
             coherent=coherent,
             images_until_s=plan.settings.image_until_s,
         )
     else:
-        doubts = scattering_checks(measurements, campaign.bands, priors, plan.settings, start)
+        doubts = scattering_checks(measurements, priors, settings, plan.settings, start)
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths
-    scattering = specified_scattering(priors, plan.scattering.coefficients, len(campaign.bands))
-    factors, degenerate = band_factors(campaign, scene, campaign.bands, paths, scattering)
-    binned = bin_paths(scene, campaign.bands, paths, plan.settings.duration_s, factors)
+    scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+    factors, degenerate = band_factors(measurements.directivities, scene, bands, paths, scattering)
+    binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
     unknown = [k.name for k in priors if k.known is None]
-    return TracedCampaign(
+    return TracedPaths(
         paths,
         binned,
         plan.settings.duration_s,
@@ -156,7 +161,7 @@ def trace_campaign(
         scattering,
         plan.far_images,
         plan.fit_until_s,
-        _finder(campaign, scene.room, plan, paths, scattering),
+        _finder(measurements, plan, paths, scattering),
         (
             *plan.findings,
             *found.findings,

@@ -19,14 +19,11 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
-from roomfit.inversion.trace_plan import DEFAULT_SCATTERING
-from roomfit.io.campaign import Campaign
-from roomfit.io.materials import campaign_directivities
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import band_problems
 from roomfit.response.binned import BinnedPaths, bin_paths
-from roomfit.response.directivity import directivity_factors
+from roomfit.response.directivity import Directivities, directivity_factors, known_directivities
 from roomfit.response.scattering import (
     LEAST_EFFECTIVE_FRACTION,
     effective_sample_size,
@@ -35,6 +32,7 @@ from roomfit.response.scattering import (
     with_scattering,
 )
 from roomfit.scene import Scene
+from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
 from roomfit.tracing.paths import Paths, TraceSettings
@@ -360,20 +358,20 @@ _TRIAL_RAYS, _TRIAL_S = 8_000, 0.2
 
 
 def chosen_scattering(
-    campaign: Campaign,
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
-    settings: TraceSettings,
+    settings: Settings,
+    trace_settings: TraceSettings,
     start: FloatArray,
     progress: Progress | None,
 ) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
-    """Return the knowledge with the likeliest value where ``scattering = "fit"`` stands.
+    """Return the priors with the likeliest value where ``scattering = "fit"`` stands.
 
     Energies alone are compared, in paths that are weighed anew for every trial.
 
     Parameters
     ----------
-    settings : TraceSettings
+    trace_settings : TraceSettings
         As planned for the campaign; fewer rays are used here.
     start : float array, shape (n_bands,)
 
@@ -385,19 +383,21 @@ def chosen_scattering(
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
         return priors, ()
-    observed = tuple(m for m in measurements.responses if m.file.use == "fit")
+    observed = tuple(m for m in measurements.responses if m.measurement.use == "fit")
     if not observed:
         raise InputError(
             "scattering cannot be fitted without responses",
-            where=f"{campaign.path}, materials",
+            where="materials",
             found='scattering = "fit" and room parameters only',
             needed="impulse responses, or scattering as a number",
         )
-    scene, bands = measurements.scene, campaign.bands
-    retracer = scene_retracer(scene, bands, _quick(settings))
+    scene, bands = measurements.scene, measurements.bands
+    retracer = scene_retracer(scene, bands, _quick(trace_settings))
     specified = np.stack(
         [
-            np.full(len(bands), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
+            np.full(len(bands), settings.default_scattering)
+            if k.scattering is None
+            else k.scattering
             for k in priors
         ]
     )
@@ -434,12 +434,12 @@ def _noise_in(noise: NoiseEstimate, chosen: slice) -> NoiseEstimate:
 
 def assumed_scattering(
     measurements: Measurements,
-    bands: Bands,
     priors: tuple[MaterialPrior, ...],
-    settings: TraceSettings,
+    settings: Settings,
+    trace_settings: TraceSettings,
     start: FloatArray,
 ) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
-    """Return the knowledge with a scattering for the walls of which none is told.
+    """Return the priors with a scattering coefficient where it is unspecified.
 
     One coefficient for all of them: the likeliest of five where there are responses; 0.1 where
     there are none, or where it explains them as well.
@@ -452,21 +452,24 @@ def assumed_scattering(
     if not unspecified.any():
         return priors, ()
     names = ", ".join(k.name for k in priors if k.scattering is None)
-    sentence = f"No scattering is told for {names}; {DEFAULT_SCATTERING:g} was assumed."
-    value = DEFAULT_SCATTERING
+    sentence = (
+        f"The scattering of {names} is unspecified; {settings.default_scattering:g} was assumed."
+    )
+    value = settings.default_scattering
+    bands = measurements.bands
     first = max((len(bands) - _TRIAL_BANDS) // 2, 0)
     middle = slice(first, min(first + _TRIAL_BANDS, len(bands)))
-    trial = _trial(measurements, bands, priors, settings, start, middle)
+    trial = _trial(measurements, priors, settings, trace_settings, start, middle)
     if trial is not None:
         fit, specified = trial
-        grid = (0.0, *sorted({*_ASSUMED, DEFAULT_SCATTERING}))
+        grid = (0.0, *sorted({*_ASSUMED, settings.default_scattering}))
         choice = choose_scattering(fit, specified, unspecified, grid=grid)
         value = float(choice.coefficients[unspecified][0, 0])
         low, high = (float(x[unspecified][0, 0]) for x in (choice.lower, choice.upper))
-        value = DEFAULT_SCATTERING if low <= DEFAULT_SCATTERING <= high else value
+        value = settings.default_scattering if low <= settings.default_scattering <= high else value
         others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
         sentence = (
-            f"No scattering is told for {names}; {value:g} was assumed, which explains the "
+            f"The scattering of {names} is unspecified; {value:g} was assumed, which explains the "
             f"responses well ({others})."
         )
     known = tuple(
@@ -479,12 +482,12 @@ def assumed_scattering(
 
 def scattering_checks(
     measurements: Measurements,
-    bands: Bands,
     priors: tuple[MaterialPrior, ...],
-    settings: TraceSettings,
+    settings: Settings,
+    trace_settings: TraceSettings,
     start: FloatArray,
 ) -> tuple[Finding, ...]:
-    """Return a finding where walls that were told to be smooth had better scatter.
+    """Return a finding where walls specified as smooth had better scatter.
 
     Tried in the three highest bands up to 4 kHz with one coefficient for all of them. Of walls that
     are smooth, a model that is otherwise right raises the doubt in fewer than one room in a
@@ -498,9 +501,10 @@ def scattering_checks(
     smooth = [k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors]
     if not any(smooth):
         return ()
+    bands = measurements.bands
     last = max(int(np.searchsorted(bands.centres_hz, _HIGHEST_DOUBT_HZ)), 1)
     chosen = slice(max(last - _DOUBT_BANDS, 0), last)
-    trial = _trial(measurements, bands, priors, settings, start, chosen, n_rays=_N_RAYS)
+    trial = _trial(measurements, priors, settings, trace_settings, start, chosen, n_rays=_N_RAYS)
     if trial is None:
         return ()
     fit, specified = trial
@@ -511,31 +515,31 @@ def scattering_checks(
 
 def _trial(
     measurements: Measurements,
-    bands: Bands,
     priors: tuple[MaterialPrior, ...],
-    settings: TraceSettings,
+    settings: Settings,
+    trace_settings: TraceSettings,
     start: FloatArray,
     chosen: slice,
     *,
     n_rays: int = _TRIAL_RAYS,
 ) -> tuple[ScatteringFit, FloatArray] | None:
-    """Return a quick fit of the energies in some bands, and what is told for these.
+    """Return a quick fit of the energies in some bands, and the specified coefficients there.
 
     None where there are no responses to fit.
     """
-    observed = tuple(m for m in measurements.responses if m.file.use == "fit")
+    observed = tuple(m for m in measurements.responses if m.measurement.use == "fit")
     if not observed:
         return None
-    own = Bands(bands.kind, bands.centres_hz[chosen])
+    own = Bands(measurements.bands.kind, measurements.bands.centres_hz[chosen])
     known = in_bands(priors, np.arange(chosen.start, chosen.stop))
     responses = tuple(replace(m, noise=_noise_in(m.noise, chosen)) for m in observed)
     scene = measurements.scene
-    few = replace(_quick(settings), n_rays=n_rays)
+    few = replace(_quick(trace_settings), n_rays=n_rays)
     few = replace(few, duration_s=min(few.duration_s, _TRIAL_S))
     retracer = scene_retracer(scene, own, few)
     specified = np.stack(
         [
-            np.full(len(own), DEFAULT_SCATTERING) if k.scattering is None else k.scattering
+            np.full(len(own), settings.default_scattering) if k.scattering is None else k.scattering
             for k in known
         ]
     )
@@ -551,7 +555,7 @@ def _trial(
 def specified_scattering(
     priors: tuple[MaterialPrior, ...], traced: FloatArray, n_bands: int
 ) -> FloatArray:
-    """Return what each wall scatters in each band; where nothing is told, as it was traced."""
+    """Return what each wall scatters in each band; where unspecified, as it was traced."""
     rows = [
         np.full(n_bands, s0) if k.scattering is None else k.scattering
         for k, s0 in zip(priors, traced, strict=True)
@@ -560,7 +564,7 @@ def specified_scattering(
 
 
 def band_factors(
-    campaign: Campaign, scene: Scene, bands: Bands, paths: Paths, scattering: FloatArray
+    directivities: Directivities, scene: Scene, bands: Bands, paths: Paths, scattering: FloatArray
 ) -> tuple[FloatArray | None, tuple[Finding, ...]]:
     """Return the factor of every path in every band, shape (n_bands, n_paths).
 
@@ -584,7 +588,7 @@ def band_factors(
             wanted = Scattering(paths.materials, scattering[:, band])
             factors[band] = scattering_weights(paths, wanted)
         findings = _degenerate_weight_findings(bands, paths, factors)
-    sources = campaign_directivities(campaign, scene, bands)
+    sources = known_directivities(directivities, scene.sources)
     if any(s is not None for s in sources):
         for band in range(len(bands)):
             factors[band] *= directivity_factors(paths, sources, scene.pairs[:, 0].tolist(), band)

@@ -8,38 +8,48 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
+from roomfit.air import Air
 from roomfit.findings import Finding
-from roomfit.inversion.bands import fit_bands
-from roomfit.inversion.coherent import Retrace, fit_coherent
+from roomfit.inversion.bands import fit_bands, refined
+from roomfit.inversion.coherent import (
+    CoherentTask,
+    coherent_estimates,
+    decided,
+    energy_estimates,
+    fit_coherent,
+)
 from roomfit.inversion.directivity import (
     DirectivityScore,
     EnergyTask,
     FoundDirectivities,
     band_directivities,
-    campaign_directivity_parameters,
     directed_energies,
+    directivity_parameters,
     energy_problems,
     omnidirectional,
     score_sources,
     source_findings,
 )
 from roomfit.inversion.measurements import Measurements
+from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
-from roomfit.inversion.systematics import air_error, shared_steps, with_tracing_noise
-from roomfit.inversion.trace_plan import is_coherent
-from roomfit.io.campaign import Campaign
+from roomfit.inversion.systematics import (
+    air_error,
+    shared_steps,
+    widened_by_neighbours,
+    with_tracing_noise,
+)
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.coherent import SPEED_SD, FittedGeometry
-from roomfit.objective.directivity import DirectedProblem, DirectivityParameters
+from roomfit.objective.coherent import FittedGeometry
+from roomfit.objective.directivity import DirectedProblem
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import has_data_in_band
 from roomfit.objective.parameters import Parameters
 from roomfit.objective.problem import BandProblem, JointProblem
 from roomfit.objective.room_parameters import RoomValuesProblem, value_problems
-from roomfit.response.binned import BinnedPaths
 from roomfit.scene import material_areas_m2
+from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
-from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandAnswer, Refine, SharedCovariance, add_covariance
 
@@ -81,151 +91,126 @@ class BandFits:
     directivities: tuple[FoundDirectivities, ...] = ()
 
 
-def relative_speed_sd(campaign: Campaign) -> float:
+def relative_speed_sd(air: Air, settings: Settings) -> float:
     """Return the relative standard deviation of the speed of sound beforehand.
 
     The speed grows as the root of the absolute temperature.
     """
-    temperature_sd_c = campaign.temperature_sd_c
+    temperature_sd_c = settings.temperature_sd_c
     if temperature_sd_c is None:
-        return SPEED_SD
-    return max(0.5 * temperature_sd_c / (273.15 + campaign.air.temperature_c), 1e-6)
+        return settings.speed_of_sound_sd
+    return max(0.5 * temperature_sd_c / (273.15 + air.temperature_c), 1e-6)
 
 
-def solve(
-    campaign: Campaign,
-    measurements: Measurements,
+def estimate_energies(
+    measured: Measurements,
     priors: tuple[MaterialPrior, ...],
-    paths: Paths,
-    weights: FloatArray | None,
-    binned: BinnedPaths,
+    traced: TracedPaths,
     start: FloatArray,
-    far_images: bool,
-    fit_until_s: float,
-    retrace: Retrace | None,
+    settings: Settings,
     refine: Refine | None,
     progress: Progress | None,
 ) -> BandFits:
-    """Fit every band of a campaign.
+    """Estimate the absorption of every band by window energies and room parameters.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    refine : callable or None
+        Makes better intervals of each band's fit.
 
     Raises
     ------
     InputError
-        A certificate is asked for where other data than energies are compared.
-
-    Parameters
-    ----------
-    paths : Paths
-    weights : float array, shape (n_bands, n_paths), or None
-        Factors on the weight of every path in every band.
-    binned : BinnedPaths
-        The same paths in bins, with these factors.
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    far_images : bool
-        Whether there are image sources enough to add pressures.
-    fit_until_s : float
-        No window of a partly coherent fit ends later.
-    retrace : callable or None
-        Finds image sources anew where positions have moved, in rooms where that matters.
-    refine : callable or None
-        Makes better intervals of each band's fit.
+        A directivity is to be fitted where it cannot.
     """
-    directivity_parameters = campaign_directivity_parameters(campaign, measurements.scene)
-    tested_sources = (
-        omnidirectional(campaign, measurements.scene) if directivity_parameters is None else None
+    scene, bands = measured.scene, measured.bands
+    unknown = directivity_parameters(measured, settings)
+    tested = omnidirectional(measured) if unknown is None else None
+    task = EnergyTask(scene, bands, priors, measured.responses, traced.paths, traced.binned, start)
+    directivities = directed_energies(task, unknown)
+    scores: dict[int, DirectivityScore] = {}
+    fitted = fit_bands(
+        _joined(
+            energy_problems(task, directivities), _value_problems(measured, priors, traced, start)
+        ),
+        priors,
+        material_areas_m2(scene.room),
+        settings,
+        progress,
+        watch=None if tested is None else score_sources(task, tested, scores),
+        shared_covariance=shared_error_covariance(task),
     )
-    values = _value_problems(campaign, measurements, priors, binned, start)
-    if not is_coherent(campaign) or not (far_images or campaign.model == "coherent"):
-        task = EnergyTask(
-            *(
-                measurements.scene,
-                campaign.bands,
-                priors,
-                measurements.responses,
-                paths,
-                binned,
-                start,
-            )
-        )
-        return _energies_alone(
-            campaign,
-            measurements,
-            task,
-            values,
-            directivity_parameters,
-            tested_sources,
-            refine,
-            progress,
-        )
-    options = CoherentOptions(
-        positions="fixed" if campaign.positions == "fixed" else "fit",
-        delays=campaign.wall_delays,
-        model="coherent" if campaign.model == "coherent" else "auto",
-        late_end_s=fit_until_s,
-        speed_sd=relative_speed_sd(campaign),
-    )
-    fit = fit_coherent(
-        *(measurements.scene, campaign.bands, priors, measurements.responses, paths, binned, start),
-        options=options,
-        weights=weights,
-        retrace=retrace,
-        extra_parts=[() if v is None else (_sharing(v),) for v in values],
-        directivity_parameters=directivity_parameters,
-        tested_sources=tested_sources,
-        refine=refine,
-        progress=part(progress, 0.0, 0.95),
-    )
-    values_alone = [None if a is not None else v for a, v in zip(fit.answers, values, strict=True)]
-    rest = _answers(campaign, measurements, priors, values_alone, refine, part(progress, 0.95, 1.0))
-    answers = tuple(r if a is None else a for a, r in zip(fit.answers, rest, strict=True))
-    found = band_directivities(directivity_parameters, fit.directed, answers)
-    return BandFits(answers, fit.geometry, fit.findings, found)
+    estimates = tuple(refined(band, refine) for band in fitted)
+    found = band_directivities(unknown, directivities, estimates)
+    return BandFits(estimates, None, source_findings(tested, scores), found)
 
 
-def _energies_alone(
-    campaign: Campaign,
-    measurements: Measurements,
-    task: EnergyTask,
-    values: tuple[RoomValuesProblem | None, ...],
-    directivity_parameters: DirectivityParameters | None,
-    tested_sources: DirectivityParameters | None,
+def estimate_pressures(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+    settings: Settings,
     refine: Refine | None,
     progress: Progress | None,
 ) -> BandFits:
-    """Fit window energies and room parameters, no pressures."""
-    directivities = directed_energies(task, directivity_parameters)
-    doubts: dict[int, DirectivityScore] = {}
-    answers = _answers(
-        *(
-            campaign,
-            measurements,
-            task.priors,
-            _joined(energy_problems(task, directivities), values),
+    """Estimate the absorption of every band by partly coherent image sources where they explain it.
+
+    The parameters are those of `estimate_energies`.
+    """
+    scene = measured.scene
+    unknown = directivity_parameters(measured, settings)
+    values = _value_problems(measured, priors, traced, start)
+    task = CoherentTask(
+        scene,
+        measured.bands,
+        priors,
+        measured.responses,
+        start,
+        CoherentOptions(
+            positions="fixed" if settings.positions == "fixed" else "fit",
+            delays=settings.reflection_delays,
+            model="coherent" if settings.model == "coherent" else "auto",
+            end_s=settings.coherent_until_s,
+            late_end_s=traced.fit_until_s,
+            speed_sd=relative_speed_sd(scene.air, settings),
         ),
-        refine,
-        progress,
-        None if tested_sources is None else score_sources(task, tested_sources, doubts),
-        shared_error_covariance(task),
+        tuple(() if v is None else (_sharing(v),) for v in values),
+        unknown,
+        omnidirectional(measured) if unknown is None else None,
     )
-    findings = source_findings(tested_sources, doubts)
-    return BandFits(
-        answers, None, findings, band_directivities(directivity_parameters, directivities, answers)
+    fit = fit_coherent(task, traced, part(progress, 0.0, 0.75))
+    n = len(fit.fits)
+    coherent: list[BandAnswer | None] = []
+    for i, band in enumerate(coherent_estimates(fit)):
+        done = part(progress, 0.75 + 0.2 * i / n, 0.75 + 0.2 * (i + 1) / n)
+        coherent.append(None if band is None else refined(band, refine, done))
+    areas_m2 = material_areas_m2(scene.room)
+    energy = [None if b is None else refined(b, refine) for b in energy_estimates(fit)]
+    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
+    # where no response has data, room parameters or the prior
+    alone = [None if e is not None else v for e, v in zip(chosen, values, strict=True)]
+    rest = fit_bands(alone, priors, areas_m2, settings, part(progress, 0.95, 1.0))
+    estimates = tuple(
+        refined(r, refine) if e is None else e for e, r in zip(chosen, rest, strict=True)
     )
+    directed = tuple(None if b is None else b.directed for b in fit.state.bands)
+    found = band_directivities(unknown, directed, estimates)
+    return BandFits(estimates, fit.geometry, fit.findings, found)
 
 
 def _value_problems(
-    campaign: Campaign,
-    measurements: Measurements,
+    measured: Measurements,
     priors: tuple[MaterialPrior, ...],
-    binned: BinnedPaths,
+    traced: TracedPaths,
     start: FloatArray,
 ) -> tuple[RoomValuesProblem | None, ...]:
-    if not measurements.values:
-        return (None,) * len(campaign.bands)
-    return value_problems(
-        measurements.scene, campaign.bands, priors, measurements.values, binned, start
-    )
+    scene, bands = measured.scene, measured.bands
+    if not measured.values:
+        return (None,) * len(bands)
+    return value_problems(scene, bands, priors, measured.values, traced.binned, start)
 
 
 def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:
@@ -244,22 +229,3 @@ def _joined(
             yield JointProblem(
                 (from_windows, replace(from_values, parameters=from_windows.parameters))
             )
-
-
-def _answers(
-    campaign: Campaign,
-    measurements: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    problems: Iterator[BandProblem | None] | list[RoomValuesProblem | None],
-    refine: Refine | None,
-    progress: Progress | None,
-    watch: Callable[[int, BandProblem, BandFit], None] | None = None,
-    shared_covariance: SharedCovariance | None = None,
-) -> tuple[BandAnswer, ...]:
-    areas = material_areas_m2(measurements.scene.room)
-    return fit_bands(
-        *(problems, priors, areas, campaign.method, campaign.seed, progress),
-        watch=watch,
-        shared_covariance=shared_covariance,
-        refine=refine,
-    )

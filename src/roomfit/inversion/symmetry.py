@@ -277,7 +277,7 @@ def mirror_symmetries(
 def _fitted_scene(measurements: Measurements) -> Scene:
     """Return the scene of the pairs that are fitted."""
     scene = measurements.scene
-    fitted_pairs = {m.pair for m in measurements.responses if m.file.use == "fit"}
+    fitted_pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"}
     tabulated = {(v.source, v.receiver) for v in measurements.values}
     kept = [
         i

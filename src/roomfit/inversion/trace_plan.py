@@ -5,6 +5,7 @@ A trace that a killed run does not lose.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +14,10 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.cache import Cache, Cached, cached
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import volume_m3
-from roomfit.io.campaign import Campaign
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
+from roomfit.measurement import MeasuredPair
 from roomfit.scene import Scene
+from roomfit.settings import Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import Paths, Reflections, TraceSettings
 from roomfit.tracing.rays import RayStatistics
@@ -54,22 +56,11 @@ def cached_trace(
     return found
 
 
-DEFAULT_SCATTERING = 0.1
-N_RAYS = 60_000
-# Beside image sources of every order in a room of smooth walls rays bring only what is late: the
-# Monte-Carlo error of a window, 5 to 8 %, stays well below what interference does to it. Where
-# walls scatter, they bring most of the energy from the first reflections on.
-N_RAYS_BESIDE_IMAGES = 20_000
-RECEIVER_RADIUS_M = 0.5
-_MOST_IMAGES_PER_PAIR = 400_000
 _IMAGE_ORDER, _ANY_ORDER = 3, 1000
 # A partly coherent fit asks for image sources as far as its windows go, if they can be had; in a
 # box, where they cost little, as far as energies are compared.
 _COHERENT_UNTIL_S = 0.22
-_MOST_COHERENT_IMAGES_PER_PAIR = 60_000
 _LEAST_COHERENT_S = 0.03
-# A room of so many triangles is furnished: its images end within milliseconds of work.
-_MOST_TRIANGLES_FOR_IMAGES = 600
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,7 +90,7 @@ def plan_trace(
     priors: tuple[MaterialPrior, ...],
     longest_decay_s: float,
     latest_window_s: float,
-    seed: int,
+    settings: Settings,
     *,
     coherent: bool = False,
     images_until_s: float | None = None,
@@ -119,7 +110,7 @@ def plan_trace(
         Longest measured reverberation time of any band.
     latest_window_s : float
         Where the last usable window of any measurement ends.
-    seed : int
+    settings : Settings
     coherent : bool
         Whether early reflections are to be added as pressures.
     images_until_s : float, optional
@@ -131,13 +122,13 @@ def plan_trace(
         findings.append(
             Finding(
                 Code.SCATTERING_ASSUMED,
-                f"No scattering is told for {', '.join(unspecified)}; {DEFAULT_SCATTERING:g} was "
-                "assumed.",
-                {"materials": unspecified, "scattering": DEFAULT_SCATTERING},
+                f"The scattering of {', '.join(unspecified)} is unspecified; "
+                f"{settings.default_scattering:g} was assumed.",
+                {"materials": unspecified, "scattering": settings.default_scattering},
             )
         )
     specified = [sampling_scattering(k) for k in priors]
-    s = [DEFAULT_SCATTERING if t is None else t for t in specified]
+    s = [settings.default_scattering if t is None else t for t in specified]
     scattering = Scattering(scene.room.materials, np.array(s))
     duration_s = max(0.75 * longest_decay_s, latest_window_s) + 0.01
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
@@ -145,36 +136,40 @@ def plan_trace(
     images_alone = (
         scene.room.shoebox_m is not None
         and not np.any(scattering.coefficients)
-        and n_images <= _MOST_IMAGES_PER_PAIR
+        and n_images <= settings.most_images
     )
-    settings = TraceSettings(
+    fineness = TraceSettings(
         duration_s=duration_s,
-        n_rays=0 if images_alone else N_RAYS,
+        n_rays=0 if images_alone else settings.n_rays,
         image_order=_ANY_ORDER if images_alone else _IMAGE_ORDER,
-        receiver_radius_m=RECEIVER_RADIUS_M,
-        seed=seed,
+        receiver_radius_m=settings.receiver_radius_m,
+        seed=settings.seed,
         keep_image_transforms=coherent,
     )
     until_s = 0.0
     if coherent and not images_alone:
-        until_s = images_until_s or _images_until_s(scene, duration_s)
+        until_s = images_until_s or _images_until_s(scene, duration_s, settings)
     if until_s > 0.0:
-        settings = replace(
-            settings,
+        fineness = replace(
+            fineness,
             image_order=_ANY_ORDER,
             image_until_s=until_s,
-            n_rays=N_RAYS if np.any(scattering.coefficients) else N_RAYS_BESIDE_IMAGES,
+            n_rays=(
+                settings.n_rays
+                if np.any(scattering.coefficients)
+                else settings.n_rays_beside_images
+            ),
         )
     elif coherent and not images_alone:
         findings.append(_few_images())
     if until_s == 0.0 and scene.room.shoebox_m is None:
         order = affordable_order(scene, _IMAGE_ORDER, duration_s)
-        settings = replace(settings, image_order=order)
+        fineness = replace(fineness, image_order=order)
     far_images = images_alone or until_s > 0.0
     smooth_box = scene.room.shoebox_m is not None and not np.any(scattering.coefficients)
     # what is left in a smooth box travels between two hard walls along paths that few rays find
     fit_until_s = until_s if smooth_box and until_s > 0.0 else np.inf
-    return TracePlan(settings, scattering, tuple(findings), far_images, fit_until_s)
+    return TracePlan(fineness, scattering, tuple(findings), far_images, fit_until_s)
 
 
 def _few_images() -> Finding:
@@ -186,14 +181,14 @@ def _few_images() -> Finding:
     )
 
 
-def _images_until_s(scene: Scene, duration_s: float) -> float:
+def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> float:
     """Return how long image sources of every order can be had; 0 where it is not worth while."""
     c = speed_of_sound_m_s(scene.air)
     volume = volume_m3(scene.room.mesh)
-    affordable_s = (_MOST_COHERENT_IMAGES_PER_PAIR * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
+    affordable_s = (settings.most_coherent_images * volume * 0.75 / np.pi) ** (1.0 / 3.0) / c
     longest_s = min(duration_s, float(affordable_s))
     if scene.room.shoebox_m is None:
-        if len(scene.room.mesh.triangles) > _MOST_TRIANGLES_FOR_IMAGES:
+        if len(scene.room.mesh.triangles) > settings.most_triangles_for_images:
             return 0.0
         longest_s = affordable_duration_s(scene, min(longest_s, _COHERENT_UNTIL_S))
     return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0
@@ -202,14 +197,14 @@ def _images_until_s(scene: Scene, duration_s: float) -> float:
 _COHERENT_METHODS = ("auto", "least-squares", "posterior")
 
 
-def is_coherent(campaign: Campaign) -> bool:
+def is_coherent(measured: Sequence[MeasuredPair], settings: Settings) -> bool:
     """Whether responses are to be fitted with image sources as coherent as their times are known.
 
     The paper's searches cannot follow the many unknown positions; they compare energies.
     """
-    return any(m.use == "fit" for m in campaign.measurements) and fits_pressures(campaign)
+    return any(m.measurement.use == "fit" for m in measured) and fits_pressures(settings)
 
 
-def fits_pressures(campaign: Campaign) -> bool:
-    """Whether a campaign's model and method let pressures be added, if there are responses."""
-    return campaign.model != "energy" and campaign.method in _COHERENT_METHODS
+def fits_pressures(settings: Settings) -> bool:
+    """Whether model and method let pressures be added, if there are responses."""
+    return settings.model != "energy" and settings.method in _COHERENT_METHODS

@@ -10,7 +10,7 @@ from __future__ import annotations
 import tomllib
 import types
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, Union, get_args, get_origin
 
@@ -22,10 +22,11 @@ from roomfit._checks import nearest
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
-from roomfit.measurement import MeasuredFile, MeasuredSpectrum, MeasuredTable, ResponseSpec
-from roomfit.response.directivity import FirstOrderBands
+from roomfit.measurement import Level, Use
 from roomfit.scene import Point
+from roomfit.settings import Settings
 
 Position = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
@@ -202,6 +203,23 @@ class DesignTable(Table):
     draws: int = Field(default=2, ge=1, le=100)
 
 
+class SettingsTable(Table):
+    """``[settings]``: constants of `roomfit.Settings` that stand behind the choices."""
+
+    n_rays: int | None = None
+    n_rays_beside_images: int | None = None
+    receiver_radius_m: float | None = None
+    default_scattering: float | None = None
+    n_draws: int | None = None
+    n_random_starts: int | None = None
+    n_scattering_rays: int | None = None
+    most_images: int | None = None
+    most_coherent_images: int | None = None
+    most_triangles_for_images: int | None = None
+    coherent_until_s: float | None = None
+    speed_of_sound_sd: float | None = None
+
+
 class CampaignTable(Table):
     """The whole file."""
 
@@ -213,6 +231,7 @@ class CampaignTable(Table):
     receivers: dict[str, ReceiverTable] = {}
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
+    settings: SettingsTable = SettingsTable()
     impedance: ImpedanceTable = ImpedanceTable()
     design: DesignTable = DesignTable()
 
@@ -433,6 +452,49 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class MeasuredFile:
+    """One measured response: where it lies, whose pair it is, and how it is to be used.
+
+    Attributes
+    ----------
+    source, receiver : str
+    response : ResponseSpec
+    level : {"per-source", "per-file", "absolute"}
+    use : {"fit", "validate"}
+    latency_sd_s : float or None
+        How uncertain the moment of emission is; None: unspecified.
+    """
+
+    source: str
+    receiver: str
+    response: ResponseSpec
+    level: Level
+    use: Use
+    latency_sd_s: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredTable:
+    """One table of ISO 3382 values, and which of its rows are meant; None means all."""
+
+    path: Path
+    source: str | None
+    receiver: str | None
+    use: Use
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MeasuredSpectrum:
+    """One file of damped pressures, for impedances; `level` is None: unspecified."""
+
+    source: str
+    receiver: str
+    path: Path
+    level: Level | None
+    use: Use
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Campaign:
     """Everything that a campaign file says.
 
@@ -450,17 +512,8 @@ class Campaign:
         Bands to fit.
     materials : mapping of name to MaterialTable
         What the file says of materials, for `material_priors`.
-    method, model : str
-    seed : int
-    positions : {"auto", "fit", "fixed"}
-        Whether told positions may move within their spread.
-    wall_delays : bool
-        Whether walls may delay what they reflect.
-    smoothness_per_octave : float or None
-        Standard deviation by which logit absorption changes from octave to octave.
-    temperature_sd_c : float or None
+    settings : Settings
     directivities : mapping of source name to what the file says of its directivity
-        For `roomfit.io.materials.campaign_directivities`; or what a fit found.
     spectra : tuple of MeasuredSpectrum
     impedance : ImpedanceTable
     design : DesignTable
@@ -475,14 +528,8 @@ class Campaign:
     tables: tuple[MeasuredTable, ...]
     bands: Bands
     materials: dict[str, MaterialTable]
-    method: str
-    model: str
-    seed: int
-    positions: Literal["auto", "fit", "fixed"] = "auto"
-    wall_delays: bool = True
-    smoothness_per_octave: float | None = None
-    temperature_sd_c: float | None = None
-    directivities: Mapping[str, str | Directivity | MeasuredDirectivity | FirstOrderBands] = field(
+    settings: Settings = field(default_factory=Settings)
+    directivities: Mapping[str, str | Directivity | MeasuredDirectivity] = field(
         default_factory=dict
     )
     spectra: tuple[MeasuredSpectrum, ...] = ()
@@ -506,7 +553,6 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     """
     path = Path(path)
     table = read_campaign_table(path, to_fit=to_fit)
-    settings = table.identify
     return Campaign(
         path,
         _room_spec(path, table),
@@ -515,19 +561,31 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         _points(table.receivers),
         tuple(_measured_file(path, m) for m in table.measurements if m.file is not None),
         tuple(_measured_table(path, m) for m in table.measurements if m.parameters is not None),
-        _bands(path, settings),
+        _bands(path, table.identify),
         dict(table.materials),
-        settings.method,
-        settings.model,
-        settings.seed,
-        settings.positions,
-        settings.wall_delays,
-        settings.smoothness_per_octave,
-        table.air.temperature_sd_c,
+        _settings(table),
         {name: source.directivity for name, source in table.sources.items()},
         tuple(_measured_spectrum(path, m) for m in table.measurements if m.spectrum is not None),
         table.impedance,
         table.design,
+    )
+
+
+DEFAULTS = Settings()  # of what a campaign file does not say
+
+
+def _settings(table: CampaignTable) -> Settings:
+    own = table.identify
+    return replace(
+        DEFAULTS,
+        method=own.method,
+        model=own.model,
+        seed=own.seed,
+        positions=own.positions,
+        reflection_delays=own.wall_delays,
+        smoothness_per_octave=own.smoothness_per_octave,
+        temperature_sd_c=table.air.temperature_sd_c,
+        **table.settings.model_dump(exclude_none=True),
     )
 
 

@@ -17,7 +17,7 @@ from roomfit.typing import FloatArray
 def read_directivity(
     path: Path, bands: Bands, aim: ArrayLike = (1.0, 0.0, 0.0), up: ArrayLike = (0.0, 0.0, 1.0)
 ) -> MeasuredDirectivity:
-    """Return what a loudspeaker sends into each direction in every band, of unit sound power.
+    """Return the directivity of a loudspeaker in every band, of unit sound power.
 
     Read are transfer functions (data type TF, as in FreeFieldDirectivityTF and GeneralTF) and
     impulse responses (data type FIR) that receivers all around a source have measured, one

@@ -1,25 +1,15 @@
-"""From a table of materials to the files that another program reads.
+"""Materials of a result as files of other programs.
 
-CATT-Acoustic, and I-Simpa, which reads the same lines without the first word.
-
-Names that other programs can take.
-
-ODEON: rows of a material library (.Li8).
-
-Formats without limits of their own: pyroomacoustics' arguments as JSON, and a wide CSV.
-
-RAVEN: one text file (.mat) a material, 31 third octaves from 20 Hz to 20 kHz.
-
-From the bands that were fitted to the bands that another program wants.
-
-What is exported: the absorption of every material in every band, read from a result.
+A table of absorption is read from a result, resampled to the bands of the other program, given
+names that it accepts, and written: for CATT-Acoustic and I-Simpa (which reads the same lines
+without the first word), ODEON (a material library, .Li8), RAVEN (one .mat file a material),
+pyroomacoustics (its arguments as JSON), or as a wide CSV.
 """
 
 from __future__ import annotations
 
 import colorsys
 import csv
-import io
 import json
 import re
 import unicodedata
@@ -33,6 +23,7 @@ from roomfit._checks import bool_array, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
+from roomfit.io.encoding import csv_text
 from roomfit.typing import BoolArray, FloatArray
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
@@ -63,7 +54,7 @@ def catt_text(
         exact = " ".join(f"{v:.4f}" for v in a)
         lines.append(
             f"ABS {short} = <{_eight(a, 1)}> L <{_eight(s, 0)}> {{{r} {g} {b}}} ; "
-            f"{_one_line(name)}: {exact}"
+            f"{' '.join(name.split())}: {exact}"
         )
     return "\r\n".join(lines) + "\r\n"
 
@@ -72,8 +63,8 @@ def isimpa_text(names: dict[str, str], absorption: FloatArray, scattering: Float
     """Return the material lines that I-Simpa imports as "CATT-Acoustic" (.txt).
 
     Six octaves from 125 Hz in percent without decimals, as in the example of its manual [1]_;
-    I-Simpa itself gives each value to three third octaves and holds the outer ones. The lines have
-    no comments: its manual shows none.
+    I-Simpa itself gives each value to three third octaves and extrapolates the outer ones.
+    The lines have no comments: its manual shows none.
 
     References
     ----------
@@ -100,14 +91,10 @@ def _colour(number: int, count: int) -> tuple[int, int, int]:
     return round(255 * red), round(255 * green), round(255 * blue)
 
 
-def _one_line(name: str) -> str:
-    return " ".join(name.split())
-
-
 def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:
     """Return a name of ASCII letters, digits and underscores for each, beginning with a letter.
 
-    No two are alike, not even in another case: some programs do not tell them apart.
+    No two are alike, not even in another case: some programs do not distinguish them.
 
     Examples
     --------
@@ -134,9 +121,9 @@ FIRST_NUMBER = 50001
 def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     """Return two lines a material: number and name; then eight octaves from 63 Hz.
 
-    The second line begins with a tabulator, and tabulators stand between its values: so does a
-    program that reads ODEON's own library tell the two apart [1]_. The library has no scattering:
-    ODEON wants it for each surface, in its list of materials.
+    The second line begins with a tabulator, and tabulators separate its values: a program that
+    reads ODEON's own library distinguishes the two by it [1]_. The library has no scattering:
+    ODEON expects it for each surface, in its list of materials.
 
     Parameters
     ----------
@@ -171,8 +158,8 @@ def raven_text(
 ) -> str:
     """Return the text of one material file.
 
-    Layout and line ends are those that the ITA Toolbox writes [1]_; `told` are the bands whose
-    value was fitted: they get a 0 in ``interpol``, all others a 1.
+    Layout and line ends are those that the ITA Toolbox writes [1]_; `specified` are the bands
+    whose value was fitted: they get a 0 in ``interpol``, all others a 1.
 
     Parameters
     ----------
@@ -203,12 +190,12 @@ def _row(values: FloatArray) -> str:
 
 
 def resample(values: FloatArray, bands: Bands, wanted: Bands) -> tuple[FloatArray, BoolArray]:
-    """Return values in other bands, and which of them nobody measured.
+    """Return values in other bands, and which of them were not fitted.
 
     A band that is there is taken as it is; an octave from third octaves is their mean; a third
     octave within the range of the octaves is interpolated linearly in the logarithm of frequency.
-    Beyond the lowest and the highest band the nearest value is held, and gaps between bands are
-    interpolated: those are the ones that nobody measured.
+    Beyond the lowest and the highest band the nearest value is repeated, and gaps between bands
+    are interpolated: those are the ones that were not fitted.
 
     Parameters
     ----------
@@ -239,26 +226,16 @@ _COLUMNS = ("material", "band_hz", "absorption", "lower95", "upper95", "identifi
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialTable:
-    """Materials of a result.
-
-    Attributes
-    ----------
-    names : tuple of str
-    bands : Bands
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        0 to 1.
-    identifiable : bool array, shape (n_materials, n_bands)
-    scattering : float array, shape (n_materials, n_bands), or None
-        None where the result tells none.
-    """
+    """Materials of a result."""
 
     names: tuple[str, ...]
     bands: Bands
+    # (n_materials, n_bands); 0 to 1
     absorption: FloatArray
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray
-    scattering: FloatArray | None = None
+    identifiable: BoolArray  # (n_materials, n_bands)
+    scattering: FloatArray | None = None  # (n_materials, n_bands); None where the result has none
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "names", unique_names("material", self.names))
@@ -359,7 +336,7 @@ def _from_csv(text: str) -> MaterialTable:
         )
         sure = [[place[m, f]["identifiable"].lower() == "true" for f in centres] for m in names]
     except (ValueError, AttributeError) as error:
-        raise InputError("the table of absorption holds what is no number") from error
+        raise InputError("the table of absorption has a cell that is no number") from error
     return MaterialTable(names, _bands(centres), absorption, lower, upper, np.array(sure))
 
 
@@ -393,11 +370,9 @@ def pyroomacoustics_text(table: MaterialTable, scattering: FloatArray) -> str:
     return json.dumps(content, indent=1, ensure_ascii=False) + "\n"
 
 
-def csv_text(table: MaterialTable) -> str:
-    """Return a table with one column a band: absorption, its interval, and whether it was told."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(["material", "quantity", *(f"{f:g}" for f in table.bands.centres_hz)])
+def wide_csv_text(table: MaterialTable) -> str:
+    """Return a table with one column a band: absorption, intervals, identifiability."""
+    rows: list[list[str]] = []
     quantities = [
         ("absorption", table.absorption),
         ("lower95", table.lower95),
@@ -407,31 +382,26 @@ def csv_text(table: MaterialTable) -> str:
         quantities.append(("scattering", table.scattering))
     for i, name in enumerate(table.names):
         for quantity, values in quantities:
-            writer.writerow([name, quantity, *(f"{v:.5f}" for v in values[i])])
+            rows.append([name, quantity, *(f"{v:.5f}" for v in values[i])])
         sure = ["true" if t else "false" for t in table.identifiable[i]]
-        writer.writerow([name, "identifiable", *sure])
-    return stream.getvalue()
+        rows.append([name, "identifiable", *sure])
+    return csv_text(["material", "quantity", *(f"{f:g}" for f in table.bands.centres_hz)], rows)
 
 
 ExportFormat = Literal["catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
+_BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS, "raven": RAVEN_BANDS}
 _LONGEST_FILE_NAME = 60
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Exported:
-    """Files to be written.
+    """Files to be written."""
 
-    Attributes
-    ----------
-    texts : dict
-        File name to content. One entry named "" for a format that is a single file, whose name
-        the user chooses.
-    findings : tuple of Finding
-        What a reader of the files must know: filled bands, values that the data do not hold.
-    """
-
+    # File name to content. One entry named "" for a format that is a single file, whose name
+    # the user chooses.
     texts: dict[str, str]
+    # What a reader of the files must know: filled bands, values that the data do not determine
     findings: tuple[Finding, ...]
 
 
@@ -467,13 +437,8 @@ def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Ex
     if wanted == "pyroomacoustics":
         return Exported({"": pyroomacoustics_text(table, scatter)}, tuple(findings))
     if wanted == "csv":
-        return Exported({"": csv_text(table)}, tuple(findings))
-    bands = {
-        "catt": CATT_BANDS,
-        "isimpa": ISIMPA_BANDS,
-        "odeon": ODEON_BANDS,
-        "raven": RAVEN_BANDS,
-    }[wanted]
+        return Exported({"": wide_csv_text(table)}, tuple(findings))
+    bands = _BANDS[wanted]
     absorption, filled = resample(table.absorption, table.bands, bands)
     scatter, _ = resample(scatter, table.bands, bands)
     if np.any(filled):
@@ -528,7 +493,7 @@ def _bands_filled(bands: Bands, filled: BoolArray) -> Finding:
     listed = [f"{f:g}" for f in bands.centres_hz[filled]]
     return Finding(
         Code.EXPORT_BANDS_FILLED,
-        f"Nothing was fitted at {', '.join(listed)} Hz: the nearest band's value stands there, or "
+        f"Nothing was fitted at {', '.join(listed)} Hz: the nearest band's value is used there, or "
         "one between two neighbours.",
         {"bands_hz": [float(f) for f in bands.centres_hz[filled]]},
     )
@@ -560,7 +525,7 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
 def _scattering_assumed(scattering: float) -> Finding:
     return Finding(
         Code.EXPORT_SCATTERING_ASSUMED,
-        f"The result tells no scattering; {scattering:g} was written for every material.",
+        f"The result has no scattering; {scattering:g} was written for every material.",
         {"scattering": scattering},
     )
 
@@ -569,7 +534,7 @@ def _odeon_numbers(table: MaterialTable) -> Finding:
     last = FIRST_NUMBER + len(table.names) - 1
     return Finding(
         Code.EXPORT_WITHOUT_SCATTERING,
-        f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library holds no "
+        f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library has no "
         "scattering: enter it in the list of materials.",
         {"first": FIRST_NUMBER, "last": last},
     )

@@ -1,7 +1,5 @@
 """Common materials by name: what published tables print of their absorption, as priors.
 
-What several tables together say of one kind of wall: a middle value and how far they scatter.
-
 Tables print absorption without a spread. Here it comes from the tables themselves: how far they
 disagree where they use the same name. All sums are done in logit absorption, where a spread means
 the same for a hard wall and for a soft one.
@@ -14,13 +12,16 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
+from roomfit.logit import expit, logit
+from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
 from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -41,14 +42,13 @@ LOW_WIDENING = 0.6
 HIGH_WIDENING = 0.4
 
 
-def logit(absorption: FloatArray) -> FloatArray:
+def table_logit(absorption: FloatArray) -> FloatArray:
     """Return logit absorption; what tables print as 0, 1 or above is moved to 0.005 and 0.98."""
-    a = np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA)
-    return np.asarray(np.log(a / (1.0 - a)))
+    return logit(np.clip(absorption, LEAST_ALPHA, LARGEST_ALPHA))
 
 
 def distinct(readings: FloatArray) -> FloatArray:
-    """Return the different rows: a table that reprints another one says nothing new.
+    """Return the different rows: a table that reprints another one adds nothing.
 
     Parameters
     ----------
@@ -71,11 +71,11 @@ def common_spread(materials: Iterable[FloatArray]) -> float:
     """Return the standard deviation of logit absorption among readings of the same name.
 
     Pooled over all names, and over octaves 125 to 4000 Hz: it varies little from band to band.
-    Names with a single distinct reading tell nothing and are left out.
+    Names with a single distinct reading are left out.
     """
     squares, freedom = 0.0, 0
     for readings in materials:
-        values = logit(distinct(readings)[:, 1:7])
+        values = table_logit(distinct(readings)[:, 1:7])
         squares += float(np.sum((values - values.mean(axis=0)) ** 2))
         freedom += (len(values) - 1) * values.shape[1]
     return float(np.sqrt(squares / freedom))
@@ -90,12 +90,12 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
     tables of hard walls agree better than a reverberation room could measure them.
 
     63 Hz, where no table prints it: three quarters of the step from 250 to 125 Hz are made once
-    more, at most 0.7; 8 kHz: the value of 4 kHz is held. Used the other way round, to foretell
+    more, at most 0.7; 8 kHz: the value of 4 kHz is kept. Used the other way round, to predict
     125 Hz from the next two octaves and 4 kHz from 2 kHz, the two rules miss by 0.6 and 0.4
     (standard deviation over the catalogue): by so much the spread is widened there.
     """
     rows = distinct(readings)
-    values = logit(rows)
+    values = table_logit(rows)
     n = len(values)
     middle = np.empty(8)
     middle[1:7] = values[:, 1:7].mean(axis=0)
@@ -109,7 +109,7 @@ def typical_logit(readings: FloatArray, common: float) -> tuple[FloatArray, Floa
         printed = values[~np.isnan(values[:, end]), end]
         middle[end] = printed.mean() if printed.size else rule
         variance[end] = variance[inner] + (0.0 if printed.size else widening**2)
-    middle = logit(1.0 / (1.0 + np.exp(-middle)))
+    middle = table_logit(expit(middle))
     return middle, np.maximum(np.sqrt(variance), _between_laboratories(middle))
 
 
@@ -118,27 +118,18 @@ def _low_step(middle: FloatArray) -> float:
 
 
 def _between_laboratories(middle: FloatArray) -> FloatArray:
-    a = 1.0 / (1.0 + np.exp(-middle))
+    a = expit(middle)
     sd = np.minimum(_REPRODUCIBILITY_M * a + _REPRODUCIBILITY_N, 0.5 * a)
     return np.asarray(sd / (a * (1.0 - a)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reading:
-    """One row of one published table.
+    """One row of one published table."""
 
-    Attributes
-    ----------
-    source : str
-        The publication, in full.
-    row : str
-        What the table calls it, in brackets whom it credits.
-    absorption : float array, shape (8,)
-        Octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed.
-    """
-
-    source: str
-    row: str
+    source: str  # the publication, in full
+    row: str  # what the table calls it, in brackets whom it credits
+    # (8,), octaves 63 to 8000 Hz as printed, above 1 included; NaN where nothing is printed
     absorption: FloatArray
 
     def __post_init__(self) -> None:
@@ -147,22 +138,14 @@ class Reading:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CatalogueEntry:
-    """A common material with what tables say of it.
+    """A common material with what tables print of it."""
 
-    Attributes
-    ----------
-    name : str
-        Lower case with hyphens: ``"carpet-on-underlay"``.
-    group, description : str
-    readings : tuple of Reading
-    logit_mean, logit_sd : float arrays, shape (8,)
-        Of logit absorption in octaves 63 to 8000 Hz; see `roomfit.materials.catalogue`.
-    """
-
-    name: str
+    name: str  # lower case with hyphens: ``"carpet-on-underlay"``
     group: str
     description: str
     readings: tuple[Reading, ...]
+    # logit_mean, logit_sd: (8,), of logit absorption in octaves 63 to 8000 Hz; see
+    # `roomfit.materials.catalogue`
     logit_mean: FloatArray
     logit_sd: FloatArray
 
@@ -173,7 +156,7 @@ class CatalogueEntry:
     @property
     def absorption(self) -> FloatArray:
         """Middle absorption in octaves 63 to 8000 Hz, shape (8,), 0.005 to 0.98."""
-        return np.asarray(1.0 / (1.0 + np.exp(-self.logit_mean)))
+        return expit(self.logit_mean)
 
     @property
     def sd(self) -> FloatArray:
@@ -242,7 +225,7 @@ def find_material(name: str) -> CatalogueEntry:
     Raises
     ------
     InputError
-        There is none; the nearest name is told.
+        There is none; the message has the nearest name.
 
     Examples
     --------
@@ -275,7 +258,7 @@ def _similar(wanted: str) -> str | None:
 
 
 def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
-    """Return every entry whose name, group or description holds all of the words."""
+    """Return every entry whose name, group or description has all of the words."""
     wanted = [w.lower() for w in words]
     return tuple(
         e
@@ -310,7 +293,7 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
     """
     entry = find_material(name)
     at, known = np.log2(bands.centres_hz), np.log2(OCTAVES_HZ)
-    mean = 1.0 / (1.0 + np.exp(-np.interp(at, known, entry.logit_mean)))
+    mean = expit(np.interp(at, known, entry.logit_mean))
     below, above = np.maximum(known[0] - at, 0.0), np.maximum(at - known[-1], 0.0)
     sd = np.interp(at, known, entry.logit_sd)
     sd = np.sqrt(sd**2 + below * LOW_WIDENING**2 + above * HIGH_WIDENING**2)
@@ -318,7 +301,130 @@ def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
 
 
 def _eight(values: list[float]) -> FloatArray:
-    """Six values from 125 Hz, or seven from 63 Hz, in eight places."""
+    """Six values from 125 Hz, or seven from 63 Hz, in eight octaves."""
     eight = np.full(8, np.nan)
     eight[7 - len(values) : 7] = values
     return eight
+
+
+def material_prior(
+    name: str,
+    bands: Bands,
+    *,
+    absorption: ArrayLike | None = None,
+    prior: str | tuple[ArrayLike, ArrayLike] | None = None,
+    bounds: tuple[float, float] | None = None,
+    scattering: ArrayLike | Literal["fit"] | None = None,
+    same_absorption_as: str | None = None,
+    delay_sd_s: float | None = None,
+) -> MaterialPrior:
+    """Return what is known of a material before the measurement.
+
+    Parameters
+    ----------
+    name : str
+        Of a material of the room.
+    bands : Bands
+        Those to be fitted; arrays have one value per band, or one for all.
+    absorption : array, optional
+        Energy absorption coefficient that is fixed, 0 to 1.
+    prior : str or (mean, standard deviation), optional
+        Of the absorption coefficient, both dimensionless; or the name of an entry of the
+        catalogue. Left out: a broad prior, 95 % of it from 0.01 to 0.77.
+    bounds : two floats, optional
+        The absorption lies strictly between them.
+    scattering : array or "fit", optional
+        Scattering coefficient (ISO 17497-1), 0 to 1; "fit": determined with the absorption. Left
+        out: one value for all such materials, chosen by the data where there are responses.
+    same_absorption_as : str, optional
+        Another material that has the same absorption.
+    delay_sd_s : float, optional
+        Prior standard deviation of the delay at a reflection, 0 to 0.1 s.
+
+    Raises
+    ------
+    InputError
+        A value is out of range or has not one number per band, or a prior lies outside its bounds.
+
+    Examples
+    --------
+    >>> from roomfit.bands import bands_between
+    >>> glass = material_prior("glass", bands_between("octave", 250, 500), absorption=0.04)
+    >>> glass.known
+    array([0.04, 0.04])
+    """
+    n, where = len(bands), f"materials.{name}"
+    plain = unknown_material(name, n)
+    mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
+    lower, upper = bounds if bounds is not None else (0.0, 1.0)
+    if bounds is not None:
+        # the broad prior's middle where it lies well between the bounds, else theirs
+        share = (DEFAULT_MEAN - lower) / (upper - lower)
+        share = share if 0.1 <= share <= 0.9 else 0.5
+        mean, _ = logit_prior(np.full(n, share), np.ones(n))
+    if prior is not None:
+        if isinstance(prior, str):
+            with located(f"{where}.prior"):
+                alpha, alpha_sd = catalogue_prior(prior, bands)
+        else:
+            alpha = _per_band(prior[0], n, f"{where}.prior.mean")
+            alpha_sd = _per_band(prior[1], n, f"{where}.prior.sd")
+        inside = (alpha > max(lower, 0.0)) & (alpha < min(upper, 1.0)) & (alpha_sd > 0.0)
+        if not np.all(inside):
+            band = int(np.argmin(inside))
+            raise InputError(
+                "a prior lies outside of its bounds or has no spread",
+                where=f"{where}.prior",
+                found=f"mean {alpha[band]:g}, sd {alpha_sd[band]:g} "
+                f"at {bands.centres_hz[band]:g} Hz",
+                needed=f"{lower:g} < mean < {upper:g} and sd > 0",
+                hint="to fix an absorption, write absorption = [...] instead",
+            )
+        between = (alpha - lower) / (upper - lower)
+        mean, sd = logit_prior(between, alpha_sd / (upper - lower))
+    known = None
+    if absorption is not None:
+        known = _per_band(absorption, n, f"{where}.absorption")
+        _check_within(known, lower, upper, f"{where}.absorption")
+    specified = None
+    if scattering is not None and not isinstance(scattering, str):
+        specified = _per_band(scattering, n, f"{where}.scattering")
+    return MaterialPrior(
+        name,
+        mean,
+        sd,
+        scattering=specified,
+        known=known,
+        lower=lower,
+        upper=upper,
+        fit_scattering=isinstance(scattering, str),
+        tied_to=same_absorption_as,
+        wall_delay_sd_s=delay_sd_s,
+        specified=prior is not None or bounds is not None,
+    )
+
+
+def _check_within(values: FloatArray, lower: float, upper: float, where: str) -> None:
+    bad = np.flatnonzero((values < lower) | (values > upper))
+    if bad.size:
+        raise InputError(
+            "a given absorption lies outside of its own bounds",
+            where=where,
+            found=f"{values[bad[0]]:g}",
+            needed=f"{lower:g} to {upper:g}",
+            hint="remove bounds: an absorption that is given is fixed",
+        )
+
+
+def _per_band(values: ArrayLike, n: int, where: str) -> FloatArray:
+    array = np.atleast_1d(np.array(values, dtype=np.float64))
+    if array.size == 1:
+        return np.full(n, array[0])
+    if array.size != n:
+        raise InputError(
+            "a list has not one value per fitted band",
+            where=where,
+            found=f"{array.size} values",
+            needed=f"{n} values, or a single number for all bands",
+        )
+    return array

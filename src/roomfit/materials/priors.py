@@ -1,16 +1,16 @@
-"""What is known of a material before anything was measured.
-
-The scattering coefficient of walls: what a trace must know, apart from absorption.
-"""
+"""What is known of a material before anything is measured: priors of absorption, scattering."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import float_array, unique_names
+from roomfit._checks import float_array, nearest, unique_names
+from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.logit import logit
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # A broad prior of absorption: 95 % of it from 0.01 to 0.77.
@@ -20,38 +20,22 @@ DEFAULT_LOGIT_SD = 1.5
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialPrior:
-    """Beforehand knowledge of one material in every fitted band.
-
-    Attributes
-    ----------
-    name : str
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_bands,)
-        Gaussian prior of logit absorption.
-    scattering : float array, shape (n_bands,), or None
-        Scattering coefficient of every band, 0 to 1; None where nothing was told.
-    known : float array, shape (n_bands,), or None
-        Absorption that is held fixed.
-    lower, upper : float
-        Absorption lies strictly between them.
-    fit_scattering : bool
-        Scattering is an unknown of the fit; `scattering`, where told, is where it starts.
-    tied_to : str or None
-        Another material whose absorption this one shares in every band.
-    wall_delay_sd_s : float or None
-        Spread beforehand of the delay that the material adds at each reflection, in seconds,
-        about zero; None where the fit shall decide whether and how widely it looks.
-    """
+    """What is known of one material in every fitted band before anything is measured."""
 
     name: str
-    prior_logit_mean: FloatArray
-    prior_logit_sd: FloatArray
-    scattering: FloatArray | None = None
-    known: FloatArray | None = None
-    lower: float = 0.0
+    prior_logit_mean: FloatArray  # (n_bands,), of the Gaussian prior of logit absorption
+    prior_logit_sd: FloatArray  # (n_bands,)
+    scattering: FloatArray | None = None  # (n_bands,), coefficient 0 to 1; None: unspecified
+    known: FloatArray | None = None  # (n_bands,), absorption that is fixed
+    lower: float = 0.0  # absorption lies strictly between lower and upper
     upper: float = 1.0
+    # scattering is a parameter of the fit; `scattering`, where specified, is where it starts
     fit_scattering: bool = False
-    tied_to: str | None = None
+    tied_to: str | None = None  # another material whose absorption this one shares in every band
+    # prior sd of the delay that the material adds at each reflection, about zero; None where the
+    # fit decides whether and how widely it looks
     wall_delay_sd_s: float | None = None
+    specified: bool = True  # whether a prior or bounds were given, rather than the broad default
 
     def __post_init__(self) -> None:
         where = f"materials.{self.name}"
@@ -83,24 +67,24 @@ class MaterialPrior:
 
 
 def sampling_scattering(prior: MaterialPrior) -> float | None:
-    """Return the one coefficient to trace with, the mean over the bands; None where none is told.
+    """Return the one coefficient to trace with, the mean over the bands; None if unspecified.
 
     Paths traced with it are weighed for the coefficients of each band afterwards.
     """
-    specified = prior.scattering
-    if specified is None:
+    given = prior.scattering
+    if given is None:
         return None
     # the mean of equal numbers is not always that number, to the last bit
-    return float(specified[0] if np.all(specified == specified[0]) else np.mean(specified))
+    return float(given[0] if np.all(given == given[0]) else np.mean(given))
 
 
 def in_bands(priors: tuple[MaterialPrior, ...], chosen: IntArray) -> tuple[MaterialPrior, ...]:
-    """Return what is known in some of the bands only.
+    """Return the priors of some of the bands only.
 
     Parameters
     ----------
     chosen : int array
-        Places among the bands that `priors` is told for.
+        Indices among the bands of `priors`.
     """
     return tuple(
         replace(
@@ -126,11 +110,11 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
     sd : float array
         Above 0, dimensionless.
     """
-    return np.log(mean) - np.log1p(-mean), sd / (mean * (1.0 - mean))
+    return logit(mean, 0.0), sd / (mean * (1.0 - mean))
 
 
 def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
-    """Return mean and standard deviation of logit absorption beforehand, side by side.
+    """Return prior mean and standard deviation of logit absorption, side by side.
 
     Those of its leader where a material is tied.
 
@@ -148,13 +132,88 @@ def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
 
 
 def unknown_material(name: str, n_bands: int) -> MaterialPrior:
-    """Return what is known of a material nobody told anything about: the broad prior."""
+    """Return the broad default prior, of a material of which nothing is specified."""
     mean, _ = logit_prior(np.full(n_bands, DEFAULT_MEAN), np.ones(n_bands))
-    return MaterialPrior(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD))
+    return MaterialPrior(name, mean, np.full(n_bands, DEFAULT_LOGIT_SD), specified=False)
+
+
+def are_specified(priors: tuple[MaterialPrior, ...]) -> BoolArray:
+    """Return whose prior was specified, its leader's where a material is tied, (n_materials,)."""
+    by_name = {k.name: k for k in priors}
+    return np.array([by_name[k.tied_to or k.name].specified for k in priors])
+
+
+def complete_priors(
+    materials: Sequence[str], priors: Sequence[MaterialPrior], bands: Bands
+) -> tuple[MaterialPrior, ...]:
+    """Return a prior for each material of a room, in their order: by default the broad one.
+
+    Parameters
+    ----------
+    materials : sequence of str
+        Of the room.
+    priors : sequence of MaterialPrior
+        In any order, in these bands.
+
+    Raises
+    ------
+    InputError
+        A prior of a material that the room does not have, two of one material, priors of another
+        number of bands, or a tie to a material that is tied itself or not there.
+    """
+    by_name = {k.name: k for k in priors}
+    if len(by_name) != len(priors):
+        names = [k.name for k in priors]
+        twice = next(n for n in names if names.count(n) > 1)
+        raise InputError("two priors of one material", found=repr(twice), needed="one each")
+    for k in priors:
+        if k.name not in materials:
+            guess = nearest(k.name, materials)
+            raise InputError(
+                "a prior of a material that the room does not have",
+                where=f"materials.{k.name}",
+                needed=f"one of {', '.join(materials)}",
+                hint=f"did you mean {guess!r}?" if guess else "see [room.materials]",
+            )
+        if k.prior_logit_mean.size != len(bands):
+            raise InputError(
+                "a prior has not one value per band",
+                where=f"materials.{k.name}",
+                found=f"{k.prior_logit_mean.size} values",
+                needed=f"{len(bands)}, of the bands that are fitted",
+            )
+    found = tuple(by_name.get(m, unknown_material(m, len(bands))) for m in materials)
+    _check_ties(found)
+    return found
+
+
+def _check_ties(found: tuple[MaterialPrior, ...]) -> None:
+    tied_to = {k.name: k.tied_to for k in found}
+    for name, leader in tied_to.items():
+        if leader is None:
+            continue
+        where = f"materials.{name}.same_absorption_as"
+        if leader not in tied_to:
+            guess = nearest(leader, tuple(tied_to))
+            raise InputError(
+                "a material is tied to one that the room does not have",
+                where=where,
+                found=repr(leader),
+                needed=f"one of {', '.join(tied_to)}",
+                hint=f"did you mean {guess!r}?" if guess else None,
+            )
+        if tied_to[leader] is not None:
+            raise InputError(
+                "a material is tied to one that is tied itself",
+                where=where,
+                found=f"{leader!r}, tied to {tied_to[leader]!r}",
+                needed="a material with an absorption of its own",
+                hint=f"write same_absorption_as = {tied_to[leader]!r}",
+            )
 
 
 def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -> BoolArray:
-    """Return which priors are the broad one, of walls of which nobody told anything.
+    """Return which priors equal the broad default, where a file does not say what was specified.
 
     Parameters
     ----------
@@ -186,16 +245,10 @@ class Scattering:
     A ray that strikes a material leaves it in a direction drawn from Lambert's law with
     probability s and specularly otherwise. Nothing is lost: after n hits a ray has the energy
     ``(1 - a) ** n`` for every s.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    coefficients : float array, shape (n_materials,)
-        0 <= s <= 1, dimensionless (ISO 17497-1: the share of reflected energy that does not leave
-        specularly).
     """
 
     materials: tuple[str, ...]
+    # (n_materials,), 0 <= s <= 1 (ISO 17497-1: share of reflected energy that is not specular)
     coefficients: FloatArray
 
     def __post_init__(self) -> None:

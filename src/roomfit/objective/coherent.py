@@ -1,6 +1,7 @@
 """Measured windows of one band against partly coherent image sources and energies of the rest.
 
-A campaign's energy problems made partly coherent, with places and times as unknowns.
+Positions, speed of sound and times are unknowns; every path is as coherent as its arrival time is
+known.
 """
 
 from __future__ import annotations
@@ -63,7 +64,7 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
 _TIMING_SHARE = 1e-4
-# The same of a place, per coordinate.
+# The same of a position, per coordinate, in m.
 _POSITION_SD_M = 0.5e-3
 # Windows share errors that no term of the covariance stands for, as a description that is a little
 # off; see docs/decisions/0022-how-many-windows-count-as-one.md.
@@ -76,37 +77,18 @@ class CoherentProblem:
 
     The expected energy of a window is what `energies` expects of all paths, less the coherent part
     gamma e of the image paths, plus the energy of their coherent pressure.
-
-    Attributes
-    ----------
-    energies : EnergyProblem
-        All paths, as energies; its parameters are not used.
-    early : tuple of Observation
-        The first windows of every observation, in which pressures add; later ones hold so many
-        reflections of so uncertain times that their energies add.
-    parameters : Parameters
-        Blocks "absorption", "gain" and "geometry".
-    geometry : Geometry
-    images : ImagePaths
-        All image paths of the observations with the coherence of each.
-    coherent : ImagePaths
-        Those of them that are coherent at all.
-    bins : int array, shape (n_images,)
-        Fine time bin of each of `images`.
-    coherent_bins : int array
-        Of each of `coherent`.
-    grid : BandGrid
-    centre_hz : float
     """
 
-    energies: EnergyProblem
+    energies: EnergyProblem  # all paths, as energies; its parameters are not used
+    # the first windows of every observation, in which pressures add; later ones hold so many
+    # reflections of so uncertain times that their energies add
     early: tuple[Observation, ...]
-    parameters: Parameters
+    parameters: Parameters  # blocks "absorption", "gain" and "geometry"
     geometry: Geometry
-    images: ImagePaths
-    coherent: ImagePaths
-    bins: IntArray
-    coherent_bins: IntArray
+    images: ImagePaths  # all image paths of the observations with the coherence of each
+    coherent: ImagePaths  # those of them that are coherent at all
+    bins: IntArray  # (n_images,), fine time bin of each of `images`
+    coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
     centre_hz: float
 
@@ -141,12 +123,12 @@ def with_coherence(
     """Return the problem with each path as coherent as its arrival time is known.
 
     ``gamma = exp(-w^2 var(t) - phase_sd^2 n)`` with w of the band's centre, n hits, and var(t) of
-    the geometry's covariance, of places to half a millimetre and of a share of 1e-4 of the time.
+    the geometry's covariance, of positions to half a millimetre and of a share of 1e-4 of the time.
 
     Parameters
     ----------
     covariance : float array, shape (n, n)
-        Of all entries of the geometry's free numbers, held ones zero.
+        Of all entries of the geometry's free numbers, fixed ones zero.
     phase_sd : float
         Standard deviation of the phase that a reflection adds at random, rad.
     """
@@ -262,9 +244,9 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
 
     With Y the energy per time of the coherent pressure and P that of what is not, the random part
     interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated over the
-    window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what lone paths cannot do, since a
-    lone path has its energy whatever its phase. Without coherence, and in late windows, this is the
-    variance of `roomfit.objective.energy.window_variance`.
+    window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what single arrivals cannot do,
+    since a single arrival has its energy whatever its phase. Without coherence, and in late
+    windows, this is the variance of `roomfit.objective.energy.window_variance`.
 
     Returns
     -------
@@ -357,29 +339,21 @@ def _n_geometry(parameters: Parameters) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedGeometry:
-    """What the bands together say of arrival times; never a measurement of places.
+    """What the bands together determine of arrival times; never a measurement of positions.
 
-    Fitted places absorb errors of the model as well.
-
-    Attributes
-    ----------
-    labels : tuple of str
-        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
-    change : float array, shape (n,)
-        From what was told: m, 1 (of ln c), s, s.
-    sd, prior_sd : float arrays, shape (n,)
-        Afterwards and beforehand, in the same units.
-    speed_of_sound_m_s : float
+    Fitted positions absorb errors of the model as well.
     """
 
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
     labels: tuple[str, ...]
-    change: FloatArray
+    change: FloatArray  # (n,), from the prior: m, 1 (of ln c), s, s
+    # sd, prior_sd: (n,), posterior and prior, in the same units
     sd: FloatArray
     prior_sd: FloatArray
     speed_of_sound_m_s: float
 
 
-# What is assumed of an unknown of which nothing is told.
+# Prior standard deviations of unknowns that are unspecified.
 SPEED_SD = 2e-3
 DELAY_SD_S = 2e-4
 
@@ -408,7 +382,7 @@ def campaign_geometry(
     fitted : tuple of MeasuredPair
         One an observation, in the order of the observations.
     positions : bool
-        Whether places, speed of sound and latencies may move.
+        Whether positions, speed of sound and latencies may move.
     delays : bool
         Whether walls may delay.
     speed_sd : float
@@ -432,8 +406,8 @@ def campaign_geometry(
         if source not in latency:
             latency[source] = len(labels)
             labels.append(f"latency {scene.sources[source].name}")
-            assumed = LATENCY_SD_S[m.file.response.time_zero]
-            sd.append(assumed if m.file.latency_sd_s is None else m.file.latency_sd_s)
+            assumed = LATENCY_SD_S[m.measurement.time_zero]
+            sd.append(assumed if m.measurement.latency_sd_s is None else m.measurement.latency_sd_s)
     first_delay = len(labels)
     labels += [f"delay {k.name}" for k in priors]
     spreads = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]
@@ -480,7 +454,7 @@ def coherent_problem(
     geometry : Geometry
         With one row of columns for each observation.
     joint : JointPrior or None
-        What lower bands say of the geometry.
+        What lower bands determine of the geometry.
     end_s : float
         Pressures add in the windows that end by then.
     """
@@ -533,7 +507,7 @@ def moved_scene(scene: Scene, geometry: Geometry, fitted: FloatArray) -> tuple[S
 
 
 def fitted_geometry(geometry: Geometry, final: Marginal) -> FittedGeometry:
-    """Return where everything stands after the last band, and how sure that is."""
+    """Return the geometry after the last band, with its standard deviations."""
     free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
     change, sd = np.zeros(geometry.sd.size), np.array(geometry.sd)
     change[free] = geometry.sd[free] * final.mean

@@ -1,9 +1,7 @@
-"""A band's problem with sources that radiate as first-order patterns of unknown aim and strength.
+"""Sources that radiate as first-order patterns of unknown aim and strength.
 
-The unknowns are one vector b a source: no angles, no bounds. They stand behind absorption and gain
-and before the geometry, whose place at the end `marginal` relies on.
-
-Which sources of a campaign have an unknown directivity, and what is known of it beforehand.
+The unknowns are one vector b a source: no angles, no bounds. Their block stands behind absorption
+and gain and before the geometry, whose position at the end `marginal` relies on.
 """
 
 from __future__ import annotations
@@ -46,19 +44,12 @@ DIRECTIVITY = "directivity"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownDirectivities:
-    """What is known beforehand of the vectors b of some sources.
-
-    Attributes
-    ----------
-    sources : tuple of str
-    mean : float array, shape (3 * n_sources,)
-        Of b, source after source.
-    root : float array, shape (3 * n_sources, 3 * n_sources)
-        ``b = mean + root z`` with z of a unit normal law: times its transpose, the covariance.
-    """
+    """Priors of the vectors b of some sources."""
 
     sources: tuple[str, ...]
-    mean: FloatArray
+    mean: FloatArray  # (3 * n_sources,), of b, source after source
+    # (3 * n_sources, 3 * n_sources), ``b = mean + root z`` with z of a unit normal law: times its
+    # transpose, the covariance
     root: FloatArray
 
     def __post_init__(self) -> None:
@@ -87,25 +78,18 @@ def with_unknown(problem: EnergyProblem, unknown: UnknownDirectivities) -> Energ
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectedProblem:
-    """A problem of energies or pressures, its paths weighed by its sources' directivity.
+    """A problem of energies or pressures, its paths weighed by its sources' directivity."""
 
-    Attributes
-    ----------
-    problem : EnergyProblem or CoherentProblem
-        With the weights of omnidirectional sources and a block "directivity".
-    unknown : UnknownDirectivities
-    source : int array, shape (n_observations,)
-        Which of the unknown sources each observation hears; -1 for one that is known.
-    departure : tuple of float32 arrays, shape (n_rows, 3), one an observation
-        Where the path of each row leaves its source.
-    image_departure, coherent_departure : float32 arrays, shape (n_paths, 3)
-        The same of the images of a coherent problem, else empty; see `directed`.
-    """
-
+    # with the weights of omnidirectional sources and a block "directivity"
     problem: EnergyProblem | CoherentProblem
     unknown: UnknownDirectivities
+    # (n_observations,), which of the unknown sources each observation receives; -1 for one that is
+    # known
     source: IntArray
+    # (n_rows, 3), one an observation, where the path of each row leaves its source
     departure: tuple[NDArray[np.float32], ...]
+    # image_departure, coherent_departure: (n_paths, 3), the same of the images of a coherent
+    # problem, else empty; see `directed`
     image_departure: NDArray[np.float32]
     coherent_departure: NDArray[np.float32]
 
@@ -173,7 +157,7 @@ def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
 def _weighed(
     problem: DirectedProblem, b: FloatArray, *, single: bool
 ) -> EnergyProblem | CoherentProblem:
-    """Return the problem with the weights that b gives; lone rows only where they are needed."""
+    """Return the problem with the weights that b gives, single arrivals' rows only if needed."""
     plain = problem.problem
     own = plain.energies if isinstance(plain, CoherentProblem) else plain
     rows, squared_images = list(own.rows), list(own.squared_image_rows)
@@ -279,7 +263,7 @@ def _coherent_slopes(
     return tuple(out)
 
 
-# Of each component of b, where nothing is told: an omnidirectional source and a cardioid are both
+# Of each component of b, where it is unspecified: an omnidirectional source and a cardioid are both
 # within reach.
 DEFAULT_B_SD = 0.5
 # Between bands an octave apart: a loudspeaker keeps its aim, and becomes narrower by and by.
@@ -288,37 +272,22 @@ CORRELATION_PER_OCTAVE = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectivityParameters:
-    """Sources whose directivity is to be found.
-
-    Attributes
-    ----------
-    sources : tuple of str
-    number : int array, shape (n_sources,)
-        Of each of them in the scene.
-    mean, sd : float arrays, shape (n_sources, 3) and (n_sources,)
-        Of the vectors b beforehand, alike in all bands.
-    """
+    """Sources whose directivity is to be found."""
 
     sources: tuple[str, ...]
-    number: IntArray
+    number: IntArray  # (n_sources,), of each of them in the scene
+    # mean, sd: (n_sources, 3) and (n_sources,), prior of the vectors b, the same in all bands
     mean: FloatArray
     sd: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandDirectivities:
-    """Unknown directivities in one band, and where its rows leave the sources.
-
-    Attributes
-    ----------
-    unknown : UnknownDirectivities
-    source : int array, shape (n_observations,)
-    departure : tuple of float32 arrays, one an observation
-        See `roomfit.objective.directivity.DirectedProblem`.
-    """
+    """Unknown directivities in one band, and where its rows leave the sources."""
 
     unknown: UnknownDirectivities
-    source: IntArray
+    source: IntArray  # (n_observations,)
+    # one an observation, see `roomfit.objective.directivity.DirectedProblem`
     departure: tuple[NDArray[np.float32], ...]
 
 
@@ -333,7 +302,7 @@ def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownD
 def with_cavity_prior(
     directivity_parameters: DirectivityParameters, mean: FloatArray, covariance: FloatArray
 ) -> UnknownDirectivities:
-    """Return what is known when other bands have said what they say of the free numbers."""
+    """Return the unknowns under what other bands determine of the free numbers."""
     start = directivity_prior(directivity_parameters)
     root = start.root @ np.linalg.cholesky(covariance)
     return UnknownDirectivities(
@@ -369,16 +338,10 @@ def with_directivity_unknown(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDirectivity:
-    """What was found of how one source radiates, as a first-order pattern.
-
-    Attributes
-    ----------
-    source : str
-    b, sd : float arrays, shape (n_bands, 3)
-        Amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where the source is
-        omnidirectional; and the standard deviation of each component, misfit included.
-    """
+    """What was found of how one source radiates, as a first-order pattern."""
 
     source: str
+    # b, sd: (n_bands, 3), amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where
+    # the source is omnidirectional; and the standard deviation of each component, misfit included.
     b: FloatArray
     sd: FloatArray

@@ -26,42 +26,25 @@ WINDOWS_PER_INDEPENDENT_ONE = 3.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Observation:
-    """What one measurement says in one band, and how the model is to be reduced to the same.
+    """One measurement reduced to a band, and how the model is to be reduced to the same."""
 
-    Attributes
-    ----------
-    pair : int
-        Index of the pair in the scene.
-    edges_s : float array, shape (n_windows + 1,)
-        Time windows after emission.
-    energy : float array, shape (n_windows,)
-        Measured energy of each window, noise included; unit of the record squared times s.
-    noise : float array, shape (n_windows,)
-        Expected noise energy of each window.
-    spreading : sparse array, shape (n_windows, n_bins)
-        Share of the energy of each fine time bin that the band filter carries into each window.
-    fine_edges_s : float array, shape (n_fine + 1,)
-        The same windows cut into pieces that the band filter just resolves; see `fine_edges_s`.
-    fine_spreading : sparse array, shape (n_fine, n_bins)
-        As `shares`, for the pieces.
-    slopes : sparse array, shape (n_windows, n_bins)
-        Derivative of `shares` by the arrival time of each bin, 1/s.
-    timing_sd_s : float
-        Standard deviation of arrival times, from that of the positions.
-    gain : int
-        Which unknown gain applies; -1 where the level is absolute.
-    """
-
-    pair: int
-    edges_s: FloatArray
+    pair: int  # index of the pair in the scene
+    edges_s: FloatArray  # (n_windows + 1,), time windows after emission
+    # (n_windows,), measured energy of each window, noise included; unit of the record squared times
+    # s
     energy: FloatArray
-    noise: FloatArray
+    noise: FloatArray  # (n_windows,), expected noise energy of each window
+    # (n_windows, n_bins), share of the energy of each fine time bin that the band filter carries
+    # into each window
     spreading: csr_array
+    # (n_fine + 1,), the same windows cut into pieces that the band filter just resolves; see
+    # `fine_edges_s`
     fine_edges_s: FloatArray
-    fine_spreading: csr_array
+    fine_spreading: csr_array  # (n_fine, n_bins), as `shares`, for the pieces
+    # (n_windows, n_bins), derivative of `shares` by the arrival time of each bin, 1/s
     slopes: csr_array
-    timing_sd_s: float
-    gain: int
+    timing_sd_s: float  # standard deviation of arrival times, from that of the positions
+    gain: int  # which unknown gain applies; -1 where the level is absolute
 
     def __post_init__(self) -> None:
         edges = float_array("window edges", self.edges_s, (None,), unit="s")
@@ -82,36 +65,20 @@ class EnergyProblem:
     """One band: find absorption and gains under which the paths explain every window.
 
     Rows, hits and windows stand open, for methods that need more than a function to call.
-
-    Attributes
-    ----------
-    centre_hz : float
-    bandwidth_hz : float
-        Statistical bandwidth of the band filter.
-    attenuation_per_m : float
-        Energy attenuation of the air.
-    rows : tuple of EnergyRows
-        Paths of each observation's pair in fine time bins.
-    squared_image_rows : tuple of EnergyRows
-        What `squared_image_rows` makes of each of them.
-    observations : tuple of Observation
-    parameters : Parameters
-        Blocks "absorption" (one entry a material) and "gain" (one an unknown level).
-    model_error : float
-        Relative standard deviation that the model may be wrong by in any window.
-    ringing_error : float
-        Share of the energy of each window that may come up to a few milliseconds late, because a
-        real loudspeaker rings and real walls scatter between the reflections that are modelled.
     """
 
     centre_hz: float
-    bandwidth_hz: float
-    attenuation_per_m: float
-    rows: tuple[EnergyRows, ...]
-    squared_image_rows: tuple[EnergyRows, ...]
+    bandwidth_hz: float  # statistical bandwidth of the band filter
+    attenuation_per_m: float  # energy attenuation of the air
+    rows: tuple[EnergyRows, ...]  # paths of each observation's pair in fine time bins
+    squared_image_rows: tuple[EnergyRows, ...]  # what `squared_image_rows` makes of each of them
     observations: tuple[Observation, ...]
+    # blocks "absorption" (one entry a material) and "gain" (one an unknown level)
     parameters: Parameters
+    # relative standard deviation that the model may be wrong by in any window
     model_error: float = 0.2
+    # share of the energy of each window that may come up to a few milliseconds late, because a real
+    # loudspeaker rings and real walls scatter between the reflections that are modelled
     ringing_error: float = 0.1
 
     def measured(self) -> FloatArray:
@@ -202,11 +169,11 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
     """Return the variance of every measured window energy about its expectation.
 
     Reflections interfere, however finely one traces: the energy of a band of bandwidth B has the
-    variance ``1 / B`` times the integral of P^2 - Q, where P is the smeared sum of path energies
-    and Q that of the squares of each single one, so that a lone reflection carries no such noise.
-    It may still fall on either side of a window's edge where positions are a centimetre wrong. To
-    this come background noise, its beat with the signal, the trace's own Monte-Carlo noise (from
-    independent batches) and the error of the model.
+    variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies spread by
+    the filter and Q that of the squares of each single one, so that a single reflection carries no
+    such noise. It may still fall on either side of a window's edge where positions are a centimetre
+    wrong. To this come background noise, its beat with the signal, the trace's own Monte-Carlo
+    noise (from independent batches) and the error of the model.
 
     Returns
     -------
@@ -226,19 +193,12 @@ def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
-    """What the paths of one observation bring for a gain of 1.
+    """What the paths of one observation bring for a gain of 1."""
 
-    Attributes
-    ----------
-    energy, squares : float arrays, shape (n_bins,)
-        Of all paths, and of the squares of the single image paths.
-    tracing : float array, shape (n_windows,)
-        Monte-Carlo variance of each window's energy.
-    """
-
+    # energy, squares: (n_bins,), of all paths, and of the squares of the single image paths
     energy: FloatArray
     squares: FloatArray
-    tracing: FloatArray
+    tracing: FloatArray  # (n_windows,), monte-Carlo variance of each window's energy
 
 
 def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ...]:

@@ -72,7 +72,7 @@ def band_problems(
     Notes
     -----
     A measurement is left out of the bands in which no decay rises above its noise: one window of
-    noise would say nothing of the walls, and its gain nothing at all.
+    noise would determine neither the walls nor its gain.
     """
     attenuation = attenuation_per_m(scene.air, bands)
     kernel = spreading_kernel(FilterBank(bands))
@@ -97,7 +97,7 @@ def band_problems(
             yield None
             continue
         absorption = absorption_block(priors, band, float(start[band]))
-        # what no window hears would be weighed for nothing
+        # what reaches no window would be weighed for nothing
         rows = tuple(
             first_rows(coarse.rows[m.pair], observed.spreading.shape[1])
             for m, observed in zip(fitted, observations, strict=True)
@@ -141,7 +141,7 @@ def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Find
         Finding(
             Code.BAND_NOT_FITTED,
             f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
-            "absorption there is what was known beforehand, with the interval 0 to 1.",
+            "absorption there is its prior, with the interval 0 to 1.",
             {"bands_hz": empty},
         ),
     )
@@ -149,7 +149,7 @@ def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Find
 
 def has_data_in_band(m: MeasuredPair, band: int) -> bool:
     """Whether a measurement is to be fitted and a decay rises above its noise in a band."""
-    return m.file.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
+    return m.measurement.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
 
 
 def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple[Finding, ...]:
@@ -157,10 +157,10 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
     findings = []
     for m in measured:
         has_data = [has_data_in_band(m, band) for band in range(len(bands))]
-        if m.file.use != "fit" or all(has_data):
+        if m.measurement.use != "fit" or all(has_data):
             continue
         missing = [float(f) for f, t in zip(bands.centres_hz, has_data, strict=True) if not t]
-        name = f"{m.file.source} to {m.file.receiver} ({m.file.response.path.name})"
+        name = f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})"
         findings.append(
             Finding(
                 Code.RECORDING_BELOW_NOISE,
@@ -202,8 +202,8 @@ def _observation(
     end_s = min(float(clear_s), float(bin_edges_s[-1]))
     edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
     fine = fine_edges_s(edges, bandwidth_hz)
-    unit = _ENERGY_PER_PRESSURE_SQUARED if m.file.level == "absolute" else 1.0
-    # noise power in the unit of `window_energies`: a lone sample of height 1 has the energy 1
+    unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
+    # noise power in the unit of `window_energies`: a single sample of height 1 has the energy 1
     rate_hz = m.response.sampling_rate_hz
     per_second = m.noise.floor[band] * rate_hz**2 / (2.0 * float(energy_bandwidth_hz(bank)[0]))
     centres = 0.5 * (bin_edges_s[1:] + bin_edges_s[:-1])
@@ -232,8 +232,8 @@ def unspecified_position_findings(scene: Scene) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.POSITION_UNCERTAINTY_ASSUMED,
-            f"No position_sd is told for {', '.join(names)}; {100 * DEFAULT_POSITION_SD_M:g} cm a "
-            "coordinate was assumed.",
+            f"No position_sd is specified for {', '.join(names)}; "
+            f"{100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed.",
             {"points": names, "position_sd_m": DEFAULT_POSITION_SD_M},
         ),
     )
@@ -253,13 +253,10 @@ def _gain_labels(fitted: tuple[MeasuredPair, ...]) -> tuple[str, ...]:
 
 
 def _gain_label(m: MeasuredPair) -> str:
-    if m.file.level == "per-source":
-        return m.file.source
-    if m.file.level == "per-file":
-        r = m.file.response
-        chosen = (r.channel, r.variable, r.measurement, r.receiver_index)
-        part = ", ".join(str(c) for c in chosen if c is not None)
-        return f"{m.file.source} to {m.file.receiver}, {r.path}[{part}]"
+    if m.measurement.level == "per-source":
+        return m.measurement.source
+    if m.measurement.level == "per-file":
+        return f"{m.measurement.source} to {m.measurement.receiver}, {m.measurement.where}"
     return ""
 
 

@@ -1,12 +1,10 @@
-"""Unknowns as named blocks, each with its transform, its prior, and its own part of a Jacobian.
+"""Unknowns as named blocks, each with its transform, its prior, and its part of a Jacobian.
 
 An optimiser sees one vector of free numbers; a problem sees physical values. The transforms keep
-absorption between its bounds and gains above zero without the optimiser knowing.
-
-What sets arrival times, as one block of unknowns: places, speed of sound, latency, wall delays.
-
-The free numbers are multiples of the standard deviations told beforehand, so that the prior of the
-lowest band is the unit normal law; a joint prior carries what a band has found to the next.
+absorption between its bounds and gains above zero. Arrival times are set by one block: positions,
+speed of sound, latency, reflection delays. Its free numbers are multiples of their prior standard
+deviations, so that the prior of the lowest band is the unit normal law; a joint prior carries what
+a band has found to the next.
 """
 
 from __future__ import annotations
@@ -18,6 +16,7 @@ import numpy as np
 
 from roomfit._checks import bool_array, float_array, int_array
 from roomfit.errors import InputError
+from roomfit.logit import logit
 from roomfit.response.coherent import Times
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -26,37 +25,25 @@ Transform = Literal["identity", "log", "logit"]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
-    """One kind of unknown.
+    """One kind of unknown."""
 
-    Attributes
-    ----------
-    name : str
-        "absorption", "gain", ...
-    labels : tuple of str
-        What each entry belongs to: a material, a source, ...
-    transform : {"identity", "log", "logit"}
-        From physical value to free number. "logit" maps the open interval (lower, upper).
-    start : float array, shape (n,)
-        Physical values where a fit starts; where `fitted` is false, the values held.
-    fitted : bool array, shape (n,)
-    prior_mean, prior_sd : float arrays, shape (n,)
-        Gaussian prior of the free number; an infinite sd is written as 0 in `prior_weight`.
-    lower, upper : float arrays, shape (n,)
-        Physical bounds, used by "logit".
-    leader : int array, shape (n,), or None
-        Entry whose value each entry takes, its own or another's; an entry that follows another is
-        not fitted itself. None where nothing is tied.
-    """
-
-    name: str
-    labels: tuple[str, ...]
+    name: str  # "absorption", "gain", ..
+    labels: tuple[str, ...]  # what each entry belongs to: a material, a source, ..
+    # {"identity", "log", "logit"}, from physical value to free number. "logit" maps the open
+    # interval (lower, upper).
     transform: Transform
+    # (n,), physical values where a fit starts, or are fixed where `fitted` is false
     start: FloatArray
-    fitted: BoolArray
+    fitted: BoolArray  # (n,)
+    # prior_mean, prior_sd: (n,), Gaussian prior of the free number; an infinite sd is written as 0
+    # in `prior_weight`
     prior_mean: FloatArray
     prior_sd: FloatArray
+    # lower, upper: (n,), physical bounds, used by "logit"
     lower: FloatArray
     upper: FloatArray
+    # (n,), entry whose value each entry takes, its own or another's; an entry that follows another
+    # is not fitted itself. None where nothing is tied.
     leader: IntArray | None = None
 
     def __post_init__(self) -> None:
@@ -95,35 +82,24 @@ class Block:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointPrior:
-    """A correlated Gaussian prior of the fitted entries of one block, in place of its own.
-
-    Attributes
-    ----------
-    block : str
-    mean : float array, shape (n,)
-        Of the fitted entries' free numbers.
-    information : float array, shape (n, n)
-        Inverse of their covariance: symmetric, positive definite.
-    """
+    """A correlated Gaussian prior of the fitted entries of one block, in place of its own."""
 
     block: str
-    mean: FloatArray
-    information: FloatArray
+    mean: FloatArray  # (n,), of the fitted entries' free numbers
+    information: FloatArray  # (n, n), inverse of their covariance: symmetric, positive definite
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Parameters:
-    """Blocks laid end to end; the free vector holds the fitted entries only, in this order.
-
-    Attributes
-    ----------
-    blocks : tuple of Block
-    joint : JointPrior or None
-        Replaces the separate priors of one block.
-    """
+    """Blocks laid end to end; the free vector has the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
-    joint: JointPrior | None = None
+    joint: JointPrior | None = None  # replaces the separate priors of one block
+
+
+def absorption_of(parameters: Parameters) -> Block:
+    """Return the block of the absorptions, which every problem has."""
+    return next(b for b in parameters.blocks if b.name == "absorption")
 
 
 def leaders(block: Block) -> IntArray:
@@ -137,8 +113,7 @@ def to_free(block: Block, values: FloatArray) -> FloatArray:
         return np.asarray(np.log(values))
     if block.transform == "logit":
         share = (values - block.lower) / (block.upper - block.lower)
-        share = np.clip(share, 1e-9, 1.0 - 1e-9)
-        return np.asarray(np.log(share) - np.log1p(-share))
+        return logit(share, 1e-9)
     return np.array(values, dtype=np.float64)
 
 
@@ -174,9 +149,9 @@ def start_vector(parameters: Parameters) -> FloatArray:
 def physical_values(
     parameters: Parameters, vector: FloatArray
 ) -> tuple[dict[str, FloatArray], dict[str, FloatArray]]:
-    """Return every block's physical values, held ones included, and their derivatives.
+    """Return every block's physical values, fixed ones included, and their derivatives.
 
-    The derivative of a held entry is 0, so a chain rule may run over all entries.
+    The derivative of a fixed entry is 0, so a chain rule may run over all entries.
     """
     values: dict[str, FloatArray] = {}
     slopes: dict[str, FloatArray] = {}
@@ -187,7 +162,7 @@ def physical_values(
         free[block.fitted] = vector[position : position + n]
         position += n
         found, slope = to_physical(block, free)
-        # a held value is exactly the one given, without a round trip through the transform
+        # a fixed value is exactly the one given, without a round trip through the transform
         own, own_slope = (
             np.where(block.fitted, found, block.start),
             np.where(block.fitted, slope, 0.0),
@@ -245,34 +220,24 @@ GEOMETRY = "geometry"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Geometry:
-    """The unknowns of arrival times and where each observation finds its own.
+    """The unknowns of arrival times and where each observation finds its own."""
 
-    Attributes
-    ----------
-    labels : tuple of str
-        "source LS1 x", ..., "speed of sound", "latency LS1", "delay felt", ...
-    sd : float array, shape (n,)
-        Standard deviations beforehand: m, 1 (of ln c), s and s; 0 says that an entry is known.
-    fitted : bool array, shape (n,)
-        Which entries may move; one that may not still blurs the coherence by its deviation.
-    speed_m_s : float
-        Speed of sound beforehand.
-    columns : int array, shape (n_observations, 8 + n_materials)
-        Entries of source (3), receiver (3), ln c, latency and delays of each observation.
-    origin : float array, shape (n,), or None
-        Free numbers of the places at which the paths were traced; None for the told ones.
-    """
-
+    # "source LS1 x", ..., "speed of sound", "latency LS1", "delay wool", ...
     labels: tuple[str, ...]
+    # (n,), prior standard deviations: m, 1 (of ln c), s and s; 0: an entry is known
     sd: FloatArray
+    # (n,), which entries may move; one that may not still blurs the coherence by its deviation
     fitted: BoolArray
-    speed_m_s: float
+    speed_m_s: float  # prior speed of sound
+    # (n_observations, 8 + n_materials), entries of source (3), receiver (3), ln c, latency and
+    # delays of each observation
     columns: IntArray
+    # (n,), free numbers of the positions for which paths were traced; None: the specified ones
     origin: FloatArray | None = None
 
 
 def geometry_block(geometry: Geometry) -> Block:
-    """Return the block of free numbers, zero at the told geometry, with a unit normal prior."""
+    """Return the block of free numbers, zero at the specified geometry, unit normal a priori."""
     n = len(geometry.labels)
     return Block(
         GEOMETRY,
@@ -288,7 +253,7 @@ def geometry_block(geometry: Geometry) -> Block:
 
 
 def times_of(geometry: Geometry, values: FloatArray) -> Times:
-    """Return places, speed, latency and delays of the free numbers, shape (n,)."""
+    """Return positions, speed, latency and delays of the free numbers, shape (n,)."""
     own = (geometry.sd * values)[geometry.columns]
     traced = 0.0 if geometry.origin is None else geometry.sd * geometry.origin
     shifts_m = (geometry.sd * values - traced)[geometry.columns[:, :6]]
@@ -319,7 +284,7 @@ def local_roots(geometry: Geometry, covariance: FloatArray) -> FloatArray:
 
 
 def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> FloatArray:
-    """Return the covariance of all free numbers; those that are held keep their unit variance.
+    """Return the covariance of all free numbers; those that are fixed keep their unit variance.
 
     Parameters
     ----------
@@ -336,13 +301,7 @@ def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> Fl
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Marginal:
-    """What data and prior say of some entries when all others are integrated out.
+    """What data and prior determine of some entries when all others are integrated out."""
 
-    Attributes
-    ----------
-    mean : float array, shape (n,)
-    information : float array, shape (n, n)
-    """
-
-    mean: FloatArray
-    information: FloatArray
+    mean: FloatArray  # (n,)
+    information: FloatArray  # (n, n)

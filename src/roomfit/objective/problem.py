@@ -1,9 +1,8 @@
 """What every fit of one band needs to know of its data, whatever kind of data they are.
 
-Window energies, partly coherent windows and ISO 3382 values each know how to predict themselves
-from one vector of free parameters. A joint problem lays several of them end to end.
-
-A problem some of whose data are trusted less than its noise model says.
+Window energies, partly coherent windows and ISO 3382 values each predict themselves from one vector
+of free parameters. A joint problem lays several of them end to end; an inflated variance gives less
+weight to data than their noise model does.
 """
 
 from __future__ import annotations
@@ -21,21 +20,11 @@ from roomfit.typing import BoolArray, FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Expected data, all observations end to end, with derivatives.
+    """Expected data, all observations end to end, with derivatives."""
 
-    Attributes
-    ----------
-    expected : float array, shape (n_data,)
-        What the model expects to be measured, noise included.
-    signal : float array, shape (n_data,)
-        The same without noise.
-    jacobian : float array, shape (n_data, n_free)
-        Derivative of `expected` by the free vector.
-    """
-
-    expected: FloatArray
-    signal: FloatArray
-    jacobian: FloatArray
+    expected: FloatArray  # (n_data,), what the model expects to be measured, noise included
+    signal: FloatArray  # (n_data,), the same without noise
+    jacobian: FloatArray  # (n_data, n_free), derivative of `expected` by the free vector
 
 
 class BandProblem(Protocol):
@@ -73,22 +62,16 @@ class BandProblem(Protocol):
     def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
         """Return the log density of each datum with every constant, shape (n_data,).
 
-        For choosing between models, whose variances differ: squares alone cannot tell them apart.
+        For choosing between models, whose variances differ: squares alone cannot compare them.
         """
         ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class JointProblem:
-    """Several kinds of data of one band with the same unknowns, one after the other.
+    """Several kinds of data of one band with the same unknowns, one after the other."""
 
-    Attributes
-    ----------
-    parts : tuple of BandProblem
-        At least one; all hold one and the same `parameters`.
-    """
-
-    parts: tuple[BandProblem, ...]
+    parts: tuple[BandProblem, ...]  # at least one; all have one and the same `parameters`
 
     def __post_init__(self) -> None:
         if any(p.parameters is not self.parts[0].parameters for p in self.parts):
@@ -163,17 +146,10 @@ def gamma_log_likelihood(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class InflatedVariance:
-    """The same problem with variances enlarged.
-
-    Attributes
-    ----------
-    problem : BandProblem
-    factor : float array, shape (n_data,)
-        By which each variance is multiplied, 1 or more.
-    """
+    """The same problem with variances enlarged."""
 
     problem: BandProblem
-    factor: FloatArray
+    factor: FloatArray  # (n_data,), by which each variance is multiplied, 1 or more
 
     @property
     def parameters(self) -> Parameters:

@@ -1,7 +1,4 @@
-"""Measured ISO 3382 values of a campaign as one problem a band, and predictions beside them.
-
-Measured ISO 3382 values of one band against those of the energies that traced paths predict.
-"""
+"""Measured ISO 3382 values of one band against those of the energies that traced paths predict."""
 
 from __future__ import annotations
 
@@ -43,63 +40,33 @@ _EARLY_TO_LATE = 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ValueObservation:
-    """The measured values of one pair in one band.
+    """The measured values of one pair in one band."""
 
-    Attributes
-    ----------
-    pair : int
-        Index of the pair in the scene.
-    direct_s : float
-        Travel time of the direct sound, from which early and late are counted.
-    names : tuple of str
-        Of `roomfit.signals.iso3382.VALUE_NAMES`.
-    measured : float array, shape (n_values,)
-        In the units that the names tell.
-    spread : float array, shape (n_values,)
-        Stated standard deviation of each value, 0 where none was stated.
-    """
-
-    pair: int
-    direct_s: float
-    names: tuple[ValueName, ...]
-    measured: FloatArray
+    pair: int  # index of the pair in the scene
+    direct_s: float  # travel time of the direct sound, from which early and late are counted
+    names: tuple[ValueName, ...]  # of `roomfit.signals.iso3382.VALUE_NAMES`
+    measured: FloatArray  # (n_values,), in the units of their names
+    # (n_values,), stated standard deviation of each value, 0 where none was stated
     spread: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
 class RoomValuesProblem:
-    """One band: find the absorption under which the paths have the measured room parameters.
+    """One band: find the absorption under which the paths have the measured room parameters."""
 
-    Attributes
-    ----------
-    bands : Bands
-        The one band.
-    bandwidth_hz : float
-        Statistical bandwidth of its filter.
-    attenuation_per_m : float
-        Energy attenuation of the air.
-    edges_s : float array, shape (n_bins + 1,)
-        Uniform bins of the rows.
-    rows, squared_image_rows : tuples of EnergyRows
-        Paths of each observation's pair, and what
-        `roomfit.objective.energy.squared_image_rows` makes of them.
-    observations : tuple of ValueObservation
-    spreading : Spreading
-    parameters : Parameters
-        Only the block "absorption" acts: room parameters know no unknown gain or delay.
-    model_error_jnd : float
-        Standard deviation by which the model may be wrong, in just noticeable differences.
-    """
-
-    bands: Bands
-    bandwidth_hz: float
-    attenuation_per_m: float
-    edges_s: FloatArray
+    bands: Bands  # the one band
+    bandwidth_hz: float  # statistical bandwidth of its filter
+    attenuation_per_m: float  # energy attenuation of the air
+    edges_s: FloatArray  # (n_bins + 1,), uniform bins of the rows
+    # rows, squared_image_rows: paths of each observation's pair, and what
+    # `roomfit.objective.energy.squared_image_rows` makes of them
     rows: tuple[EnergyRows, ...]
     squared_image_rows: tuple[EnergyRows, ...]
     observations: tuple[ValueObservation, ...]
     spreading: Spreading
+    # only the block "absorption" acts: room parameters know no unknown gain or delay
     parameters: Parameters
+    # standard deviation by which the model may be wrong, in just noticeable differences
     model_error_jnd: float = 0.3
 
     def __post_init__(self) -> None:
@@ -138,7 +105,7 @@ class RoomValuesProblem:
         return np.concatenate([np.diag(c) for c in value_covariances(self, vector)])
 
     def correlation_length(self) -> FloatArray:
-        """Return how many values of the same pair tell the same, shape (n_values,).
+        """Return how many values of the same pair share their information, shape (n_values,).
 
         T20 and T30 are read from one decay: the sum of the squared correlations of each value with
         all values of its pair, 1 where it stands alone. From where the fit starts.
@@ -176,10 +143,10 @@ def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[F
     Notes
     -----
     The energy of a band of bandwidth B scatters about the sum of the paths' energies like white
-    noise of the spectral density ``(P^2 - Q) / B``, P the smeared power and Q that of lone
-    reflections, which interfere with nothing. Carried through the derivatives of a value this is
-    its variance to first order. For an exponential decay it gives the theory of [1]_, on which ISO
-    354 and ISO 3382-2 build: ``0.55 T30 (B T30) ** -0.5`` for many averaged decays.
+    noise of the spectral density ``(P^2 - Q) / B``, P the power spread by the filter and Q that of
+    single reflections, which interfere with nothing. Carried through the derivatives of a value
+    this is its variance to first order. For an exponential decay it gives the theory of [1]_, on
+    which ISO 354 and ISO 3382-2 build: ``0.55 T30 (B T30) ** -0.5`` for many averaged decays.
 
     References
     ----------
@@ -206,7 +173,7 @@ def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[F
 def _values(
     problem: RoomValuesProblem, i: int, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return predicted values, derivatives by smeared energies, and these energies."""
+    """Return predicted values, derivatives by spread energies, and these energies."""
     observed = problem.observations[i]
     spread_over_time = spread_energy(problem.spreading, energy)
     curve = echogram_decay_curve(
@@ -260,7 +227,7 @@ def _model(
 
 
 MODEL_ERROR_JND = 0.3
-# Room parameters do not feel when within half a millisecond a path arrives: it moves TS by a
+# Room parameters hardly depend on when within half a millisecond a path arrives: TS moves by a
 # fortieth of a just noticeable difference at most, and all others by less.
 _BINS_AS_ONE = 5
 
@@ -339,7 +306,7 @@ def value_problems(
 
 
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
-    """Return the same paths in bins of n times the width; bins that are left over at the end go."""
+    """Return the same paths in bins of n times the width; bins left over at the end are dropped."""
     kept = (binned.edges_s.size - 1) // n
 
     def joined(fine: EnergyRows) -> EnergyRows:
@@ -360,7 +327,7 @@ def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:
 
 
 def bin_spreading(bank: FilterBank, binned: BinnedPaths) -> Spreading:
-    """Return how the first band of a bank smears the bins of binned paths."""
+    """Return the energy spreading of the first band of a bank over the bins of paths."""
     width_s = float(binned.edges_s[1] - binned.edges_s[0])
     return band_spreading(bank, binned.edges_s.size - 1, width_s)
 

@@ -1,8 +1,6 @@
-"""What a band filter does to energies in fine time bins, as one product of spectra.
+"""Time windows of a band, and the energy spreading of its filter between fine time bins.
 
-Compiled loop that carries many rows of bin energies into windows.
-
-Time windows that are fine early, where reflections tell walls apart, and grow late.
+Windows are fine early, where reflections distinguish walls, and grow late.
 """
 
 from __future__ import annotations
@@ -20,26 +18,19 @@ from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Spreading:
-    """The filter of one band on uniform bins.
+    """The filter of one band on uniform bins."""
 
-    Attributes
-    ----------
-    n_bins, length : int
-        Length of what is smeared, and of its transform.
-    spectrum : complex array, shape (length // 2 + 1,)
-        Of the shares in which an impulse's energy falls into the bins about its own.
-    squares : complex array, shape (length // 2 + 1,)
-        Of the squares of these shares.
-    """
-
+    # n_bins, length: length of what is spread, and of its transform
     n_bins: int
     length: int
+    # (length // 2 + 1,), of the shares in which an impulse's energy falls into the bins about its
+    # own
     spectrum: ComplexArray
-    squares: ComplexArray
+    squares: ComplexArray  # (length // 2 + 1,), of the squares of these shares
 
 
 def band_spreading(bank: FilterBank, n_bins: int, bin_s: float) -> Spreading:
-    """Return the smearing of the first band of a bank on so many bins of one width."""
+    """Return the spreading of the first band of a bank on so many bins of one width."""
     reach = min(n_bins, int(np.ceil(float(ringing_s(bank)[0]) / bin_s)))
     lags = np.arange(-reach, reach + 1)
     edges_s = bin_s * (np.arange(-reach, reach + 2) - 0.5)
@@ -62,14 +53,14 @@ def spread_energy(spreading: Spreading, energies: FloatArray) -> FloatArray:
 
 
 def spread_squared_energy(spreading: Spreading, squares: FloatArray) -> FloatArray:
-    """Return sums of squared shares times squared energies of lone impulses, (..., n_bins)."""
+    """Return sums of squared shares times squared energies of single impulses, (..., n_bins)."""
     return np.maximum(_through(spreading, spreading.squares, squares), 0.0)
 
 
 def before_spreading(spreading: Spreading, gradients: FloatArray) -> FloatArray:
     """Return derivatives by the energies before the filter from those by the energies after it.
 
-    The transpose of `smear`; shapes (..., n_bins).
+    The transpose of `spread_energy`; shapes (..., n_bins).
     """
     return _through(spreading, np.conj(spreading.spectrum), gradients)
 
@@ -129,7 +120,7 @@ def window_edges_s(
         Statistical bandwidth of the band's filter.
     periods : float
         Of 1 / B, in the shortest window: 1.5 suits energies that add, 0.75 pressures, whose
-        windows say something of each other's phase.
+        windows depend on phases.
 
     Returns
     -------

@@ -1,29 +1,26 @@
-"""predicted.json and predicted.csv, format_version 1.
-
-A prediction in words and tables, for a terminal.
-"""
+"""A prediction as predicted.json and predicted.csv (format_version 1), as text, and as a figure."""
 
 from __future__ import annotations
 
-import csv
-import io
-from collections.abc import Iterable, Mapping
-from importlib.metadata import version
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
-from roomfit.io.results import finding_content, input_digests, numbers, numbers_or_null
-from roomfit.prediction.prediction import Predicted, PredictedPair, PredictedValue
+from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
+from roomfit.report.frames import html_findings, html_table
 from roomfit.report.text import findings_text
 from roomfit.report.wording import decay_time_key, parameter
 from roomfit.signals.iso3382 import ValueName
 
-_COLUMNS = (
+if TYPE_CHECKING:
+    from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
+
+COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),
     *("predicted", "lower95", "upper95", "measured", "jnd", "mean_of_others"),
 )
@@ -50,12 +47,12 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
     return {
         "format": "roomfit-predicted",
         "format_version": 1,
-        "bands_hz": numbers(predicted.bands.centres_hz),
+        "bands_hz": predicted.bands.centres_hz,
         "materials": {
             name: {
-                "absorption": numbers(predicted.absorption[i]),
-                "lower95": numbers(predicted.lower95[i]),
-                "upper95": numbers(predicted.upper95[i]),
+                "absorption": predicted.absorption[i],
+                "lower95": predicted.lower95[i],
+                "upper95": predicted.upper95[i],
             }
             for i, name in enumerate(predicted.materials)
         },
@@ -76,34 +73,29 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
             "seed": predicted.seed,
             "seconds": round(predicted.seconds, 3),
         },
-        "provenance": {
-            "roomfit": version("roomfit"),
-            "inputs_sha256": input_digests(tuple(inputs)),
-        },
+        "provenance": provenance(inputs),
     }
+
+
+def predicted_rows(
+    predicted: Predicted,
+) -> Iterator[tuple[tuple[str, str, str, str], tuple[float, ...]]]:
+    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown."""
+    for pair in predicted.pairs:
+        for name, v in pair.parameters.items():
+            numbers_of = (v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others)
+            for band, centre in enumerate(predicted.bands.centres_hz):
+                values = (float(centre), *(float(n[band]) for n in numbers_of))
+                yield (pair.source, pair.receiver, pair.use or "", name), values
 
 
 def predicted_csv(predicted: Predicted) -> str:
     """Return one row a pair, parameter and band; empty cells where nothing is known."""
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(_COLUMNS)
-    for pair in predicted.pairs:
-        for name, value in pair.parameters.items():
-            for band, centre in enumerate(predicted.bands.centres_hz):
-                writer.writerow(_row(pair, name, value, band, float(centre)))
-    return stream.getvalue()
-
-
-def _row(
-    pair: PredictedPair, name: ValueName, value: PredictedValue, band: int, centre_hz: float
-) -> list[str]:
-    columns = (
-        *(value.predicted, value.lower95, value.upper95),
-        *(value.measured, value.jnd, value.null),
-    )
-    cells = [f"{v[band]:.4f}" if np.isfinite(v[band]) else "" for v in columns]
-    return [pair.source, pair.receiver, pair.use or "", name, f"{centre_hz:g}", *cells]
+    rows = []
+    for texts, (centre_hz, *values) in predicted_rows(predicted):
+        cells = [f"{v:.4f}" if np.isfinite(v) else "" for v in values]
+        rows.append([*texts, f"{centre_hz:g}", *cells])
+    return csv_text(COLUMNS, rows)
 
 
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
@@ -116,7 +108,7 @@ def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
             "sd_rest": numbers_or_null(v.sd_rest),
             "measured": numbers_or_null(v.measured),
             "jnd": numbers_or_null(v.jnd),
-            "mean_of_others": numbers_or_null(v.null),
+            "mean_of_others": numbers_or_null(v.mean_of_others),
         }
         for name, v in table.items()
     }
@@ -132,6 +124,8 @@ _SHOWN: tuple[tuple[ValueName, str, str], ...] = (
     ("TS_ms", "TS ms", "{:.0f}"),
     ("G_dB", "G dB", "{:.1f}"),
 )
+_MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
+_USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
 _PAIRS_SHOWN = 12
 # Of every pair one decay time and one measure of early against late: the first that is known.
 _OF_A_PAIR: tuple[tuple[ValueName, ...], ...] = (
@@ -149,35 +143,27 @@ def predict_text(predicted: Predicted) -> str:
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 
+def predicted_html(predicted: Predicted) -> str:
+    """Return the mean over the pairs, and all findings, in HTML."""
+    caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
+    columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
+    table = html_table(caption, columns, _lines(predicted.mean))
+    return table + html_findings(predicted.findings)
+
+
 def mean_table(predicted: Predicted) -> str:
     """Return the mean of every parameter with its interval, and the measured mean below it."""
-    lines = [
-        "Mean over the pairs (over those measured, where some are): predicted, 95 % interval",
-        _head(predicted),
-    ]
-    for name, label, form in _SHOWN:
-        if name not in predicted.mean:
-            continue
-        value = predicted.mean[name]
-        lines.append(_line(label, value, form))
-        if np.isfinite(value.measured).any():
-            lines.append(_measured_line(value, form))
-    return "\n".join(lines)
+    return "\n".join([_MEAN, _head(predicted), *map(_justified, _lines(predicted.mean))])
 
 
 def pairs_text(predicted: Predicted) -> str:
     """Return T20 and C80, or what is nearest to them, of every pair, a dozen at most."""
     lines = ["By pair", _head(predicted)]
     for pair in predicted.pairs[:_PAIRS_SHOWN]:
-        lines.append(f"{pair.source} to {pair.receiver}{_use(pair)}")
+        lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
-        for name, label, form in _SHOWN:
-            if name not in chosen:
-                continue
-            value = pair.parameters[name]
-            lines.append(_line(label, value, form))
-            if np.isfinite(value.measured).any():
-                lines.append(_measured_line(value, form))
+        shown = {name: value for name, value in pair.parameters.items() if name in chosen}
+        lines += map(_justified, _lines(shown))
     left = len(predicted.pairs) - _PAIRS_SHOWN
     if left > 0:
         lines.append(f"... and {left} more in predicted.csv")
@@ -185,31 +171,41 @@ def pairs_text(predicted: Predicted) -> str:
 
 
 def _head(predicted: Predicted) -> str:
-    cells = "  ".join(f"{f:>20g}" for f in predicted.bands.centres_hz)
-    return f"{'Hz':<10}  {cells}"
+    return _justified(["Hz", *(f"{f:g}" for f in predicted.bands.centres_hz)])
 
 
-def _use(pair: PredictedPair) -> str:
-    if pair.use is None:
-        return ", not measured"
-    return ", measured" if pair.use == "fit" else ", measured, kept for validation"
+def _justified(cells: Sequence[str]) -> str:
+    first, *others = cells
+    return f"{first:<10}  " + "  ".join(f"{c:>20}" for c in others)
 
 
-def _line(label: str, value: PredictedValue, form: str) -> str:
-    cells = [
-        f"{form.format(v)} ({form.format(low)} to {form.format(high)})" if np.isfinite(v) else "-"
-        for v, low, high in zip(value.predicted, value.lower95, value.upper95, strict=True)
-    ]
-    return f"{label:<10}  " + "  ".join(f"{c:>20}" for c in cells)
+def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
+    """Return the cells of a line a parameter, and of a second one where it was measured."""
+    lines = []
+    for name, label, form in _SHOWN:
+        if name not in table:
+            continue
+        value = table[name]
+        bounds = zip(value.predicted, value.lower95, value.upper95, strict=True)
+        cells = [
+            f"{form.format(v)} ({form.format(low)} to {form.format(high)})"
+            if np.isfinite(v)
+            else "-"
+            for v, low, high in bounds
+        ]
+        lines.append([label, *cells])
+        if np.isfinite(value.measured).any():
+            lines.append(["  measured", *_measured_cells(value, form)])
+    return lines
 
 
-def _measured_line(value: PredictedValue, form: str) -> str:
+def _measured_cells(value: PredictedValue, form: str) -> list[str]:
     """Measured values; in brackets how far the prediction is above, in just noticeable steps."""
     cells = []
     for m, steps in zip(value.measured, value.jnd, strict=True):
         steps_text = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
         cells.append(f"{form.format(m)}{steps_text}" if np.isfinite(m) else "-")
-    return f"{'  measured':<10}  " + "  ".join(f"{c:>20}" for c in cells)
+    return cells
 
 
 def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:

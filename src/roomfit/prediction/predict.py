@@ -1,13 +1,11 @@
-"""Use case: what would be measured in a room, between any two points, with any walls.
-
-Predictions and measurements side by side: intervals from draws and noise, pairs, means.
-"""
+"""What would be measured in a room, between any two points, with any walls."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy.special import ndtri
@@ -15,83 +13,380 @@ from scipy.special import ndtri
 from roomfit._numba import one_blas_thread
 from roomfit.bands import Bands
 from roomfit.cache import Cache, cached
+from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.campaign import Campaign
-from roomfit.io.materials import material_priors
-from roomfit.io.rooms import read_room
-from roomfit.materials.priors import in_bands
-from roomfit.objective.room_parameters import MODEL_ERROR_JND
-from roomfit.prediction.pair import RELATIVE, PairNumbers, pair_numbers
-from roomfit.prediction.prediction import Predicted, PredictedDecay, PredictedPair, PredictedValue
-from roomfit.prediction.setup import (
-    Change,
-    ObservedPair,
-    PairChoice,
-    change_text,
-    changed_draws,
-    directed_as_found,
+from roomfit.geometry.mesh import refuse
+from roomfit.inversion.measurements import observe
+from roomfit.measurement import Measurement, Use
+from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
+from roomfit.prediction.changes import Change, change_text, changed_draws
+from roomfit.prediction.decay import (
+    RELATIVE,
+    PairNumbers,
     follow_decay,
-    observed_pairs,
-    predicted_bands,
-    prediction_scene,
-    room_posterior,
-    with_fitted_scattering,
+    levels_at,
+    pair_numbers,
 )
-from roomfit.scene import Scene
-from roomfit.signals.decay import DecayCurve, decay_curve_db, in_jnd, jnd_of
-from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
+from roomfit.scene import Scene, position_findings
+from roomfit.settings import Settings
+from roomfit.signals.decay import DecayCurve, in_jnd, jnd_of
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class _Spread:
-    """Values and their draws, shape (n_draws, n_bands), with two kinds of noise, (n_bands,)."""
+class PredictedValue:
+    """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    values: FloatArray
-    draws: FloatArray
+    predicted: FloatArray  # at the most likely absorption
+    lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
+    upper95: FloatArray
+    sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
+    # part of the spread, from reflections that interfere, from the number of rays, and from the
+    # error that the model is granted
+    sd_rest: FloatArray
+    measured: FloatArray
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    jnd: FloatArray  # predicted minus measured in just noticeable differences
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedDecay:
+    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
+
+    time_s: FloatArray  # (n_times,), after emission
+    predicted_db: FloatArray
+    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
+    upper_db: FloatArray
+    measured_db: FloatArray | None  # NaN beyond its usable part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PredictedPair:
+    """What is predicted between one source and one receiver; twice where it was measured twice."""
+
+    source: str
+    receiver: str
+    use: Use | None  # of its measurement; None where there is none
+    parameters: Mapping[ValueName, PredictedValue]
+    decay: PredictedDecay
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Predicted:
+    """Predictions for a room under a given absorption."""
+
+    bands: Bands
+    materials: tuple[str, ...]
+    absorption: FloatArray  # (n_materials, n_bands), changes included, as the two bounds
+    lower95: FloatArray
+    upper95: FloatArray
+    changes: tuple[str, ...]  # in words
+    pairs: tuple[PredictedPair, ...]
+    # over the pairs, each counted once; over those measured, where some are
+    mean: Mapping[ValueName, PredictedValue]
+    findings: tuple[Finding, ...]
+    n_draws: int
+    seed: int
+    seconds: float
+
+    def __str__(self) -> str:
+        """Return the mean over the pairs, every pair, and all findings."""
+        from roomfit.prediction.output import predict_text
+
+        return predict_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the mean over the pairs and all findings in HTML, for notebooks."""
+        from roomfit.prediction.output import predicted_html
+
+        return predicted_html(self)
+
+    def plot(self, pair: int = 0) -> Figure:
+        """Return the energy decay curves of one pair, predicted and measured, in every band.
+
+        Parameters
+        ----------
+        pair : int
+            Index into `pairs`.
+        """
+        from roomfit.prediction.output import predicted_decay_figure
+
+        return predicted_decay_figure(self, self.pairs[pair])
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a pair, parameter and band, as predicted.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.prediction.output import COLUMNS, predicted_rows
+        from roomfit.report.frames import data_frame
+
+        rows = ((*texts, *values) for texts, values in predicted_rows(self))
+        return data_frame(COLUMNS, rows, "predicted.csv")
+
+
+@one_blas_thread
+def predict(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    changes: Sequence[Change] = (),
+    measurements: Sequence[Measurement | MeasuredValues] = (),
+    *,
+    settings: Settings | None = None,
+    cache: Cache | None = None,
+    progress: Progress | None = None,
+) -> Predicted:
+    """Predict the room parameters of every pair of a scene, with 95 % intervals.
+
+    The room is traced once; draws of the absorption weigh the same paths. An interval is where a
+    measurement is expected: it holds what is not known of the absorption, reflections that
+    interfere, the number of rays, and half a just noticeable difference for the model. It holds no
+    error of positions or of the geometry, and no spread of scattering or of the air.
+
+    Parameters
+    ----------
+    scene : Scene
+        Room, sources, receivers and air, and the pairs to predict. Nothing in it is fitted.
+    absorption : AbsorptionPosterior
+        Of exactly the room's materials, in their order; in the bands to predict, 0 to 1,
+        dimensionless. Scattering coefficients and directivities of sources come with it. A result
+        of another room is brought to this form by `roomfit.prediction.campaign.room_posterior`.
+    changes : sequence of Change, optional
+        What if: materials with another absorption, from `roomfit.read_change`.
+    measurements : sequence of Measurement or MeasuredValues, optional
+        Of pairs of the scene, to stand beside the prediction; nothing is fitted to them.
+    settings : Settings, optional
+        `Settings.n_draws` draws of the absorption stand behind the intervals.
+    cache : Cache, optional
+        Keeps the trace and the numbers of every finished pair.
+    progress : callable, optional
+        Called with the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    Predicted
+        Every pair of the scene once for each of its measurements, or once without; shapes and
+        units stand with its fields.
+
+    Raises
+    ------
+    InputError
+        Other materials than the room's, a change that cannot be made, a position in a wall or
+        outside, or a measurement of a pair that is not predicted.
+
+    Notes
+    -----
+    Parameters are those of ISO 3382-1:2009.
+
+    Examples
+    --------
+    ``roomfit.predict(scene, roomfit.absorption_posterior(answer))`` after an identification of the
+    same room; ``roomfit.predict(**roomfit.predict_arguments(campaign, result))`` is what the
+    command line does.
+    """
+    began = time.perf_counter()
+    settings = Settings() if settings is None else settings
+    bands, room = absorption.bands, scene.room
+    _check(scene, absorption, measurements)
+    rng = np.random.default_rng(settings.seed)
+    drawn = draw_absorption(absorption, settings.n_draws, rng)
+    expected, drawn, clipped = changed_draws(absorption, drawn, changes, rng)
+    observed, measured_findings = _observed_pairs(scene, measurements, bands)
+    followed = follow_decay(
+        scene,
+        absorption,
+        expected,
+        _longest_s(observed),
+        settings,
+        cache,
+        part(progress, 0.02, 0.5),
+    )
+    numbers: list[PairNumbers] = []
+    cache_findings: list[Finding] = []
+    weighing = (followed.scattering, followed.directivities)
+    for i in range(len(scene.pairs)):
+        one = cached(
+            cache,
+            "pair",
+            (scene, followed.settings, weighing, bands, i, expected, drawn),
+            lambda i=i: pair_numbers(scene, bands, followed.binned, i, expected, drawn),  # type: ignore[misc]
+            (PairNumbers,),
+        )
+        numbers.append(one.value)
+        cache_findings += one.findings
+        if progress is not None:
+            progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
+    lower, upper = _absorption_interval(absorption, drawn, [c.material for c in changes])
+    return Predicted(
+        bands,
+        room.materials,
+        expected,
+        lower,
+        upper,
+        tuple(change_text(c) for c in changes),
+        _predicted_pairs(scene, bands, numbers, observed),
+        _predicted_means(scene, bands, numbers, observed),
+        (
+            *room.findings,
+            *absorption.findings,
+            *clipped,
+            *measured_findings,
+            *followed.findings,
+            *cache_findings,
+            *_what_if(changes, observed),
+        ),
+        len(drawn),
+        settings.seed,
+        time.perf_counter() - began,
+    )
+
+
+def _check(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    measurements: Sequence[Measurement | MeasuredValues],
+) -> None:
+    if absorption.materials != scene.room.materials:
+        raise InputError(
+            "the absorption is of other materials than the room's",
+            found=", ".join(absorption.materials),
+            needed=", ".join(scene.room.materials) + ", in this order",
+            hint="room_posterior of roomfit.prediction.campaign matches materials by name",
+        )
+    if not len(scene.pairs):
+        raise InputError("the scene has no pair to predict", needed="a source and a receiver")
+    refuse(position_findings(scene.room, scene.sources, scene.receivers))
+    pairs = _pair_names(scene)
+    for m in measurements:
+        if (m.source, m.receiver) not in pairs:
+            raise InputError(
+                "a measurement of a pair that is not predicted",
+                found=f"{m.source} to {m.receiver}",
+                needed="a pair of the scene",
+            )
+
+
+def _pair_names(scene: Scene) -> list[tuple[str, str]]:
+    return [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _ObservedPair:
+    """What was measured of a pair."""
+
+    source: str
+    receiver: str
+    use: Use
+    values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
+    curve: DecayCurve | None  # None where room parameters were measured and no response
+
+
+def _observed_pairs(
+    scene: Scene, measurements: Sequence[Measurement | MeasuredValues], bands: Bands
+) -> tuple[tuple[_ObservedPair, ...], tuple[Finding, ...]]:
+    """Return what was measured, responses before tables of values."""
+    measured, findings = observe(
+        scene, [m for m in measurements if isinstance(m, Measurement)], bands
+    )
+    found = []
+    for m in measured:
+        # the level of a measurement is a question of its calibration: G is not read from responses
+        values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
+        own = m.measurement
+        found.append(_ObservedPair(own.source, own.receiver, own.use, values, m.curve))
+    for t in measurements:
+        if isinstance(t, MeasuredValues):
+            findings += t.findings
+            values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
+            found.append(_ObservedPair(t.source, t.receiver, t.use, values, None))
+    return tuple(found), findings
+
+
+def _longest_s(observed: Sequence[_ObservedPair]) -> float:
+    """Return the longest measured decay time, T20 or T30, 0 where none is known."""
+    rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
+    known = [o.values[rows][np.isfinite(o.values[rows])] for o in observed]
+    return max((float(k.max()) for k in known if k.size), default=0.0)
+
+
+def _absorption_interval(
+    posterior: AbsorptionPosterior, drawn: FloatArray, changed: Sequence[str]
+) -> tuple[FloatArray, FloatArray]:
+    lower, upper = posterior.lower95.copy(), posterior.upper95.copy()
+    rows = [posterior.materials.index(name) for name in changed]
+    lower[rows], upper[rows] = np.quantile(drawn[:, rows], (0.025, 0.975), axis=0)
+    return lower, upper
+
+
+def _what_if(changes: Sequence[Change], observed: Sequence[_ObservedPair]) -> tuple[Finding, ...]:
+    if not changes:
+        return ()
+    listed = ", ".join(change_text(c) for c in changes)
+    beside = (
+        " Measured values beside it are those of the room as it was measured." if observed else ""
+    )
+    return (
+        Finding(
+            Code.MATERIALS_CHANGED,
+            f"Predicted with {listed}.{beside}",
+            {"changes": [change_text(c) for c in changes]},
+        ),
+    )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Spread:
+    """One parameter with its draws and two kinds of noise."""
+
+    values: FloatArray  # (n_bands,), as the other two
+    draws: FloatArray  # (n_draws, n_bands)
     noise_sd: FloatArray
     model_sd: FloatArray
 
 
-def predicted_pairs(
+def _predicted_pairs(
     scene: Scene,
     bands: Bands,
     numbers: Sequence[PairNumbers],
-    observed_pairs: Sequence[ObservedPair],
+    observed_pairs: Sequence[_ObservedPair],
 ) -> tuple[PredictedPair, ...]:
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
-    for (s, r), own in zip(scene.pairs, numbers, strict=True):
-        names = (scene.sources[s].name, scene.receivers[r].name)
+    for names, own in zip(_pair_names(scene), numbers, strict=True):
         measured = [m for m in observed_pairs if (m.source, m.receiver) == names]
-        rows: list[ObservedPair | None] = [*measured] or [None]
+        rows: list[_ObservedPair | None] = [*measured] or [None]
         for m in rows:
             table: dict[ValueName, PredictedValue] = {}
             for row, name in enumerate(VALUE_NAMES):
                 others = [o.values[row] for o in observed_pairs if o.use == "fit" and o is not m]
                 nothing = np.full(len(bands), np.nan)
                 values = nothing if m is None else m.values[row]
-                null = nothing if m is None else _mean(others, len(bands))
-                table[name] = _value(name, _spread(own, row, name), values, null)
+                mean = nothing if m is None else _mean(others, len(bands))
+                table[name] = _value(name, _spread(own, row, name), values, mean)
             use = None if m is None else m.use
             found.append(PredictedPair(*names, use, table, _decay(own, m)))
     return tuple(found)
 
 
-def predicted_means(
+def _predicted_means(
     scene: Scene,
     bands: Bands,
     numbers: Sequence[PairNumbers],
-    observed_pairs: Sequence[ObservedPair],
+    observed_pairs: Sequence[_ObservedPair],
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
-    index = {
-        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
-    }
+    index = {names: i for i, names in enumerate(_pair_names(scene))}
     table: dict[ValueName, PredictedValue] = {}
     for row, name in enumerate(VALUE_NAMES):
         measured = np.full((len(numbers), len(bands)), np.nan)
@@ -127,7 +422,7 @@ def _spread(own: PairNumbers, row: int, name: ValueName) -> _Spread:
 
 
 def _value(
-    name: ValueName, spread: _Spread, measured: FloatArray, null: FloatArray
+    name: ValueName, spread: _Spread, measured: FloatArray, mean_of_others: FloatArray
 ) -> PredictedValue:
     """Return a prediction with its interval: the quantiles of all draws, each widened by noise."""
     rest = np.hypot(spread.noise_sd, spread.model_sd)
@@ -144,7 +439,7 @@ def _value(
         np.std(spread.draws, axis=0),
         rest,
         measured,
-        null,
+        mean_of_others,
         in_jnd(name, measured, spread.values),
     )
 
@@ -155,144 +450,9 @@ def _mean(rows: Sequence[FloatArray], n_bands: int) -> FloatArray:
     return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
 
 
-def _decay(own: PairNumbers, m: ObservedPair | None) -> PredictedDecay:
-    measured = None if m is None or m.curve is None else _at(own.time_s, m.curve)
+def _decay(own: PairNumbers, m: _ObservedPair | None) -> PredictedDecay:
+    measured = None
+    if m is not None and m.curve is not None:
+        usable = own.time_s <= m.curve.usable_end_s[:, None]
+        measured = np.where(usable, levels_at(m.curve, own.time_s), np.nan)
     return PredictedDecay(own.time_s, own.decay_db, own.lower_db, own.upper_db, measured)
-
-
-def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:
-    """Return measured levels at given times, NaN after their usable end."""
-    levels = np.maximum(decay_curve_db(curve), -200.0)
-    rows = [
-        np.where(times <= end_s, np.interp(times, curve.time_s, row), np.nan)
-        for row, end_s in zip(levels, curve.usable_end_s, strict=True)
-    ]
-    return np.stack(rows)
-
-
-N_DRAWS = 128
-
-
-@one_blas_thread
-def predict_campaign(
-    campaign: Campaign,
-    absorption: AbsorptionPosterior,
-    changes: Sequence[Change] = (),
-    *,
-    pairs: PairChoice = "all",
-    n_draws: int = N_DRAWS,
-    cache: Cache | None = None,
-    progress: Progress | None = None,
-) -> Predicted:
-    """Predict the room parameters of every pair, with 95 % intervals.
-
-    The room is traced once; draws of the absorption weigh the same paths. An interval is where a
-    measurement is expected: it holds what is not known of the absorption, reflections that
-    interfere, the number of rays, and half a just noticeable difference for the model. It holds no
-    error of positions or of the geometry, and no spread of scattering or of the air.
-
-    Parameters
-    ----------
-    campaign : Campaign
-        Of the room to predict, which need not be the room in which the absorption was found.
-        Nothing in it is fitted.
-    absorption : AbsorptionPosterior
-        From `roomfit.io.results.read_result`; materials are matched by name.
-    changes : sequence of Change
-        What if: materials with another absorption.
-    pairs : {"all", "campaign"}
-        Every source with every receiver, or those that were measured.
-    n_draws : int
-    cache : Cache, optional
-        Keeps the trace and the numbers of every finished pair.
-    progress : callable, optional
-
-    Raises
-    ------
-    InputError
-        Materials without absorption, no common band, a change that cannot be made, positions in
-        walls, or files that cannot be read.
-    """
-    began = time.perf_counter()
-    room, findings = read_room(campaign.room)
-    bands, doubts = predicted_bands(campaign, absorption.bands)
-    campaign, sources = directed_as_found(campaign, bands, absorption)
-    band_indices = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
-    specified_priors = in_bands(material_priors(campaign, room.materials), band_indices)
-    priors = with_fitted_scattering(specified_priors, bands, absorption)
-    replaced = [c.material for c in changes if c.kind != "factor"]
-    posterior = room_posterior(campaign, priors, bands, absorption, replaced)
-    rng = np.random.default_rng(campaign.seed)
-    drawn = draw_absorption(posterior, n_draws, rng)
-    expected, drawn, clipped = changed_draws(posterior, drawn, changes, rng)
-    scene = prediction_scene(campaign, room, pairs)
-    observed, measured_findings = observed_pairs(campaign, bands, scene)
-    followed = follow_decay(
-        *(campaign, scene, bands, priors, expected, _longest_s(observed)),
-        *(cache, part(progress, 0.02, 0.5)),
-    )
-    numbers: list[PairNumbers] = []
-    cache_findings: list[Finding] = []
-    for i in range(len(scene.pairs)):
-        one = cached(
-            cache,
-            "pair",
-            (scene, followed.settings, followed.weighing, bands, i, expected, drawn),
-            lambda i=i: pair_numbers(scene, bands, followed.binned, i, expected, drawn),  # type: ignore[misc]
-            (PairNumbers,),
-        )
-        numbers.append(one.value)
-        cache_findings += one.findings
-        if progress is not None:
-            progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
-    changed = [c.material for c in changes]
-    lower, upper = _absorption_interval(posterior, drawn, changed)
-    return Predicted(
-        bands,
-        room.materials,
-        expected,
-        lower,
-        upper,
-        tuple(change_text(c) for c in changes),
-        predicted_pairs(scene, bands, numbers, observed),
-        predicted_means(scene, bands, numbers, observed),
-        (
-            *(*findings, *doubts, *sources, *clipped, *measured_findings, *followed.findings),
-            *(*cache_findings, *_what_if(changes, observed)),
-        ),
-        len(drawn),
-        campaign.seed,
-        time.perf_counter() - began,
-    )
-
-
-def _longest_s(observed: Sequence[ObservedPair]) -> float:
-    """Return the longest measured decay time, T20 or T30, 0 where none is known."""
-    rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
-    known = [s.values[rows][np.isfinite(s.values[rows])] for s in observed]
-    return max((float(k.max()) for k in known if k.size), default=0.0)
-
-
-def _absorption_interval(
-    posterior: AbsorptionPosterior, drawn: FloatArray, changed: Sequence[str]
-) -> tuple[FloatArray, FloatArray]:
-    lower, upper = posterior.lower95.copy(), posterior.upper95.copy()
-    rows = [posterior.materials.index(name) for name in changed]
-    lower[rows], upper[rows] = np.quantile(drawn[:, rows], (0.025, 0.975), axis=0)
-    return lower, upper
-
-
-def _what_if(changes: Sequence[Change], observed: Sequence[ObservedPair]) -> tuple[Finding, ...]:
-    if not changes:
-        return ()
-    listed = ", ".join(change_text(c) for c in changes)
-    beside = (
-        " Measured values beside it are those of the room as it was measured." if observed else ""
-    )
-    return (
-        Finding(
-            Code.MATERIALS_CHANGED,
-            f"Predicted with {listed}.{beside}",
-            {"changes": [change_text(c) for c in changes]},
-        ),
-    )

@@ -1,10 +1,7 @@
-"""Every figure of an answer or a prediction, drawn once: as a PNG file, or as SVG in the report.
+"""Every figure of an answer, drawn once by matplotlib: a PNG file, or SVG in the report.
 
-The pictures of an answer as files in its folder.
-
-Boxes that a certified search leaves over, in two dimensions.
-
-Which profiles and which band's samples are worth a picture.
+Absorption, identifiability, profiles of the likelihood, samples of the posterior and decay curves;
+what figures of other modules share stands above them.
 """
 
 from __future__ import annotations
@@ -27,7 +24,14 @@ from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
-from roomfit.report.wording import decay_time_key, number, parameter, shortened
+from roomfit.logit import expit
+from roomfit.report.wording import (
+    decay_time_key,
+    number,
+    parameter,
+    short_hertz,
+    shortened,
+)
 from roomfit.results import Answer, ComparedPair, Decay
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
@@ -52,7 +56,6 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
     StoreError
         The disk refuses.
     """
-
     write_bytes_atomically(folder / "absorption.png", png(absorption_figure(answer)))
     write_bytes_atomically(folder / "identifiable.png", png(identifiability_figure(answer)))
     bent, corner = profiles_figure(answer), corner_figure(answer)
@@ -69,7 +72,7 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
 
 
 def _in_file_name(name: str) -> str:
-    """Return a name without what a path gives a meaning to."""
+    """Return a name without the characters that have a meaning in paths."""
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
@@ -77,7 +80,7 @@ MOST_PROFILES = 12
 
 
 def shown_profiles(answer: Answer) -> list[tuple[int, Profile]]:
-    """Return bands and profiles that took the place of a Gaussian, the widest.
+    """Return bands and profiles that replaced a Gaussian, the widest.
 
     At most twelve, in the order of bands and materials.
     """
@@ -151,7 +154,7 @@ def svg(figure: Figure, name: str, title: str) -> str:
     """Return a figure as an SVG element to stand in an HTML page beside others.
 
     Equal figures give equal text. Words stay words, so that they can be searched and read aloud;
-    the reader's sans-serif type takes the place of the one that was measured. Every id and style
+    the reader's sans-serif type replaces the one that was measured. Every id and style
     begins with `name`, so that figures of different names do not take each other's. What an
     artist's gid names as ``class:x`` is a group of the class ``x``.
 
@@ -232,11 +235,6 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
     axes.xaxis.set_minor_locator(NullLocator())
     axes.xaxis.set_major_formatter(FuncFormatter(lambda f, _: short_hertz(f)))
     axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
-
-
-def short_hertz(frequency: float) -> str:
-    """Return a frequency as an axis in Hz names it: 500, 2k."""
-    return f"{frequency / 1000:g}k" if frequency >= 1000 else f"{frequency:g}"
 
 
 def band_panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
@@ -350,7 +348,7 @@ def identifiability_figure(answer: Answer) -> Figure:
     n, m = width.shape
     figure = new_figure(min(3.4 + 0.62 * m, _WIDTH_IN), 1.4 + 0.36 * n)
     axes = figure.subplots()
-    # steps that can be told apart and no picture of pixels: SVG stays lines and words
+    # distinguishable steps instead of a bitmap: SVG stays lines and words
     steps = np.linspace(0.0, 1.0, 11)
     blues = ListedColormap(mpl.colormaps["Blues_r"](np.linspace(0.0, 1.0, 10)))
     norm = BoundaryNorm(steps, 10)
@@ -382,7 +380,7 @@ def identifiability_figure(answer: Answer) -> Figure:
 
 
 def profiles_figure(answer: Answer) -> Figure | None:
-    """Return the profiles that took the place of Gaussian intervals, twelve at most.
+    """Return the profiles that replaced Gaussian intervals, twelve at most.
 
     None where there are none.
     """
@@ -397,12 +395,12 @@ def profiles_figure(answer: Answer) -> Figure | None:
         a, low, high = (
             float(x[line.entry, band]) for x in (answer.absorption, answer.lower95, answer.upper95)
         )
-        at = 1.0 / (1.0 + np.exp(-line.points))
+        at = expit(line.points)
         axes.axvspan(low, high, color=OKABE_ITO[4], alpha=0.25, lw=0, label="95 % interval")
         axes.axhline(RISE95, color="black", lw=0.8, ls=":", label="1.92")
         free, rise = profile_curve(line)
         axes.plot(at, line.rise, "o", ms=3.5, color=OKABE_ITO[0])
-        between = 1.0 / (1.0 + np.exp(-free))
+        between = expit(free)
         axes.plot(between, rise, "-", lw=1.2, color=OKABE_ITO[0], label="profile")
         axes.axvline(a, color=OKABE_ITO[1], lw=1.0, label="answer")
         axes.set_ylim(0.0, 5.0)
@@ -418,7 +416,7 @@ def profiles_figure(answer: Answer) -> Figure | None:
 
 
 def corner_figure(answer: Answer) -> tuple[float, Figure] | None:
-    """Return the centre of the sampled band whose materials hang together most, and its samples.
+    """Return the centre of the sampled band whose materials are correlated most, and its samples.
 
     Each material against each other, six at most, histograms on the diagonal; None where nothing
     was sampled.
@@ -549,7 +547,7 @@ def boxes_figure(
     ----------
     covers : mapping of label to float array, shape (n_boxes, 2, 2)
         Lower and upper absorption of each box. Every point whose error is below what the label
-        says lies in one of them.
+        says is in one of them.
     names : tuple of two str
     true_absorption : float array, shape (2,)
     grids : three float arrays, shape (n, n)

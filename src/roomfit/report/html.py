@@ -1,11 +1,11 @@
-"""The report: a whole answer as one HTML file that needs nothing beside it.
+"""The report of an answer: one self-contained HTML file, or a table for a notebook.
 
-The answer in a few sentences, and the findings with the most serious first.
+A few sentences come first, then the findings with the most serious first, figures and tables.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
@@ -34,8 +34,10 @@ from roomfit.report.html_tables import (
     fit_tables,
     fixed_coefficients,
     known_mean,
+    material_rows,
     material_table,
     mean_abs_jnd,
+    mean_row,
     overview_table,
     pair_sections,
     pair_title,
@@ -46,7 +48,18 @@ from roomfit.report.html_tables import (
     source_tables,
 )
 from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
-from roomfit.report.wording import area, band_ranges, count, hertz, listing, number, parameter
+from roomfit.report.wording import (
+    DASH,
+    Cell,
+    area,
+    band_heads,
+    band_ranges,
+    count,
+    hertz,
+    listing,
+    number,
+    parameter,
+)
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
@@ -59,7 +72,7 @@ _REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 
 @dataclass(frozen=True, slots=True)
 class FindingGroup:
-    """Findings of one code: what many files share is told once, the rest can be unfolded."""
+    """Findings of one code: a sentence for the first, the others can be unfolded."""
 
     code: Code
     severity: Severity
@@ -68,7 +81,7 @@ class FindingGroup:
 
 
 def summary_sentences(answer: Answer) -> tuple[str, ...]:
-    """Return what was done, what can be told apart, what cannot, and how well it predicts."""
+    """Return what was done, what is identifiable, what is not, and how well it predicts."""
     return tuple(
         sentence
         for sentence in (
@@ -123,7 +136,7 @@ def _what_is_determined(answer: Answer) -> list[str]:
     sure = answer.identifiable & ~is_fixed
     wanted = int(np.sum(~is_fixed))
     if not wanted:
-        return ["Every coefficient was given; nothing was looked for."]
+        return ["Every coefficient was given; nothing was fitted."]
     sentences = [f"The data determine {int(sure.sum())} of {wanted} coefficients."]
     names, whole, never = answer.materials, [], []
     some = []
@@ -144,7 +157,7 @@ def _what_is_determined(answer: Answer) -> list[str]:
         sentences.append(f"Not identifiable in any band: {_first(never)}.")
     fixed_names = [name for name, fixed in zip(names, is_fixed, strict=True) if fixed.all()]
     if fixed_names:
-        sentences.append(f"Given beforehand and held fixed: {_first(fixed_names)}.")
+        sentences.append(f"Given and fixed: {_first(fixed_names)}.")
     return sentences
 
 
@@ -156,7 +169,7 @@ def _where(answer: Answer, found: BoolArray) -> str:
 
 
 def _first(names: list[str]) -> str:
-    """Return a list that stays short enough to be read; the tables hold all."""
+    """Return a list short enough to be read; the tables are complete."""
     more = len(names) - _MOST_NAMES
     return listing(names) if more <= 0 else listing([*names[:_MOST_NAMES], f"{more} more"])
 
@@ -178,13 +191,13 @@ def _how_well_it_predicts(answer: Answer) -> str:
     known = parameter_keys(pairs)
     for key in [key for key in _REPORTED if key in known] or known:
         errors = errors_of(pairs, key)
-        model, null = known_mean(errors.model), known_mean(errors.null)
+        model, baseline = known_mean(errors.model), known_mean(errors.baseline)
         if not np.isfinite(model):
             continue
         how = parameter(key)
         words = f"{how.symbol} {number(model, how.error_decimals)} {how.error_unit}"
-        if np.isfinite(null):
-            words += f" ({number(null, how.error_decimals)})"
+        if np.isfinite(baseline):
+            words += f" ({number(baseline, how.error_decimals)})"
         sentences.append(words)
     if not sentences:
         return ""
@@ -222,11 +235,10 @@ def report_html(
 ) -> str:
     """Return the report of an identification as the text of one HTML file.
 
-    It holds, in this order: the answer in words, findings, the room, absorption with its
-    intervals, absorption areas, predictions beside measurements and beside the null model, and
-    where everything comes from. The file executes nothing and requests nothing: figures are SVG
-    within it, and the page's own content security policy forbids scripts and requests. Equal
-    arguments give equal text.
+    Its order: the answer in words, findings, the room, absorption with its intervals, absorption
+    areas, predictions beside measurements and the baseline, and provenance. The file executes
+    nothing and requests nothing: figures are SVG within it, and the page's own content security
+    policy forbids scripts and requests. Equal arguments give equal text.
 
     Parameters
     ----------
@@ -273,6 +285,42 @@ def report_html(
     return text
 
 
+def result_fragment(answer: Answer) -> str:
+    """Return absorption with its 95 % intervals as an HTML table without a page, for a notebook.
+
+    One row a material, one column a band, and the mean of the room; a question mark and grey
+    follow what is not identifiable, "given" what was fixed.
+    """
+
+    def row(name: str, cells: Iterable[Cell]) -> Markup:
+        data = Markup("").join(_fragment_cell(cell) for cell in cells)
+        return Markup("<tr><th>{}</th>{}</tr>").format(name, data)
+
+    every = np.arange(len(answer.bands))
+    rows = (*material_rows(answer, every), mean_row(answer, every))
+    heads = (Markup("<th>{}</th>").format(h) for h in band_heads(answer.bands.centres_hz))
+    return str(
+        Markup(
+            "<table><caption>Absorption coefficient, 95 % interval ({}); ? = not identifiable"
+            "</caption><thead><tr><th></th>{}</tr></thead><tbody>{}</tbody></table>"
+        ).format(
+            answer.interval_kind,
+            Markup("").join(heads),
+            Markup("").join(row(r.head, r.cells) for r in rows),
+        )
+    )
+
+
+def _fragment_cell(cell: Cell) -> Markup:
+    unsure = cell.style == "unsure"
+    return Markup("<td{}>{}{}<br><small>{}</small></td>").format(
+        Markup(' style="color:#777"') if unsure else "",
+        cell.text.strip("()"),
+        "?" if unsure and cell.text != DASH else "",
+        cell.small[0],
+    )
+
+
 def has_curves(pair: ComparedPair) -> bool:
     """Return whether there are decay curves to draw: values alone have none."""
     decay = pair.decay
@@ -311,7 +359,7 @@ def _absorption(answer: Answer) -> Drawing:
         f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
         "holds every number.",
         "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
-        "identifiable, the number may come from what was assumed beforehand. Diamonds: given. "
+        "identifiable, the number may come from the prior. Diamonds: given. "
         "Above each panel the area of the material, and in how many bands it is identifiable.",
     )
 
@@ -348,7 +396,7 @@ def _certainty(answer: Answer) -> tuple[Drawing, ...]:
                 "corner",
                 f"Samples of the absorption coefficients at {centre}, each material against each "
                 "other.",
-                f"Samples of the posterior at {centre}, the band whose materials hang together "
+                f"Samples of the posterior at {centre}, the band whose materials are correlated "
                 "most: each point is one set of absorption coefficients that explains the data. "
                 "Narrow clouds along a slope: only a sum is known.",
             )
@@ -373,7 +421,7 @@ def _decays(answer: Answer, pairs: tuple[ComparedPair, ...]) -> Drawing:
 
 
 def _worst(pairs: tuple[ComparedPair, ...]) -> int:
-    """Return the position of the pair whose parameters are furthest off; 0 where none is known."""
+    """Return the index of the pair whose parameters are furthest off; 0 where none is known."""
     if not pairs:
         return 0
     return int(np.argmax(np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)))
@@ -383,7 +431,7 @@ def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tup
     mesh, air = scene.room.mesh, scene.air
     return (
         ("roomfit", version("roomfit")),
-        ("campaign", campaign or "not told"),
+        ("campaign", campaign or "not specified"),
         ("method, model", f"{answer.method}, {answer.model}"),
         ("intervals", answer.interval_kind),
         ("seed", str(answer.seed)),

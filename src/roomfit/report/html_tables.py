@@ -1,20 +1,15 @@
-"""Absorption in tables: coefficients with intervals, their mean, and absorption areas.
+"""The tables of the report, as text in cells.
 
-The table of what was proven of the lowest cost in each band.
-
-How far predictions are off on average, beside a guess that knows no room model.
-
-Predicted parameters beside measured ones, in just noticeable differences, pair by pair.
-
-The room in tables: what its materials cover, and where sources and receivers stand.
-
-How sources were found to radiate, in tables.
+Absorption with intervals, shares and absorption areas; the fit and its certificate; errors of
+predictions beside those of the baseline, and pair by pair in just noticeable differences; the
+room's materials and positions; fitted directivities. `wording.Table` is what the template draws.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -29,9 +24,7 @@ from roomfit.report.wording import (
     Row,
     Table,
     area,
-    band_blocks,
-    band_heads,
-    block_caption,
+    band_tables,
     coefficient,
     count,
     hertz,
@@ -49,27 +42,22 @@ NOT_IDENTIFIABLE = "not identif."
 
 
 def fixed_coefficients(answer: Answer) -> BoolArray:
-    """Return which coefficients were held fixed, shape (n_materials, n_bands)."""
+    """Return which coefficients were fixed, shape (n_materials, n_bands)."""
     return np.asarray(answer.lower95 == answer.upper95)
 
 
 def absorption_tables(answer: Answer) -> tuple[Table, ...]:
     """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
-    centres = answer.bands.centres_hz
-    return tuple(
-        Table(
-            block_caption(
-                f"Absorption coefficient, 95 % interval ({answer.interval_kind})", centres, block
-            ),
-            "material",
-            band_heads(centres, block),
-            (*_material_rows(answer, block), _mean_row(answer, block)),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        f"Absorption coefficient, 95 % interval ({answer.interval_kind})",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (*material_rows(answer, block), mean_row(answer, block)),
     )
 
 
-def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
+def material_rows(answer: Answer, block: IntArray) -> list[Row]:
+    """Return absorption with its interval in the bands of a block, one row a material."""
     fixed = fixed_coefficients(answer)
     return [
         Row(
@@ -90,7 +78,8 @@ def _material_rows(answer: Answer, block: IntArray) -> list[Row]:
     ]
 
 
-def _mean_row(answer: Answer, block: IntArray) -> Row:
+def mean_row(answer: Answer, block: IntArray) -> Row:
+    """Return the mean absorption of the room, weighted by area, in the bands of a block."""
     total = float(np.sum(answer.areas_m2))
     cells = tuple(
         coefficient_cell(*answer.mean_absorption[:, j], sure=True, fixed=False) for j in block
@@ -99,7 +88,7 @@ def _mean_row(answer: Answer, block: IntArray) -> Row:
 
 
 def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fixed: bool) -> Cell:
-    """Return an absorption with its interval; doubt and given values are told in words."""
+    """Return an absorption with its interval; doubts and given values are marked in words."""
     if not np.isfinite(value):
         return Cell(DASH, ("not determined",), "unsure")
     if fixed:
@@ -112,24 +101,17 @@ def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fi
 
 
 def fit_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return how well the model fits each band, and whether the fit came to rest."""
-    centres = answer.bands.centres_hz
-    return tuple(
-        Table(
-            block_caption("How well the model explains the data", centres, block),
-            "",
-            band_heads(centres, block),
-            (
-                Row(
-                    "φ",
-                    tuple(_chi2_cell(float(answer.chi2_reduced[j])) for j in block),
-                    "1: as expected",
-                ),
-                Row("the fit came to rest", tuple(_rest_cell(answer, j) for j in block)),
-            ),
+    """Return how well the model fits each band, and whether the fit converged."""
+
+    def rows(block: IntArray) -> tuple[Row, ...]:
+        chi2 = tuple(_chi2_cell(float(value)) for value in answer.chi2_reduced[block])
+        converged = tuple(
+            Cell("yes") if answer.converged[j] else Cell("no", style="far") for j in block
         )
-        for block in band_blocks(len(centres))
-    )
+        return Row("φ", chi2, "1: as expected"), Row("the fit converged", converged)
+
+    caption = "How well the model explains the data"
+    return band_tables(caption, "", answer.bands.centres_hz, rows)
 
 
 def _chi2_cell(chi2_reduced: float) -> Cell:
@@ -140,36 +122,27 @@ def _chi2_cell(chi2_reduced: float) -> Cell:
     return Cell(number(chi2_reduced, 1), ("fits",), "near")
 
 
-def _rest_cell(answer: Answer, band: int) -> Cell:
-    return Cell("yes") if answer.converged[band] else Cell("no", style="far")
-
-
 def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
     """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
 
     The interval of the sum is that of the mean absorption times the whole area. The air's part is
     the last term of the reverberation formula of ISO 354:2003, equation 6.
     """
-    centres = answer.bands.centres_hz
     areas = answer.absorption * answer.areas_m2[:, None]
     walls = areas.sum(axis=0)
     air = 4.0 * attenuation_per_m(scene.air, answer.bands) * volume_m3(scene.room.mesh)
     bounds = answer.mean_absorption[1:] * float(np.sum(answer.areas_m2))
-    return tuple(
-        Table(
-            block_caption(
-                "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²", centres, block
-            ),
-            "material",
-            ("S in m²", *band_heads(centres, block)),
-            (
-                *_area_rows(answer, areas, block),
-                _wall_row(answer, walls, bounds, block),
-                _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
-                _sum_row("total", walls + air, block, "surfaces and air", "total"),
-            ),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        "Equivalent absorption area A = \N{GREEK SMALL LETTER ALPHA}S in m²",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            *_area_rows(answer, areas, block),
+            _wall_row(answer, walls, bounds, block),
+            _sum_row("air, 4mV", air, block, f"V = {area(volume_m3(scene.room.mesh))} m³"),
+            _sum_row("total", walls + air, block, "surfaces and air", "total"),
+        ),
+        before=("S in m²",),
     )
 
 
@@ -205,45 +178,35 @@ def share_tables(answer: Answer) -> tuple[Table, ...]:
     """Return what share of the room's absorption each material contributes, with its interval."""
     if answer.shares is None:
         return ()
-    centres, shares = answer.bands.centres_hz, answer.shares
-    return tuple(
-        Table(
-            block_caption(
-                "Share of the surfaces' absorption in %, 95 % interval below", centres, block
-            ),
-            "material",
-            band_heads(centres, block),
-            tuple(
-                Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
-                for i, name in enumerate(answer.materials)
-            ),
-        )
-        for block in band_blocks(len(centres))
+    shares = answer.shares
+    return band_tables(
+        "Share of the surfaces' absorption in %, 95 % interval below",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            Row(name, tuple(_share_cell(*shares[:, i, j]) for j in block))
+            for i, name in enumerate(answer.materials)
+        ),
     )
 
 
 def prior_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return what was known beforehand, in the order of `absorption_tables`."""
+    """Return the prior, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
-    centres, prior, fixed = answer.bands.centres_hz, answer.prior, fixed_coefficients(answer)
-    return tuple(
-        Table(
-            block_caption("Known or assumed beforehand, 95 % interval", centres, block),
-            "material",
-            band_heads(centres, block),
-            tuple(
-                Row(
-                    name,
-                    tuple(
-                        coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
-                        for j in block
-                    ),
-                )
-                for i, name in enumerate(answer.materials)
-            ),
-        )
-        for block in band_blocks(len(centres))
+    prior, fixed = answer.prior, fixed_coefficients(answer)
+
+    def cell(i: int, j: int) -> Cell:
+        return coefficient_cell(*prior[:, i, j], sure=True, fixed=bool(fixed[i, j]))
+
+    return band_tables(
+        "Prior, specified or assumed, 95 % interval",
+        "material",
+        answer.bands.centres_hz,
+        lambda block: (
+            Row(name, tuple(cell(i, int(j)) for j in block))
+            for i, name in enumerate(answer.materials)
+        ),
     )
 
 
@@ -288,16 +251,16 @@ def certificate_tables(answer: Answer) -> tuple[Table, ...]:
         )
     if not rows:
         return ()
-    columns = ("status", "lowest cost found", "proven bound", "places", "answer differs by")
+    columns = ("status", "lowest cost found", "proven bound", "minima", "answer differs by")
     caption = (
-        "How low the cost of the energies can be, their weights held, and in how many places "
+        "How low the cost of the energies can be, their weights fixed, and in how many regions "
         "it comes within what other rays would change"
     )
     return (Table(caption, "band", columns, tuple(rows)),)
 
 
 NEAR_JND, FAR_JND = 1.0, 2.0
-"""Up to the first nobody hears a difference; above the second it is plain."""
+"""Up to the first no difference is audible; above the second it is plain."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -326,8 +289,8 @@ def parameter_keys(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:
     return (*known, *sorted(found - set(known)))
 
 
-def null_jnd(key: str, compared: Compared) -> FloatArray:
-    """Return the null model's error in just noticeable differences, shape (n_bands,)."""
+def baseline_jnd(key: str, compared: Compared) -> FloatArray:
+    """Return the baseline's error in just noticeable differences, shape (n_bands,)."""
     if key not in PARAMETERS:
         return np.full(compared.measured.shape, np.nan)
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -357,16 +320,11 @@ def pair_sections(answer: Answer, *, opened: int = 2) -> tuple[PairSection, ...]
 
 
 def _pair_tables(answer: Answer, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
-    centres = answer.bands.centres_hz
-    caption = f"{pair_title(pair)}: predicted minus measured in JND"
-    return tuple(
-        Table(
-            block_caption(caption, centres, block),
-            "parameter",
-            band_heads(centres, block),
-            tuple(_parameter_row(pair, key, block) for key in keys),
-        )
-        for block in band_blocks(len(centres))
+    return band_tables(
+        f"{pair_title(pair)}: predicted minus measured in JND",
+        "parameter",
+        answer.bands.centres_hz,
+        lambda block: (_parameter_row(pair, key, block) for key in keys),
     )
 
 
@@ -375,12 +333,12 @@ def _parameter_row(pair: ComparedPair, key: str, block: IntArray) -> Row:
     compared = pair.parameters.get(key)
     if compared is None:
         return Row(how.symbol, tuple(Cell(DASH, ("not given",), "missing") for _ in block))
-    null = null_jnd(key, compared)
-    cells = tuple(_jnd_cell(compared, float(null[j]), j, how.decimals) for j in block)
+    baseline = baseline_jnd(key, compared)
+    cells = tuple(_jnd_cell(compared, float(baseline[j]), j, how.decimals) for j in block)
     return Row(how.symbol, cells, small=f"in {how.unit}" if how.unit else "")
 
 
-def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell:
+def _jnd_cell(compared: Compared, baseline: float, band: int, decimals: int) -> Cell:
     measured, predicted = float(compared.measured[band]), float(compared.predicted[band])
     if not np.isfinite(measured):
         guess = [f"predicted {number(predicted, decimals)}"] if np.isfinite(predicted) else []
@@ -389,7 +347,7 @@ def _jnd_cell(compared: Compared, null: float, band: int, decimals: int) -> Cell
         text = number(measured, decimals)
         return Cell(DASH, ("not predicted", f"measured {text}"), "missing")
     values = f"{number(measured, decimals)} → {number(predicted, decimals)}"
-    beside = f"others {number(null, 1, signed=True)}" if np.isfinite(null) else "no others"
+    beside = f"others {number(baseline, 1, signed=True)}" if np.isfinite(baseline) else "no others"
     jnd = float(compared.jnd[band])
     return Cell(number(jnd, 1, signed=True), (values, beside), jnd_style(jnd))
 
@@ -403,7 +361,7 @@ def jnd_style(jnd: float) -> str:
 
 
 def overview_table(answer: Answer) -> Table | None:
-    """Return the mean |JND| over bands of every pair and parameter beside the null model's."""
+    """Return the mean |JND| over bands of every pair and parameter beside the baseline's."""
     keys = parameter_keys(answer.pairs)
     if not keys:
         return None
@@ -422,11 +380,11 @@ def _overview_cell(pair: ComparedPair, key: str) -> Cell:
     compared = pair.parameters.get(key)
     if compared is None:
         return Cell(DASH, ("not given",), "missing")
-    ours, null = known_mean(abs(compared.jnd)), known_mean(abs(null_jnd(key, compared)))
+    ours, baseline = known_mean(abs(compared.jnd)), known_mean(abs(baseline_jnd(key, compared)))
     if not np.isfinite(ours):
         why = "not predicted" if np.isfinite(compared.measured).any() else "not measured"
         return Cell(DASH, (why,), "missing")
-    beside = f"others {number(null, 1)}" if np.isfinite(null) else "no others"
+    beside = f"others {number(baseline, 1)}" if np.isfinite(baseline) else "no others"
     return Cell(number(ours, 1), (beside,), jnd_style(ours))
 
 
@@ -437,31 +395,31 @@ WORSE = "▲"
 class Errors:
     """Absolute errors of one parameter, percent or in its unit; shape (n_pairs, n_bands).
 
-    NaN where one of the two cannot be compared. Where any null model exists, `model` holds
-    only what `null` holds as well, so that both are means over the same pairs.
+    NaN where one of the two cannot be compared. Where any baseline exists, `model` has only what
+    `baseline` has as well, so that both are means over the same pairs.
     """
 
     model: FloatArray
-    null: FloatArray
+    baseline: FloatArray
 
 
 def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
-    """Return the errors of the model's and of the null model's predictions of a parameter."""
+    """Return the errors of the model's and of the baseline's predictions of a parameter."""
     compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
     measured = np.array([c.measured for c in compared])
     scale = np.where(measured == 0.0, np.nan, measured) / 100.0
     if parameter(key).error_unit != "%":
         scale = np.ones_like(measured)
     model = np.abs(np.array([c.predicted for c in compared]) - measured) / scale
-    null = np.abs(np.array([c.null for c in compared]) - measured) / scale
-    both = np.isfinite(model) & np.isfinite(null)
+    baseline = np.abs(np.array([c.null for c in compared]) - measured) / scale
+    both = np.isfinite(model) & np.isfinite(baseline)
     if not both.any():
         return Errors(model, np.full_like(model, np.nan))
-    return Errors(np.where(both, model, np.nan), np.where(both, null, np.nan))
+    return Errors(np.where(both, model, np.nan), np.where(both, baseline, np.nan))
 
 
 def error_tables(answer: Answer) -> tuple[Table, ...]:
-    """Return mean |error| per parameter and band, model beside null model, by use of the pairs."""
+    """Return mean |error| per parameter and band, model beside baseline, by use of the pairs."""
     uses: tuple[tuple[Use, str], ...] = (("validate", "not fitted"), ("fit", "fitted"))
     tables: list[Table] = []
     for use, words in uses:
@@ -471,39 +429,32 @@ def error_tables(answer: Answer) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> list[Table]:
-    centres = answer.bands.centres_hz
+def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:
     keys = parameter_keys(pairs)
     found = {key: errors_of(pairs, key) for key in keys}
-    everything = list(range(len(centres)))
-    tables = []
-    for block in band_blocks(len(centres)):
-        last = ["all bands"] if block[-1] == everything[-1] else []
-        groups = [[int(j)] for j in block] + [everything for _ in last]
-        rows = tuple(
-            Row(
-                parameter(key).symbol,
-                tuple(_cell(key, found[key], group) for group in groups),
-                small=f"in {parameter(key).error_unit}",
-            )
-            for key in keys
-        )
-        columns = (*band_heads(centres, block), *last)
-        tables.append(Table(block_caption(caption, centres, block), "parameter", columns, rows))
-    return tables
+    every = list(range(len(answer.bands)))
+
+    def rows(block: IntArray) -> Iterator[Row]:
+        groups = [[int(j)] for j in block] + ([every] if block[-1] == every[-1] else [])
+        for key in keys:
+            cells = tuple(_cell(key, found[key], group) for group in groups)
+            yield Row(parameter(key).symbol, cells, small=f"in {parameter(key).error_unit}")
+
+    centres = answer.bands.centres_hz
+    return band_tables(caption, "parameter", centres, rows, after=("all bands",))
 
 
 def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
-    model, null = known_mean(errors.model[:, bands]), known_mean(errors.null[:, bands])
+    model, baseline = known_mean(errors.model[:, bands]), known_mean(errors.baseline[:, bands])
     if not np.isfinite(model):
         return Cell(DASH, ("not comparable",), "missing")
     decimals = parameter(key).error_decimals
     text = number(model, decimals)
-    if not np.isfinite(null):
+    if not np.isfinite(baseline):
         return Cell(text, ("no others",))
-    if round(model, decimals) > round(null, decimals):
-        return Cell(f"{WORSE} {text}", (f"others {number(null, decimals)}",), "worse")
-    return Cell(text, (f"others {number(null, decimals)}",))
+    if round(model, decimals) > round(baseline, decimals):
+        return Cell(f"{WORSE} {text}", (f"others {number(baseline, decimals)}",), "worse")
+    return Cell(text, (f"others {number(baseline, decimals)}",))
 
 
 _SURFACES_SHOWN = 6
@@ -537,7 +488,7 @@ def _surfaces(room: Room, material: int) -> str:
 
 
 def position_table(scene: Scene) -> Table:
-    """Return where sources and receivers stand, in metres."""
+    """Return the positions of sources and receivers, in metres."""
     points = [("source", p) for p in scene.sources] + [("receiver", p) for p in scene.receivers]
     return Table(
         "Positions in metres",
@@ -552,20 +503,15 @@ def position_table(scene: Scene) -> Table:
 
 def source_tables(answer: Answer) -> tuple[Table, ...]:
     """Return a table of every source whose directivity was fitted, none where none was."""
-    centres = answer.bands.centres_hz
     return tuple(
-        Table(
-            block_caption(
-                f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
-                centres,
-                block,
-            ),
-            "b",
-            band_heads(centres, block),
-            _rows(found, block),
-        )
+        table
         for found in answer.directivities
-        for block in band_blocks(len(centres))
+        for table in band_tables(
+            f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
+            "b",
+            answer.bands.centres_hz,
+            partial(_rows, found),
+        )
     )
 
 

@@ -1,4 +1,4 @@
-"""The room as one figure: in space, in plan and from two sides; and the edges that an eye sees."""
+"""The room as one figure: in space, in plan and from two sides; and its visible edges."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ from roomfit.typing import FloatArray, IntArray
 _SAME_PLANE = 0.9995
 """Cosine between normals above which two faces look flat together, 1.8 degrees."""
 
-# P. Tol, "Colour schemes", SRON/EPS/TN/09-002 (2021), "muted", then Okabe and Ito (2008): told
-# apart with every kind of colour vision; from the 17th material on they begin anew
+# P. Tol, "Colour schemes", SRON/EPS/TN/09-002 (2021), "muted", then Okabe and Ito (2008):
+# distinguishable with every kind of colour vision; repeated from the 17th material on
 COLOURS = (
     *("#88CCEE", "#CC6677", "#DDCC77", "#117733", "#332288", "#AA4499", "#44AA99", "#999933"),
     *("#882255", "#E69F00", "#0072B2", "#D55E00", "#009E73", "#CC79A7", "#666666", "#BBBBBB"),
 )
 MOST_FACES = 2500
-"""Of more faces that are seen, the largest are drawn: a hundred bytes each in the report."""
+"""Of more visible faces, the largest are drawn: a hundred bytes each in the report."""
 
 _SOURCE, _RECEIVER = OKABE_ITO[1], "#222222"
 _SOURCE_NAME = "#8A3C00"
@@ -40,7 +40,7 @@ _SPACE_IN = (6.9, 4.4)
 _MOST_EDGES = 1500
 _MOST_NAMES, _MOST_STEMS, _MOST_IN_LEGEND = 24, 16, 18
 _LETTER_PT, _NAME_PT = 5.0, 8.0
-# From where the room is looked at: from the south-south-west, 30 degrees above the floor.
+# Viewed from the south-south-west, 30 degrees above the floor.
 _AZIMUTH, _ELEVATION = np.radians(-118.0), np.radians(30.0)
 _AXES = ("x (m)", "y (m)", "z (m)")
 _Offset = tuple[float, float, Literal["left", "right", "center"]]
@@ -52,9 +52,9 @@ def material_colour(index: int) -> str:
 
 
 def room_figure(scene: Scene) -> Figure:
-    """Return the room seen from above one corner, its plan and two side views, to scale.
+    """Return the room from above one corner, its plan and two side views, to scale.
 
-    In space the walls towards the viewer are left out, so that one looks into the room; the
+    In space the walls towards the viewer are left out, so that its inside shows; the
     colours are those of `material_colour`.
     """
     edges = outline_m(scene.room, _MOST_EDGES)
@@ -97,9 +97,9 @@ def room_figure(scene: Scene) -> Figure:
 
 
 def drawn_faces(room: Room) -> tuple[IntArray, int]:
-    """Return the triangles that are drawn in space, farthest first, and how many are seen.
+    """Return the triangles that are drawn in space, farthest first, and how many are visible.
 
-    Seen are those whose side in the air is turned to the viewer, and both sides of sheets.
+    Visible are those whose side in the air faces the viewer, and both sides of sheets.
     """
     towards = _projection()[2]
     away = area_vectors_m2(room.mesh) @ towards
@@ -183,7 +183,7 @@ def _draw_view(
 def _draw_points(
     axes: Axes, scene: Scene, onto: FloatArray, scale: float, ends_m: FloatArray | None = None
 ) -> None:
-    """Draw sources and receivers; their names where no other name or mark stands.
+    """Draw sources and receivers; their names where no other name or mark is.
 
     Between `ends_m`, where given: beyond them are the numbers of an axis.
     """

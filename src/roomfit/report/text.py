@@ -1,9 +1,4 @@
-"""An answer in words and tables, for a terminal.
-
-The catalogue of materials as text.
-
-A checked room in words.
-"""
+"""Answers, checked rooms and the catalogue of materials as text for a terminal."""
 
 from __future__ import annotations
 
@@ -13,20 +8,21 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.findings import Code, Finding
+from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
-from roomfit.report.wording import PARAMETERS, decay_time_key, parameter
+from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
 from roomfit.results import Answer, ComparedPair
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
 
-# Of a recording all parameters are known, and these tell the rest; a table of room parameters
-# holds what somebody chose to measure, and all of it is shown.
+# A recording has all parameters, and these represent them; a table of room parameters has the
+# measured ones only, and all of it is shown.
 _OF_RECORDINGS = ("T20_s", "EDT_s", "C80_dB")
 _BELOW_BAND = " " * 11
 
 
 def answer_text(answer: Answer) -> str:
-    """Return everything a user must see: absorption, what can be told apart, pairs, findings."""
+    """Return everything a user must know: absorption, what is identifiable, pairs, findings."""
     parts = [
         absorption_table(answer),
         separable_text(answer),
@@ -65,9 +61,11 @@ def absorption_table(answer: Answer) -> str:
 
 
 def separable_text(answer: Answer) -> str:
-    """Return in words which materials the data tell apart, band by band."""
+    """Return in words which materials the data determine, band by band."""
     has_sentences = any(answer.sentences)
-    lines = ["What the data tell" + (" (+-: half of the 95 % interval)" if has_sentences else "")]
+    lines = [
+        "What the data determine" + (" (+-: half of the 95 % interval)" if has_sentences else "")
+    ]
     for j, centre in enumerate(answer.bands.centres_hz):
         fixed = answer.lower95[:, j] == answer.upper95[:, j]
         sure = _names(answer.materials, answer.identifiable[:, j] & ~fixed)
@@ -127,7 +125,7 @@ def directivity_text(answer: Answer) -> str:
 
 
 def certificate_text(answer: Answer) -> str:
-    """Return what was proven of the cost in each band, and the places that come near the lowest."""
+    """Return what was proven of the cost in each band, and the minima that come near the lowest."""
     lines = []
     for centre, proof in zip(answer.bands.centres_hz, answer.certificates, strict=False):
         if proof is None:
@@ -139,7 +137,7 @@ def certificate_text(answer: Answer) -> str:
                 for name, value in zip(proof.coordinates, cluster.minimiser, strict=True)
             )
             lines.append(f"           {cluster.value:.4g} at {at}")
-    head = ["Cost of the energies with their weights held:"] if lines else []
+    head = ["Cost of the energies with their weights fixed:"] if lines else []
     return "\n".join(head + lines)
 
 
@@ -148,10 +146,10 @@ def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
 
 
 def pairs_table(answer: Answer) -> str:
-    """Return mean absolute errors of predicted parameters beside the null model's.
+    """Return mean absolute errors of predicted parameters beside those of the baseline.
 
-    Of pairs with a recording T20, EDT and C80; of tables of room parameters all that they hold.
-    The null model is the mean of the same parameter over the other fitted measurements.
+    Of pairs with a recording T20, EDT and C80; of tables of room parameters all that they have.
+    The baseline is the mean of the same parameter over the other fitted measurements.
     """
     rows: list[tuple[str, list[str]]] = []
     times: list[str] = []
@@ -190,9 +188,9 @@ def _error_row(pairs: list[ComparedPair], name: str, use: str) -> tuple[str, lis
     compared = [p.parameters[name] for p in pairs if name in p.parameters]
     measured = [c.measured for c in compared]
     ours = _mean_error(name, [c.predicted for c in compared], measured)
-    null = _mean_error(name, [c.null for c in compared], measured)
+    baseline = _mean_error(name, [c.null for c in compared], measured)
     label = f"{parameter(name).symbol} {parameter(name).error_unit} {_said(use)}"
-    return label, [_pair_cell(a, b) for a, b in zip(ours, null, strict=True)]
+    return label, [_pair_cell(a, b) for a, b in zip(ours, baseline, strict=True)]
 
 
 def _decay_cells(pairs: list[ComparedPair], name: str) -> list[str]:
@@ -214,7 +212,7 @@ def _said(use: str) -> str:
 
 
 def findings_text(findings: tuple[Finding, ...]) -> str:
-    """Return the findings, most serious first; what many files share is told once."""
+    """Return the findings, most serious first; one line for each code."""
     order = {"serious": 0, "warning": 1, "info": 2}
     alike: dict[Code, list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: order[f.severity]):
@@ -237,11 +235,11 @@ def _short(value: float) -> str:
     return "1.00"[:3] if value >= 0.995 else f"{value:.2f}"[1:]
 
 
-def _pair_cell(ours: float, null: float) -> str:
+def _pair_cell(ours: float, baseline: float) -> str:
     def formatted(value: float) -> str:
         return f"{value:.1f}" if np.isfinite(value) else "-"
 
-    return f"{formatted(ours):>5} | {formatted(null):>5}"
+    return f"{formatted(ours):>5} | {formatted(baseline):>5}"
 
 
 def _mean_error(name: str, guesses: list[FloatArray], measured: list[FloatArray]) -> FloatArray:
@@ -260,7 +258,7 @@ _WIDTH = 34
 
 def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
     """Return one line for each entry, under its group: name and absorption in octaves."""
-    head = f"{'absorption at':<{_WIDTH}}" + "".join(f"{_hertz(f):>6}" for f in OCTAVES_HZ)
+    head = f"{'absorption at':<{_WIDTH}}" + "".join(f"{short_hertz(f):>6}" for f in OCTAVES_HZ)
     lines = [head]
     group = None
     for entry in entries:
@@ -275,9 +273,7 @@ def catalogue_text(entries: Sequence[CatalogueEntry]) -> str:
 
 def entry_text(entry: CatalogueEntry) -> str:
     """Return one entry in full: middle, spread, and every reading with its source."""
-    low, high = (
-        1.0 / (1.0 + np.exp(-(entry.logit_mean + z * entry.logit_sd))) for z in (-1.96, 1.96)
-    )
+    low, high = (expit(entry.logit_mean + z * entry.logit_sd) for z in (-Z95, Z95))
     rows: list[tuple[str, FloatArray]] = [
         ("absorption", entry.absorption),
         ("standard deviation", entry.sd),
@@ -288,7 +284,7 @@ def entry_text(entry: CatalogueEntry) -> str:
         entry.name,
         f"{entry.description} ({entry.group})",
         "",
-        f"{'octave, Hz':<{_WIDTH}}" + "".join(f"{_hertz(f):>6}" for f in OCTAVES_HZ),
+        f"{'octave, Hz':<{_WIDTH}}" + "".join(f"{short_hertz(f):>6}" for f in OCTAVES_HZ),
         *(f"{label:<{_WIDTH}}{_row(values)}" for label, values in rows),
         "",
         "readings",
@@ -301,7 +297,7 @@ def entry_text(entry: CatalogueEntry) -> str:
         ]
     lines += [
         "",
-        "63 Hz and 8 kHz are carried on from their neighbours, with a wider spread, where no",
+        "63 Hz and 8 kHz are extrapolated from their neighbours, with a wider spread, where no",
         f'reading has them. As a prior in a campaign: prior = "{entry.name}"',
     ]
     return "\n".join(lines)
@@ -309,10 +305,6 @@ def entry_text(entry: CatalogueEntry) -> str:
 
 def _row(values: FloatArray) -> str:
     return "".join(f"{'-':>6}" if np.isnan(v) else f"{v:6.2f}" for v in values)
-
-
-def _hertz(frequency: float) -> str:
-    return f"{frequency:g}" if frequency < 1000.0 else f"{frequency / 1000.0:g}k"
 
 
 def room_text(title: str, check: RoomCheck) -> str:

@@ -1,11 +1,8 @@
-"""Numbers and names as a reader expects them: sensible digits, units, no NaN.
-
-A table as the template draws it: captions, heads and cells of text, no numbers.
-"""
+"""Numbers, names and tables as a reader expects them: sensible digits, units, no NaN."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from itertools import groupby
 
@@ -18,22 +15,12 @@ DASH = "\N{EN DASH}"
 
 @dataclass(frozen=True, slots=True)
 class Parameter:
-    """How a room-acoustic parameter is written.
-
-    Attributes
-    ----------
-    symbol, unit : str
-    decimals : int
-        Of a value in `unit`.
-    error_unit : str
-        "%" where errors are told relative to the measured value.
-    error_decimals : int
-    """
+    """How a room-acoustic parameter is written."""
 
     symbol: str
     unit: str
-    decimals: int
-    error_unit: str
+    decimals: int  # of a value in `unit`
+    error_unit: str  # "%" where errors are relative to the measured value
     error_decimals: int
 
 
@@ -90,6 +77,11 @@ def hertz(frequency_hz: float) -> str:
     return f"{frequency_hz:g} Hz"
 
 
+def short_hertz(frequency_hz: float) -> str:
+    """Return a frequency as an axis in Hz names it: 500, 2k."""
+    return f"{frequency_hz / 1000:g}k" if frequency_hz >= 1000 else f"{frequency_hz:g}"
+
+
 def count(number_of: int, singular: str, plural: str | None = None) -> str:
     """Return a number with its noun.
 
@@ -138,13 +130,13 @@ def shortened(name: str, longest: int = 34) -> str:
 
 
 def parameter(key: str) -> Parameter:
-    """Return how a parameter is written; of an unknown one the key tells symbol and unit."""
+    """Return how a parameter is written; of an unknown one the key has symbol and unit."""
     symbol, _, unit = key.partition("_")
     return PARAMETERS.get(key) or Parameter(symbol, unit, 2, unit, 2)
 
 
 def decay_time_key(known: Iterable[str]) -> str | None:
-    """Return which of the known parameters stands for the decay time; None where none does.
+    """Return which of the known parameters represents the decay time; None where none does.
 
     Examples
     --------
@@ -189,20 +181,36 @@ class Table:
     rows: tuple[Row, ...]
 
 
-def band_blocks(n_bands: int) -> Iterator[IntArray]:
-    """Yield the indices of the bands of each table, evenly shared out."""
-    n_blocks = -(-n_bands // BANDS_AT_MOST)
-    yield from np.array_split(np.arange(n_bands), n_blocks)
+def band_heads(centres_hz: FloatArray) -> tuple[str, ...]:
+    """Return the heads of columns of bands."""
+    return tuple(hertz(float(f)) for f in centres_hz)
 
 
-def band_heads(centres_hz: FloatArray, block: IntArray) -> tuple[str, ...]:
-    """Return the column heads of the bands of a block."""
-    return tuple(hertz(float(f)) for f in centres_hz[block])
+def band_tables(
+    caption: str,
+    corner: str,
+    centres_hz: FloatArray,
+    rows: Callable[[IntArray], Iterable[Row]],
+    *,
+    before: tuple[str, ...] = (),
+    after: tuple[str, ...] = (),
+) -> tuple[Table, ...]:
+    """Return a table with a column a band; several, evenly filled, where there are many bands.
 
-
-def block_caption(caption: str, centres_hz: FloatArray, block: IntArray) -> str:
-    """Return a caption that tells the bands where one table does not hold them all."""
-    if len(block) == len(centres_hz):
-        return caption
-    low, high = (hertz(float(centres_hz[j])) for j in (block[0], block[-1]))
-    return f"{caption}; {low} to {high}"
+    Parameters
+    ----------
+    caption, corner : str
+    centres_hz : float array, shape (n_bands,)
+    rows : callable
+        Returns the rows of the bands of these indices.
+    before, after : tuple of str
+        Heads of other columns, in every table and behind the last band.
+    """
+    tables = []
+    for block in np.array_split(np.arange(len(centres_hz)), -(-len(centres_hz) // BANDS_AT_MOST)):
+        heads = band_heads(centres_hz[block])
+        whole = len(block) == len(centres_hz)
+        words = caption if whole else f"{caption}; {heads[0]} to {heads[-1]}"
+        last = after if block[-1] == len(centres_hz) - 1 else ()
+        tables.append(Table(words, corner, (*before, *heads, *last), tuple(rows(block))))
+    return tuple(tables)

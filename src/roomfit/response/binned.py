@@ -1,4 +1,4 @@
-"""Paths of every pair in fine time bins, as the bands need them."""
+"""Paths of every pair in fine time bins, with the weights and the bins of each band."""
 
 from __future__ import annotations
 
@@ -20,20 +20,13 @@ _BINS_PER_TIME = 400.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BinnedPaths:
-    """Paths of every pair of the scene in fine time bins.
+    """Paths of every pair of the scene in fine time bins."""
 
-    Attributes
-    ----------
-    edges_s : float array, shape (n_bins + 1,)
-        Uniform, beginning before emission, since a zero-phase filter rings before a sound.
-    rows : tuple of EnergyRows, one a pair
-    by_band : mapping of centre in Hz to tuple of EnergyRows
-        Rows of the bands in which the paths weigh otherwise, because walls scatter or a source
-        radiates otherwise there; the same paths in the same bins.
-    """
-
+    # (n_bins + 1,), uniform, from before emission, since a zero-phase filter rings before a sound
     edges_s: FloatArray
-    rows: tuple[EnergyRows, ...]
+    rows: tuple[EnergyRows, ...]  # one a pair
+    # by centre in Hz, where weights differ, because scattering or directivity does: same paths and
+    # bins
     by_band: Mapping[float, tuple[EnergyRows, ...]] = field(default_factory=dict)
 
 
@@ -79,11 +72,7 @@ def pair_energies(
 
 
 def bin_paths(
-    scene: Scene,
-    bands: Bands,
-    paths: Paths,
-    duration_s: float,
-    factors: FloatArray | None = None,
+    scene: Scene, bands: Bands, paths: Paths, duration_s: float, factors: FloatArray | None = None
 ) -> BinnedPaths:
     """Sort the paths of every pair into bins of a tenth of a millisecond.
 

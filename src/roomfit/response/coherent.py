@@ -1,12 +1,11 @@
-"""The partly coherent reader: image sources' pressures added as far as their times are known.
+"""The partly coherent response: pressures of image sources added as far as times are known.
 
-Energies that add know nothing of how reflections interfere. Where arrival times are known to a
-fraction of a period, pressures can be added instead: ``y(t) = sum of sqrt(gamma_i e_i) f(t - t_i)``
-with the band filter's impulse response f and a coherence gamma_i of each path. The energy of a
-window is the integral of y^2 and what is not coherent, the sum of ``(1 - gamma_i) e_i``. This
-module makes the first part and its derivatives.
-
-Compiled loops of the coherent reader: spikes laid on a grid, products summed over windows.
+Sums of energies contain no interference of reflections. Where arrival times are known to a fraction
+of a period, pressures can be added instead: ``y(t) = sum of sqrt(gamma_i e_i) f(t - t_i)`` with the
+band filter's impulse response f and a coherence gamma_i of each path. The energy of a window is the
+integral of y^2 and an incoherent part, the sum of ``(1 - gamma_i) e_i``. This module computes the
+first part and its derivatives: impulses gridded in time, filtered, and their products summed over
+windows.
 """
 
 from __future__ import annotations
@@ -26,7 +25,7 @@ from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_r
 from roomfit.tracing.paths import Paths
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
-# Taps of the spreading kernel and steps of its table between two taps.
+# Taps of the gridding kernel and steps of its table between two taps.
 TAPS = 6
 TABLE_STEPS = 2048
 
@@ -62,7 +61,7 @@ def grid_impulses(
     table: FloatArray,
     impulses: FloatArray,
 ) -> None:
-    """Lay every path's spike, times its derivatives, upon the grids of its observation.
+    """Add every path's impulse, times its derivatives, to the grids of its observation.
 
     Parameters
     ----------
@@ -73,10 +72,10 @@ def grid_impulses(
     image_transform : shape (n_paths, 9)
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
-        By how much source and receiver stand elsewhere, m.
+        Displacement of source and receiver, m.
     impulses : shape (n_observations, n_grid, 8 + n_materials), or (n_observations, n_grid, 1)
-        Zeros; filled with spikes of height s; hits s of every material; -dt/dsource s (3),
-        dt/dreceiver s (3), and -dt/dln c s (1). A single column holds the first of them.
+        Zeros; filled with impulses of height s; hits s of every material; -dt/dsource s (3),
+        dt/dreceiver s (3), and -dt/dln c s (1). A single column contains the first of them.
     """
     n_materials = hits.shape[1]
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
@@ -238,94 +237,49 @@ _BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePaths:
-    """Image paths of several observations of one band, one observation after the other.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    offsets : int64 array, shape (n_observations + 1,)
-    weight : float array, shape (n_paths,)
-        Energy of each path if no wall absorbed: spreading, scattering and air.
-    hits : uint16 array, shape (n_paths, n_materials)
-    image_to_receiver_m : float array, shape (n_paths, 3)
-        From the image to the receiver.
-    image_transform : float array, shape (n_paths, 9)
-        The orthogonal matrix A of each path, row by row: a source that moves by x moves its image
-        by A x.
-    coherence : float array, shape (n_paths,)
-        gamma, 0 to 1.
-    sign : float array, shape (n_paths,), or None
-        -1 where the source sends with the opposite sign, else 1; None where it nowhere does.
-    """
+    """Image paths of several observations of one band, one observation after the other."""
 
     materials: tuple[str, ...]
-    offsets: IntArray
-    weight: FloatArray
-    hits: IntArray
-    image_to_receiver_m: FloatArray
+    offsets: IntArray  # int64 (n_observations + 1,)
+    weight: FloatArray  # (n_paths,), energy without absorption: spreading, scattering and air
+    hits: IntArray  # uint16 (n_paths, n_materials)
+    image_to_receiver_m: FloatArray  # (n_paths, 3)
+    # (n_paths, 9), orthogonal matrix A of each path, row by row: a source that moves by x moves its
+    # image by A x
     image_transform: FloatArray
-    coherence: FloatArray
-    sign: FloatArray | None = None
+    coherence: FloatArray  # (n_paths,), gamma, 0 to 1
+    sign: FloatArray | None = None  # (n_paths,), of the source's pressure, 1 or -1; None for all 1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Times:
-    """What sets the arrival times beside the told geometry.
+    """Parameters of the arrival times beside the specified geometry."""
 
-    Attributes
-    ----------
-    shifts_m : float array, shape (n_observations, 6)
-        Displacement of source and receiver.
-    speed_m_s : float
-    latency_s : float array, shape (n_observations,)
-    delays_s : float array, shape (n_materials,)
-        Delay that each reflection adds.
-    """
-
-    shifts_m: FloatArray
+    shifts_m: FloatArray  # (n_observations, 6): displacement of source and receiver
     speed_m_s: float
-    latency_s: FloatArray
-    delays_s: FloatArray
+    latency_s: FloatArray  # (n_observations,)
+    delays_s: FloatArray  # (n_materials,): delay that each reflection adds
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandGrid:
-    """The grid of times on which the pressures of one band are added.
-
-    Attributes
-    ----------
-    first_s, rate_hz : float
-    n : int
-    filter, slope : complex arrays, shape (n // 2 + 1,)
-        Transfer function from spikes to filtered pressure and to minus its time derivative.
-    table : float array
-        The spreading kernel.
-    """
+    """The grid of times on which the pressures of one band are added."""
 
     first_s: float
     rate_hz: float
     n: int
-    filter: FloatArray
-    slope: FloatArray
-    table: FloatArray
+    filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
+    slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
+    table: FloatArray  # the gridding kernel
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentResponse:
-    """Energies of the coherent pressure, windows of all observations end to end.
+    """Energies of the coherent pressure, windows of all observations end to end."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_windows,)
-        Integral of y^2, in the unit of path energies.
-    by_log_reflected : float array, shape (n_windows, n_materials)
-        Derivative by ln(1 - alpha) of each material.
-    by_times : float array, shape (n_windows, 8 + n_materials)
-        Derivative by source (3), receiver (3), ln c, latency and delays of the own observation.
-    """
-
-    energy: FloatArray
-    by_log_reflected: FloatArray
+    energy: FloatArray  # (n_windows,), integral of y^2, in the unit of path energies
+    by_log_reflected: FloatArray  # (n_windows, n_materials), derivative by ln(1 - alpha)
+    # (n_windows, 8 + n_materials), derivative by source (3), receiver (3), ln c, latency and delays
     by_times: FloatArray
 
 
@@ -388,12 +342,12 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
 
 
 def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
-    """Return a grid for the only band of a bank that holds the times from first to last.
+    """Return a grid for the only band of a bank that contains the times from first to last.
 
     Notes
     -----
-    Spikes between grid points are spread over six points by a Kaiser-Bessel kernel, whose spectrum
-    the filter divides out [1]_. The pressure is exact to 1e-5 of a path's amplitude.
+    Impulses between grid points are spread over six points by a Kaiser-Bessel kernel, whose
+    spectrum the filter divides out [1]_. The pressure is exact to 1e-5 of a path's amplitude.
 
     References
     ----------
@@ -411,16 +365,16 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     shape = frequency_response(bank, frequencies)[0]
     shape = shape / np.sqrt(2.0 * energy_bandwidth_hz(bank)[0])
     used = shape > 0.0
-    kernel = _kernel_spectrum(frequencies / rate_hz)
+    # the Fourier transform of the gridding kernel within its pass band, and its table in time
+    argument = np.maximum(_BETA**2 - (np.pi * TAPS * (frequencies / rate_hz)) ** 2, 1e-12)
+    argument = np.sqrt(argument)
+    kernel = TAPS * np.sinh(argument) / (argument * i0(_BETA))
+    x = np.arange(TAPS // 2 * TABLE_STEPS + 2 * TABLE_STEPS) / TABLE_STEPS
+    inside = np.maximum(1.0 - (2.0 * x / TAPS) ** 2, 0.0)
+    table = np.where(x <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
-    return BandGrid(
-        first_s - padding_s,
-        rate_hz,
-        n,
-        transfer,
-        -2j * np.pi * frequencies * transfer,
-        _kernel_table(),
-    )
+    slope = -2j * np.pi * frequencies * transfer
+    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table)
 
 
 def coherent_response(
@@ -437,11 +391,9 @@ def coherent_response(
     Parameters
     ----------
     paths : ImagePaths
-        Amplitudes are those of the told geometry; only times move with `times`.
+        Amplitudes are those of the specified geometry; only times move with `times`.
     absorption : float array, shape (n_materials,)
         Below 1.
-    times : Times
-    grid : BandGrid
     edges_s : tuple of float arrays, one an observation
         Window edges, not before the grid nor behind its last time.
     derivative : bool
@@ -476,7 +428,7 @@ def _filtered(
     *,
     derivative: bool,
 ) -> CoherentResponse:
-    """Put spike trains through the filter and integrate their products over windows."""
+    """Filter impulse trains and integrate their products over windows."""
     spectra = fft.rfft(impulses, axis=-1, workers=2)
     pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
     if derivative:
@@ -530,15 +482,3 @@ def _stand_in(departure: FloatArray, arrival: FloatArray) -> FloatArray:
     squared = np.einsum("ni,ni->n", step, step)[:, None, None]
     out[other] = np.eye(3) - 2.0 * step[:, :, None] * step[:, None, :] / squared
     return np.asarray(out)
-
-
-def _kernel_table() -> FloatArray:
-    x = np.arange(TAPS // 2 * TABLE_STEPS + 2 * TABLE_STEPS) / TABLE_STEPS
-    inside = np.maximum(1.0 - (2.0 * x / TAPS) ** 2, 0.0)
-    return np.asarray(np.where(x <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0))
-
-
-def _kernel_spectrum(cycles_per_sample: FloatArray) -> FloatArray:
-    """Return the Fourier transform of the spreading kernel within its pass band."""
-    argument = np.sqrt(np.maximum(_BETA**2 - (np.pi * TAPS * cycles_per_sample) ** 2, 1e-12))
-    return np.asarray(TAPS * np.sinh(argument) / (argument * i0(_BETA)))

@@ -1,20 +1,15 @@
-"""The directivity of a loudspeaker as measured around it, read for any direction in the room.
-
-First-order sources whose directivity is not known: rows and images weighed anew, with slopes.
-
-The amplitude in direction u is ``a = (1 + b . u) / sqrt(1 + |b|**2 / 3)``, the energy its square.
-Pressures are linear in a, energies of paths that add quadratic: slopes are exact for both.
-
-What a source sends into each direction, as a factor on the energy of paths.
+"""The directivity of sources, measured or of first order, as a factor on the energy of paths.
 
 Factors are relative to an omnidirectional source of the same sound power: their mean over all
-directions is 1. So a level that is told as "absolute" is that of the sound power, not that on the
-axis of the loudspeaker.
+directions is 1, so that an "absolute" level is that of the sound power, not that on the axis of the
+loudspeaker. A first-order source has the amplitude ``a = (1 + b . u) / sqrt(1 + |b|**2 / 3)`` in
+direction u and its square as energy. Pressures are linear in a, energies of paths quadratic: slopes
+by b are exact for both.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numba
@@ -35,7 +30,8 @@ from roomfit.response.coherent import (
     image_energies,
     window_products,
 )
-from roomfit.response.energy import EnergyRows, reweighed_rows, weigh
+from roomfit.response.energy import EnergyRows
+from roomfit.scene import Point
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
@@ -139,7 +135,7 @@ def grid_directed_impulses(
     table: FloatArray,
     impulses: FloatArray,
 ) -> None:
-    """Lay spikes of several heights at each path's time upon the grids of its observation.
+    """Add impulses of several heights at each path's time to the grids of its observation.
 
     Parameters
     ----------
@@ -164,28 +160,20 @@ def grid_directed_impulses(
                     own[j, g] += height * heights[i, j]
 
 
-# A measured directivity is laid on a grid of directions so fine once, and read from it linearly.
+# A measured directivity is interpolated once to a grid of directions so fine, and then linearly.
 _STEP_DEG = 2.5
 _NEIGHBOURS = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredDirectivity:
-    """Energy that a loudspeaker was measured to send into each direction, of unit sound power.
+    """Measured energy of a loudspeaker in each direction, of unit sound power."""
 
-    Attributes
-    ----------
-    centres_hz : float array, shape (n_bands,)
-    factor : float array, shape (n_bands, n_polar, n_azimuth)
-        On polar angles from 0 (the axis that the loudspeaker faces) to pi and azimuths from 0
-        (left, from up across the axis) to 2 pi, both ends included.
-    axes : float array, shape (3, 3)
-        Rows: where the loudspeaker's axis, its left and its top point in the room.
-    """
-
-    centres_hz: FloatArray
+    centres_hz: FloatArray  # (n_bands,)
+    # (n_bands, n_polar, n_azimuth), on polar angles from 0 (the axis that the loudspeaker faces) to
+    # pi and azimuths from 0 (left, from up across the axis) to 2 pi, both ends included
     factor: FloatArray
-    axes: FloatArray
+    axes: FloatArray  # (3, 3), rows: directions in the room of its front, left and top
 
     def __post_init__(self) -> None:
         axes = float_array("axes of a loudspeaker", self.axes, (3, 3), low=-1.0, high=1.0)
@@ -210,7 +198,7 @@ def loudspeaker_axes(aim: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) -> FloatAr
     left = np.cross(float_array("up", up, (3,), low=-1e6, high=1e6), front)
     if not np.linalg.norm(left) > 1e-9 * np.linalg.norm(front):
         raise InputError(
-            "aim and up of a loudspeaker do not tell how it stands",
+            "aim and up of a loudspeaker do not determine its orientation",
             found=f"aim {np.array(aim).tolist()} and up {np.array(up).tolist()}",
             needed="two directions that are not parallel",
             hint="a loudspeaker that faces up needs another up",
@@ -224,8 +212,8 @@ def measured_directivity(
 ) -> MeasuredDirectivity:
     """Return a directivity from energies measured in directions spread over the sphere.
 
-    Between directions it is interpolated by radial functions through the nearest sixteen, which
-    keeps the measured values, and never below 0.
+    Between directions it is interpolated by radial functions through the nearest sixteen, exact at
+    the measured directions, and never below 0.
 
     Parameters
     ----------
@@ -250,7 +238,10 @@ def measured_directivity(
             "too few directions for a directivity", found=str(len(points)), needed="6 or more"
         )
     points, first = np.unique(np.round(points / length[:, None], 6), axis=0, return_index=True)
-    polar, azimuth, grid = _grid()
+    polar = np.linspace(0.0, np.pi, round(180.0 / _STEP_DEG) + 1)
+    azimuth = np.linspace(0.0, 2.0 * np.pi, round(360.0 / _STEP_DEG) + 1)
+    p, a = (x.ravel() for x in np.meshgrid(polar, azimuth, indexing="ij"))
+    grid = np.stack([np.cos(p), np.sin(p) * np.cos(a), np.sin(p) * np.sin(a)], 1)
     if np.min(np.max(grid @ points.T, axis=1)) < 0.5:
         raise InputError(
             "the directions of a directivity leave a hole wider than 60 degrees",
@@ -282,7 +273,6 @@ def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: in
     ----------
     departure : float array, shape (n_paths, 3)
         Unit vectors away from the source.
-    band : int
     """
     front, left, top = (departure.astype(np.float64) @ axis for axis in source.axes)
     table = source.factor[band]
@@ -296,25 +286,12 @@ def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: in
     return np.asarray((1.0 - x) * near + x * far)
 
 
-def _grid() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return polar angles, azimuths and all their unit vectors, polar angle slowest."""
-    polar = np.linspace(0.0, np.pi, round(180.0 / _STEP_DEG) + 1)
-    azimuth = np.linspace(0.0, 2.0 * np.pi, round(360.0 / _STEP_DEG) + 1)
-    p, a = (x.ravel() for x in np.meshgrid(polar, azimuth, indexing="ij"))
-    return polar, azimuth, np.stack([np.cos(p), np.sin(p) * np.cos(a), np.sin(p) * np.sin(a)], 1)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstOrder:
-    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power.
+    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power."""
 
-    Attributes
-    ----------
-    b : float array, shape (3,)
-        Along the axis; length 0 is omnidirectional, 1 a cardioid, far above 1 a figure of eight.
-        Aim and order in one: three unknowns without bounds and without angles.
-    """
-
+    # (3,), along the axis; length 0 is omnidirectional, 1 a cardioid, far above 1 a figure of
+    # eight. Aim and order in one: three unknowns without bounds and without angles.
     b: FloatArray
 
     def __post_init__(self) -> None:
@@ -324,14 +301,9 @@ class FirstOrder:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FirstOrderBands:
-    """A first-order source with a vector b of its own in every band, as a fit finds it.
+    """A first-order source with a vector b of its own in every band, as a fit finds it."""
 
-    Attributes
-    ----------
-    b : float array, shape (n_bands, 3)
-    """
-
-    b: FloatArray
+    b: FloatArray  # (n_bands, 3)
 
     def __post_init__(self) -> None:
         b = float_array("first-order directivity", self.b, (None, 3), low=-1e3, high=1e3)
@@ -372,21 +344,6 @@ def first_order_factor(source: FirstOrder, departure: FloatArray) -> FloatArray:
     return np.asarray(amplitude**2 / (1.0 + source.b @ source.b / 3.0))
 
 
-def first_order_amplitude(source: FirstOrder, departure: FloatArray) -> FloatArray:
-    """Return the root of `first_order_factor` with its sign, for pressures; shape (n_paths,)."""
-    amplitude = 1.0 + departure.astype(np.float64) @ source.b
-    return np.asarray(amplitude / np.sqrt(1.0 + source.b @ source.b / 3.0))
-
-
-def first_order_slope(source: FirstOrder, departure: FloatArray) -> FloatArray:
-    """Return the derivative of `first_order_factor` by b, shape (n_paths, 3)."""
-    u = departure.astype(np.float64)
-    amplitude = 1.0 + u @ source.b
-    power = 1.0 + source.b @ source.b / 3.0
-    direct = 2.0 * (amplitude / power)[:, None] * u
-    return np.asarray(direct - ((amplitude / power) ** 2)[:, None] * (2.0 / 3.0) * source.b)
-
-
 Directivity = FirstOrder | FirstOrderBands | MeasuredDirectivity
 
 
@@ -419,45 +376,21 @@ def directivity_factors(
     return factors
 
 
-def with_directivity(
-    paths: Paths, sources: Sequence[Directivity | None], source_of_pair: Sequence[int], band: int
-) -> Paths:
-    """Return the same paths with the weights that directional sources give them in one band."""
-    factors = directivity_factors(paths, sources, source_of_pair, band)
-    return replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
+@dataclass(frozen=True, slots=True, eq=False)
+class UnknownDirectivity:
+    """A first-order directivity that is to be fitted, with the prior of its vector b."""
+
+    mean: FloatArray | None = None  # shape (3,); None: unspecified
+    sd: float | None = None  # of each component of b; None: unspecified
 
 
-def directivity_derivative(
-    rows: EnergyRows,
-    paths: Paths,
-    source: FirstOrder,
-    absorption: FloatArray,
-    attenuation_per_m: FloatArray,
-) -> FloatArray:
-    """Return the derivative of window energies by b of the source of one pair.
+# By source; a source that is not among them is omnidirectional.
+Directivities = Mapping[str, Directivity | UnknownDirectivity]
 
-    Parameters
-    ----------
-    rows : EnergyRows
-        Of that pair, with the weights of an omnidirectional source.
-    paths : Paths
-        Those that the rows were made from.
-    absorption : float array, shape (n_materials, n_bands)
-    attenuation_per_m : float array, shape (n_bands,)
 
-    Returns
-    -------
-    float array, shape (3, n_bands, n_windows)
-    """
-    slopes = np.zeros((3, len(paths)))
-    if rows.path is not None:
-        departure = paths.departure[rows.path].astype(np.float64)
-        slopes[:, rows.path] = first_order_slope(source, departure).T
-    return np.array(
-        [
-            weigh(
-                reweighed_rows(rows, slope), absorption, attenuation_per_m, derivative=False
-            ).energy
-            for slope in slopes
-        ]
-    )
+def known_directivities(
+    directivities: Directivities, sources: Sequence[Point]
+) -> tuple[Directivity | None, ...]:
+    """Return the directivity of every source; None is omnidirectional, or still to be fitted."""
+    found = [directivities.get(s.name) for s in sources]
+    return tuple(None if isinstance(d, UnknownDirectivity) else d for d in found)

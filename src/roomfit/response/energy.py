@@ -1,13 +1,8 @@
-"""The rows of the energy response: the paths of one pair, sorted into time windows.
+"""The energy response: window energies by band of one pair, with their derivative by absorption.
 
-The energy reader of paths: window energies by band, with their derivative by absorption.
-
-Fewer rows of the same expected energies, for differences between many absorptions.
-
-Compiled loops over energy rows. Same bits for any number of threads.
-
-Rows are summed in pieces of fixed length, each by one thread in row order, and the pieces in
-order: how the threads share the pieces does not show in the result.
+The paths of a pair become rows, sorted into time windows, which are weighed for each absorption.
+Rows are summed in pieces of fixed length, each by one thread in row order, and the pieces in order:
+same bits for any number of threads.
 """
 
 from __future__ import annotations
@@ -23,46 +18,26 @@ from roomfit._checks import float_array
 from roomfit._numba import kernel
 from roomfit.errors import CannotTell, InputError
 from roomfit.tracing.paths import Paths
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.typing import FloatArray, IntArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnergyRows:
     """Paths of one pair as rows ``weight * exp(-m length) * product of (1 - a) ** hits``.
 
-    The energy of a window is the sum of its rows. Arrays are kept as given and set read-only.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    n_windows : int
-    offsets : int64 array, shape (n_windows + 1,)
-        Window w owns the rows ``offsets[w]:offsets[w + 1]``.
-    weight_per_m2 : float array, shape (n_rows,)
-    hits : uint16 array, shape (n_rows, n_materials)
-        Specular and diffuse hits together.
-    length_m : float array, shape (n_rows,)
-    batch : int32 array, shape (n_rows,)
-        Independent Monte-Carlo batch; -1 for image paths, which are exact.
-    n_batches : int
-        Batches of the trace, rows or not; 0 where there were no rays.
-    path : int32 array, shape (n_rows,), or None
-        Which path of the trace each row is, for weights that depend on more than hits and length:
-        see `reweighed_rows`. None where rows are no single paths.
-    max_hits : int
-        Largest entry of `hits`, worked out once.
+    The energy of a window is the sum of its rows. Arrays are not copied but set read-only.
     """
 
     materials: tuple[str, ...]
     n_windows: int
-    offsets: IntArray
-    weight_per_m2: FloatArray
-    hits: IntArray
-    length_m: FloatArray
-    batch: IntArray
-    n_batches: int = 0
-    path: IntArray | None = None
-    max_hits: int = field(init=False)
+    offsets: IntArray  # int64 (n_windows + 1,), rows of window w: ``offsets[w]:offsets[w + 1]``
+    weight_per_m2: FloatArray  # (n_rows,)
+    hits: IntArray  # uint16 (n_rows, n_materials), specular and diffuse hits together
+    length_m: FloatArray  # (n_rows,)
+    batch: IntArray  # int32 (n_rows,), independent Monte-Carlo batch; -1 for exact image paths
+    n_batches: int = 0  # Of the trace, with rows or without; 0 where there were no rays
+    path: IntArray | None = None  # int32 (n_rows,), of the trace; None where rows are merged paths
+    max_hits: int = field(init=False)  # Largest entry of `hits`
 
     def __post_init__(self) -> None:
         n, m = len(self.weight_per_m2), len(self.materials)
@@ -107,11 +82,31 @@ def energy_rows(
     edges_s : float array, shape (n_windows + 1,)
         Strictly rising times after emission, s.
     speed_of_sound_m_s : float
+        Above 0.
+
+    Returns
+    -------
+    EnergyRows
+        For `weigh`.
 
     Raises
     ------
     InputError
         No such pair, or the edges do not rise.
+
+    Examples
+    --------
+    >>> from roomfit.materials.priors import uniform_scattering
+    >>> from roomfit.scene import scene_of, shoebox_room
+    >>> from roomfit.tracing.paths import TraceSettings
+    >>> from roomfit.tracing.trace import trace
+    >>> room = shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = scene_of(room, {"LS1": (1.0, 1.0, 1.5)}, {"MP1": (4.0, 3.0, 1.5)})
+    >>> settings = TraceSettings(duration_s=0.1, n_rays=0, image_order=1)
+    >>> paths = trace(scene, settings, uniform_scattering(("plaster",), 0.0)).paths
+    >>> rows = energy_rows(paths, 0, np.array([0.0, 0.012, 0.03]), speed_of_sound_m_s=343.0)
+    >>> np.diff(rows.offsets).tolist()  # the direct sound, and six reflections
+    [1, 6]
     """
     if not 0 <= pair < paths.n_pairs:
         raise InputError(
@@ -151,19 +146,18 @@ def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyR
 
     Parameters
     ----------
-    rows : EnergyRows
     keep_batches : bool
-        Merge within a batch only, so that Monte-Carlo noise can still be told. Otherwise all
-        rows come back as batch -1 and `n_batches` is 0.
+        Merge within a batch only, so that Monte-Carlo noise can still be estimated. Otherwise all
+        rows get batch -1 and `n_batches` is 0.
     """
     window = window_of_rows(rows)
     batch = rows.batch if keep_batches else np.full(len(rows), -1, dtype=np.int32)
     keys = np.column_stack([window, batch, rows.hits])
     order = np.lexsort(keys.T[::-1])
-    first = _first_of_each(keys[order])
-    starts = np.flatnonzero(first)
-    if not starts.size:
+    if not order.size:
         return rows
+    keys = keys[order]
+    starts = np.flatnonzero(np.append(True, np.any(keys[1:] != keys[:-1], axis=1)))
     weight = np.add.reduceat(rows.weight_per_m2[order], starts)
     moment = np.add.reduceat((rows.weight_per_m2 * rows.length_m)[order], starts)
     kept = order[starts]
@@ -182,14 +176,13 @@ def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyR
 
 
 def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
-    """Return rows of one band with the air's ``exp(-m length)`` put into the weights for good.
+    """Return rows of one band with the air's ``exp(-m length)`` included in the weights.
 
-    Weigh them without attenuation; their lengths are 0, so that none can act again. Saves the
+    To be weighed without attenuation; their lengths are 0, so that none acts twice. Saves the
     exponentials where one band is weighed many times, and makes `merge_equal_rows` exact.
 
     Parameters
     ----------
-    rows : EnergyRows
     attenuation_per_m : float
         Energy attenuation m of the band, 0 or more.
     """
@@ -207,20 +200,19 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 
     Parameters
     ----------
-    rows : EnergyRows
     factors : float array, shape (n_paths,)
         Of every path of the trace, of all pairs.
 
     Raises
     ------
     InputError
-        The rows do not know which paths they are.
+        The rows are merged paths.
     """
     if rows.path is None:
         raise InputError(
-            "rows that are no single paths cannot be weighed anew",
+            "rows that are no single paths cannot be reweighed",
             needed="rows as `energy_rows` makes them",
-            hint="weigh anew before merging equal rows",
+            hint="reweigh before merging equal rows",
         )
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
 
@@ -228,7 +220,7 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
 def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
     """Return the same rows in coarser windows, each of so many of the old ones.
 
-    The last one holds what is left. No row is copied or moved.
+    The last one contains the remaining rows. No row is copied or moved.
     """
     return regrouped_rows(rows, np.arange(0, rows.n_windows, n_together))
 
@@ -247,7 +239,7 @@ def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
 
 
 def first_rows(rows: EnergyRows, n_windows: int) -> EnergyRows:
-    """Return the rows of the first so many windows; what comes later is left out."""
+    """Return the rows of the first so many windows; later ones are left out."""
     n = min(n_windows, rows.n_windows)
     last = int(rows.offsets[n])
     return replace(
@@ -272,22 +264,15 @@ def _offsets(window: IntArray, n_windows: int) -> IntArray:
     return np.concatenate(([0], np.cumsum(counts))).astype(np.int64)
 
 
-def _first_of_each(sorted_keys: IntArray) -> BoolArray:
-    first = np.ones(len(sorted_keys), dtype=np.bool_)
-    first[1:] = np.any(sorted_keys[1:] != sorted_keys[:-1], axis=1)
-    return first
-
-
 def thinned_rows(rows: EnergyRows, most: int) -> EnergyRows:
-    """Return at most about `most` rows: the earliest half of them whole, every k-th of the rest.
+    """Return at most about `most` rows: the earliest half of them, and every k-th of all others.
 
-    The rest carries k times its weight, so that no energy is lost on average. Energies from thinned
-    rows are noisy; how they change with the absorption is much less so, because the same rows are
+    The latter get k times their weight, so that no energy is lost on average. Energies from thinned
+    rows are noisy; their change with the absorption is much less so, because the same rows are
     weighed on both sides.
 
     Parameters
     ----------
-    rows : EnergyRows
     most : int
         2 or more.
     """
@@ -426,8 +411,16 @@ def weigh_serial(
     """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0)."""
     for p in range(len(pieces)):
         _weigh_piece(
-            *(pieces[p, 1], pieces[p, 2], weight, hits, length, reflected, powers, attenuation),
-            *(energies[p], slopes[p]),
+            pieces[p, 1],
+            pieces[p, 2],
+            weight,
+            hits,
+            length,
+            reflected,
+            powers,
+            attenuation,
+            energies[p],
+            slopes[p],
         )
 
 
@@ -446,8 +439,16 @@ def weigh_parallel(
     """Do what `weigh_serial` does, the pieces spread over threads."""
     for p in numba.prange(len(pieces)):
         _weigh_piece(
-            *(pieces[p, 1], pieces[p, 2], weight, hits, length, reflected, powers, attenuation),
-            *(energies[p], slopes[p]),
+            pieces[p, 1],
+            pieces[p, 2],
+            weight,
+            hits,
+            length,
+            reflected,
+            powers,
+            attenuation,
+            energies[p],
+            slopes[p],
         )
 
 
@@ -499,17 +500,10 @@ _ROWS_WORTH_THREADS = 200_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EnergyResponse:
-    """Energy of every band and window of one pair.
+    """Energy of every band and window of one pair."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_bands, n_windows)
-        1/m2 for a source of unit power: the direct sound at r metres is ``1 / (4 pi r**2)``.
-    derivative : float array, shape (n_materials, n_bands, n_windows), or None
-        Derivative by the absorption of each material in the same band; never positive.
-    """
-
-    energy: FloatArray
+    energy: FloatArray  # (n_bands, n_windows), 1/m2; direct sound at r metres: ``1 / (4 pi r**2)``
+    # (n_materials, n_bands, n_windows), by the absorption of each material in the same band
     derivative: FloatArray | None
 
 
@@ -535,6 +529,12 @@ def weigh(
     derivative : bool
         False leaves the derivative out and takes about half the time.
 
+    Returns
+    -------
+    EnergyResponse
+        ``energy`` of shape (n_bands, n_windows), 1/m2 for a source of unit power, and
+        ``derivative`` by the absorption, (n_materials, n_bands, n_windows), never positive.
+
     Raises
     ------
     InputError
@@ -543,7 +543,19 @@ def weigh(
     Notes
     -----
     Sum over the rows of ``weight exp(-m length) product of (1 - a)**hits``;
-    `absorption_reference.surviving_energy` is the readable form of the product.
+    tested against a readable form of the product.
+
+    Examples
+    --------
+    A path without a hit, and one of half its weight with two hits on a wall that absorbs half:
+
+    >>> rows = EnergyRows(
+    ...     ("wall",), 1, np.array([0, 2]), np.array([1.0, 0.5]), np.array([[0], [2]]),
+    ...     np.array([3.0, 5.0]), np.array([-1, -1]),
+    ... )
+    >>> response = weigh(rows, np.array([[0.5]]), np.array([0.0]))
+    >>> response.energy, response.derivative
+    (array([[1.125]]), array([[[-0.5]]]))
     """
     reflected, attenuation = _checked(rows, coefficients, attenuation_per_m)
     n_bands, n_materials = reflected.shape
@@ -553,8 +565,15 @@ def weigh(
     slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
     small = len(rows) * n_bands < _ROWS_WORTH_THREADS
     (weigh_serial if small else weigh_parallel)(
-        *(pieces, rows.weight_per_m2, rows.hits, rows.length_m),
-        *(reflected, powers, attenuation, energies, slopes),
+        pieces,
+        rows.weight_per_m2,
+        rows.hits,
+        rows.length_m,
+        reflected,
+        powers,
+        attenuation,
+        energies,
+        slopes,
     )
     energy = np.zeros((n_bands, rows.n_windows))
     by_absorption = np.zeros((n_materials if derivative else 0, n_bands, rows.n_windows))
@@ -565,20 +584,22 @@ def weigh(
 def batch_energies(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> FloatArray:
-    """Return what each Monte-Carlo batch of rays adds to the window energies.
+    """Return the window energies of each Monte-Carlo batch, (n_batches, n_bands, n_windows).
 
     Their sum and the energy of the image paths, which are in no batch, make up `weigh`'s energy.
-
-    Returns
-    -------
-    float array, shape (n_batches, n_bands, n_windows)
     """
     reflected, attenuation = _checked(rows, coefficients, attenuation_per_m)
     n_batches = max(rows.n_batches, int(rows.batch.max(initial=-1)) + 1)
     energy = np.zeros((n_batches, len(attenuation), rows.n_windows))
     weigh_batches(
-        *(rows.offsets, rows.batch, rows.weight_per_m2, rows.hits, rows.length_m),
-        *(power_table(reflected, rows.max_hits), attenuation, energy),
+        rows.offsets,
+        rows.batch,
+        rows.weight_per_m2,
+        rows.hits,
+        rows.length_m,
+        power_table(reflected, rows.max_hits),
+        attenuation,
+        energy,
     )
     return energy
 
@@ -606,7 +627,7 @@ def monte_carlo_sd(
         return np.zeros(batches.shape[1:])
     if len(batches) < 2:
         raise CannotTell(
-            "one batch of rays does not tell its own noise",
+            "one batch of rays does not determine its own noise",
             needed="at least 2 independent batches",
             hint="trace with n_batches of 8 or more",
         )

@@ -1,4 +1,4 @@
-"""Traced paths weighed anew for another scattering coefficient, band by band."""
+"""Traced paths reweighed for another scattering coefficient, band by band."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from numba import prange
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering
-from roomfit.response.energy import EnergyRows, reweighed_rows, weigh
+from roomfit.response.energy import EnergyRows, reweighed_rows
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
@@ -96,7 +96,7 @@ def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
 
 
 def effective_sample_size(factors: FloatArray) -> float:
-    """Return how many paths of equal weight are worth as much, Kish's ``(sum f)**2 / sum f**2``.
+    """Return the number of paths of equal weight and equal variance, ``(sum f)**2 / sum f**2``.
 
     Parameters
     ----------
@@ -121,17 +121,10 @@ def effective_sample_size(factors: FloatArray) -> float:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandRows:
-    """Energy rows weighed for the scattering of one band.
-
-    Attributes
-    ----------
-    rows : tuple of EnergyRows
-    effective_sample_fraction : float
-        Effective share of the sample where it is least; see `effective_sample_fraction`. Below
-        `LEAST_EFFECTIVE_FRACTION` trace again with coefficients near those that are wanted.
-    """
+    """Energy rows weighed for the scattering of one band."""
 
     rows: tuple[EnergyRows, ...]
+    # The least over pairs; below `LEAST_EFFECTIVE_FRACTION` trace again nearer to what is wanted
     effective_sample_fraction: float
 
 
@@ -144,7 +137,6 @@ def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scatteri
     ----------
     rows : sequence of EnergyRows
         Made from `paths` by `energy_rows`, of any pairs; merged or squared ones cannot be used.
-    paths : Paths
     scattering : Scattering
         What is wanted in this band.
 
@@ -164,7 +156,7 @@ def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scatteri
 
 
 def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
-    """Return which share of its rays a pair's sample is still worth after weighing anew.
+    """Return the effective sample size of a pair's rays after reweighing, as a share of before.
 
     Kish's effective number by the new weights over that by the old ones, in eighths of the rays by
     time, the least of them: weights degenerate with every hit, so that the late part suffers
@@ -184,45 +176,3 @@ def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
         if part.size
     ]
     return float(min((1.0, *shares)))
-
-
-def scattering_derivative(
-    rows: EnergyRows,
-    paths: Paths,
-    scattering: Scattering,
-    absorption: FloatArray,
-    attenuation_per_m: FloatArray,
-) -> FloatArray:
-    """Return the derivative of window energies by the scattering coefficient of each material.
-
-    Exact for the paths at hand: a path's weight is proportional to ``s**d (1 - s)**n``, so that
-    its logarithm has the slope ``d / s - n / (1 - s)``.
-
-    Parameters
-    ----------
-    rows : EnergyRows
-        Weighed for `scattering`.
-    absorption : float array, shape (n_materials, n_bands)
-    attenuation_per_m : float array, shape (n_bands,)
-
-    Returns
-    -------
-    float array, shape (n_materials, n_bands, n_windows)
-
-    Raises
-    ------
-    InputError
-        A coefficient of 0 or 1, where paths of one kind are missing.
-    """
-    if not np.all((scattering.coefficients > 0.0) & (scattering.coefficients < 1.0)):
-        raise InputError(
-            "energies have no slope by a scattering of 0 or 1",
-            found=", ".join(f"{s:g}" for s in scattering.coefficients),
-            needed="0 < s < 1",
-        )
-    slopes = []
-    for m, s in enumerate(scattering.coefficients):
-        slope = paths.hits_diffuse[:, m] / s - paths.hits_specular[:, m] / (1.0 - s)
-        sloped = reweighed_rows(rows, slope)
-        slopes.append(weigh(sloped, absorption, attenuation_per_m, derivative=False).energy)
-    return np.array(slopes)

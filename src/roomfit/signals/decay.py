@@ -1,10 +1,8 @@
-"""Backward-integrated decay curves, from measured pressure and from predicted energies.
+"""Backward-integrated decay curves and the room parameters of ISO 3382-1 that they give.
 
-Just noticeable differences: the scale on which a prediction's error matters to a listener.
-
-Whether a recording is an impulse response at all, and whether its decay is long enough.
-
-Room-acoustical parameters of ISO 3382-1 from decay curves.
+Curves come from measured pressure or from predicted energies. Recordings that are no impulse
+responses or decay too little are refused, and just noticeable differences give the scale on which
+an error matters to a listener.
 """
 
 from __future__ import annotations
@@ -30,35 +28,18 @@ _LEAD = 1.0 / 16.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DecayCurve:
-    """Energy still to come at each time: Schroeder's backward integral.
-
-    Attributes
-    ----------
-    bands : Bands
-    time_s : float array, shape (n_times,)
-        Rising, after emission.
-    energy_left : float array, shape (n_bands, n_times)
-        Pressure squared times seconds, or the unit of the echogram. Noise is subtracted, and what
-        the decay would hold after `usable_end_s` is added. 0 after `usable_end_s`.
-    onset_s : float
-        Arrival of the direct sound; early and late are counted from here.
-    usable_end_s : float array, shape (n_bands,)
-    usable_db : float array, shape (n_bands,)
-        How far below its beginning the curve may be trusted, positive dB.
-    tail_time_constant_s : float array, shape (n_bands,)
-        In which the energy after `usable_end_s` is taken to fall to 1/e.
-    noise_reached : bool array, shape (n_bands,)
-        Whether noise, not the end of the file or of the prediction, sets the usable end.
-    """
+    """Energy still to come at each time: Schroeder's backward integral."""
 
     bands: Bands
-    time_s: FloatArray
+    time_s: FloatArray  # (n_times,), rising, after emission
+    # (n_bands, n_times), pressure squared times seconds, or the unit of the echogram: noise is
+    # subtracted, the extrapolated energy after `usable_end_s` added; 0 after `usable_end_s`
     energy_left: FloatArray
-    onset_s: float
-    usable_end_s: FloatArray
-    usable_db: FloatArray
-    tail_time_constant_s: FloatArray
-    noise_reached: BoolArray
+    onset_s: float  # Arrival of the direct sound; early and late are counted from here
+    usable_end_s: FloatArray  # (n_bands,)
+    usable_db: FloatArray  # (n_bands,), range below its beginning in which the curve is reliable
+    tail_time_constant_s: FloatArray  # (n_bands,), of the extrapolation after `usable_end_s`
+    noise_reached: BoolArray  # (n_bands,), whether noise, not the end of data, sets the usable end
 
 
 def decay_curve(
@@ -68,13 +49,11 @@ def decay_curve(
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     onset_s : float
         Arrival of the direct sound after emission, from `find_onset` or from the geometry.
     keep_noise : bool
         Whether to integrate the whole file with its noise instead, for comparison with values
-        that were computed so. What `usable_db` says stays the same.
+        that were computed so. `usable_db` stays the same.
 
     Raises
     ------
@@ -83,9 +62,9 @@ def decay_curve(
 
     Notes
     -----
-    Noise is subtracted, the integral ends where the decay meets the noise, and the exponential
-    that leads there stands for the rest: the method that [1]_ found to err least. The filters ring
-    before the direct sound, too, so the curve begins four periods before it.
+    Noise is subtracted, the integral ends where the decay meets the noise, and the remainder is
+    extrapolated by the exponential that leads there: the method with the least error in [1]_. The
+    filters ring before the direct sound, too, so the curve begins four periods before it.
 
     References
     ----------
@@ -128,11 +107,10 @@ def echogram_decay_curve(
 ) -> DecayCurve:
     """Return the decay curves of predicted energies in time bins.
 
-    What comes after the last bin is taken to go on falling as over the last third of the time.
+    After the last bin the decay is extrapolated as over the last third of the time.
 
     Parameters
     ----------
-    bands : Bands
     energies : array_like, shape (n_bands, n_bins)
         Energy that arrives within each bin, not per second.
     edges_s : array_like, shape (n_bins + 1,)
@@ -159,16 +137,13 @@ def echogram_decay_curve(
 
 
 def decay_curve_db(curve: DecayCurve) -> FloatArray:
-    """Return the curves in dB below their beginning, for pictures.
+    """Return the curves in dB below their beginning, shape (n_bands, n_times).
 
-    Returns
-    -------
-    float array, shape (n_bands, n_times)
-        0 and falling; -inf after the usable end, where nothing is known.
+    -inf after the usable end, where nothing is known.
     """
     total = curve.energy_left[:, :1]
     ratio = curve.energy_left / np.where(total > 0.0, total, 1.0)
-    # a sum that noise has driven below zero holds no energy
+    # a sum that noise has made negative has no energy
     with np.errstate(divide="ignore"):
         return np.asarray(10.0 * np.log10(np.maximum(ratio, 0.0)))
 
@@ -188,11 +163,11 @@ def _fall_db(total: FloatArray, tail: FloatArray) -> FloatArray:
 def _tail(
     energy_left: FloatArray, edges_s: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return energy after the last edge, energy that is unsure, and the tail's time constant.
+    """Return energy after the last edge, uncertain energy, and the tail's time constant.
 
-    Of equal stretches of an exponential each holds r times the one before; all that follow the last
-    together hold r / (1 - r) times it. Where the last third does not fall, nothing is added and all
-    that it holds is unsure. Shape (n_bands,) each.
+    Of equal stretches of an exponential each has r times the energy of the one before; all that
+    follow the last together r / (1 - r) times its own. Where the last third does not fall, nothing
+    is added and all its energy is uncertain. Shape (n_bands,) each.
     """
     step_s = (edges_s[-1] - edges_s[0]) / 6.0
     at = edges_s[-1] - step_s * np.array([2.0, 1.0, 0.0])
@@ -215,7 +190,7 @@ def in_jnd(parameter: str, measured: FloatArray, predicted: FloatArray) -> Float
 
     Examples
     --------
-    A reverberation time 10 % too long is two just noticeable differences off.
+    A reverberation time 10 % too long is two just noticeable differences off:
 
     >>> in_jnd("T20_s", np.array([1.0]), np.array([1.1])).round(6)
     array([2.])
@@ -231,12 +206,11 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
     ----------
     parameter : str
         "EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms" or "G_dB".
-    values : float array
 
     Raises
     ------
     InputError
-        The standard names none for this parameter.
+        The standard has none for this parameter.
 
     Examples
     --------
@@ -256,21 +230,17 @@ def jnd_of(parameter: str, values: FloatArray) -> FloatArray:
 
 _PLAUSIBILITY_LEAST_RANGE_DB = 15.0
 _N_BLOCKS = 12
-# Nobody excites a room for less; in a dry room nearly all energy comes within a few ms.
+# No excitation is shorter; in a dry room nearly all energy arrives within a few ms.
 _SHORTEST_EXCITATION_S = 0.05
 
 
 def check_is_response(response: ImpulseResponse, where: str | None = None) -> None:
-    """Refuse a recording of the excitation that nobody has deconvolved.
+    """Refuse a recording of the excitation that was not deconvolved, with an `InputError`.
 
-    Two signs are looked for between the instants by which 5 and 95 % of the energy have come. A
+    Two signs are sought between the instants by which 5 and 95 % of the energy have arrived. A
     sweep climbs: the median frequency rises from block to block by two octaves or more in all. A
-    long excitation of any kind does not decay: half its energy comes in more than 0.6 of the time
-    of the other half (an exponential decay: 0.28), and no peak stands out of its mean by 16 dB.
-
-    Raises
-    ------
-    InputError
+    long excitation of any kind does not decay: half its energy arrives in more than 0.6 of the time
+    of the other half (an exponential decay: 0.28), and no peak exceeds its mean by 16 dB.
     """
     pressure = response.pressure - np.mean(response.pressure)
     cumulative = np.cumsum(pressure**2)
@@ -294,12 +264,12 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
 def check_decay_range(curve: DecayCurve, where: str | None = None) -> None:
     """Refuse a response of which no band has 15 dB of decay above its noise and before its end.
 
-    Single bands that fall short of T20 are told by `room_parameters.range_findings` instead.
+    Single bands without T20 are reported by `range_findings` instead.
 
     Raises
     ------
     InputError
-        Says whether the file is cut short or drowned in noise.
+        With the cause: the file is cut short, or noise masks the decay.
     """
     deepest = int(np.argmax(curve.usable_db))
     if curve.usable_db[deepest] >= _PLAUSIBILITY_LEAST_RANGE_DB:
@@ -336,33 +306,22 @@ FIT_RANGES_DB: dict[str, tuple[float, float]] = {
     "T30_s": (5.0, 35.0),
 }
 POINTS_OF_A_FIT = 512
-# Energy after the usable end is extrapolated; where it is a hundredth of all, it can be 20 % wrong
-# without moving D50, TS or C80 around 0 dB by more than a tenth of a just noticeable difference.
+# Energy after the usable end is extrapolated; where it is a hundredth of all, an error of 20 % in
+# it moves D50, TS or C80 around 0 dB by no more than a tenth of a just noticeable difference.
 _ROOM_PARAMETERS_LEAST_RANGE_DB = 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomParameters:
-    """Parameters of one source and receiver in every band.
-
-    Attributes
-    ----------
-    bands : Bands
-    values : float array, shape (7, n_bands)
-        In the order of `PARAMETER_NAMES`, in the units these names tell; nan where not valid.
-    valid : bool array, shape (7, n_bands)
-        Whether the decay range holds the parameter.
-    nonlinearity_permille : float array, shape (2, n_bands)
-        Of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not straight
-        (ISO 3382-2, annex B). nan where not valid.
-    curvature_percent : float array, shape (n_bands,)
-        100 (T30 / T20 - 1); above 10 the decay is far from straight, below 0 noise is suspect.
-    """
+    """Parameters of one source and receiver in every band."""
 
     bands: Bands
-    values: FloatArray
-    valid: BoolArray
+    values: FloatArray  # (7, n_bands), rows and units as `PARAMETER_NAMES`; nan where not valid
+    valid: BoolArray  # (7, n_bands), whether the decay range suffices for the parameter
+    # (2, n_bands), of T20 and T30: 1000 (1 - r^2) of the straight line; above 10 the decay is not
+    # straight (ISO 3382-2, annex B); nan where not valid
     nonlinearity_permille: FloatArray
+    # (n_bands,), 100 (T30 / T20 - 1); above 10 the decay is far from straight, negative with noise
     curvature_percent: FloatArray
 
     def of(self, name: ParameterName) -> FloatArray:
@@ -379,6 +338,16 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
 
     The same function serves measured and predicted curves, so that neither is favoured.
 
+    Parameters
+    ----------
+    curve : DecayCurve
+        From `decay_curve` or `echogram_decay_curve`.
+
+    Returns
+    -------
+    RoomParameters
+        ``values`` of shape (7, n_bands), in the units that `PARAMETER_NAMES` end in.
+
     Notes
     -----
     Decay times come from a straight line through the curve by least squares, every instant of the
@@ -390,6 +359,17 @@ def room_parameters(curve: DecayCurve) -> RoomParameters:
     ----------
     .. [1] ISO 3382-1:2009, "Measurement of room acoustic parameters - Performance spaces"; ISO
            3382-2:2008, annex B, for the non-linearity and the curvature.
+
+    Examples
+    --------
+    An exponential decay by 60 dB in one second:
+
+    >>> edges_s = np.linspace(0.0, 2.0, 401)
+    >>> energies = -np.diff(10.0 ** (-6.0 * edges_s))[None, :]
+    >>> octave = Bands("octave", np.array([1000.0]))
+    >>> parameters = room_parameters(echogram_decay_curve(octave, energies, edges_s, onset_s=0.0))
+    >>> parameters.of("T30_s").round(3), parameters.of("C80_dB").round(2)
+    (array([1.]), array([3.05]))
     """
     levels_db = decay_curve_db(curve)
     n_bands = len(curve.bands)
@@ -414,7 +394,6 @@ def range_findings(parameters: RoomParameters, where: str) -> tuple[Finding, ...
 
     Parameters
     ----------
-    parameters : RoomParameters
     where : str
         Names the response in the sentence.
     """

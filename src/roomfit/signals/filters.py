@@ -1,21 +1,18 @@
 """One filter bank with two front ends: measured pressure, and predicted path energies.
 
-Why an own bank and not pyfar's. What is compared here are energies, so the squared magnitudes of
-neighbouring bands must add up to one; and the delay must be the same in every band, or early
-reflections of low bands land in the wrong window. pyfar 0.8 has two banks. Its Butterworth bank
-delays each band differently (125 Hz by 35 ms at order 14). Its
-``reconstructing_fractional_octave_bands`` has a constant delay, but adds up in amplitude (-6 dB at
-the edges, so an impulse loses energy between bands), turns the outer bands into a low-pass and a
-high-pass, and is cut by a window whose length, not the band, sets the ringing. Here the
-magnitudes are Antoni's, whose squares do add up, applied without any delay.
+Why not pyfar's: energies are compared, so the squared magnitudes of neighbouring bands must add up
+to one; and the delay must be the same in every band, or early reflections of low bands fall into
+the wrong window. The Butterworth bank of pyfar 0.8 delays each band differently (125 Hz by 35 ms at
+order 14). Its ``reconstructing_fractional_octave_bands`` has a constant delay, but adds up in
+amplitude (-6 dB at the edges, so an impulse loses energy between bands), turns the outer bands into
+a low-pass and a high-pass, and is cut by a window whose length, not the band, sets the ringing.
+The magnitudes here are Antoni's, whose squares do add up, applied without any delay.
 
 References
 ----------
 .. [1] J. Antoni, "Orthogonal-like fractional-octave-band filters", J. Acoust. Soc. Am. 127,
        884-895 (2010).
 .. [2] IEC 61260-1:2014, "Electroacoustics - Octave-band and fractional-octave-band filters".
-
-Compiled loop of the second front end: a tabulated function between the edges of windows.
 """
 
 from __future__ import annotations
@@ -60,8 +57,7 @@ def differences_over_windows(
 ) -> None:
     """Fill the entries of a sparse matrix of windows and delays, row by row.
 
-    An entry is the table at the window's end, less that at its beginning, both counted from the
-    delay.
+    An entry is the table at the window's end less that at its beginning, both after the delay.
 
     Parameters
     ----------
@@ -70,7 +66,7 @@ def differences_over_windows(
     first : shape (n_windows,)
         First delay of each window.
     pointers : shape (n_windows + 1,)
-        Where the entries of each window begin; their number tells how many delays it has.
+        Where the entries of each window begin, one for each of its delays.
     table : shape (n_steps,)
         With time 0 in its middle.
     steps_per_s : float
@@ -90,7 +86,7 @@ def differences_over_windows(
 
 
 # Ringing beyond this many periods of the centre frequency, times the number of bands per octave,
-# holds less than 1e-11 of a band's energy (measured; it falls with the fifth power).
+# contains less than 1e-11 of a band's energy (measured; it falls with the fifth power).
 _SPAN_PERIODS = 64.0
 _STEPS_PER_PERIOD = 256
 # Shares below this are below every other error and would fill memory.
@@ -101,12 +97,7 @@ _LEAST_SHARE = 1e-7
 class FilterBank:
     """Zero-phase band filters whose squared magnitudes add up to one.
 
-    A bank knows no sampling rate: the same object filters files of any rate and smears predictions.
-
-    Attributes
-    ----------
-    bands : Bands
-        Octaves or third octaves.
+    It has no sampling rate: the same bank filters files of any rate and spreads predictions.
 
     Notes
     -----
@@ -118,7 +109,7 @@ class FilterBank:
     with the second.
     """
 
-    bands: Bands
+    bands: Bands  # Octaves or third octaves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,33 +117,16 @@ class SpreadingKernel:
     """How a filter bank spreads the energy of an impulse over time.
 
     All bands of a bank have the same shape, stretched by their centre frequency.
-
-    Attributes
-    ----------
-    centres_hz : float array, shape (n_bands,)
-        Exact centres.
-    periods : float array, shape (n_steps,)
-        Time from the impulse in periods of the centre frequency, uniform, symmetric about 0.
-    density : float array, shape (n_steps,)
-        Share of energy per period: the squared impulse response with unit integral.
-    cumulative : float array, shape (n_steps,)
-        Share of energy up to that time, from 0 to 1.
     """
 
-    centres_hz: FloatArray
-    periods: FloatArray
-    density: FloatArray
-    cumulative: FloatArray
+    centres_hz: FloatArray  # (n_bands,), exact
+    periods: FloatArray  # (n_steps,), time in periods of the centre, uniform, symmetric about 0
+    density: FloatArray  # (n_steps,), squared impulse response: share of energy per period
+    cumulative: FloatArray  # (n_steps,), share of energy up to that time, from 0 to 1
 
 
 def frequency_response(bank: FilterBank, frequencies_hz: ArrayLike) -> FloatArray:
-    """Return the magnitude of every band at the frequencies; the phase is zero.
-
-    Returns
-    -------
-    float array, shape (n_bands, n_frequencies)
-        In [0, 1].
-    """
+    """Return the magnitude of every band, 0 to 1, shape (n_bands, n_frequencies); zero phase."""
     f = np.abs(np.asarray(frequencies_hz, dtype=np.float64))
     bands = bank.bands
     width = np.log(bands.upper_hz / bands.lower_hz)
@@ -200,7 +174,7 @@ def check_sampling_rate(
     Raises
     ------
     InputError
-        Names the band and the lowest rate at which it can be analysed.
+        With the band and the lowest rate at which it can be analysed.
     """
     bands = bank.bands
     # a filter ends where the next band of its kind has its centre
@@ -250,8 +224,6 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayL
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     edges_s : array_like, shape (n_windows + 1,)
         Rising times after emission. Before and after the file there is silence.
 
@@ -301,8 +273,6 @@ def energy_share(
 
     Parameters
     ----------
-    kernel : SpreadingKernel
-    band : int
     delays_s : array_like, shape (n_impulses,)
         When each impulse arrives.
     edges_s : array_like, shape (n_windows + 1,)
@@ -352,11 +322,7 @@ def spreading_slopes_per_s(
 
 
 def _banded(
-    kernel: SpreadingKernel,
-    band: int,
-    delays_s: FloatArray,
-    edges_s: ArrayLike,
-    table: FloatArray,
+    kernel: SpreadingKernel, band: int, delays_s: FloatArray, edges_s: ArrayLike, table: FloatArray
 ) -> csr_array:
     """Return the difference of a tabulated function between both edges of every window."""
     edges = _rising(edges_s)
@@ -366,9 +332,9 @@ def _banded(
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))
     values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int64)
+    delays, steps_per_s = np.array(delays_s), centre * _STEPS_PER_PERIOD
     differences_over_windows(
-        *(edges, np.array(delays_s), first, pointers, np.array(table)),
-        *(centre * _STEPS_PER_PERIOD, values, columns),
+        edges, delays, first, pointers, np.array(table), steps_per_s, values, columns
     )
     return csr_array((values, columns, pointers), shape=(len(edges) - 1, len(delays_s)))
 

@@ -1,16 +1,14 @@
-"""Room parameters that somebody measured, and whether they can be true.
+"""Parameters of ISO 3382-1: those of an echogram with derivatives, and measured ones checked.
 
-Parameters of ISO 3382-1 of an echogram, with their derivative by the energy of every bin.
-
-One vector of derivatives a parameter serves three ends: with the derivative of the energies by an
-absorption it gives that of the parameter; with the scatter of the energies by interference, or
-from batch to batch of a trace, the scatter of the parameter.
+The derivative of a parameter by the energy of every bin serves three ends: with the derivative of
+the energies by an absorption it gives that of the parameter; with the variance of the energies by
+interference, or over the batches of a trace, the variance of the parameter.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import Literal, get_args
 
@@ -41,19 +39,18 @@ def value_gradients(
     curve : DecayCurve
         From `roomfit.signals.decay.echogram_decay_curve`, for energies per square metre of a
         source of unit power where G is asked for.
-    band : int
     names : sequence of str
         Of `VALUE_NAMES`.
 
     Returns
     -------
     values : float array, shape (n_names,)
-        As `room_parameters` gives them. A decay that does not fall far enough within the echogram
-        is evaluated as far as it falls, where `room_parameters` refuses: a fit must be able to
-        come back from there. G is the level above that of the free field at 10 m.
+        As of `room_parameters`. A decay that does not fall far enough within the echogram is
+        evaluated as far as it falls, where `room_parameters` gives nan: a fit must be able to
+        return from there. G is the level above that of the free field at 10 m.
     gradients : float array, shape (n_names, n_bins)
-        Exact, with the instants at which the curve crosses -5 dB and the like moving along, and
-        with the energy that is added for the time after the echogram.
+        Exact, including the shift of the instants at which the curve crosses -5 dB and the like,
+        and the energy that is added for the time after the echogram.
 
     Raises
     ------
@@ -128,8 +125,8 @@ def _crossing(
 ) -> tuple[float, FloatArray]:
     """Return when the curve falls below a depth, and the derivative by its levels.
 
-    Not before the onset, and at the last boundary where it never falls so far: there the instant
-    stands still.
+    Not before the onset, and at the last boundary where it never falls so far: there the
+    derivative is zero.
     """
     by_level = np.zeros_like(level_db)
     below = np.flatnonzero(level_db < -depth_db)
@@ -152,7 +149,10 @@ def _crossing(
 def _early(curve: DecayCurve, band: int, name: str) -> tuple[float, FloatArray]:
     """Return C50 or C80 in dB, or D50 in percent, with its derivative by the energy left."""
     left = curve.energy_left[band]
-    i, share = _place(curve.time_s, curve.onset_s + _EARLY_S[name])
+    time_s, end_s = curve.time_s, curve.onset_s + _EARLY_S[name]
+    # the boundary before the end of the early part, and the share of the bin up to that end
+    i = int(np.clip(np.searchsorted(time_s, end_s, side="right") - 1, 0, len(time_s) - 2))
+    share = float(np.clip((end_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
     weights: FloatArray = np.zeros_like(left)
     weights[i : i + 2] = 1.0 - share, share
     total, late = float(left[0]), float((1.0 - share) * left[i] + share * left[i + 1])
@@ -204,14 +204,8 @@ def _tail_gradients(curve: DecayCurve, band: int) -> tuple[FloatArray, FloatArra
     return by_tail, constant_s * by_tail + tail * by_constant
 
 
-def _place(time_s: FloatArray, at_s: float) -> tuple[int, float]:
-    """Return the boundary before an instant, and how far on the way to the next it lies, 0 to 1."""
-    i = int(np.clip(np.searchsorted(time_s, at_s, side="right") - 1, 0, len(time_s) - 2))
-    return i, float(np.clip((at_s - time_s[i]) / (time_s[i + 1] - time_s[i]), 0.0, 1.0))
-
-
-# What a room can have. Churches and reverberation chambers stay below 15 s; a hand's breadth from
-# the source in a treated room C80 and G stay below 40 dB.
+# What is possible in a room. Churches and reverberation chambers stay below 15 s; 10 cm from the
+# source in a treated room C80 and G stay below 40 dB.
 POSSIBLE: dict[ValueName, tuple[float, float, str]] = {
     "EDT_s": (0.01, 15.0, "s"),
     "T20_s": (0.03, 15.0, "s"),
@@ -225,30 +219,29 @@ POSSIBLE: dict[ValueName, tuple[float, float, str]] = {
 _USUAL_UNIT = {"s": "milliseconds", "ms": "seconds", "%": "a fraction of 1", "dB": "a ratio"}
 # T30 over T20, and EDT over either: beyond the first a doubt, beyond the second an error.
 _DECAY_RATIOS: dict[ValueName, tuple[float, float]] = {"T30_s": (1.35, 2.5), "EDT_s": (2.0, 8.0)}
-# D50 is C50 in other words. Means over teams or directions are taken of each by itself.
+# D50 follows from C50, but means over teams or directions are taken of each by itself.
 _DOUBT_PERCENT, _ERROR_PERCENT = 5.0, 20.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredValues:
-    """What was measured between one source and one receiver.
+    """Room parameters measured between one source and one receiver.
 
-    Attributes
-    ----------
-    source, receiver : str
-    centres_hz : float array, shape (n_bands,)
-        Nominal centres, rising.
-    values : mapping of value name to float array, shape (n_bands,)
-        In the units that the names of `VALUE_NAMES` tell; NaN where unknown.
-    spread : mapping of value name to float array, shape (n_bands,)
-        Stated standard deviation; NaN where none was stated. Of no other names than `values`.
+    Examples
+    --------
+    >>> measured = MeasuredValues("LS1", "MP1", [500, 1000], {"T20_s": [1.21, 1.15]}, {})
+    >>> measured.values["T20_s"].tolist()
+    [1.21, 1.15]
     """
 
     source: str
     receiver: str
-    centres_hz: FloatArray
-    values: Mapping[ValueName, FloatArray]
-    spread: Mapping[ValueName, FloatArray]
+    centres_hz: FloatArray  #: (n_bands,), nominal, rising
+    values: Mapping[ValueName, FloatArray]  #: (n_bands,) by `VALUE_NAMES`, in their units, or nan
+    #: (n_bands,), stated standard deviation, or nan; of no other names than `values`
+    spread: Mapping[ValueName, FloatArray] = field(default_factory=dict)
+    use: Literal["fit", "validate"] = "fit"
+    findings: tuple[Finding, ...] = ()  #: what reading the table raised
 
     def __post_init__(self) -> None:
         centres = float_array("band centres", self.centres_hz, (None,), low=1.0, unit="Hz")
@@ -282,7 +275,7 @@ def check_possible(name: ValueName, value: float, where: str) -> None:
     Raises
     ------
     InputError
-        Names the value, the limits and the mistake that is behind it most often.
+        With the value, the limits and the most frequent mistake.
     """
     low, high, unit = POSSIBLE[name]
     if not low <= value <= high:
@@ -292,12 +285,12 @@ def check_possible(name: ValueName, value: float, where: str) -> None:
             found=f"{_short(name)} of {value:g} {unit}",
             needed=f"{low:g} to {high:g} {unit}",
             hint=f"is it in {_USUAL_UNIT[unit]}, or in the wrong row? leave the cell empty where "
-            "it is not known",
+            "it is unknown",
         )
 
 
 def contradiction_findings(measured: MeasuredValues, where: str) -> tuple[Finding, ...]:
-    """Return the doubts about values of one pair that do not go together.
+    """Return a finding where values of one pair are not consistent.
 
     Raises
     ------
@@ -329,8 +322,8 @@ def joined_values(
 ) -> tuple[MeasuredValues, tuple[Finding, ...]]:
     """Return several measurements of one pair as one, and a finding where they differ.
 
-    The mean of what is known. Their spread is what is stated or half of the range between them,
-    whichever is larger: a pair that was measured twice with different results is less sure.
+    The mean of what is known. Its standard deviation is the stated one or half of the range
+    between them, whichever is larger.
 
     Parameters
     ----------
@@ -358,7 +351,7 @@ def joined_values(
                 worst = (apart, name, float(first.centres_hz[band]))
         candidates = np.vstack((stated, half[None]))
         spread[name] = np.fmax.reduce(candidates, axis=0)
-    joined = MeasuredValues(first.source, first.receiver, first.centres_hz, values, spread)
+    joined = replace(first, values=values, spread=spread)
     apart, worst_name, centre_hz = worst
     if apart == 0.0:
         return joined, ()

@@ -1,4 +1,4 @@
-"""Where a measured decay drowns in noise, band by band."""
+"""The noise of a measured response and where its decay meets it, band by band."""
 
 from __future__ import annotations
 
@@ -19,40 +19,27 @@ from roomfit.typing import BoolArray, FloatArray
 _MOST_ROUNDS = 8
 # Log likelihood ratios that decide between noise and a decay: of all bands, and of one alone.
 _CLEAR, _CLEAR_ALONE = 4.0, 2.0
-_FALLS = 4.0  # quarters of a file that differ so much do not hold the same noise
+_FALLS = 4.0  # quarters of a file that differ so much are not the same noise
 _LOUD = 16.0  # 12 dB above the noise is a sound, however short
 _LEAST_ENERGY = 1e-300  # digital silence, so that it has a level
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NoiseEstimate:
-    """Noise and the decay just above it, one value a band.
+    """Noise and the decay just above it, one value a band."""
 
-    Attributes
-    ----------
-    floor : float array, shape (n_bands,)
-        Mean square pressure of the noise. Where the file ends before noise is reached, that of what
-        comes before the direct sound, or 0 where this is too short to tell.
-    reached : bool array, shape (n_bands,)
-        Whether the file runs on until the decay has drowned.
-    usable_end_s : float array, shape (n_bands,)
-        Time after emission where the decay meets the noise or the file ends. The onset itself
-        where no decay rises above the noise.
-    tail_energy : float array, shape (n_bands,)
-        What the decay would still hold after `usable_end_s`: pressure squared times seconds.
-    tail_time_constant_s : float array, shape (n_bands,)
-        Time in which the energy just above the noise falls to 1/e; T is 13.8 times as long. 0
-        where no decay rises above the noise.
-    peak_to_noise_db : float array, shape (n_bands,)
-        Level of the loudest block above the noise, or above the end of the file.
-    """
-
+    # (n_bands,), mean square pressure. Where the file ends before noise is reached, that before the
+    # direct sound, or 0 where this is too short.
     floor: FloatArray
-    reached: BoolArray
+    reached: BoolArray  # (n_bands,), whether the decay falls into the noise before the file ends
+    # (n_bands,), time after emission where the decay meets the noise or the file ends; the onset
+    # where no decay rises above the noise
     usable_end_s: FloatArray
-    tail_energy: FloatArray
+    tail_energy: FloatArray  # (n_bands,), of the decay after `usable_end_s`, pressure squared s
+    # (n_bands,), in which the energy just above the noise falls to 1/e; T is 13.8 times as long. 0
+    # where no decay rises above the noise.
     tail_time_constant_s: FloatArray
-    peak_to_noise_db: FloatArray
+    peak_to_noise_db: FloatArray  # (n_bands,), loudest block over the noise or the end of the file
 
 
 def estimate_noise(
@@ -62,23 +49,21 @@ def estimate_noise(
 
     Parameters
     ----------
-    bank : FilterBank
-    response : ImpulseResponse
     filtered : float array, shape (n_bands, n_samples)
-        What `filter_pressure` made of the response.
+        The response by `filter_pressure`.
     onset_s : float
-        Arrival of the direct sound after emission; what comes before is not looked at.
+        Arrival of the direct sound after emission; earlier samples are not used.
 
     Notes
     -----
     Lundeby's iteration [1]_: noise from the end of the file, a straight line through the levels
-    above it, their crossing, noise again from behind the crossing, until it rests. Five things
-    differ. The noise is subtracted before the line is drawn. The height of the line is set by its
-    energy, since the mean of levels lies below the level of the mean. And a crossing within the
-    last tenth of the file counts as not reached: there the "noise" is the decay itself, and
-    subtracting it would bend the curve. Neither is it reached where what comes behind the crossing
-    goes on falling or is too short to tell, by all bands together: many files are cut while the
-    room still rings. And an end of the file that is louder than what comes before it is left out.
+    above it, their crossing, noise again from behind the crossing, until it converges. Five things
+    differ. The noise is subtracted before the line is fitted. The height of the line is set by its
+    energy, since the mean of levels lies below the level of the mean. A crossing within the last
+    tenth of the file counts as not reached: there the "noise" is the decay itself, and subtracting
+    it would bend the curve. Neither is it reached where the sound behind the crossing still falls
+    or is too short to decide, by all bands together: many files are cut while the room still rings.
+    And an end of the file that is louder than what precedes it is left out.
 
     References
     ----------
@@ -98,7 +83,7 @@ def estimate_noise(
         )
         for pressure, bandwidth in zip(filtered, statistical_bandwidth_hz(bank), strict=True)
     ]
-    # bands that cannot tell follow the others: one file is cut in all of them, or in none
+    # undecided bands follow the others: one file is cut in all of them, or in none
     evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in decays)
     found = [_judged(h, evidence) for h in decays]
     start_s = start / rate_hz - response.time_zero_s
@@ -126,18 +111,15 @@ class _BandNoise:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _BandDecay:
-    """What one band of a response shows before it is judged.
-
-    `line` holds height and time constant of the decay; None where none stands above the floor.
-    """
+    """Noise and decay of one band before it is decided whether the file's end is noise."""
 
     floor: float
-    before: float
-    spreading_s: float = 0.0
+    before: float  # mean square before the sound
+    spreading_s: float = 0.0  # by which the filter spreads the end of the file
     length_s: float = 0.0
     times: FloatArray = field(default_factory=lambda: np.zeros(0))
     blocks: FloatArray = field(default_factory=lambda: np.zeros(0))
-    line: tuple[float, float] | None = None
+    line: tuple[float, float] | None = None  # height and time constant; None for no decay
     crossing_s: float = 0.0
     levels_out: bool = False
     evidence: float = 0.0
@@ -148,33 +130,42 @@ def _band_decay(
 ) -> _BandDecay:
     energy = before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
-    # a block holds four independent values, so that its level scatters by 2 dB; in a short file
-    # down to one and a half, for a line through less than eight blocks says nothing
+    # a block has four independent values, so that its level scatters by 2 dB; in a short file down
+    # to one and a half, for a line through less than eight blocks is worthless
     block_s = max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
     if block_s < 1.5 / bandwidth_hz or length_s < 8.0 * block_s:
         return _BandDecay(0.0, before)
-    times, blocks = _blocks(energy, rate_hz, block_s)
-    floor, line = _settled(energy, rate_hz, times, blocks)
-    if line is None and _goes_on_falling(energy):
+    # mid times and mean energies of equal blocks; an incomplete block at the end is left out
+    size = max(1, round(block_s * rate_hz))
+    n = len(energy) // size
+    times = (np.arange(n, dtype=np.float64) + 0.5) * (size / rate_hz)
+    means = np.asarray(energy[: n * size].reshape(n, size).mean(axis=1), dtype=np.float64)
+    blocks = np.maximum(means, _LEAST_ENERGY)
+    floor, line = _floor_and_decay(energy, rate_hz, times, blocks)
+    third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
+    # a last quarter 6 dB quieter than the third: no noise is reached there
+    if line is None and third > _FALLS * max(last, _LEAST_ENERGY):
         line = _line(times, blocks, _LEAST_ENERGY, span_db=np.inf)
     elif line is None:
         line = _short_decay(times, blocks, floor)
     if line is None:
         return _BandDecay(floor, before, length_s=length_s)
     crossing_s = _crossing_s(*line, floor, length_s)
+    fall = np.exp(-0.25 * length_s / line[1])
     # noise alone begins where the decay lies 10 dB below it
-    rest = energy[round((crossing_s + np.log(10.0) * line[1]) * rate_hz) :]
+    behind = energy[round((crossing_s + np.log(10.0) * line[1]) * rate_hz) :]
     return _BandDecay(
         floor,
         before,
-        2.0 / bandwidth_hz,  # the filter smears the end of the file over two of its own lengths
+        2.0 / bandwidth_hz,
         length_s,
         times,
         blocks,
         line,
         crossing_s,
-        _stopped_falling(energy, line[1], length_s),
-        evidence_of_noise(rest, rate_hz, bandwidth_hz, line[1]),
+        # a last quarter as loud as the third, where the line falls by half or more
+        bool(fall < 0.5 and last > np.sqrt(fall) * third),
+        evidence_of_noise(behind, rate_hz, bandwidth_hz, line[1]),
     )
 
 
@@ -187,10 +178,14 @@ def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
     clear = abs(decay.evidence) > _CLEAR_ALONE
     reached = crosses and (decay.evidence > 0.0 if clear else evidence > _CLEAR)
     if not crosses and decay.levels_out:
-        # a flutter that outlasts the diffuse decay bends the line: the noise itself says more
-        reached, end_s = True, _drowned_s(decay.times, decay.blocks, floor)
+        # a flutter that outlasts the diffuse decay bends the line: the noise itself is better
+        reached, end_s = True, _masked_from_s(decay.times, decay.blocks, floor)
     elif crosses and not reached:
-        line, end_s = _cut(decay.times, decay.blocks, line, end_s)
+        # the last part may be noise or still the decay: it ends where it is twice as high as what
+        # may be noise, and nothing is subtracted
+        end_s = max(end_s - np.log(2.0) * line[1], float(decay.times[0]))
+        used = decay.times <= end_s
+        line = _line(decay.times[used], decay.blocks[used], _LEAST_ENERGY, span_db=np.inf) or line
     elif not crosses:
         end_s = decay.length_s - decay.spreading_s
     height, constant_s = line
@@ -201,59 +196,33 @@ def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
     return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
 
 
-def _cut(
-    times: FloatArray, blocks: FloatArray, line: tuple[float, float], crossing_s: float
-) -> tuple[tuple[float, float], float]:
-    """Return line and end of a decay whose last part may be noise or still the decay.
-
-    It ends where it stands twice as high as what may be noise, and nothing is subtracted.
-    """
-    end_s = max(crossing_s - np.log(2.0) * line[1], float(times[0]))
-    used = times <= end_s
-    again = _line(times[used], blocks[used], _LEAST_ENERGY, span_db=np.inf) if used.any() else None
-    return (line if again is None else again), end_s
-
-
-def _goes_on_falling(energy: FloatArray) -> bool:
-    """Whether the last quarter is 6 dB quieter than the third: no noise is reached there."""
-    third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
-    return bool(third > _FALLS * max(last, _LEAST_ENERGY))
-
-
-def _stopped_falling(energy: FloatArray, constant_s: float, length_s: float) -> bool:
-    """Whether the last quarter is as loud as the third, where the line falls by half or more."""
-    third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
-    expected = np.exp(-0.25 * length_s / constant_s)
-    return bool(expected < 0.5 and last > np.sqrt(expected) * third)
-
-
 def _short_decay(times: FloatArray, blocks: FloatArray, floor: float) -> tuple[float, float] | None:
     """Return height and time constant of a decay over within a few blocks, as in a dead room.
 
-    From the loudest block to where what is still to come has drowned; None where even the loudest
-    stands less than 12 dB above the noise.
+    From the loudest block to where the remaining sound has fallen into the noise; None where even
+    the loudest is less than 12 dB above the noise.
     """
     peak = int(np.argmax(blocks))
     noise = max(floor, float(np.median(blocks)))  # most of such a file is noise
-    drowned_s = _drowned_s(times, blocks, noise)
+    drowned_s = _masked_from_s(times, blocks, noise)
     if blocks[peak] < _LOUD * noise or drowned_s <= times[peak]:
         return None
     constant_s = (drowned_s - float(times[peak])) / float(np.log(blocks[peak] / (2.0 * noise)))
     return float(blocks[peak] * np.exp(times[peak] / constant_s)), constant_s
 
 
-def _drowned_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
-    """Return when the mean of all that is still to come has fallen to twice the noise."""
+def _masked_from_s(times: FloatArray, blocks: FloatArray, floor: float) -> float:
+    """Return when the mean of all later blocks has fallen to twice the noise."""
     rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
     return float(times[np.argmax(rest < 2.0 * floor)])
 
 
-def _settled(
+def _floor_and_decay(
     energy: FloatArray, rate_hz: float, times: FloatArray, blocks: FloatArray
 ) -> tuple[float, tuple[float, float] | None]:
     """Return the noise floor, and height and time constant of the decay above it if there is one.
 
-    Noise and line are drawn in turn, each from the other, until they rest.
+    Noise and line are estimated in turn, each from the other, until they converge.
     """
     length_s = len(energy) / rate_hz
     latest_s = (1.0 - TAIL_SHARE) * length_s
@@ -275,15 +244,6 @@ def _settled(
     return floor, line
 
 
-def _blocks(energy: FloatArray, rate_hz: float, block_s: float) -> tuple[FloatArray, FloatArray]:
-    """Return the mid times and the mean energies of equal blocks; a rest at the end is left out."""
-    size = max(1, round(block_s * rate_hz))
-    n = len(energy) // size
-    times = (np.arange(n, dtype=np.float64) + 0.5) * (size / rate_hz)
-    means = np.asarray(energy[: n * size].reshape(n, size).mean(axis=1), dtype=np.float64)
-    return times, np.maximum(means, _LEAST_ENERGY)
-
-
 def _mean_from(energy: FloatArray, start: float) -> float:
     return max(float(energy[int(start) :].mean()), _LEAST_ENERGY)
 
@@ -295,8 +255,10 @@ def _line(
 
     Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
     noise, down to that level; from the peak on where the decay is not that long. Quiet blocks with
-    louder ones to come, as between direct sound and first reflection of a hall, are passed over.
+    louder ones after them, as between direct sound and first reflection of a hall, are skipped.
     """
+    if not len(blocks):
+        return None
     peak = int(np.argmax(blocks))
     rest = np.cumsum(blocks[::-1])[::-1] / np.arange(len(blocks), 0, -1)
     below = np.flatnonzero(np.maximum(blocks, rest)[peak:] < 4.0 * floor)

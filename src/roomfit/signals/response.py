@@ -1,10 +1,7 @@
-"""When the direct sound arrives, and whether that is when the geometry says it does.
+"""One impulse response as measured: its onset, its clock, its echoes and its noise.
 
-How clearly single echoes stand out of a response.
-
-One impulse response, as measured.
-
-Which parts of a filtered response hold noise and nothing else.
+The onset is compared with the travel time of the geometry, single echoes are measured against their
+surroundings, and stretches of a filtered response that contain only noise are found.
 """
 
 from __future__ import annotations
@@ -23,20 +20,11 @@ from roomfit.typing import FloatArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponse:
-    """Sound pressure over time after an impulse.
+    """Sound pressure over time after an impulse."""
 
-    Attributes
-    ----------
-    pressure : float array, shape (n_samples,)
-        Unit as recorded; absolute only where the campaign says so.
-    sampling_rate_hz : float
-    time_zero_s : float
-        Time of emission on the file's clock: sample 0 lies at ``-time_zero_s`` after emission.
-    """
-
-    pressure: FloatArray
+    pressure: FloatArray  # (n_samples,), unit as recorded
     sampling_rate_hz: float
-    time_zero_s: float = 0.0
+    time_zero_s: float = 0.0  # Emission on the file's clock: sample 0 is at ``-time_zero_s``
 
     def __post_init__(self) -> None:
         if not 1000.0 <= self.sampling_rate_hz <= 1e6:
@@ -75,15 +63,11 @@ _FLOOR = 1e-9
 
 
 def echo_prominence(response: ImpulseResponse) -> FloatArray:
-    """Return by how much the energy of each moment exceeds that of its surroundings.
+    """Return by how much the energy of each sample exceeds its surroundings, shape (n_samples,).
 
     The natural logarithm of the squared envelope between 0.8 and 8 kHz, over 0.3 ms, less its mean
-    over 10 ms: 0 on average, 2 to 4 for a strong wall reflection.
-
-    Returns
-    -------
-    float array, shape (n_samples,)
-        On the samples of `response`. Zeros where the sampling rate leaves no such band.
+    over 10 ms: 0 on average, 2 to 4 for a strong wall reflection. Zeros where the sampling rate
+    leaves no such band.
     """
     rate_hz = response.sampling_rate_hz
     high_hz = min(_HIGHEST_HZ, 0.45 * rate_hz)
@@ -100,33 +84,31 @@ _BELOW_PEAK = 10.0 ** (-20.0 / 20.0)
 # A normal noise exceeds 5 standard deviations once in 1.7 million samples.
 _ABOVE_NOISE = 5.0
 _TOLERANCE_M = 0.1
-# how far off `find_onset` itself may be, in samples
-_ONSET_SAMPLES = 3.0
-# Farther off than any wrong position: early and late windows hold the wrong reflections.
+_ONSET_SAMPLES = 3.0  # largest error of `find_onset` itself
+# Larger than any error of a position: early and late windows contain the wrong reflections.
 _SERIOUS_M = 3.0
 
 
 def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
     """Return when the direct sound arrives, in seconds after emission.
 
-    The moment when the pressure first comes within 20 dB of its peak [1]_ and out of the noise,
-    found between samples by a straight line. A lone sample is thus found 0.9 samples early, a sharp
+    The moment when the pressure first comes within 20 dB of its peak [1]_ and exceeds the noise,
+    interpolated between samples. A single sample is thus found 0.9 samples early, a sharp
     band-limited click up to 3.
 
     Parameters
     ----------
-    response : ImpulseResponse
     where : str, optional
         Names the response in a message.
 
     Raises
     ------
     InputError
-        Nothing stands out of the noise.
+        Nothing exceeds the noise.
 
     Notes
     -----
-    Noise is what the quietest tenth of the file holds; an offset is subtracted first.
+    Noise is the quietest tenth of the file; an offset is subtracted first.
 
     References
     ----------
@@ -136,14 +118,15 @@ def find_onset(response: ImpulseResponse, where: str | None = None) -> float:
     pressure = response.pressure - np.median(response.pressure)
     size = np.abs(pressure)
     peak = float(size.max(initial=0.0))
-    noise = _ABOVE_NOISE * _quietest_rms(pressure)
+    tenths = [np.mean(part**2) for part in np.array_split(pressure, 10) if part.size]
+    noise = _ABOVE_NOISE * float(np.sqrt(min(tenths)))
     if not noise < peak:
         raise InputError(
             "no direct sound was found in the response",
             where=where,
             found=f"a peak of {peak:.3g} and noise of {noise / _ABOVE_NOISE:.3g} (rms)",
             needed=f"a peak at least {_ABOVE_NOISE:g} times the noise",
-            hint="another channel may hold the response, or the file may be noise only",
+            hint="another channel may contain the response, or the file may be noise only",
         )
     threshold = max(_BELOW_PEAK * peak, min(noise, 0.5 * peak))
     first = int(np.argmax(size >= threshold))
@@ -159,14 +142,8 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
 
     Parameters
     ----------
-    response : ImpulseResponse
     travel_s : float
         Distance over speed of sound.
-    where : str, optional
-
-    Raises
-    ------
-    InputError
     """
     end_s = len(response.pressure) / response.sampling_rate_hz - response.time_zero_s
     if end_s <= travel_s:
@@ -181,15 +158,11 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
 
 
 def compare_onset(
-    onset_s: float,
-    travel_s: float,
-    speed_of_sound_m_s: float,
-    where: str,
-    sampling_rate_hz: float,
+    onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str, sampling_rate_hz: float
 ) -> tuple[Finding, ...]:
     """Return a finding where the onset and the geometry disagree by more than 10 cm.
 
-    What three samples of the file span is added to that, and it is serious from 3 m on.
+    The length of three samples is added to that; the finding is serious from 3 m on.
 
     Parameters
     ----------
@@ -197,10 +170,8 @@ def compare_onset(
         Measured, from `find_onset`.
     travel_s : float
         Distance over speed of sound.
-    speed_of_sound_m_s : float
     where : str
         Names the response in the sentence.
-    sampling_rate_hz : float
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
     tolerance_m = _TOLERANCE_M + _ONSET_SAMPLES / sampling_rate_hz * speed_of_sound_m_s
@@ -223,9 +194,9 @@ def compare_onset(
 def time_zero_from_direct(
     response: ImpulseResponse, travel_s: float, where: str | None = None
 ) -> ImpulseResponse:
-    """Return the response on a clock by which its direct sound arrives when the geometry says.
+    """Return the response on a clock by which its direct sound arrives after the travel time.
 
-    For files that begin at the direct sound, or whose beginning means nothing.
+    For files that begin at the direct sound, or at an arbitrary instant.
 
     Raises
     ------
@@ -238,12 +209,6 @@ def time_zero_from_direct(
     )
 
 
-def _quietest_rms(pressure: FloatArray) -> float:
-    """Return the least rms of ten equal parts of the file."""
-    parts = np.array_split(pressure, 10)
-    return float(np.sqrt(min(np.mean(part**2) for part in parts if part.size)))
-
-
 TAIL_SHARE = 0.1  # of the file, from its end: the least that noise is estimated from
 _RISE = 4.0  # an end that is 6 dB louder than the quietest tenth is no noise floor
 _FAIR_VALUES = 16.0
@@ -254,16 +219,16 @@ _FEW_VALUES = 8.0
 
 
 def before_rise(energy: FloatArray, independent: float) -> FloatArray:
-    """Return the energy without a louder end: what circular deconvolution wraps to there.
+    """Return the energy without a louder end, which circular deconvolution leaves there.
 
-    A tenth of the file is compared with another, or more where it would hold fewer independent
-    values than a fair comparison needs.
+    A tenth of the file is compared with another, or more where it would have fewer independent
+    values than the comparison needs.
 
     Parameters
     ----------
     energy : float array, shape (n_samples,)
     independent : float
-        How many independent values it holds: bandwidth times duration.
+        Number of independent values: bandwidth times duration.
     """
     n = len(energy)
     size = int(n * max(TAIL_SHARE, min(1.0, _FAIR_VALUES / independent)))
@@ -280,7 +245,7 @@ def before_rise(energy: FloatArray, independent: float) -> FloatArray:
 
 
 def level_before(energy: FloatArray, rate_hz: float, bandwidth_hz: float) -> float:
-    """Return the mean square of what comes before a sound arrives; 0 where that is too short.
+    """Return the mean square before a sound arrives; 0 where that part is too short.
 
     Parameters
     ----------
@@ -299,15 +264,15 @@ def evidence_of_noise(
 ) -> float:
     """Return how much likelier energy is noise than a decay, as a log likelihood ratio.
 
-    Its halves are compared: noise has equal ones; of a decay that goes on, be it at half the pace,
-    the second is quieter. The logarithm of their ratio has the standard deviation
-    ``2 / sqrt(B T)``. Near 0 where they are too short to tell.
+    Its halves are compared: noise has equal ones; of a decay that continues, be it at half the
+    rate, the second is quieter. The logarithm of their ratio has the standard deviation
+    ``2 / sqrt(B T)``. Near 0 where they are too short to decide.
 
     Parameters
     ----------
     energy : float array, shape (n_samples,)
     constant_s : float
-        Time in which the decay before it fell to 1/e.
+        Time in which the preceding decay fell to 1/e.
     """
     n = len(energy) // 2
     independent = bandwidth_hz * 2 * n / rate_hz

@@ -1,21 +1,20 @@
-"""Fit data whose scatter depends on the answer: weights frozen, solved, renewed.
+"""Reweighted least squares of one band's data, whose variance depends on the answer.
 
-Damped Fisher scoring of one band's problem, and what a fit leaves for the next band.
-
-The paper's searches and Gauss-Newton behind one face: free vector in, better free vector out.
-
-Where to begin: one absorption for all walls, from the decay, and random points.
+Weights are taken at the present answer, the weighted squares are solved, and the weights renewed
+until the answer agrees with the last one. What solves the squares is an argument: damped
+Gauss-Newton steps, or the searches of Suh's paper. Also: what one band's fit says to the next.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TypeAlias
 
 import numpy as np
 from scipy.special import digamma, polygamma
 
+from roomfit.logit import expit
 from roomfit.objective.parameters import (
     Marginal,
     Parameters,
@@ -24,186 +23,76 @@ from roomfit.objective.parameters import (
     to_free,
 )
 from roomfit.objective.problem import BandProblem, Prediction
-from roomfit.solvers.search import anneal, downhill_simplex, simplex_around
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.levenberg_marquardt import (
+    MarquardtSettings,
+    Minimum,
+    ResidualFunction,
+    levenberg_marquardt,
+)
+from roomfit.solvers.search import Fit, anneal, downhill_simplex, simplex_around
 from roomfit.typing import FloatArray, Progress
 
-_LOWEST, _HIGHEST = 0.02, 0.98
-
-
-def decay_rate_per_s(energy: FloatArray, edges_s: FloatArray) -> float:
-    """Return the rate k of the decay ``exp(-k t)`` that window energies follow.
-
-    The slope of the backward-integrated energy between 5 and 25 dB below its start, or over all
-    windows where those are fewer than three.
-
-    Parameters
-    ----------
-    energy : float array, shape (n_windows,)
-        Energy of each window, any unit, not all zero.
-    edges_s : float array, shape (n_windows + 1,)
-        Rising window edges.
-
-    Returns
-    -------
-    float
-        1/s; 0 where the energy does not fall.
-
-    Notes
-    -----
-    Backward integration after M. R. Schroeder, "New method of measuring reverberation time",
-    J. Acoust. Soc. Am. 37, 409-412 (1965).
-    """
-    remaining = np.cumsum(energy[::-1])[::-1]
-    alive = remaining > 0.0
-    log_energy = np.log(remaining[alive] / remaining[0])
-    time_s = edges_s[:-1][alive]
-    level_db = 10.0 / np.log(10.0) * log_energy
-    usable = (level_db <= -5.0) & (level_db >= -25.0)
-    if np.count_nonzero(usable) < 3:
-        usable = np.ones_like(usable)
-    if np.count_nonzero(usable) < 2:
-        return 0.0
-    slope = np.polyfit(time_s[usable], log_energy[usable], 1)[0]
-    return max(-float(slope), 0.0)
-
-
-def eyring_absorption(
-    decay_rate_per_s: float,
-    volume_m3: float,
-    surface_m2: float,
-    speed_of_sound_m_s: float,
-    attenuation_per_m: float = 0.0,
-) -> float:
-    """Return the absorption which, on all walls alike, gives a decay rate by Eyring's law.
-
-    ``k = c (m - S ln(1 - a) / (4 V))``, kept within 0.02 to 0.98 so that a search can move either
-    way.
-
-    Parameters
-    ----------
-    decay_rate_per_s : float
-        Rate k of the energy decay ``exp(-k t)``; 6 ln 10 over the reverberation time.
-    volume_m3, surface_m2, speed_of_sound_m_s : float
-    attenuation_per_m : float
-        Energy attenuation m of the air.
-
-    References
-    ----------
-    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1,
-           217-241 (1930).
-
-    Examples
-    --------
-    A box of 4 V / S = 4 m and 340 m/s loses half at a hit 85 times a second.
-
-    >>> round(eyring_absorption(85 * np.log(2), 4.0, 4.0, 340.0), 6)
-    0.5
-    """
-    loss_per_m = decay_rate_per_s / speed_of_sound_m_s - attenuation_per_m
-    absorption = -np.expm1(-loss_per_m * 4.0 * volume_m3 / surface_m2)
-    return float(np.clip(absorption, _LOWEST, _HIGHEST))
-
-
-def starts(uniform: float, n: int, n_random: int, rng: np.random.Generator) -> FloatArray:
-    """Return the uniform start followed by random ones, shape (1 + n_random, n)."""
-    return np.concatenate((np.full((1, n), uniform), rng.random((n_random, n))))
-
-
-ResidualFunction: TypeAlias = Callable[[FloatArray], tuple[FloatArray, FloatArray]]
-
-
-Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], FloatArray]
-"""Residuals with derivative, and a start, shape (n,), to the free vector of least squares."""
+Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], Minimum]
+"""Residuals with derivative, and a start, shape (n,), to a minimum of their squares."""
 
 # Gains are searched within a factor of e^3, 13 dB, either side of where total energies agree.
 _LOG_REACH = 3.0
 _FIRST_EDGE = 0.1
-_FIRST_DAMPING, _SOLVERS_MOST_DAMPING = 1e-3, 1e10
-_MOST_STEPS = 40
-_FEW_STEPS = 15
-_NEAR = 0.01
-# of the sum of squares: a thousandth of what one standard deviation would cost
-_LEAST_GAIN = 1e-3
+# Few unknowns and many residuals: normal equations cost a tenth of the singular values that
+# scipy's solver takes. The gain is a thousandth of what one standard deviation would cost.
+_GAUSS_NEWTON = MarquardtSettings(length_sd=0.01, gain=0.5e-3)
+_FEW_GAUSS_NEWTON = replace(_GAUSS_NEWTON, max_trials=15)
+_SCORING = MarquardtSettings(
+    raised=10.0,
+    least_damping=1e-6,
+    most_damping=1e6,
+    longest_entry=3.0,
+    accepts_equal=True,
+    entry_sd=0.05,
+)
 
 
-def gauss_newton(
-    residuals: ResidualFunction, start: FloatArray, *, most_steps: int = _MOST_STEPS
-) -> FloatArray:
-    """Solve by damped Gauss-Newton steps with the exact derivative.
-
-    Marquardt's damping [1]_, lowered after a step that helps and raised after one that does not.
-    Ends when a step is shorter than a hundredth of a standard deviation, or gains next to nothing.
-    Few unknowns and many residuals: normal equations cost a tenth of the singular values that
-    scipy's solver takes.
-
-    References
-    ----------
-    .. [1] D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters",
-           J. Soc. Indust. Appl. Math. 11, 431-441 (1963).
-    """
-    x = np.array(start, dtype=np.float64)
-    if not x.size:
-        return x
-    values, jacobian = residuals(x)
-    damping = _FIRST_DAMPING
-    for _ in range(most_steps):
-        gradient, hessian = jacobian.T @ values, jacobian.T @ jacobian
-        scale = np.diag(hessian)
-        step = -np.linalg.solve(hessian + damping * np.diag(scale), gradient)
-        there, slope_there = residuals(x + step)
-        if not there @ there < values @ values:
-            damping *= 8.0
-            if damping > _SOLVERS_MOST_DAMPING:
-                break
-            continue
-        gain = values @ values - there @ there
-        x, values, jacobian = x + step, there, slope_there
-        damping *= 0.1
-        if step @ hessian @ step < _NEAR**2 or gain < _LEAST_GAIN:
-            break
-    return x
+def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> Minimum:
+    """Return the minimum that damped Gauss-Newton steps lead to, to a hundredth of its sd."""
+    return levenberg_marquardt(residuals, start, _GAUSS_NEWTON)
 
 
-def few_gauss_newton_steps(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
-    """Take steps of `gauss_newton` towards squares whose weights will be renewed anyway."""
-    return gauss_newton(residuals, start, most_steps=_FEW_STEPS)
+def few_gauss_newton_steps(residuals: ResidualFunction, start: FloatArray) -> Minimum:
+    """Take at most 15 steps of `gauss_newton` towards squares whose weights will be renewed."""
+    return levenberg_marquardt(residuals, start, _FEW_GAUSS_NEWTON)
 
 
 def simplex_solver(parameters: Parameters) -> Solver:
     """Return the paper's downhill simplex, over absorption itself and log gains."""
-
-    def solve(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
-        if not start.size:
-            return start
-        error, first = _in_unit_box(parameters, residuals, start)
-        found = downhill_simplex(error, simplex_around(first, _FIRST_EDGE))
-        return _from_unit(parameters, found.x)
-
-    return solve
+    return _unit_box_solver(
+        parameters, lambda error, x: downhill_simplex(error, simplex_around(x, _FIRST_EDGE))
+    )
 
 
 def annealing_solver(parameters: Parameters, rng: np.random.Generator) -> Solver:
     """Return the paper's simulated annealing with its simplex, over absorption and log gains."""
+    return _unit_box_solver(parameters, lambda error, x: anneal(error, x.size, rng))
 
-    def solve(residuals: ResidualFunction, start: FloatArray) -> FloatArray:
+
+def _unit_box_solver(
+    parameters: Parameters, search: Callable[[Callable[[FloatArray], float], FloatArray], Fit]
+) -> Solver:
+    """Return a solver that searches the sum of squares over the unit box."""
+
+    def solve(residuals: ResidualFunction, start: FloatArray) -> Minimum:
         if not start.size:
-            return start
-        error, first = _in_unit_box(parameters, residuals, start)
-        return _from_unit(parameters, anneal(error, first.size, rng).x)
+            return Minimum(start, 0.0, 0, Ending.CONVERGED)
+
+        def error(point: FloatArray) -> float:
+            r, _ = residuals(_from_unit(parameters, point))
+            return float(r @ r)
+
+        found = search(error, _to_unit(parameters, start))
+        x = _from_unit(parameters, found.x)
+        return Minimum(x, 0.5 * found.cost, found.evaluations, found.ending)
 
     return solve
-
-
-def _in_unit_box(
-    parameters: Parameters, residuals: ResidualFunction, start: FloatArray
-) -> tuple[Callable[[FloatArray], float], FloatArray]:
-    """Return the sum of squares over the unit box, and the start's place in it."""
-
-    def error(point: FloatArray) -> float:
-        r, _ = residuals(_from_unit(parameters, point))
-        return float(r @ r)
-
-    return error, _to_unit(parameters, start)
 
 
 def _from_unit(parameters: Parameters, point: FloatArray) -> FloatArray:
@@ -231,52 +120,43 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
         free = vector[position : position + n]
         position += n
         if block.transform == "logit":
-            parts.append(1.0 / (1.0 + np.exp(-free)))
+            parts.append(expit(free))
         else:
             middle = to_free(block, block.start)[block.fitted]
             parts.append(np.clip(0.5 + 0.5 * (free - middle) / _LOG_REACH, 0.0, 1.0))
     return np.concatenate(parts)
 
 
-MOST_ROUNDS = 12
-# From this round on weights go only half of the way: two answers may each lead to the other's.
-_HALF_WAY_FROM = 5
+# Of renewed weights; from this round on they go only half of the way, since two answers may each
+# lead to the other's.
+_MOST_ROUNDS, _HALF_WAY_FROM = 12, 5
+# Of the standard deviation: two rounds whose answers differ by less agree.
+_AGREEMENT_SD = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandFit:
-    """Best free vector of one band, and what is needed to say how sure it is.
+    """Best free vector of one band, how it was found, and what is needed for its uncertainty."""
 
-    Attributes
-    ----------
-    vector : float array, shape (n_free,)
-    cost : float
-        Half the sum of squared weighted residuals and prior residuals.
-    chi2_reduced : float
-        Pearson's chi-square over the degrees of freedom: 1 where the noise model holds, above 2
-        where the model does not explain the data.
-    information : float array, shape (n_free, n_free)
-        Gauss-Newton Hessian of the cost at the answer, prior included.
-    expected, variance, measured : float arrays, shape (n_data,)
-    log_likelihood : float
-        Of all data under their own laws, with every constant, neighbours that share information
-        counted once: compares models of the same data.
-    evaluations : int
-        How often the response was weighed with its derivative.
-    converged : bool
-        Whether the last two rounds agree within a tenth of the standard deviation.
-    """
-
-    vector: FloatArray
-    cost: float
+    vector: FloatArray  # (n_free,)
+    cost: float  # half the sum of squared weighted residuals and prior residuals
+    # Pearson's chi-square over the degrees of freedom: 1 where the noise model holds, above 2 where
+    # the model does not explain the data
     chi2_reduced: float
-    information: FloatArray
-    expected: FloatArray
-    variance: FloatArray
-    measured: FloatArray
+    information: FloatArray  # (n_free, n_free), Gauss-Newton Hessian of the cost, with the prior
+    expected: FloatArray  # (n_data,)
+    variance: FloatArray  # (n_data,)
+    measured: FloatArray  # (n_data,)
+    # of all data under their own laws, with every constant, neighbours that share information
+    # counted once: compares models of the same data
     log_likelihood: float
-    evaluations: int
-    converged: bool
+    evaluations: int  # how often the response was weighed with its derivative
+    ending: Ending
+
+    @property
+    def converged(self) -> bool:
+        """Whether the answer no longer moves when the weights are renewed."""
+        return self.ending.converged
 
 
 def fit_band(
@@ -288,11 +168,11 @@ def fit_band(
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
 
-    The first round compares logarithms of energies, which finds its way from any start. Each
-    further round takes the variances at the last answer, holds them fixed, and solves the weighted
-    squares: letting the variance move inside a step rewards predictions that are large and
-    uncertain. The result solves the quasi-likelihood equations of a Gamma-like law (variance
-    proportional to the mean squared) [1]_.
+    The first round compares logarithms of energies, which converges from any start. Each further
+    round takes the variances at the last answer, keeps them, and solves the weighted squares:
+    letting the variance move inside a step rewards predictions that are large and uncertain. The
+    result solves the quasi-likelihood equations of a Gamma-like law (variance proportional to the
+    mean squared) [1]_. Converged where two rounds agree within a tenth of a standard deviation.
 
     Parameters
     ----------
@@ -304,52 +184,92 @@ def fit_band(
     ----------
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
-    measured = problem.measured()
-    neighbours = problem.correlation_length()
     counter = _Counter(problem)
-    vector = solver(_first_squares(counter, measured), start_vector(problem.parameters))
-    variance = problem.variance(vector)
-    converged = False
-    for number in range(MOST_ROUNDS):
-        if converged:
-            break
-        previous = vector
-        spread = neighbours * variance
-        vector = refiner(_weighted_squares(counter, measured, spread), vector)
+    vector = solver(_first_squares(counter), start_vector(problem.parameters)).x
+    variance, ending = problem.variance(vector), Ending.OUT_OF_ROUNDS
+    for number in range(_MOST_ROUNDS):
+        previous, spread = vector, counter.neighbours * variance
+        found = refiner(_weighted_squares(counter, spread), vector)
+        vector = found.x
         sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, spread, vector))))
-        converged = bool(np.all(np.abs(vector - previous) <= 0.1 * sd))
-        new_variance = problem.variance(vector)
-        variance = np.sqrt(variance * new_variance) if number >= _HALF_WAY_FROM else new_variance
         if progress is not None:
-            progress((number + 1) / MOST_ROUNDS)
-    variance = problem.variance(vector)
+            progress((number + 1) / _MOST_ROUNDS)
+        if np.all(np.abs(vector - previous) <= _AGREEMENT_SD * sd):
+            # a point that no damping can leave agrees with itself
+            is_stuck = found.ending is Ending.OUT_OF_DAMPING
+            ending = found.ending if is_stuck else Ending.CONVERGED
+            break
+        new = problem.variance(vector)
+        variance = np.sqrt(variance * new) if number >= _HALF_WAY_FROM else new
     if progress is not None:
         progress(1.0)
-    prediction = counter.predict(vector)
-    spread = neighbours * variance
-    chi_square = float(np.sum((measured - prediction.expected) ** 2 / variance))
+    return _band_fit(counter, vector, ending)
+
+
+def score_band(
+    problem: BandProblem, start: FloatArray, *, rounds: int = 4, steps: int = 3
+) -> BandFit:
+    """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
+
+    Weights are kept for a few steps, then renewed; the damping goes on from round to round.
+    Converged where the first step after weights were renewed is already short.
+
+    Parameters
+    ----------
+    problem : BandProblem
+    start : float array, shape (n_free,)
+    rounds : int
+        How often the weights are renewed at most.
+    steps : int
+        Steps between two renewals at most.
+    """
+    counter = _Counter(problem)
+    vector = np.array(start)
+    settings, ending = replace(_SCORING, max_steps=steps), Ending.OUT_OF_ROUNDS
+    for _ in range(rounds):
+        squares = _weighted_squares(counter, counter.neighbours * problem.variance(vector))
+        found = levenberg_marquardt(squares, vector, settings)
+        vector = found.x
+        is_short = found.ending is Ending.CONVERGED and found.steps == 1
+        is_stuck = found.ending in (Ending.NO_MORE_PROGRESS, Ending.OUT_OF_DAMPING)
+        if is_short or (is_stuck and found.steps == 0):
+            ending = found.ending
+            break
+        settings = replace(settings, damping=_SCORING.damping if is_stuck else found.damping)
+    return _band_fit(counter, vector, ending)
+
+
+def _band_fit(counter: _Counter, vector: FloatArray, ending: Ending) -> BandFit:
+    """Return a fit that ended at a vector, with the weights of that vector."""
+    problem, measured = counter.problem, counter.measured
+    variance, prediction = problem.variance(vector), counter.predict(vector)
+    spread = counter.neighbours * variance
     prior, _ = prior_residuals(problem.parameters, vector)
     information = _information(counter, spread, vector)
+    squares = (measured - prediction.expected) ** 2
+    log_likelihood = problem.log_likelihood(prediction.expected, variance)
     return BandFit(
         vector,
-        float(0.5 * (np.sum((measured - prediction.expected) ** 2 / spread) + prior @ prior)),
-        chi_square / _freedom(prediction, spread, information),
+        float(0.5 * (np.sum(squares / spread) + prior @ prior)),
+        float(np.sum(squares / variance)) / _freedom(prediction, spread, information),
         information,
         prediction.expected,
         variance,
         measured,
-        float(np.sum(problem.log_likelihood(prediction.expected, variance) / neighbours)),
+        float(np.sum(log_likelihood / counter.neighbours)),
         counter.evaluations,
-        converged,
+        ending,
     )
 
 
-def first_round(problem: BandProblem, solver: Solver, start: FloatArray) -> FloatArray:
-    """Return where the first round of `fit_band` ends from another start, shape (n_free,).
+def first_round(problem: BandProblem, solver: Solver, start: FloatArray) -> Minimum:
+    """Return where the first round of `fit_band` ends from another start.
 
-    Enough to tell whether another start leads elsewhere, for a fraction of a whole fit.
+    Enough to know whether another start leads elsewhere, for a fraction of a whole fit.
     """
-    return solver(_first_squares(_Counter(problem), problem.measured()), start)
+    counter = _Counter(problem)
+    found = solver(_first_squares(counter), start)
+    return found._replace(evaluations=counter.evaluations)
 
 
 class _Counter:
@@ -357,6 +277,8 @@ class _Counter:
 
     def __init__(self, problem: BandProblem) -> None:
         self.problem = problem
+        self.measured = problem.measured()
+        self.neighbours = problem.correlation_length()
         self.evaluations = 0
         self._last: tuple[FloatArray, Prediction] | None = None
 
@@ -367,12 +289,12 @@ class _Counter:
         return self._last[1]
 
 
-def _first_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
+def _first_squares(counter: _Counter) -> ResidualFunction:
     """Compare energies by their logarithms, everything else as it is.
 
     The mean of the log of a Gamma variate lies below the log of its mean, by digamma.
     """
-    problem = counter.problem
+    problem, measured = counter.problem, counter.measured
     start = start_vector(problem.parameters)
     logs = problem.is_gamma()
     expected = counter.predict(start).expected
@@ -398,15 +320,13 @@ def _first_squares(counter: _Counter, measured: FloatArray) -> ResidualFunction:
     return squares
 
 
-def _weighted_squares(
-    counter: _Counter, measured: FloatArray, variance: FloatArray
-) -> ResidualFunction:
+def _weighted_squares(counter: _Counter, variance: FloatArray) -> ResidualFunction:
     sd = np.sqrt(variance)
 
     def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
         prediction = counter.predict(vector)
         prior, prior_rows = prior_residuals(counter.problem.parameters, vector)
-        residuals = np.concatenate(((measured - prediction.expected) / sd, prior))
+        residuals = np.concatenate(((counter.measured - prediction.expected) / sd, prior))
         return residuals, np.concatenate((-prediction.jacobian / sd[:, None], prior_rows))
 
     return squares
@@ -425,128 +345,11 @@ def _freedom(prediction: Prediction, variance: FloatArray, information: FloatArr
     return max(variance.size - spent, 1.0)
 
 
-_SCORING_MOST_DAMPING = 1e6
-# Of the standard deviation: a step no longer than this ends the search.
-_SETTLED = 0.05
-
-
-def score_band(
-    problem: BandProblem, start: FloatArray, *, rounds: int = 4, steps: int = 3
-) -> BandFit:
-    """Return the answer near a start: weights frozen for a few steps, then renewed.
-
-    Each step solves the normal equations, damped [1]_ until the weighted squares fall.
-
-    Parameters
-    ----------
-    problem : BandProblem
-    start : float array, shape (n_free,)
-        Near the answer, for instance that of a coarser model.
-    rounds : int
-        How often the weights are renewed at most.
-    steps : int
-        Steps between two renewals at most.
-
-    References
-    ----------
-    .. [1] D. W. Marquardt, "An algorithm for least-squares estimation of nonlinear parameters",
-           J. Soc. Indust. Appl. Math. 11, 431-441 (1963).
-    """
-    state = _State(problem, np.array(start))
-    converged = False
-    for _ in range(rounds):
-        state.renew()
-        first = True
-        for _ in range(steps):
-            moved = state.step()
-            if moved <= _SETTLED:
-                converged = first
-                break
-            first = False
-        if converged:
-            break
-    state.renew()
-    return _band_fit(state, converged=converged)
-
-
-class _State:
-    """The present point of a search, with frozen weights."""
-
-    def __init__(self, problem: BandProblem, vector: FloatArray) -> None:
-        self.problem = problem
-        self.vector = vector
-        self.measured = problem.measured()
-        self.neighbours = problem.correlation_length()
-        self.prediction: Prediction = problem.predict(vector)
-        self.variance = problem.variance(vector)
-        self.damping = 1e-3
-        self.evaluations = 1
-
-    def renew(self) -> None:
-        """Take the weights of the present point."""
-        self.variance = self.problem.variance(self.vector)
-
-    def cost(self, vector: FloatArray, prediction: Prediction) -> float:
-        prior, _ = prior_residuals(self.problem.parameters, vector)
-        r = self.measured - prediction.expected
-        return float(0.5 * (r @ (r / (self.neighbours * self.variance)) + prior @ prior))
-
-    def information(self) -> FloatArray:
-        """Return the Gauss-Newton Hessian of the cost."""
-        _, rows = prior_residuals(self.problem.parameters, self.vector)
-        jacobian = self.prediction.jacobian
-        weighed = jacobian / (self.neighbours * self.variance)[:, None]
-        return np.asarray(jacobian.T @ weighed + rows.T @ rows)
-
-    def step(self) -> float:
-        """Take one step that lowers the cost; return its length in standard deviations."""
-        prior, rows = prior_residuals(self.problem.parameters, self.vector)
-        residual = (self.measured - self.prediction.expected) / (self.neighbours * self.variance)
-        downhill = self.prediction.jacobian.T @ residual - rows.T @ prior
-        hessian = self.information()
-        before = self.cost(self.vector, self.prediction)
-        while self.damping < _SCORING_MOST_DAMPING:
-            step = np.linalg.solve(hessian + self.damping * np.diag(np.diag(hessian)), downhill)
-            step *= min(1.0, 3.0 / max(float(np.abs(step).max()), 1e-12))
-            vector = self.vector + step
-            prediction = self.problem.predict(vector)
-            self.evaluations += 1
-            if self.cost(vector, prediction) <= before:
-                self.vector, self.prediction = vector, prediction
-                self.damping = max(0.1 * self.damping, 1e-6)
-                return float(np.max(np.abs(step) / np.sqrt(np.diag(np.linalg.inv(hessian)))))
-            self.damping *= 10.0
-        self.damping = 1e-3
-        return 0.0
-
-
-def _band_fit(state: _State, *, converged: bool) -> BandFit:
-    information = state.information()
-    r = state.measured - state.prediction.expected
-    jacobian = state.prediction.jacobian
-    data = jacobian.T @ (jacobian / (state.neighbours * state.variance)[:, None])
-    spent = float(np.trace(np.linalg.solve(information, data)))
-    freedom = max(r.size - spent, 1.0)
-    log_likelihood = state.problem.log_likelihood(state.prediction.expected, state.variance)
-    return BandFit(
-        state.vector,
-        state.cost(state.vector, state.prediction),
-        float(np.sum(r**2 / state.variance)) / freedom,
-        information,
-        state.prediction.expected,
-        state.variance,
-        state.measured,
-        float(np.sum(log_likelihood / state.neighbours)),
-        state.evaluations,
-        converged,
-    )
-
-
 def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:
     """Return what one band's fit says of the last entries of its vector, for the next band.
 
     The Schur complement of the information over all entries before `first`; what the data add to
-    the prior is divided by max(phi, 1), since data that the model misses tell less.
+    the prior is divided by max(phi, 1), since data that the model misses say less.
 
     Parameters
     ----------

@@ -36,7 +36,7 @@ temperature gets and where the schedule ends. The choices here:
 - The start temperature is the spread of the error over random points unless it is given: 1e6 is
   only right for errors of about that size.
 - The walk finds valleys and the simplex their bottoms: a simplex starts at the best state of each
-  quarter of the schedule (a cold walk may have settled in the wrong one of two valleys that it
+  quarter of the schedule (a cold walk may have ended in the wrong one of two valleys that it
   crossed while warm), and the lowest goes on with fresh edges from its own answer until that gains
   nothing more. (A simplex that has lost its shape stops short in more than four or five
   dimensions; fresh edges cure that.)
@@ -63,58 +63,26 @@ import numpy as np
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
+from roomfit.solvers.ending import Ending
 from roomfit.typing import FloatArray, Progress
 
 ErrorFunction: TypeAlias = Callable[[FloatArray], float]
 """Error of one point of the unit box, shape (n,); lower is better."""
 
 
-@dataclass(frozen=True, slots=True)
-class Ending:
-    """How a search ended.
-
-    Attributes
-    ----------
-    code : str
-        Short and stable, in kebab case, for programs.
-    sentence : str
-        For a person: what happened and, where it did not go well, what to do.
-    converged : bool
-        Whether the search met its own test; it may still sit in a local minimum.
-    """
-
-    code: str
-    sentence: str
-    converged: bool
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Fit:
-    """Where a search ended.
+    """Where a search ended."""
 
-    Attributes
-    ----------
-    x : float array, shape (n,)
-        Best point found, within the unit box.
-    cost : float
-        Error there.
-    evaluations : int
-        How often the error was computed, with or without its derivative.
-    iterations : int
-        Steps of the method, in its own sense.
-    ending : Ending
-    trail : float array, shape (n_visited, n)
-        Points at which the search stood, in order; what "stood" means, each method says.
-    trail_cost : float array, shape (n_visited,)
-    """
-
-    x: FloatArray
-    cost: float
-    evaluations: int
-    iterations: int
+    x: FloatArray  # (n,), best point found, within the unit box
+    cost: float  # error there
+    evaluations: int  # how often the error was computed, with or without its derivative
+    iterations: int  # steps of the method, in its own sense
     ending: Ending
+    # (n_visited, n), points at which the search stood, in order; what "stood" means, each method
+    # says
     trail: FloatArray
-    trail_cost: FloatArray
+    trail_cost: FloatArray  # (n_visited,)
 
     def __post_init__(self) -> None:
         x = float_array("answer", self.x, (None,), low=0.0, high=1.0)
@@ -164,26 +132,17 @@ _COLLAPSED = 1e-11
 
 @dataclass(frozen=True, slots=True)
 class SimplexSettings:
-    """How the simplex moves and when it stops.
+    """How the simplex moves and when it stops."""
 
-    Attributes
-    ----------
-    order : {"nelder-mead", "as-printed"}
-        Which operation is tried when; see the module's text.
-    test : {"spread", "fraction"}
-        Equation (6), root mean square difference from the error at the centroid, in the unit of
-        the error (one more evaluation a step); or equation (7), relative difference of highest and
-        lowest.
-    tolerance : float
-        tau of either test.
-    reflection, expansion, contraction, shrinkage : float
-        alpha in (0, 1], gamma > 1, beta in (0, 1), and the factor after a failed contraction.
-    max_evaluations : int
-    """
-
+    # {"nelder-mead", "as-printed"}, which operation is tried when; see the module's text
     order: Order = "nelder-mead"
+    # {"spread", "fraction"}, equation (6), root mean square difference from the error at the
+    # centroid, in the unit of the error (one more evaluation a step); or equation (7), relative
+    # difference of highest and lowest
     test: ConvergenceTest = "spread"
-    tolerance: float = 1e-6
+    tolerance: float = 1e-6  # tau of either test
+    # reflection, expansion, contraction, shrinkage: alpha in (0, 1], gamma > 1, beta in (0, 1), and
+    # the factor after a failed contraction
     reflection: float = 1.0
     expansion: float = 2.0
     contraction: float = 0.5
@@ -215,16 +174,10 @@ class SimplexSettings:
 
 @dataclass(slots=True)
 class Simplex:
-    """The vertices and their errors, lowest first; the state of a search.
+    """The vertices and their errors, lowest first; the state of a search."""
 
-    Attributes
-    ----------
-    vertices : float array, shape (n + 1, n)
-    errors : float array, shape (n + 1,)
-    """
-
-    vertices: FloatArray
-    errors: FloatArray
+    vertices: FloatArray  # (n + 1, n)
+    errors: FloatArray  # (n + 1,)
 
     def sort(self) -> None:
         """Bring the lowest vertex to the front and the highest to the end."""
@@ -232,7 +185,7 @@ class Simplex:
         self.vertices, self.errors = self.vertices[order], self.errors[order]
 
     def replace_highest(self, x: FloatArray, error: float) -> None:
-        """Put a new vertex in the place of the highest."""
+        """Replace the highest vertex by a new one."""
         self.vertices[-1], self.errors[-1] = x, error
 
 
@@ -307,7 +260,7 @@ def simplex_around(x: FloatArray, size: float) -> FloatArray:
 
 
 def random_simplex(n: int, rng: np.random.Generator) -> FloatArray:
-    """Return a simplex with edges of 0.3 at a place drawn evenly from the unit box, (n + 1, n)."""
+    """Return a simplex with edges of 0.3 at a point drawn evenly from the unit box, (n + 1, n)."""
     return simplex_around(rng.random(n), 0.3)
 
 
@@ -359,7 +312,7 @@ def _contract(
 def spread(state: Simplex, error: ErrorFunction) -> float:
     """Return the left side of equation (6): rms difference from the error at the centroid.
 
-    The centroid tells a small simplex from one that lies evenly across a minimum.
+    The centroid distinguishes a small simplex from one that lies evenly across a minimum.
     """
     at_centroid = error(state.vertices[:-1].mean(axis=0))
     return float(np.sqrt(np.mean((state.errors - at_centroid) ** 2)))
@@ -372,32 +325,13 @@ def fraction(state: Simplex) -> float:
 
 
 def _ending(state: Simplex, counted: Counted, settings: SimplexSettings) -> Ending | None:
-    tests: dict[ConvergenceTest, Callable[[], float]] = {
-        "spread": lambda: spread(state, counted),
-        "fraction": lambda: fraction(state),
-    }
-    if tests[settings.test]() <= settings.tolerance:
-        number = {"spread": 6, "fraction": 7}[settings.test]
-        return Ending(
-            "simplex-converged",
-            f"The simplex met test ({number}) with tolerance {settings.tolerance:g}. It may be a "
-            "local minimum: start again elsewhere and compare.",
-            converged=True,
-        )
+    test = spread(state, counted) if settings.test == "spread" else fraction(state)
+    if test <= settings.tolerance:
+        return Ending.CONVERGED
     if np.ptp(state.vertices, axis=0).max() <= _COLLAPSED:
-        return Ending(
-            "simplex-collapsed",
-            "The simplex became too small to change before the test was met, as happens with "
-            "test (7) where the lowest error is 0; the point is as exact as numbers allow.",
-            converged=True,
-        )
+        return Ending.COLLAPSED
     if counted.evaluations >= settings.max_evaluations:
-        return Ending(
-            "evaluations-used-up",
-            f"The simplex still moved after {counted.evaluations} evaluations: start again from "
-            "its best point with a fresh simplex, or use least squares.",
-            converged=False,
-        )
+        return Ending.OUT_OF_EVALUATIONS
     return None
 
 
@@ -408,29 +342,15 @@ _EDGE = 0.1
 
 @dataclass(frozen=True, slots=True)
 class AnnealingSettings:
-    """Schedule of temperatures, and the simplex that follows.
+    """Schedule of temperatures, and the simplex that follows."""
 
-    Attributes
-    ----------
-    start_temperature : float or None
-        In the unit of the error; None takes the spread of the error over random points.
-    cooling : float
-        Factor from one temperature to the next.
-    levels : int
-        How many temperatures.
-    trials_per_unknown : int
-        Trials at each temperature for every unknown.
-    simplex : SimplexSettings
-    max_restarts : int
-        How often the simplex may start again from its own answer.
-    """
-
+    # in the unit of the error; None takes the spread of the error over random points
     start_temperature: float | None = None
-    cooling: float = 0.9
-    levels: int = 60
-    trials_per_unknown: int = 10
+    cooling: float = 0.9  # factor from one temperature to the next
+    levels: int = 60  # how many temperatures
+    trials_per_unknown: int = 10  # trials at each temperature for every unknown
     simplex: SimplexSettings = field(default_factory=SimplexSettings)
-    max_restarts: int = 10
+    max_restarts: int = 10  # how often the simplex may start again from its own answer
 
     def __post_init__(self) -> None:
         ranges = (

@@ -14,7 +14,6 @@ from types import MappingProxyType
 import numpy as np
 
 from roomfit.response.energy import EnergyRows
-from roomfit.solvers.least_squares import starts
 from roomfit.suh2001.room import (
     CASES,
     DIVISIONS,
@@ -30,7 +29,7 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.suh2001.searches import fit_least_squares, starts
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 

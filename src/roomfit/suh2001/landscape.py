@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.solvers.least_squares import ResidualFunction
+from roomfit.solvers.levenberg_marquardt import ResidualFunction
 from roomfit.solvers.search import ErrorFunction
 from roomfit.typing import FloatArray
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from importlib.metadata import version
@@ -25,6 +23,7 @@ from roomfit.cache import (
     write_json_atomically,
     write_text_atomically,
 )
+from roomfit.io.encoding import csv_text
 from roomfit.io.results import certificate_content
 from roomfit.report.figures import OKABE_ITO, new_figure, png
 from roomfit.suh2001.independent import PAIRS, IndependentRow
@@ -181,13 +180,10 @@ Row: TypeAlias = Sequence[object]
 
 
 def _csv(heading: Row, rows: Sequence[Row]) -> str:
-    stream = io.StringIO()
-    writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(heading)
-    writer.writerows(
-        [f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows
+    return csv_text(
+        heading,
+        ([f"{cell:.6g}" if isinstance(cell, float) else cell for cell in row] for row in rows),
     )
-    return stream.getvalue()
 
 
 def _tables(result: PaperResult) -> dict[str, tuple[Row, Sequence[Row]]]:

@@ -20,11 +20,11 @@ import numpy as np
 
 from roomfit._checks import int_array
 from roomfit._numba import in_pool, worker_pool
-from roomfit.certified.certificate import Certificate, certify
+from roomfit.certified.certificate import certify
 from roomfit.certified.question import GlobalProblem, Misfit
 from roomfit.certified.search import SearchSettings
 from roomfit.errors import InputError
-from roomfit.solvers.least_squares import starts
+from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.suh2001.independent import (
     IndependentFit,
@@ -64,7 +64,7 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import fit_least_squares
+from roomfit.suh2001.searches import fit_least_squares, starts
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 

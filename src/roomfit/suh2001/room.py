@@ -17,12 +17,12 @@ import numpy as np
 from roomfit._checks import float_array, read_only
 from roomfit.air import Air
 from roomfit.errors import InputError
+from roomfit.eyring import decay_rate_per_s, eyring_absorption
 from roomfit.geometry.build import Face, build_mesh
 from roomfit.geometry.mesh import Surface, volume_m3
 from roomfit.materials.priors import uniform_scattering
 from roomfit.response.energy import EnergyRows, energy_rows, merge_equal_rows, weigh
 from roomfit.scene import Point, Room, Scene, material_areas_m2
-from roomfit.solvers.least_squares import decay_rate_per_s, eyring_absorption
 from roomfit.tracing.paths import Directions, Paths, TraceSettings, hits
 from roomfit.tracing.rays import trace_rays
 from roomfit.typing import FloatArray, IntArray

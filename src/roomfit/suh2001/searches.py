@@ -6,11 +6,10 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from roomfit._checks import float_array
-from roomfit.solvers.least_squares import ResidualFunction
-from roomfit.solvers.search import Ending, Fit, best_of
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.levenberg_marquardt import ResidualFunction
+from roomfit.solvers.search import Fit, best_of
 from roomfit.typing import FloatArray
-
-"""Residuals, shape (n_rows,), and their derivative, shape (n_rows, n), at a point, shape (n,)."""
 
 # The trust-region method works strictly inside the box; a start on a wall is moved in by this.
 _INSIDE = 1e-3
@@ -79,7 +78,8 @@ def _descend(residuals: ResidualFunction, start: FloatArray, max_evaluations: in
         2.0 * float(solution.cost),
         len(remembered.points),
         len(remembered.points),
-        _ending(int(solution.status), len(remembered.points)),
+        # status 0: out of evaluations; above: slope, error or step within its tolerance
+        Ending.CONVERGED if solution.status > 0 else Ending.OUT_OF_EVALUATIONS,
         np.array(remembered.points),
         np.array(remembered.costs),
     )
@@ -108,22 +108,6 @@ class _Remembered:
         return self._last
 
 
-def _ending(status: int, evaluations: int) -> Ending:
-    if status == 0:
-        return Ending(
-            "evaluations-used-up",
-            f"Least squares still moved after {evaluations} evaluations: allow more, or look for "
-            "materials that the data do not tell apart.",
-            converged=False,
-        )
-    reason = {
-        1: "the slope vanished",
-        2: "the error no longer fell",
-        3: "the step became too small to count",
-        4: "neither error nor step changed any more",
-    }[status]
-    return Ending(
-        "least-squares-converged",
-        f"Least squares ended because {reason}. It may be a local minimum: compare other starts.",
-        converged=True,
-    )
+def starts(uniform: float, n: int, n_random: int, rng: np.random.Generator) -> FloatArray:
+    """Return the uniform start followed by random ones, shape (1 + n_random, n)."""
+    return np.concatenate((np.full((1, n), uniform), rng.random((n_random, n))))

@@ -1,32 +1,18 @@
-"""Impulse responses of a box whose walls scatter, from a road that shares nothing with the model.
+"""Impulse responses and campaigns of boxes with known walls, independent of the fitted model.
 
-What is reflected specularly all the way comes from image sources that add as pressures. All else is
-noise whose power in time follows rays of an own tracer, in plain numpy: walls of a box only, energy
-conserved at every hit, other seeds and other random numbers than those of `roomfit.tracing`.
-
-A campaign as somebody might have measured it, in a box whose walls are known.
-
-Sources stand a centimetre or so from where the campaign says, the loudspeaker's level changes from
-octave to octave and is told to nobody, and every file holds noise.
-
-Image sources of a box with something on one of its walls that nobody was told of.
-
-An open door, a curtain, a window: a rectangle with an absorption of its own. A path strikes it
-where its straight line, unfolded over the mirrored boxes, crosses that wall within the rectangle.
-Nothing bends around its edges: a door of 2 m2 is treated as rays see it.
-
-Impulse responses of a box from image sources that add as pressures, with phase and noise.
-
-A road to data that shares nothing with the model that is fitted: no rays, no energies, no windows,
-no filters of `roomfit.signals`, an own enumeration of the images, positions that differ from the
-ones told, a loudspeaker whose gain varies over frequency, and background noise.
+Image sources add as pressures: no rays, no energies, no windows, no filters of `roomfit.signals`,
+an own enumeration of the images, positions that differ from the specified ones, a loudspeaker whose
+unspecified gain varies over frequency, and background noise. One wall may have a patch that the
+campaign does not specify. Where walls scatter, all that is not specular is noise whose power in
+time follows rays of an own tracer in plain numpy, with energy conserved at every hit and other
+random numbers than those of `roomfit.tracing`.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Protocol
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
@@ -34,11 +20,12 @@ from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.cache import write_text_atomically
 from roomfit.errors import InputError
+from roomfit.logit import expit
 from roomfit.typing import BoolArray, ComplexArray, FloatArray, IntArray, Progress
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
-# Images are laid on a grid so many times finer than the samples and brought down by the Fourier
+# Images are gridded so many times finer than the samples and brought down by the Fourier
 # transform: at 16 times and 16 kHz, half a step is 2 microseconds, 0.05 rad at 4 kHz.
 _OVERSAMPLING = 16
 _NOTHING = 1e-30  # of energy
@@ -46,30 +33,16 @@ _NOTHING = 1e-30  # of energy
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticBox:
-    """A box whose walls are known.
+    """A box whose walls are known."""
 
-    Attributes
-    ----------
-    lengths_m : tuple of three floats
-        In x, y, z; one corner at the origin.
-    centres_hz : float array, shape (n_bands,)
-        Centres of adjacent octaves or third octaves, rising; absorption holds at a centre and
-        changes smoothly in between.
-    absorption : float array, shape (6, n_bands)
-        Energy absorption of west, east, south, north, floor, ceiling.
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air.
-    speed_of_sound_m_s : float
-    delays_s : tuple of six floats
-        What each wall adds to the travel time at every reflection, in the order of absorption.
-    """
-
-    lengths_m: tuple[float, float, float]
+    lengths_m: tuple[float, float, float]  # in x, y, z; one corner at the origin
+    # (n_bands,), of adjacent octaves or third octaves, rising; absorption applies at a centre and
+    # changes smoothly in between
     centres_hz: FloatArray
-    absorption: FloatArray
-    attenuation_per_m: FloatArray
+    absorption: FloatArray  # (6, n_bands), of west, east, south, north, floor, ceiling
+    attenuation_per_m: FloatArray  # (n_bands,), of energy in air
     speed_of_sound_m_s: float
-    delays_s: tuple[float, ...] = (0.0,) * 6
+    delays_s: tuple[float, ...] = (0.0,) * 6  # of each wall at every reflection
 
 
 def pressure_response(
@@ -84,18 +57,16 @@ def pressure_response(
     """Return the sound pressure at the receiver after an impulse at the source at time 0.
 
     Every image within the duration contributes ``1 / (4 pi r)`` at time r / c, times the root of
-    what each wall reflects. What holds at the octaves' centres goes over smoothly in between. The
-    loudspeaker's levels come with the phase that a causal filter of least delay has.
+    what each wall reflects, interpolated smoothly between the octaves' centres. The loudspeaker's
+    levels have the phase of a minimum-phase filter.
 
     Parameters
     ----------
-    synthetic : SyntheticBox
     source_m, receiver_m : float arrays, shape (3,)
-    duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
         Level of the loudspeaker at each octave's centre.
     b : float array, shape (3,), optional
-        The loudspeaker sends with the amplitude ``1 + b . u`` in direction u; left out: alike.
+        The loudspeaker has the amplitude ``1 + b . u`` in direction u; left out: omnidirectional.
 
     Returns
     -------
@@ -110,7 +81,7 @@ def pressure_response(
 
 
 class SyntheticWalls(Protocol):
-    """What is true of walls and air, whatever the shape of the room; see `SyntheticBox`."""
+    """Known walls and air, whatever the shape of the room; see `SyntheticBox`."""
 
     @property
     def centres_hz(self) -> FloatArray: ...
@@ -137,12 +108,10 @@ def pressure_of_images(
     Parameters
     ----------
     images : tuple of float arrays
-        Length (n_images,), and hits (n_images, n_walls) in the order of the truth's absorption.
-    synthetic : SyntheticWalls
-    duration_s, sampling_rate_hz : float
+        Length (n_images,), and hits (n_images, n_walls) in the order of `synthetic.absorption`.
     level_db : float array, shape (n_bands,)
     sent : float array, shape (n_images,), optional
-        Amplitude, of either sign, with which the loudspeaker feeds each image; left out: 1.
+        Amplitude of the loudspeaker for each image, of either sign; left out: 1.
     """
     lengths, hits = images
     factor = np.ones(lengths.size) if sent is None else sent
@@ -155,7 +124,7 @@ def pressure_of_images(
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(frequencies.size, dtype=np.complex128)
     for band, share in enumerate(octave_shares(synthetic.centres_hz, frequencies)):
-        # a wall of absorption 1 still lets a path pass that never strikes it: 0 times log 0 is 0
+        # with absorption 1, a path that never strikes the wall is unchanged: 0 times log 0 is 0
         left = np.log(np.maximum(1.0 - synthetic.absorption[:, band], _NOTHING))
         lost = hits @ left - synthetic.attenuation_per_m[band] * lengths
         amplitude = factor * np.exp(0.5 * lost) / (4.0 * np.pi * lengths)
@@ -193,7 +162,7 @@ def box_departures(
 def box_lattice(
     synthetic: SyntheticBox, source_m: FloatArray, receiver_m: FloatArray, duration_s: float
 ) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Return steps from receiver to all images in time (3, n), hits (n, 6), where mirrored (3, n).
+    """Return steps from receiver to all images in time (3, n), hits (n, 6), mirrored axes (3, n).
 
     Hits count west, east, south, north, floor, ceiling.
     """
@@ -258,22 +227,16 @@ def _per_octave(centres_hz: FloatArray) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Patch:
-    """A rectangle on a wall.
+    """A rectangle on a wall with an absorption of its own, such as an open door or a curtain.
 
-    Attributes
-    ----------
-    wall : str
-        west, east, south, north, floor or ceiling.
-    lower_m, upper_m : tuples of two floats
-        Opposite corners along the wall's two axes, in the order x, y, z without the wall's own.
-    absorption : float array, shape (n_bands,)
-        In the bands of the room's truth; 1 for an opening.
+    A path strikes it where its straight line, continued over the mirrored boxes, crosses that wall
+    within the rectangle. There is no diffraction at its edges.
     """
 
-    wall: str
-    lower_m: tuple[float, float]
-    upper_m: tuple[float, float]
-    absorption: FloatArray
+    wall: str  # west, east, south, north, floor or ceiling
+    lower_m: tuple[float, float]  # along the wall's two axes, in the order x, y, z
+    upper_m: tuple[float, float]  # the opposite corner
+    absorption: FloatArray  # (n_bands,), in the bands of the box; 1 for an opening
 
     def __post_init__(self) -> None:
         if self.wall not in WALLS:
@@ -313,24 +276,15 @@ def patched_response(
 
 
 def patch_hits(
-    lengths_m: tuple[float, float, float],
-    patch: Patch,
-    receiver_m: FloatArray,
-    steps_m: FloatArray,
+    lengths_m: tuple[float, float, float], patch: Patch, receiver_m: FloatArray, steps_m: FloatArray
 ) -> IntArray:
-    """Return how often the path of each image strikes the patch.
+    """Return how often the path of each image strikes the patch, shape (n_images,).
 
     Parameters
     ----------
-    lengths_m : tuple of three floats
-    patch : Patch
     receiver_m : float array, shape (3,)
     steps_m : float array, shape (3, n_images)
         From the receiver to the images.
-
-    Returns
-    -------
-    int array, shape (n_images,)
     """
     axis, far = divmod(WALLS.index(patch.wall), 2)
     others = [other for other in range(3) if other != axis]
@@ -340,53 +294,38 @@ def patch_hits(
     for plane in range(-reach, reach + 1):
         if plane % 2 != far:  # even planes are mirrors of the wall at 0, odd ones of the other
             continue
-        met = np.flatnonzero(_between(receiver_m[axis], step, plane * side))
+        from_plane = receiver_m[axis] - plane * side
+        beyond = receiver_m[axis] + step - plane * side
+        met = np.flatnonzero(from_plane * beyond < 0.0)
         if not met.size:
             continue
         share = (plane * side - receiver_m[axis]) / step[met]
         inside = np.ones(met.size, dtype=np.bool_)
         for k, other in enumerate(others):
-            place = _folded(receiver_m[other] + share * steps_m[other, met], lengths_m[other])
+            length = lengths_m[other]
+            # folded from the mirrored boxes into the box itself
+            within = np.mod(receiver_m[other] + share * steps_m[other, met], 2.0 * length)
+            place = np.where(within > length, 2.0 * length - within, within)
             inside &= (place >= patch.lower_m[k]) & (place <= patch.upper_m[k])
         count[met[inside]] += 1
     return count
 
 
-def _between(start: float, step: FloatArray, plane: float) -> BoolArray:
-    """Whether lines of given steps cross a plane."""
-    return np.asarray((start - plane) * (start + step - plane) < 0.0)
-
-
-def _folded(place: FloatArray, length: float) -> FloatArray:
-    """Return where a point of the mirrored boxes lies in the box itself."""
-    within = np.mod(place, 2.0 * length)
-    return np.asarray(np.where(within > length, 2.0 * length - within, within))
-
-
 SAMPLING_RATE_HZ = 32_000.0
 _DURATION_S = 0.8
+_POSITION_ERROR_M = 0.01
+_NOISE_DB = -60.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BoxPlan:
-    """A box to be measured: what is true of it, and where people believe the equipment stands.
-
-    Attributes
-    ----------
-    lengths_m : tuple of three floats
-    materials : tuple of six str
-        Of west, east, south, north, floor and ceiling.
-    absorption : float array, shape (6, 8)
-        In octaves from 63 to 8000 Hz: outside the fitted range, too, for a room does not end at
-        125 Hz.
-    sources_m, receivers_m : mapping of name to position
-    """
+    """A box to be measured: its true walls, and the specified positions."""
 
     lengths_m: tuple[float, float, float]
-    materials: tuple[str, ...]
-    absorption: FloatArray
-    sources_m: dict[str, tuple[float, float, float]]
-    receivers_m: dict[str, tuple[float, float, float]]
+    materials: tuple[str, ...]  # of west, east, south, north, floor and ceiling
+    absorption: FloatArray  # (6, 8), in octaves from 63 to 8000 Hz, also outside the fitted range
+    sources_m: dict[str, tuple[float, float, float]]  # by name
+    receivers_m: dict[str, tuple[float, float, float]]  # by name
 
 
 def demo_plan() -> BoxPlan:
@@ -414,15 +353,15 @@ def demo_plan() -> BoxPlan:
 
 
 def random_plan(rng: np.random.Generator) -> BoxPlan:
-    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six materials drawn anew in every octave.
+    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six random materials.
 
     Absorption is even in logit between 0.01 and 0.97, and changes from octave to octave by about a
     third of its spread over materials. Positions stay 0.6 m clear of the walls.
     """
     lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
     low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
-    logit = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
-    absorption = 1.0 / (1.0 + np.exp(-np.clip(logit, low, high)))
+    free = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
+    absorption = expit(np.clip(free, low, high))
 
     def place() -> tuple[float, float, float]:
         x, y, z = rng.uniform(0.6, lengths - 0.6)
@@ -439,22 +378,12 @@ def random_plan(rng: np.random.Generator) -> BoxPlan:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredBox:
-    """A simulated campaign and the truth behind it.
+    """A simulated campaign and the true absorption."""
 
-    Attributes
-    ----------
-    campaign : Path
-        The campaign file; its WAV files lie beside it.
-    materials : tuple of str
-    centres_hz : float array, shape (n_bands,)
-        Octaves that the truth covers, 63 to 8000 Hz.
-    absorption : float array, shape (n_materials, n_bands)
-    """
-
-    campaign: Path
+    campaign: Path  # The campaign file; its WAV files lie beside it
     materials: tuple[str, ...]
-    centres_hz: FloatArray
-    absorption: FloatArray
+    centres_hz: FloatArray  # (n_bands,), octaves, 63 to 8000 Hz
+    absorption: FloatArray  # (n_materials, n_bands)
 
 
 def write_measured_box(
@@ -462,8 +391,8 @@ def write_measured_box(
     folder: Path,
     rng: np.random.Generator,
     *,
-    position_error_m: float = 0.01,
-    noise_db: float = -60.0,
+    position_error_m: float = _POSITION_ERROR_M,
+    noise_db: float = _NOISE_DB,
     patch: Patch | None = None,
     progress: Progress | None = None,
 ) -> MeasuredBox:
@@ -471,34 +400,19 @@ def write_measured_box(
 
     Parameters
     ----------
-    plan : BoxPlan
     folder : Path
         An existing folder.
     rng : numpy.random.Generator
         Draws position errors, loudspeaker levels and noise.
     position_error_m : float
-        Standard deviation of each true coordinate about the one told.
+        Standard deviation of each true coordinate about the specified one.
     noise_db : float
         Level of the noise relative to the peak of each response.
     patch : Patch, optional
-        On one of the walls, in the plan's octaves; the campaign does not tell of it.
+        On one of the walls, in the plan's octaves; the campaign does not specify it.
     """
-    import soundfile
-
-    bands = bands_between("octave", 63, 8000)
-    air = Air()
-    synthetic = SyntheticBox(
-        plan.lengths_m,
-        bands.centres_hz,
-        plan.absorption,
-        attenuation_per_m(air, bands),
-        speed_of_sound_m_s(air),
-    )
-    true_at = {
-        name: np.array(position_m) + position_error_m * rng.standard_normal(3)
-        for name, position_m in (*plan.sources_m.items(), *plan.receivers_m.items())
-    }
-    levels_db = {s: rng.normal(0.0, 3.0, len(bands)) for s in plan.sources_m}
+    synthetic, true_at = _true_box(plan, position_error_m, rng)
+    levels_db = {s: rng.normal(0.0, 3.0, synthetic.centres_hz.size) for s in plan.sources_m}
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
     for number, (s, r) in enumerate(pairs):
         ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
@@ -507,17 +421,31 @@ def write_measured_box(
             if patch is None
             else patched_response(synthetic, patch, *ends)
         )
-        soundfile.write(
-            folder / f"{s}_{r}.wav",
-            add_noise(pressure, noise_db, rng).astype(np.float32),
-            int(SAMPLING_RATE_HZ),
-            subtype="FLOAT",
-        )
+        _write_wav(folder / f"{s}_{r}.wav", add_noise(pressure, noise_db, rng))
         if progress is not None:
             progress((number + 1) / len(pairs))
     text = campaign_text(plan, pairs, position_error_m)
     campaign = write_text_atomically(folder / "campaign.toml", text)
-    return MeasuredBox(campaign, plan.materials, bands.centres_hz, plan.absorption)
+    return MeasuredBox(campaign, plan.materials, synthetic.centres_hz, plan.absorption)
+
+
+def _true_box(
+    plan: BoxPlan, position_error_m: float, rng: np.random.Generator
+) -> tuple[SyntheticBox, dict[str, FloatArray]]:
+    """Return the box of a plan in usual air, and true positions about the specified ones."""
+    bands, air = bands_between("octave", 63, 8000), Air()
+    attenuation, c = attenuation_per_m(air, bands), speed_of_sound_m_s(air)
+    synthetic = SyntheticBox(plan.lengths_m, bands.centres_hz, plan.absorption, attenuation, c)
+    return synthetic, {
+        name: np.array(position_m) + position_error_m * rng.standard_normal(3)
+        for name, position_m in (*plan.sources_m.items(), *plan.receivers_m.items())
+    }
+
+
+def _write_wav(file: Path, pressure: FloatArray) -> None:
+    import soundfile
+
+    soundfile.write(file, pressure.astype(np.float32), int(SAMPLING_RATE_HZ), subtype="FLOAT")
 
 
 def campaign_text(
@@ -527,13 +455,7 @@ def campaign_text(
     *,
     scattering: str = "0.0  # smooth, bare walls",
 ) -> str:
-    """Return a campaign file that tells what people believe about a box.
-
-    Parameters
-    ----------
-    scattering : str
-        What is written of every wall's scattering.
-    """
+    """Return a campaign file of a box; `scattering` is the specified one of every wall."""
     lines = ["[room]", f"shoebox = {list(plan.lengths_m)}", "[room.materials]"]
     lines += [f'{wall} = "{name}"' for wall, name in zip(WALLS, plan.materials, strict=True)]
     lines += ["[air]", "temperature_c = 20.0", "humidity_percent = 50.0"]
@@ -560,16 +482,9 @@ _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffuseEchogram:
-    """Energy that arrives after at least one diffuse reflection.
+    """Energy that arrives after at least one diffuse reflection."""
 
-    Attributes
-    ----------
-    energy : float array, shape (n_receivers, n_bands, n_bins)
-        In each bin, 1/m2 for a source of unit power.
-    bin_s : float
-    """
-
-    energy: FloatArray
+    energy: FloatArray  # (n_receivers, n_bands, n_bins), 1/m2 for a source of unit power
     bin_s: float
 
 
@@ -583,15 +498,15 @@ def diffuse_echogram(
     *,
     n_rays: int = _N_RAYS,
 ) -> DiffuseEchogram:
-    """Follow rays that the walls of a box reflect, and note which cross spheres of 0.3 m.
+    """Follow rays that the walls of a box reflect, and record which cross spheres of 0.3 m.
 
-    At each wall a ray goes on by Lambert's law with probability s and like a ball otherwise; it
-    keeps ``1 - a`` of its energy in either case, band by band.
+    At each wall a ray is scattered by Lambert's law with probability s and reflected specularly
+    otherwise; it keeps ``1 - a`` of its energy in either case, band by band.
 
     Parameters
     ----------
     scattering : float array, shape (6,)
-        Of the walls in the order of `truth`.
+        Of the walls in the order of `synthetic.absorption`.
     receivers_m : float array, shape (n_receivers, 3)
         0.3 m or more from every wall.
     """
@@ -615,56 +530,65 @@ def _add_rays(
 ) -> None:
     """Add the chords of some rays, times what is left of their energy."""
     lengths = np.array(synthetic.lengths_m)
-    place = np.tile(np.asarray(source_m, dtype=np.float64), (n, 1))
-    course = _unit(rng.standard_normal((n, 3)))
-    left = np.ones((n, synthetic.absorption.shape[1]))
-    travelled, diffuse = np.zeros(n), np.zeros(n, dtype=np.bool_)
+    rays = _Rays(
+        np.tile(np.asarray(source_m, dtype=np.float64), (n, 1)),
+        _unit(rng.standard_normal((n, 3))),
+        np.ones((n, synthetic.absorption.shape[1])),
+        np.zeros(n),
+        np.zeros(n, dtype=np.bool_),
+    )
     reach = synthetic.speed_of_sound_m_s * energy.shape[2] * _BIN_S
-    while len(place):
+    while len(rays.position):
+        position, course, left, travelled, diffuse = rays
         with np.errstate(divide="ignore"):
-            gap = np.where(course > 0.0, lengths - place, place) / np.abs(course)
+            gap = np.where(course > 0.0, lengths - position, position) / np.abs(course)
         axis = np.argmin(gap, axis=1)
-        every = np.arange(len(place))
+        every = np.arange(len(position))
         flight = np.maximum(gap[every, axis], 0.0)
-        _catch(synthetic, receivers_m, place, course, flight, travelled, left, diffuse, energy)
+        _catch(synthetic, receivers_m, rays, flight, energy)
         travelled = travelled + flight
-        place = np.clip(place + flight[:, None] * course, 0.0, lengths)
+        position = np.clip(position + flight[:, None] * course, 0.0, lengths)
         high = course[every, axis] > 0.0
         wall = 2 * axis + high
         left = left * (1.0 - synthetic.absorption[wall])
         course[every, axis] *= -1.0
-        drawn = rng.random(len(place)) < scattering[wall]
+        drawn = rng.random(len(position)) < scattering[wall]
         course[drawn] = _lambert(axis[drawn], high[drawn], rng)
-        diffuse = diffuse | drawn
         on = travelled < reach
-        place, course, left = place[on], course[on], left[on]
-        travelled, diffuse = travelled[on], diffuse[on]
+        after = (position, course, left, travelled, diffuse | drawn)
+        rays = _Rays(*(column[on] for column in after))
+
+
+class _Rays(NamedTuple):
+    """Rays on their way; the first axis of every array is the ray."""
+
+    position: FloatArray  # (n, 3), m
+    course: FloatArray  # (n, 3), unit vectors
+    left: FloatArray  # (n, n_bands), share of the energy
+    travelled: FloatArray  # (n,), m
+    diffuse: BoolArray  # (n,), whether some wall has scattered it
 
 
 def _catch(
     synthetic: SyntheticBox,
     receivers_m: FloatArray,
-    place: FloatArray,
-    course: FloatArray,
+    rays: _Rays,
     flight: FloatArray,
-    travelled: FloatArray,
-    left: FloatArray,
-    diffuse: BoolArray,
     energy: FloatArray,
 ) -> None:
-    """Note the crossings of one flight of every ray that some wall has scattered."""
+    """Record the crossings of one flight of every ray that some wall has scattered."""
     n_bins = energy.shape[2]
     for receiver, centre in enumerate(receivers_m):
-        way = centre - place
-        nearest = np.einsum("ij,ij->i", way, course)
+        way = centre - rays.position
+        nearest = np.einsum("ij,ij->i", way, rays.course)
         square = _RADIUS_M**2 - (np.einsum("ij,ij->i", way, way) - nearest**2)
-        met = np.flatnonzero(diffuse & (square > 0.0) & (nearest > 0.0) & (nearest < flight))
-        arrived = travelled[met] + nearest[met]
+        met = np.flatnonzero(rays.diffuse & (square > 0.0) & (nearest > 0.0) & (nearest < flight))
+        arrived = rays.travelled[met] + nearest[met]
         index = (arrived / synthetic.speed_of_sound_m_s / _BIN_S).astype(np.int64)
         met, index, arrived = (x[index < n_bins] for x in (met, index, arrived))
         chord = 2.0 * np.sqrt(square[met])
         for band, attenuation in enumerate(synthetic.attenuation_per_m):
-            weight = chord * left[met, band] * np.exp(-attenuation * arrived)
+            weight = chord * rays.left[met, band] * np.exp(-attenuation * arrived)
             energy[receiver, band] += np.bincount(index, weight, n_bins)
 
 
@@ -679,38 +603,39 @@ def _unit(vectors: FloatArray) -> FloatArray:
     return np.asarray(vectors / np.linalg.norm(vectors, axis=1)[:, None])
 
 
-def scattered_response(
-    synthetic: SyntheticBox,
-    scattering: FloatArray,
-    source_m: FloatArray,
-    receiver_m: FloatArray,
-    echogram: FloatArray,
-    duration_s: float,
-    sampling_rate_hz: float,
-    level_db: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return the sound pressure at the receiver: thinned image sources and modulated noise.
-
-    Each image keeps ``1 - s`` of its energy at every wall. The noise is white, its power follows
-    the echogram of each band, and both pass the same band shares and the same loudspeaker.
+def specular_box(synthetic: SyntheticBox, scattering: FloatArray) -> SyntheticBox:
+    """Return the box whose walls reflect only the specular part, ``(1 - a) (1 - s)``.
 
     Parameters
     ----------
     scattering : float array, shape (6,)
-    echogram : float array, shape (n_bands, n_bins)
-        Of this receiver, from `diffuse_echogram`.
-    duration_s, sampling_rate_hz, level_db
-        As for `pressure_response`.
     """
     kept = (1.0 - synthetic.absorption) * (1.0 - scattering)[:, None]
-    specular = pressure_response(
-        *(replace(synthetic, absorption=1.0 - kept), source_m, receiver_m),
-        *(duration_s, sampling_rate_hz, level_db),
-    )
-    noise = modulated_noise(
-        *(echogram, _BIN_S, specular.size, sampling_rate_hz, synthetic.centres_hz, level_db, rng)
-    )
+    return replace(synthetic, absorption=1.0 - kept)
+
+
+def with_diffuse_noise(
+    specular: FloatArray,
+    echogram: FloatArray,
+    synthetic: SyntheticBox,
+    sampling_rate_hz: float,
+    level_db: FloatArray,
+    rng: np.random.Generator,
+) -> FloatArray:
+    """Return the sound pressure at the receiver: the images of `specular_box`, and diffuse noise.
+
+    The noise is white, its power follows the echogram of each band, and both pass the same band
+    shares and the same loudspeaker.
+
+    Parameters
+    ----------
+    specular : float array, shape (n_samples,)
+        From `pressure_response`.
+    echogram : float array, shape (n_bands, n_bins)
+        Of this receiver, from `diffuse_echogram`.
+    """
+    centres_hz, n = synthetic.centres_hz, specular.size
+    noise = modulated_noise(echogram, _BIN_S, n, sampling_rate_hz, centres_hz, level_db, rng)
     return np.asarray(specular + noise)
 
 
@@ -729,7 +654,6 @@ def modulated_noise(
     ----------
     echogram : float array, shape (n_bands, n_bins)
         Energy of each bin, 1/m2 for a source of unit power.
-    bin_s : float
     centres_hz, level_db : float arrays, shape (n_bands,)
         As for `pressure_response`.
     """
@@ -752,10 +676,7 @@ def write_scattering_box(
     rng: np.random.Generator,
     *,
     specified_scattering: str = "0.0",
-    position_error_m: float = 0.01,
-    noise_db: float = -60.0,
     n_rays: int = _N_RAYS,
-    progress: Progress | None = None,
 ) -> MeasuredBox:
     """Simulate measured responses of a box whose walls scatter and write them as a campaign.
 
@@ -763,39 +684,33 @@ def write_scattering_box(
     ----------
     scattering : float array, shape (6,)
         Of west, east, south, north, floor and ceiling, the same in every octave.
+    folder, rng
+        As of `write_measured_box`.
     specified_scattering : str
-        What the campaign says of every wall's scattering, as written there.
-    folder, rng, position_error_m, noise_db
-        As for `write_measured_box`.
+        Of every wall, as written in the campaign.
     n_rays : int
-        A source.
+        Of each source.
     """
-    import soundfile
-
-    bands, air = bands_between("octave", 63, 8000), Air()
-    attenuation, c = attenuation_per_m(air, bands), speed_of_sound_m_s(air)
-    synthetic = SyntheticBox(plan.lengths_m, bands.centres_hz, plan.absorption, attenuation, c)
-    true_at = {
-        name: np.array(place) + position_error_m * rng.standard_normal(3)
-        for name, place in (*plan.sources_m.items(), *plan.receivers_m.items())
-    }
+    synthetic, true_at = _true_box(plan, _POSITION_ERROR_M, rng)
+    specular = specular_box(synthetic, scattering)
     receivers = np.array([true_at[r] for r in plan.receivers_m])
-    for number, s in enumerate(plan.sources_m):
-        level_db = rng.normal(0.0, 3.0, len(bands))
+    for s in plan.sources_m:
+        level_db = rng.normal(0.0, 3.0, synthetic.centres_hz.size)
         echogram = diffuse_echogram(
-            *(synthetic, scattering, true_at[s], receivers, _DURATION_S, rng), n_rays=n_rays
+            synthetic, scattering, true_at[s], receivers, _DURATION_S, rng, n_rays=n_rays
         )
-        for receiver, r in enumerate(plan.receivers_m):
-            pressure = scattered_response(
-                *(synthetic, scattering, true_at[s], true_at[r], echogram.energy[receiver]),
-                *(_DURATION_S, SAMPLING_RATE_HZ, level_db, rng),
+        for r, energy in zip(plan.receivers_m, echogram.energy, strict=True):
+            ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, level_db)
+            pressure = with_diffuse_noise(
+                pressure_response(specular, *ends),
+                energy,
+                synthetic,
+                SAMPLING_RATE_HZ,
+                level_db,
+                rng,
             )
-            samples = add_noise(pressure, noise_db, rng).astype(np.float32)
-            file = folder / f"{s}_{r}.wav"
-            soundfile.write(file, samples, int(SAMPLING_RATE_HZ), subtype="FLOAT")
-        if progress is not None:
-            progress((number + 1) / len(plan.sources_m))
+            _write_wav(folder / f"{s}_{r}.wav", add_noise(pressure, _NOISE_DB, rng))
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
-    text = campaign_text(plan, pairs, position_error_m, scattering=specified_scattering)
+    text = campaign_text(plan, pairs, _POSITION_ERROR_M, scattering=specified_scattering)
     campaign = write_text_atomically(folder / "campaign.toml", text)
-    return MeasuredBox(campaign, plan.materials, bands.centres_hz, plan.absorption)
+    return MeasuredBox(campaign, plan.materials, synthetic.centres_hz, plan.absorption)

@@ -1,18 +1,10 @@
-"""All images of a room of convex cells, found in another way than `roomfit.tracing` does it.
+"""Impulse responses of rooms of flat walls, independent of the fitted model.
 
-The room is mirrored, not the source: every wall that sound meets puts a mirrored copy of the room
-behind it, and all sound goes straight on from the one true source, through openings and walls
-alike. A copy is entered through the part of its wall that the source sees. Whether a path truly
-exists, and what it strikes, is then found out by sending a ball along it through the true room.
-
-A convex room of a campaign as one cell of the simulator that mirrors rooms.
-
-Rooms of flat walls as convex cells that open into one another, for simulated measurements.
-
-Impulse responses of a room of convex cells from image sources that add as pressures.
-
-As `pressure_box` for boxes: a road to data that shares nothing with the model that is fitted. The
-images come from `polyhedron_images`, which mirrors the room instead of the source.
+Rooms are convex cells that open into one another. Images are found in another way than in
+`roomfit.tracing`: the room is mirrored, not the source. Every wall has a mirrored copy of the room
+behind it, and sound travels straight on from the one true source, through openings and walls alike.
+A copy is entered through the part of its wall that is visible from the source. Whether a path
+exists, and what it strikes, is then decided by sending a ball along it through the true room.
 """
 
 from __future__ import annotations
@@ -30,39 +22,20 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 
 class CellFace(NamedTuple):
-    """A convex polygon of a cell's surface.
-
-    Attributes
-    ----------
-    cell : int
-    corners : tuple of int
-        Counter-clockwise when looked at from outside the cell.
-    material : int
-        -1 for an opening.
-    beyond : int
-        The cell behind an opening, else -1.
-    """
+    """A convex polygon of a cell's surface."""
 
     cell: int
-    corners: tuple[int, ...]
-    material: int
-    beyond: int = -1
+    corners: tuple[int, ...]  # counter-clockwise from outside the cell
+    material: int  # -1 for an opening
+    beyond: int = -1  # the cell behind an opening, else -1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Cells:
-    """A room cut into convex cells; a convex room is one of them.
+    """A room cut into convex cells; a convex room is one of them."""
 
-    Attributes
-    ----------
-    vertices_m : float array, shape (n_vertices, 3)
-    faces : tuple of CellFace
-        In the order of their cells.
-    materials : tuple of str
-    """
-
-    vertices_m: FloatArray
-    faces: tuple[CellFace, ...]
+    vertices_m: FloatArray  # (n_vertices, 3)
+    faces: tuple[CellFace, ...]  # In the order of their cells
     materials: tuple[str, ...]
 
     def __post_init__(self) -> None:
@@ -72,26 +45,15 @@ class Cells:
 
 
 class CellArrays(NamedTuple):
-    """The same as arrays, for compiled code.
+    """The same as arrays, for compiled code."""
 
-    Attributes
-    ----------
-    first_face : int64 array, shape (n_cells + 1,)
-    normal : float array, shape (n_faces, 3)
-        Unit normals out of the cell.
-    offset_m : float array, shape (n_faces,)
-    first_corner : int64 array, shape (n_faces + 1,)
-    corner_m : float array, shape (n_corners, 3)
-    material, beyond : int64 arrays, shape (n_faces,)
-    """
-
-    first_face: IntArray
-    normal: FloatArray
-    offset_m: FloatArray
-    first_corner: IntArray
-    corner_m: FloatArray
-    material: IntArray
-    beyond: IntArray
+    first_face: IntArray  # int64 (n_cells + 1,)
+    normal: FloatArray  # (n_faces, 3): unit normals out of the cell
+    offset_m: FloatArray  # (n_faces,)
+    first_corner: IntArray  # int64 (n_faces + 1,)
+    corner_m: FloatArray  # (n_corners, 3)
+    material: IntArray  # int64 (n_faces,)
+    beyond: IntArray  # int64 (n_faces,)
 
 
 def cell_arrays(cells: Cells) -> CellArrays:
@@ -166,7 +128,7 @@ _ALIKE = 1e-6
 
 
 def convex_cells(room: Room) -> Cells | None:
-    """Return the room as one convex cell; None where it is not convex or holds sheets.
+    """Return the room as one convex cell; None where it is not convex or contains sheets.
 
     A flat wall of one material is one face; a wall of several keeps its triangles.
     """
@@ -207,7 +169,7 @@ def _planes(normals: FloatArray, offsets: FloatArray) -> list[list[int]]:
 
 
 def _outline(vertices_m: FloatArray, corners: IntArray, normal: FloatArray) -> tuple[int, ...]:
-    """Return corners of a convex polygon, counter-clockwise when looked at against the normal."""
+    """Return corners of a convex polygon, counter-clockwise about the normal."""
     middle = vertices_m[corners].mean(axis=0)
     across = vertices_m[corners[0]] - middle
     across = across / np.linalg.norm(across)
@@ -230,7 +192,6 @@ def cell_images(
 
     Parameters
     ----------
-    cells : Cells
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     reach_m : float
@@ -269,13 +230,13 @@ def _straight_lines(
     inside: BoolArray,
     reach: float,
 ) -> tuple[IntArray, FloatArray]:
-    """Return receiver and place of every mirrored receiver that the source sees straight on."""
+    """Return receiver and position of every mirrored receiver in view of the source."""
     owner, place, n_found = np.empty(1024, dtype=np.int64), np.empty((1024, 3)), 0
     # waiting copies of the room: cell, face entered by, turn and shift, sides of the view
     what, turn, shift = np.empty((4096, 3), np.int64), np.empty((4096, 3, 3)), np.empty((4096, 3))
     view = np.empty((4096, _SIDES, 3))
     what[0] = np.array([start, -1, 0])
-    turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all that is seen
+    turn[0], shift[0] = np.eye(3), -source  # the source is the origin of all views
     waiting = 1
     polygon, cut, sides = np.empty((_SIDES, 3)), np.empty((2 * _SIDES, 3)), np.empty((_SIDES, 3))
     q, p, x, normal = np.empty((3, 3)), np.empty(3), np.empty(3), np.empty(3)
@@ -324,7 +285,7 @@ def _straight_lines(
             what[waiting, 2] = n
             waiting += 1
             if waiting == len(what):
-                raise ValueError("more copies of the room than a stack holds")
+                raise ValueError("more copies of the room than the stack has room for")
     return owner[:n_found].copy(), place[:n_found].copy()
 
 
@@ -355,9 +316,9 @@ def _sees(sides: FloatArray, n: int, x: FloatArray) -> bool:
 
 @kernel()
 def _part_in_view(polygon: FloatArray, n: int, sides: FloatArray, m: int, cut: FloatArray) -> int:
-    """Cut a polygon, in place and seen from the origin, to what lies within all sides.
+    """Cut a polygon, in place, to its part within all sides through the origin.
 
-    `cut` is room to work in, (2 * _SIDES, 3).
+    `cut` is working memory, (2 * _SIDES, 3).
     """
     heights = cut[_SIDES:, 0]
     for k in range(m):
@@ -408,7 +369,7 @@ def _view(polygon: FloatArray, n: int, sides: FloatArray) -> int:
         ax, ay, az = polygon[i, 0], polygon[i, 1], polygon[i, 2]
         k = (i + 1) % n
         ex, ey, ez = polygon[k, 0] - ax, polygon[k, 1] - ay, polygon[k, 2] - az
-        # corners that cutting has laid upon one another span no plane worth the name
+        # corners that cutting has made coincide span no plane
         if ex * ex + ey * ey + ez * ez < _SHORT_M**2:
             continue
         sx, sy, sz = ay * ez - az * ey, az * ex - ax * ez, ax * ey - ay * ex
@@ -471,7 +432,7 @@ def _balls(
     receiver: FloatArray,
     hits: IntArray,
 ) -> BoolArray:
-    """Send a ball along each step through the true room, count its hits, see whether it arrives."""
+    """Send a ball along each step through the true room; count its hits; return its arrivals."""
     arrived = np.zeros(len(steps), dtype=np.bool_)
     x, direction = np.empty(3), np.empty(3)
     for i in range(len(steps)):
@@ -509,28 +470,16 @@ def _balls(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticPolyhedron:
-    """A room whose walls are known.
-
-    Attributes
-    ----------
-    cells : Cells
-    centres_hz : float array, shape (n_bands,)
-        Octave centres, rising; absorption holds at a centre and changes smoothly in between.
-    absorption : float array, shape (n_materials, n_bands)
-        Energy absorption of each of `cells.materials`.
-    attenuation_per_m : float array, shape (n_bands,)
-        Energy attenuation of the air.
-    speed_of_sound_m_s : float
-    delays_s : tuple of float
-        What each material adds to the travel time at every reflection.
-    """
+    """A room whose walls are known."""
 
     cells: Cells
+    # (n_bands,), octave centres, rising; absorption applies at a centre and changes smoothly in
+    # between
     centres_hz: FloatArray
-    absorption: FloatArray
-    attenuation_per_m: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands), of each of `cells.materials`
+    attenuation_per_m: FloatArray  # (n_bands,), of energy in air
     speed_of_sound_m_s: float
-    delays_s: tuple[float, ...]
+    delays_s: tuple[float, ...]  # of each material at every reflection
 
 
 def pressure_responses(
@@ -543,15 +492,13 @@ def pressure_responses(
 ) -> list[FloatArray]:
     """Return the sound pressure at each receiver after an impulse at the source at time 0.
 
-    Every image within the duration contributes ``1 / (4 pi r)``, times the root of
-    what each wall reflects. Sound beyond edges is not there: no diffraction.
+    Every image within the duration contributes ``1 / (4 pi r)``, times the root of what each wall
+    reflects. There is no diffraction.
 
     Parameters
     ----------
-    synthetic : SyntheticPolyhedron
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
-    duration_s, sampling_rate_hz : float
     level_db : float array, shape (n_bands,)
         Level of the loudspeaker at each octave's centre.
 
@@ -563,11 +510,7 @@ def pressure_responses(
     reach_m = synthetic.speed_of_sound_m_s * duration_s
     return [
         pressure_of_images(
-            (lengths, hits.astype(np.float64)),
-            synthetic,
-            duration_s,
-            sampling_rate_hz,
-            level_db,
+            (lengths, hits.astype(np.float64)), synthetic, duration_s, sampling_rate_hz, level_db
         )
         for lengths, hits in cell_images(synthetic.cells, source_m, receivers_m, reach_m)
     ]

@@ -1,9 +1,7 @@
-"""A beam against polygons: its sides, what of a polygon it meets, and what a shadow leaves of it.
+"""Beams clipped by polygons: their sides, the part of a wall in them, and the shadows upon it.
 
 A beam is the cone from an image source through a convex polygon, its opening, beyond the plane in
 which that lies. Every cut leaves a margin too much, so that a beam is never too narrow.
-
-What of a wall a beam meets where other walls stand before it.
 """
 
 from __future__ import annotations
@@ -65,7 +63,6 @@ def sides(
 
     Parameters
     ----------
-    apex : vector
     opening : float array, shape (ROWS, 3)
         The first n corners count.
     wall_normal, wall_offset_m : vector, float
@@ -191,12 +188,7 @@ def _cut(
 
 @kernel(allocates=False)
 def outside_of(
-    polygon: FloatArray,
-    n: int,
-    planes: FloatArray,
-    p: int,
-    margin_m: float,
-    part: FloatArray,
+    polygon: FloatArray, n: int, planes: FloatArray, p: int, margin_m: float, part: FloatArray
 ) -> int:
     """Write the part of a polygon beyond plane p, a margin more; return its corners.
 
@@ -282,32 +274,22 @@ IN_THE_WAY = -1
 
 
 class Shadows(NamedTuple):
-    """The shadows that the blockers cast in the beam at hand, and room to work in.
+    """The shadows that the blockers cast in the current beam, and working memory."""
 
-    Attributes
-    ----------
-    planes : float array, shape (n_blockers, ROWS + 1, 4)
-        Normals inwards, the blocker's own plane last.
-    n_planes : int64 array, shape (n_blockers,)
-        Planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it stands in it and
-        its shadow is too thin to be told.
-    pieces, next_pieces : float arrays, shape (FRAGMENTS + ROWS + 1, ROWS, 3)
-    corners, next_corners : int64 arrays, shape (FRAGMENTS + ROWS + 1,)
-    scratch : float array, shape (3, ROWS, 3)
-    """
-
-    planes: FloatArray
+    planes: FloatArray  # (n_blockers, ROWS + 1, 4), normals inwards, the blocker's own plane last
+    # int64 (n_blockers,), planes of each; 0 where it stands outside the beam, `IN_THE_WAY` where it
+    # stands in it and its shadow is too thin to be resolved
     n_planes: IntArray
-    pieces: FloatArray
-    next_pieces: FloatArray
-    corners: IntArray
-    next_corners: IntArray
-    scratch: FloatArray
+    pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
+    next_pieces: FloatArray  # (FRAGMENTS + ROWS + 1, ROWS, 3)
+    corners: IntArray  # int64 (FRAGMENTS + ROWS + 1,)
+    next_corners: IntArray  # int64 (FRAGMENTS + ROWS + 1,)
+    scratch: FloatArray  # (3, ROWS, 3)
 
 
 @kernel()
 def no_shadows(blockers: Blockers) -> Shadows:
-    """Return room for the shadows of some blockers."""
+    """Return memory for the shadows of some blockers."""
     n, m = min(len(blockers.wall), _CASTING), FRAGMENTS + ROWS + 1
     return Shadows(
         np.empty((n, ROWS + 1, 4)),
@@ -330,7 +312,7 @@ def cast(
     n_planes: int,
     shadows: Shadows,
 ) -> None:
-    """Work out the shadow of every blocker in a beam (from `wall`, bounded by `planes`)."""
+    """Compute the shadow of every blocker in a beam (from `wall`, bounded by `planes`)."""
     margin_m = walls.margin_m
     polygon, scratch = shadows.scratch[0], shadows.scratch[1]
     for b in range(len(shadows.n_planes)):

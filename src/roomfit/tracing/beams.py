@@ -1,15 +1,10 @@
-"""The tree of beams of one source: all images that any of its receivers sees, within a distance.
+"""The tree of beams of one source: its images visible from any receiver, within a distance.
 
 A beam is the cone from an image of the source through the part of its wall that sound can reach.
-Each wall within a beam mirrors it into the next; walls that stand before others take their shadow
-off. Beams are followed one after the other, deepest first, so that only a handful is kept. They
-are a margin too wide and prune only: `beam_path` decides on each path.
-
-What a tree of beams may take, and what it finds, in arrays that grow.
-
-The wall that a narrow beam falls on, found without cutting anything.
-
-One path from a receiver back through its images: where it strikes, and whether it is free.
+Each wall within a beam mirrors it into the next, less the shadows of walls in front of it. Beams
+are followed one after the other, deepest first, so that only a handful is kept. They are a margin
+too wide and prune only: `is_visible` decides on each path, from the receiver back through its
+images.
 """
 
 from __future__ import annotations
@@ -42,55 +37,30 @@ DONE, TOO_MUCH_WORK, TOO_MUCH_MEMORY = 0, 1, 2
 
 
 class Limits(NamedTuple):
-    """What ends the tree: its rules, and how much it may take.
+    """Where the tree ends: by its paths, and by its cost."""
 
-    Attributes
-    ----------
-    order : int
-    length_m : float
-    work : int
-        Walls held against beams.
-    n_hits : int
-        Hits and paths kept, together.
-    """
-
-    order: int
+    order: int  # most hits of a path
     length_m: float
-    work: int
-    n_hits: int
+    work: int  # most walls tested against beams
+    n_hits: int  # most hits and paths found, together
 
 
 class Found(NamedTuple):
-    """Visible images in the order in which they were found, one after the other.
+    """Visible images in the order in which they were found, one after the other."""
 
-    Attributes
-    ----------
-    receiver, order : int32 arrays, shape (n_images,)
-    position_m : float array, shape (n_images, 3)
-    matrix : float array, shape (n_images, 9)
-        Product of the reflections, see `roomfit.tracing.paths`.
-    triangle : int32 array, shape (n_hits,)
-        First hit first, path after path.
-    cosine : float array, shape (n_hits,)
-    ending : int
-        DONE, or what there was too much of.
-    work : int
-        How many walls were held against beams.
-    """
-
-    receiver: IntArray
-    order: IntArray
-    position_m: FloatArray
-    matrix: FloatArray
-    triangle: IntArray
-    cosine: FloatArray
-    ending: int
-    work: int
+    receiver: IntArray  # int32 (n_images,)
+    order: IntArray  # int32 (n_images,)
+    position_m: FloatArray  # (n_images, 3)
+    matrix: FloatArray  # (n_images, 9), product of the reflections, see `roomfit.tracing.paths`
+    triangle: IntArray  # int32 (n_hits,), first hit first, path after path
+    cosine: FloatArray  # (n_hits,)
+    ending: int  # DONE, TOO_MUCH_WORK or TOO_MUCH_MEMORY
+    work: int  # walls tested against beams
 
 
 @kernel()
 def nothing() -> Found:
-    """Return no images, with room for some."""
+    """Return no images, with memory for some."""
     return _room_for(256, 4096)
 
 
@@ -110,7 +80,7 @@ def _room_for(n_images: int, n_hits: int) -> Found:
 
 @kernel()
 def with_room(found: Found, n_images: int, n_hits: int) -> Found:
-    """Return the same images with room for so many images and hits."""
+    """Return the same images with memory for so many images and hits."""
     have_images, have_hits = len(found.receiver), len(found.triangle)
     if n_images <= have_images and n_hits <= have_hits:
         return found
@@ -126,7 +96,7 @@ def with_room(found: Found, n_images: int, n_hits: int) -> Found:
 
 @kernel()
 def cut_to(found: Found, n_images: int, n_hits: int, ending: int, work: int) -> Found:
-    """Return the images and hits found so far, without the room for more."""
+    """Return the images and hits found so far, without spare memory."""
     return Found(
         found.receiver[:n_images].copy(),
         found.order[:n_images].copy(),
@@ -222,7 +192,7 @@ def is_sliver(polygon: FloatArray, n: int, width_m: float) -> bool:
     """Return whether a polygon is narrower than a width: twice its area over its perimeter.
 
     Where a beam meets the edge of a wall, its margin makes slivers that no sound reaches, and these
-    would leak through every further wall, for shadows as thin as the margin cannot be told.
+    would leak through every further wall, for shadows as thin as the margin are not resolved.
     """
     twice = (0.0, 0.0, 0.0)
     around = 0.0
@@ -258,19 +228,18 @@ def is_visible(
     triangle: IntArray,
     cosine: FloatArray,
 ) -> bool:
-    """Return whether sound comes from the source by all walls of a chain to the receiver.
+    """Return whether sound travels from the source by all walls of a chain to the receiver.
 
-    Each reflection point must lie in a triangle of its wall, and no wall may stand between two
-    points. An edge belongs to both its walls, and what touches an edge or ends in a wall does not
-    stand in the way of what lies within `Walls.edge_m`.
+    Each reflection point must lie in a triangle of its wall, and no wall may obstruct the path
+    between two points. An edge belongs to both its walls, and a wall does not obstruct a path
+    within `Walls.edge_m` of its edge or of its plane at either end.
 
     Parameters
     ----------
     chain_m : float array, shape (at least order + 1, 3)
         The source and its images one by one.
     chain_wall : int64 array, shape (at least order + 1,)
-        The wall that made each; entry 0 means nothing.
-    order : int
+        The wall that made each; entry 0 is not used.
     receiver_m : float array, shape (3,)
     points : float array, shape (at least order + 2, 3)
         Receives source, reflection points and receiver.
@@ -358,7 +327,7 @@ def _stands_between(walls: Walls, blockers: Blockers, b: int, p: Vector, q: Vect
 
 
 class _Chain(NamedTuple):
-    """The beam at hand and those it came from, by order; entry 0 is the source."""
+    """The current beam and those it came from, by order; entry 0 is the source."""
 
     position_m: FloatArray  # (order + 1, 3)
     matrix: FloatArray  # (order + 1, 9)
@@ -366,7 +335,7 @@ class _Chain(NamedTuple):
     points_m: FloatArray  # (order + 2, 3)
     triangle: IntArray  # (order + 1,)
     cosine: FloatArray  # (order + 1,)
-    opening_m: FloatArray  # (ROWS, 3), of the beam at hand
+    opening_m: FloatArray  # (ROWS, 3), of the current beam
     planes: FloatArray  # (ROWS + 1, 4)
     scratch: FloatArray  # (ROWS, 3)
 
@@ -387,16 +356,14 @@ def beam_tree(
     to_receiver_m: FloatArray,
     limits: Limits,
 ) -> Found:
-    """Return the images of a source that each receiver sees.
+    """Return the images of a source visible from each receiver.
 
     Parameters
     ----------
-    walls, blockers : Walls, Blockers
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
     to_receiver_m : float array, shape (n_walls,)
         No more than the distance from a point of the wall to the nearest receiver.
-    limits : Limits
     """
     chain = _chain_of(source_m, limits.order)
     shadows = no_shadows(blockers)
@@ -461,7 +428,7 @@ def _chain_of(source_m: FloatArray, order: int) -> _Chain:
 
 @kernel(allocates=False)
 def _enter(walls: Walls, chain: _Chain, waiting: _Waiting, i: int) -> int:
-    """Make waiting beam i the one at hand; return how many planes bound it."""
+    """Make waiting beam i the current one; return how many planes bound it."""
     order, w, n = waiting.what[i, 0], waiting.what[i, 1], waiting.what[i, 2]
     normal = row(walls.normal, w)
     before = row(chain.position_m, order - 1)
@@ -499,7 +466,7 @@ def _reaches_receiver(
     receiver_m: FloatArray,
     limits: Limits,
 ) -> bool:
-    """Return whether a receiver sees the image at hand."""
+    """Return whether the current image is visible from a receiver."""
     x = (receiver_m[0], receiver_m[1], receiver_m[2])
     away = minus(x, row(chain.position_m, order))
     if dot(away, away) > limits.length_m**2:
@@ -534,7 +501,7 @@ def _next_beams(
     waiting: _Waiting,
     top: int,
 ) -> tuple[_Waiting, int]:
-    """Append what the beam at hand makes of every wall within it."""
+    """Append the beams that the current one makes at every wall within it."""
     apex = row(chain.position_m, order)
     if len(blockers.wall) > 0:
         cast(walls, blockers, apex, chain.wall[order], chain.planes, n_planes, shadows)
@@ -589,7 +556,7 @@ def _await(
     top: int,
 ) -> int:
     """Note what belongs to the opening at the top; return 1, or 0 if it is too far or too thin."""
-    # a hundred margins wide: of true beams so narrow, none is likely to hold a receiver
+    # a hundred margins wide: of true beams so narrow, none is likely to contain a receiver
     if is_sliver(waiting.opening_m[top], n, walls.tolerance_m):
         return 0
     normal = row(walls.normal, w)

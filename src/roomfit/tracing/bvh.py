@@ -1,33 +1,21 @@
-"""Boxes within boxes, so that a ray need only look at a few of the facets.
+"""The next wall of a ray: the planes of a convex room, or a bounding volume hierarchy of facets.
 
-A binary tree is cut top-down where the surface area heuristic [1]_ says, all cuts along all axes
-being tried, and then folded so that every node has up to eight children.
+A binary tree of boxes is cut top-down by the surface area heuristic [1]_, all cuts along all axes
+being tried, and then folded so that every node has up to eight children; the layout follows
+Embree's [2]_. Boxes are tested in float32 and made wider by more than the rounding, facets in
+float64, so the answer is bit for bit that of testing every facet. Eight boxes are tested against a
+ray at once in LLVM's vector instructions: the compiler does not vectorise that loop by itself, and
+without them the search in a large mesh takes about twice as long.
 
 References
 ----------
 .. [1] J. D. MacDonald, K. S. Booth, "Heuristics for ray tracing using space subdivision", Visual
        Computer 6, 153-166 (1990).
-
-Which structure finds the next wall: chosen once per room, compiled into the trace.
-
-The nearest wall in a large mesh: a tree of boxes with eight children each.
-
-Boxes are tested in float32 and made wider by more than that can be wrong, facets in float64, so
-the answer is bit for bit that of looking at every facet. The layout follows Embree's [1]_.
-
-References
-----------
-.. [1] I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst, "Embree: a kernel framework for
+.. [2] I. Wald, S. Woop, C. Benthin, G. S. Johnson, M. Ernst, "Embree: a kernel framework for
        efficient CPU ray tracing", ACM Trans. Graphics 33 (4), 143 (2014).
-
-Eight boxes against one ray at once, written in LLVM's vector instructions.
-
-The compiler does not turn a loop over eight boxes into vector code by itself; without it the
-search for the next wall in a large mesh takes about twice as long.
 """
 
-# ruff: noqa: ARG001, ARG005 -- numba matches overloads by the names of all their arguments
-# ruff: noqa: ARG001 -- numba calls these functions with the types or values of all arguments
+# ruff: noqa: ARG001, ARG005 -- numba matches functions by the names of all their arguments
 # mypy: disable-error-code="import-untyped, no-untyped-call"
 from __future__ import annotations
 
@@ -60,11 +48,8 @@ from roomfit.tracing.walls import (
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 WIDTH = 8
-# lowest x, y, z of the eight children of a node, then the highest
-ROWS = 6
-NODE_FLOATS = ROWS * WIDTH
-# more than a walk through any tree ever keeps waiting, see `roomfit.tracing.bvh`
-STACK = 512
+NODE_FLOATS = 6 * WIDTH  # lowest x, y, z of the eight children of a node, then the highest
+STACK = 512  # more nodes than a walk through any tree keeps waiting, see `_MAX_LEVEL`
 
 _FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
 
@@ -76,7 +61,8 @@ def _fuses() -> bool:
     )
 
 
-def _type_boxes_hit(
+@intrinsic
+def _boxes_hit(
     typingctx: Any,
     bounds: Any,
     node: Any,
@@ -98,7 +84,6 @@ def _type_boxes_hit(
     ----------
     bounds : float32 array, flat
         `NODE_FLOATS` for each node.
-    node : int
     near_x, near_y, near_z : int
         Row of the planes that the ray meets first along each axis: 0, 1, 2 where it runs towards
         higher coordinates and 3, 4, 5 otherwise.
@@ -109,7 +94,7 @@ def _type_boxes_hit(
     limit : float32
         Boxes entered later are left out.
     entries : float32 array, shape (at least 8,)
-        Receives the distance at which each box is entered.
+        Filled with the distance at which each box is entered.
     """
     single = types.float32
     return types.int64(bounds, *[types.int64] * 4, *[single] * 7, entries), _code_boxes_hit
@@ -157,7 +142,8 @@ def _times_minus(builder: Any, a: Any, b: Any, c: Any) -> Any:
     return builder.fsub(builder.fmul(a, b), c)
 
 
-def _type_lowest_bit(typingctx: Any, bits: Any) -> Any:
+@intrinsic
+def _lowest_bit(typingctx: Any, bits: Any) -> Any:
     """Return the number of the lowest set bit; only for use in kernels."""
 
     def code(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
@@ -166,12 +152,14 @@ def _type_lowest_bit(typingctx: Any, bits: Any) -> Any:
     return types.int64(types.int64), code
 
 
-def _type_local_floats(typingctx: Any) -> Any:
+@intrinsic
+def _local_floats(typingctx: Any) -> Any:
     """Return `STACK` float32 on the function's own stack, not zeroed; only for use in kernels."""
     return _local(types.float32)
 
 
-def _type_local_ints(typingctx: Any) -> Any:
+@intrinsic
+def _local_ints(typingctx: Any) -> Any:
     """Return `STACK` int32 on the function's own stack, not zeroed; only for use in kernels."""
     return _local(types.int32)
 
@@ -189,39 +177,29 @@ def _local(item: Any) -> Any:
     return kind(), code
 
 
-boxes_hit = cast(Callable[..., int], intrinsic(_type_boxes_hit))
-lowest_bit = cast(Callable[[int], int], intrinsic(_type_lowest_bit))
-local_floats = cast(Callable[[], FloatArray], intrinsic(_type_local_floats))
-local_ints = cast(Callable[[], IntArray], intrinsic(_type_local_ints))
+boxes_hit = cast(Callable[..., int], _boxes_hit)
+lowest_bit = cast(Callable[[int], int], _lowest_bit)
+local_floats = cast(Callable[[], FloatArray], _local_floats)
+local_ints = cast(Callable[[], IntArray], _local_ints)
 
 
-# Looking at a node costs this much of looking at a facet, and a leaf holds at most so many facets:
-# quickest in halls of 1,000 to 100,000 triangles.
+# Testing a node costs this much of testing a facet, and a leaf has at most so many facets: quickest
+# in halls of 1,000 to 100,000 triangles.
 NODE_COST = 0.7
 MAX_LEAF = 4
 # Deeper nodes are cut in half, so that no tree has more than this and log2(n_facets) levels and a
-# walk never keeps more than `roomfit.tracing.bvh.STACK` nodes waiting.
+# walk never keeps more than `STACK` nodes waiting.
 _MAX_LEVEL = 32
 
 
 class BinaryTree(NamedTuple):
-    """Boxes cut in two again and again; node 0 holds everything.
+    """Boxes cut in two recursively; node 0 is the root."""
 
-    Attributes
-    ----------
-    left : int64 array, shape (n_nodes,)
-        First child, the second stands next to it; -1 for a leaf.
-    first, n_facets : int64 arrays, shape (n_nodes,)
-        A node holds the facets ``order[first : first + n_facets]``.
-    box_m : float array, shape (n_nodes, 2, 3)
-    order : int64 array, shape (n_facets,)
-    """
-
-    left: IntArray
-    first: IntArray
-    n_facets: IntArray
-    box_m: FloatArray
-    order: IntArray
+    left: IntArray  # int64 (n_nodes,), first child, the second stands next to it; -1 for a leaf
+    first: IntArray  # int64 (n_nodes,), facets of a node: ``order[first : first + n_facets]``
+    n_facets: IntArray  # int64 (n_nodes,)
+    box_m: FloatArray  # (n_nodes, 2, 3)
+    order: IntArray  # int64 (n_facets,)
 
 
 @kernel()
@@ -386,26 +364,14 @@ _LATER = 1.0 + 2e-7
 
 
 class Tree(NamedTuple):
-    """Facets and the boxes around them.
+    """Facets and the boxes around them."""
 
-    Attributes
-    ----------
-    table, normal, material
-        As in `Facets`, in the order of the leaves.
-    bounds : float32 array, flat
-        For each node the lowest x, y and z of its eight children and then the highest, about
-        `centre_m`.
-    child : int32 array, flat
-        Eight for each node: a node, or for a leaf ``-1 - 8 first_facet - n_facets``.
-    centre_m : float array, shape (3,)
-    """
-
-    table: FloatArray
+    table: FloatArray  # As in `Facets`, in the order of the leaves, like the next two
     normal: FloatArray
     material: IntArray
-    bounds: np.ndarray[tuple[int], np.dtype[np.float32]]
-    child: IntArray
-    centre_m: FloatArray
+    bounds: np.ndarray[tuple[int], np.dtype[np.float32]]  # `NODE_FLOATS` a node, about `centre_m`
+    child: IntArray  # int32, eight a node: a node, or of a leaf ``-1 - 8 first_facet - n_facets``
+    centre_m: FloatArray  # (3,)
 
 
 def tree_of(facets: Facets, box_m: FloatArray) -> Tree:
@@ -454,8 +420,19 @@ def nearest_in_tree(tree: Tree, o: Vector, d: Vector, last: int) -> tuple[float,
     n, node = 0, 0
     while True:
         bits = boxes_hit(
-            *(tree.bounds, node, near_x, near_y, near_z),
-            *(inverse_x, inverse_y, inverse_z, shift_x, shift_y, shift_z, limit, at),
+            tree.bounds,
+            node,
+            near_x,
+            near_y,
+            near_z,
+            inverse_x,
+            inverse_y,
+            inverse_z,
+            shift_x,
+            shift_y,
+            shift_z,
+            limit,
+            at,
         )
         bottom = n
         while bits:  # children wait in order, the one entered first on top
@@ -500,8 +477,8 @@ def walls_of(room: Room) -> Walls:
 def next_wall(walls: Walls, o: Vector, d: Vector, last: int) -> tuple[float, int]:
     """Return distance and number of the wall that a ray from `o` meets first.
 
-    Only for use in kernels, where the type of `walls` picks the method. Infinity and -1 come back
-    where the ray meets nothing: it has left through a leak.
+    Only for use in kernels, where the type of `walls` selects the method. Infinity and -1 where the
+    ray meets nothing: it has left through a leak.
 
     Parameters
     ----------

@@ -1,21 +1,21 @@
-"""Image sources of a scene as paths: the lattice for boxes, a tree of beams for the rest.
+"""Image sources of a scene as paths: the lattice for boxes, a tree of beams for other rooms.
 
-How far image sources pay: their number beforehand, and the time that a budget of work buys.
-
-Image sources of any room of flat walls, convex or not, with sheets in it or not.
-
-Image sources of a box: a lattice, every image of which is visible from everywhere.
+Every image of a box's lattice is visible from everywhere; a tree of beams finds the visible images
+of any room of flat walls, convex or not, with or without sheets. The expected number of images and
+counts of work decide how far image sources are worth their cost.
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from functools import partial
 from typing import NamedTuple
 
 import numba
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from roomfit.air import speed_of_sound_m_s
@@ -28,54 +28,54 @@ from roomfit.tracing.paths import (
     ImageSet,
     Paths,
     Reflections,
+    join_reflections,
     reflections_in_order,
     unfolded_normals,
 )
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
 from roomfit.typing import FloatArray, IntArray, Progress
 
-# Bytes that a kept image and a kept hit take, growing and in the sets made of them.
+# Bytes that an image and a hit take, growing and in the sets made of them.
 _BYTES = 400
-# Walls held against beams; some ten minutes on one core.
-WORK_LIMIT = 5e9
+
+
+class Budget(NamedTuple):
+    """What the images of one source may cost."""
+
+    memory_bytes: float = 4 * 2**30
+    work: float = 5e9  # walls tested against beams; some ten minutes on one core
+
+
+USUAL_BUDGET = Budget()
 
 
 def polyhedron_images(
     room: Room,
     source_m: FloatArray,
     receivers_m: FloatArray,
-    order: int,
-    max_length_m: float,
+    limits: Limits,
     *,
     with_reflections: bool = False,
     with_image_transforms: bool = False,
     mirrors: tuple[Walls, Blockers] | None = None,
-    memory_limit_bytes: float = 4 * 2**30,
-    work_limit: float = WORK_LIMIT,
 ) -> list[ImageSet]:
     """Return for each receiver the visible images of a source, by one tree of beams for all.
 
-    An image counts where every reflection point lies on its wall and nothing stands between.
+    An image counts where every reflection point lies on its wall and nothing obstructs the path.
     Lengths, hits and angles are exact. In a room of few walls all images within some ten mean free
-    paths are a matter of seconds; in a room of thousands of walls, order 1 or 2, see
-    `roomfit.tracing.image_sources`.
+    paths are a matter of seconds; in a room of thousands of walls, those of order 1 or 2.
 
     Parameters
     ----------
-    room : Room
     source_m : float array, shape (3,)
     receivers_m : float array, shape (n_receivers, 3)
-    order : int
-        Most hits of a path, 0 or more.
-    max_length_m : float
+    limits : Limits
+        From `limits_of`.
     with_reflections, with_image_transforms : bool
         Return the ordered hits with the normals of their walls, and the product of the
         reflections, as well.
     mirrors : tuple of Walls and Blockers, optional
         From `mirrors_of`, where several sources share a room of thousands of walls.
-    memory_limit_bytes : float
-    work_limit : float
-        Most walls to hold against beams.
 
     Raises
     ------
@@ -85,38 +85,31 @@ def polyhedron_images(
     Notes
     -----
     A path through an edge, within the tolerance of `Walls`, is found from both its walls and kept
-    once. One that passes an edge of a wall in its way that closely is not stopped.
+    once. One that passes the edge of an obstructing wall that closely is not stopped.
     """
     walls, blockers = mirrors_of(room) if mirrors is None else mirrors
     source = np.array(source_m, dtype=np.float64)
     receivers = np.array(receivers_m, dtype=np.float64).reshape(-1, 3)
-    found = beam_tree(
-        walls,
-        blockers,
-        source,
-        receivers,
-        distances_to_m(walls, receivers),
-        limits_of(order, max_length_m, work_limit, memory_limit_bytes / _BYTES),
-    )
+    to_receiver_m = distances_to_m(walls, receivers)
+    found = beam_tree(walls, blockers, source, receivers, to_receiver_m, limits)
     _refuse(found)
     first = np.concatenate(([0], np.cumsum(found.order)))
     owner = triangle_material(room)
     sets = []
     for number, receiver in enumerate(receivers):
         own = _one_of_each(np.flatnonzero(found.receiver == number), found, walls.tolerance_m)
-        sets.append(
-            _image_set(
-                room, found, first, own, receiver, owner, with_reflections, with_image_transforms
-            )
-        )
+        images = _image_set(room, found, first, own, receiver, owner, with_reflections)
+        matrix = images.image_transform if with_image_transforms else None
+        sets.append(replace(images, image_transform=matrix))
     return sets
 
 
-def limits_of(order: int, max_length_m: float, work: float, n_hits: float) -> Limits:
-    """Return the limits as the compiled tree takes them."""
+def limits_of(order: int, max_length_m: float, budget: Budget = USUAL_BUDGET) -> Limits:
+    """Return the limits of a tree of beams: most hits of a path, its length, and the budget."""
     largest = 2.0**62
+    n_hits = budget.memory_bytes / _BYTES
     return Limits(
-        int(order), float(max_length_m), int(min(work, largest)), int(min(n_hits, largest))
+        int(order), float(max_length_m), int(min(budget.work, largest)), int(min(n_hits, largest))
     )
 
 
@@ -136,15 +129,15 @@ def _refuse(found: Found) -> None:
     if found.ending == TOO_MUCH_WORK:
         raise InputError(
             "too many image sources to look for",
-            found=f"{found.work:.3g} walls held against beams, and more to do",
+            found=f"{found.work:.3g} walls tested against beams, and the search was not complete",
             hint="lower image_order or duration_s and leave the rest to rays",
         )
 
 
 def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
-    """Return some images, nearest order first, without those that stand where an earlier one does.
+    """Return some images, lowest order first, without those at the position of an earlier one.
 
-    Two images in one place are one path that touches an edge, found from both its walls.
+    Two images at one position are one path that touches an edge, found from both its walls.
     """
     own = own[np.argsort(found.order[own], kind="stable")]
     if own.size < 2:
@@ -162,7 +155,6 @@ def _image_set(
     receiver: FloatArray,
     owner: IntArray,
     with_reflections: bool,
-    with_image_transforms: bool,
 ) -> ImageSet:
     to_receiver = receiver - found.position_m[own]
     length = np.linalg.norm(to_receiver, axis=1)
@@ -195,7 +187,7 @@ def _image_set(
         departure,
         arrival,
         reflections,
-        matrix if with_image_transforms else None,
+        matrix,
         normals,
     )
 
@@ -205,37 +197,31 @@ _STEP = 1.1
 
 
 def expected_images(volume_m3: float, length_m: float) -> float:
-    """Return how many images a receiver sees within a distance, on average over a closed room.
+    """Return how many images are visible within a distance, on average over a closed room.
 
-    Whatever its shape, the images seen fill space with one for each volume of the room:
+    Whatever its shape, visible images fill space with one for each volume of the room:
     ``4/3 pi length**3 / volume``.
     """
     return 4.0 / 3.0 * math.pi * length_m**3 / volume_m3
 
 
 def affordable_duration_s(
-    scene: Scene,
-    longest_s: float,
-    *,
-    order: int = 1000,
-    work: float = 1e7,
-    images: float = 2e5,
+    scene: Scene, longest_s: float, *, order: int = 1000, work: float = 1e7, images: float = 2e5
 ) -> float:
-    """Return the duration up to which the images of any one source of a scene cost so much.
+    """Return the duration up to which the images of any one source keep to a budget of work.
 
     Counted, not timed, so that the same scene gives the same answer on any machine.
 
     Parameters
     ----------
-    scene : Scene
     longest_s : float
         No more is tried.
     order : int
         Most hits of a path.
     work : float
-        Walls held against beams for one source; ten million take about 2 s on one core.
+        Walls tested against beams for one source; ten million take about 2 s on one core.
     images : float
-        Images kept for one source, all receivers together.
+        Images of one source, all receivers together.
 
     Returns
     -------
@@ -243,21 +229,13 @@ def affordable_duration_s(
         `longest_s`, or less by a power of 1.1; at least the hundredth part of it, even where that
         costs more.
     """
-    walls, blockers = mirrors_of(scene.room)
     speed = speed_of_sound_m_s(scene.air)
     affordable_s = longest_s
-    for source in np.unique(scene.pairs[:, 0]):
-        own = scene.pairs[scene.pairs[:, 0] == source, 1]
-        receivers = np.array([scene.receivers[r].position_m for r in own])
-        to_receiver_m = distances_to_m(walls, receivers)
-        start = np.array(scene.sources[source].position_m)
+    for keeps in _budget_tests(scene, work, images):
         duration_s = longest_s / 100.0
         while duration_s < affordable_s:
             next_s = min(duration_s * _STEP, affordable_s)
-            # images count for their hits in the tree: a generous bound keeps it from growing
-            limits = limits_of(order, next_s * speed, work, 100.0 * images)
-            found = beam_tree(walls, blockers, start, receivers, to_receiver_m, limits)
-            if found.ending != DONE or len(found.receiver) > images:
+            if not keeps(order, next_s * speed):
                 break
             duration_s = next_s
         affordable_s = duration_s
@@ -265,21 +243,15 @@ def affordable_duration_s(
 
 
 def affordable_order(
-    scene: Scene,
-    most: int,
-    duration_s: float,
-    *,
-    work: float = 1e7,
-    images: float = 2e5,
+    scene: Scene, most: int, duration_s: float, *, work: float = 1e7, images: float = 2e5
 ) -> int:
-    """Return the order up to which the images of any one source of a scene cost so much.
+    """Return the order up to which the images of any one source keep to a budget of work.
 
     For rooms of thousands of walls, where each order costs a hundred times the one before it.
     Counted, not timed, so that the same scene gives the same answer on any machine.
 
     Parameters
     ----------
-    scene : Scene
     most : int
         No more is tried; 0 or more.
     duration_s : float
@@ -292,23 +264,40 @@ def affordable_order(
     int
         At least 0: the direct sound costs nothing.
     """
-    walls, blockers = mirrors_of(scene.room)
     length_m = duration_s * speed_of_sound_m_s(scene.air)
     affordable = most
-    for source in np.unique(scene.pairs[:, 0]):
-        own = scene.pairs[scene.pairs[:, 0] == source, 1]
-        receivers = np.array([scene.receivers[r].position_m for r in own])
-        to_receiver_m = distances_to_m(walls, receivers)
-        start = np.array(scene.sources[source].position_m)
+    for keeps in _budget_tests(scene, work, images):
         order = 0
-        while order < affordable:
-            limits = limits_of(order + 1, length_m, work, 100.0 * images)
-            found = beam_tree(walls, blockers, start, receivers, to_receiver_m, limits)
-            if found.ending != DONE or len(found.receiver) > images:
-                break
+        while order < affordable and keeps(order + 1, length_m):
             order += 1
         affordable = order
     return affordable
+
+
+def _budget_tests(
+    scene: Scene, work: float, images: float
+) -> Iterator[Callable[[int, float], bool]]:
+    """Give for every source whether its images within an order and a length keep to a budget."""
+    walls, blockers = mirrors_of(scene.room)
+    # images count for their hits in the tree: a generous bound keeps it from growing
+    budget = Budget(100.0 * images * _BYTES, work)
+    for source in np.unique(scene.pairs[:, 0]):
+        own = scene.pairs[scene.pairs[:, 0] == source, 1]
+        receivers = np.array([scene.receivers[r].position_m for r in own])
+        search = partial(
+            beam_tree,
+            walls,
+            blockers,
+            np.array(scene.sources[source].position_m),
+            receivers,
+            distances_to_m(walls, receivers),
+        )
+
+        def keeps(order: int, length_m: float, search: Callable[[Limits], Found] = search) -> bool:
+            found = search(limits_of(order, length_m, budget))
+            return found.ending == DONE and len(found.receiver) <= images
+
+        yield keeps
 
 
 def shoebox_images(
@@ -334,7 +323,6 @@ def shoebox_images(
     source_m, receiver_m : float array, shape (3,)
     order : int
         Most hits of a path, 0 or more.
-    max_length_m : float
     with_reflections, with_image_transforms : bool
         Return the ordered hits, and the product of the reflections, as well.
 
@@ -435,8 +423,7 @@ def trace_images(
     *,
     with_reflections: bool = False,
     with_image_transforms: bool = False,
-    memory_limit_bytes: float = 4 * 2**30,
-    work_limit: float = WORK_LIMIT,
+    budget: Budget = USUAL_BUDGET,
     progress: Progress | None = None,
 ) -> Paths:
     """Return the exact specular paths of every pair, shortest first within a pair.
@@ -456,12 +443,8 @@ def trace_images(
     with_image_transforms : bool
         Keep the product of each path's reflections, with which the paths of moved sources and
         receivers are known without another search, see `Paths`.
-    memory_limit_bytes : float
-        A trace that would need more is refused, early where the volume tells.
-    work_limit : float
-        Most walls to hold against beams for one source of a room that is no box; see
-        `roomfit.tracing.image_sources.affordable_duration_s`.
-    progress : callable, optional
+    budget : Budget
+        A trace that would need more memory or work is refused, early where the volume decides it.
 
     Raises
     ------
@@ -478,19 +461,39 @@ def trace_images(
             where=f"{scene.sources[source].name} and {scene.receivers[receiver].name}",
         )
     max_length_m = duration_s * speed_of_sound_m_s(scene.air)
-    mirrors = mirrors_of(scene.room) if scene.room.shoebox_m is None else None
-    wanted = _Wanted(order, max_length_m, with_reflections, with_image_transforms)
+    room = scene.room
+    mirrors = mirrors_of(room) if room.shoebox_m is None else None
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
-    if mirrors is None:
-        _check_lattice(scene, wanted, memory_limit_bytes)
+    if room.shoebox_m is not None:
+        count = count_of_shoebox_images(room.shoebox_m, order, max_length_m)
+        # columns of the paths, of the set that they are made from and of the lattice
+        per_image = 150.0 + 6.0 * len(room.materials) + 108.0 * with_image_transforms
     else:
-        _check_volume(scene, wanted, memory_limit_bytes)
+        count, per_image = _expected_cost(room, order, max_length_m)
+    _refuse_above(budget.memory_bytes, len(scene.pairs) * count, per_image)
 
     def of_source(source: int) -> list[ImageSet]:
-        return _images_of_source(scene, source, mirrors, wanted, memory_limit_bytes, work_limit)
+        """Return the images of one source for each of its pairs, in the order of the pairs."""
+        start = scene.sources[source].position_m
+        receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
+        if mirrors is not None:
+            return polyhedron_images(
+                room,
+                start,
+                np.array(receivers),
+                limits_of(order, max_length_m, budget),
+                with_reflections=with_reflections,
+                with_image_transforms=with_image_transforms,
+                mirrors=mirrors,
+            )
+        keep = {
+            "with_reflections": with_reflections,
+            "with_image_transforms": with_image_transforms,
+        }
+        return [shoebox_images(room, start, r, order, max_length_m, **keep) for r in receivers]
 
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
-    # kernels let go of the interpreter, so that sources share the processors as threads
+    # kernels release the interpreter, so that sources share the processors as threads
     with ThreadPoolExecutor(numba.get_num_threads()) as pool:
         for done, (source, found) in enumerate(
             zip(sources, pool.map(of_source, sources), strict=True)
@@ -503,66 +506,14 @@ def trace_images(
     return _as_paths([s for s in sets if s is not None], scene, coefficients)
 
 
-class _Wanted(NamedTuple):
-    """Which images, and what of them."""
-
-    order: int
-    max_length_m: float
-    with_reflections: bool
-    with_image_transforms: bool
-
-
-def _images_of_source(
-    scene: Scene,
-    source: int,
-    mirrors: tuple[Walls, Blockers] | None,
-    wanted: _Wanted,
-    memory_limit_bytes: float,
-    work_limit: float,
-) -> list[ImageSet]:
-    """Return the images of one source for each of its pairs, in the order of the pairs."""
-    room = scene.room
-    start = scene.sources[source].position_m
-    receivers = [scene.receivers[r].position_m for s, r in scene.pairs if s == source]
-    if mirrors is not None:
-        return polyhedron_images(
-            *(room, start, np.array(receivers), wanted.order, wanted.max_length_m),
-            with_reflections=wanted.with_reflections,
-            with_image_transforms=wanted.with_image_transforms,
-            mirrors=mirrors,
-            memory_limit_bytes=memory_limit_bytes,
-            work_limit=work_limit,
-        )
-    return [
-        shoebox_images(
-            *(room, start, r, wanted.order, wanted.max_length_m),
-            with_reflections=wanted.with_reflections,
-            with_image_transforms=wanted.with_image_transforms,
-        )
-        for r in receivers
-    ]
-
-
-def _check_lattice(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> None:
-    lengths_m = scene.room.shoebox_m
-    if lengths_m is None:
-        return
-    count = count_of_shoebox_images(lengths_m, wanted.order, wanted.max_length_m)
-    # columns of the paths, of the set that they are made from and of the lattice
-    per_image = 150.0 + 6.0 * len(scene.room.materials) + 108.0 * wanted.with_image_transforms
-    _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
-
-
-def _check_volume(scene: Scene, wanted: _Wanted, memory_limit_bytes: float) -> None:
-    """Refuse what the volume of the room tells to be too much, before anything is searched."""
-    mesh = scene.room.mesh
-    volume = max(volume_m3(mesh), 1e-9)
-    free_path_m = 4.0 * volume / surface_area_m2(mesh)
+def _expected_cost(room: Room, order: int, max_length_m: float) -> tuple[float, float]:
+    """Return expected images of a pair and bytes of each, from the volume of the room alone."""
+    volume = max(volume_m3(room.mesh), 1e-9)
+    free_path_m = 4.0 * volume / surface_area_m2(room.mesh)
     # so far, an order hardly cuts: twice the mean number of hits is rare
-    length_m = min(wanted.max_length_m, 0.5 * wanted.order * free_path_m)
-    count = expected_images(volume, length_m)
-    per_image = 250.0 + 6.0 * len(scene.room.materials) + 12.0 * length_m / free_path_m
-    _refuse_above(memory_limit_bytes, len(scene.pairs) * count, per_image)
+    length_m = min(max_length_m, 0.5 * order * free_path_m)
+    per_image = 250.0 + 6.0 * len(room.materials) + 12.0 * length_m / free_path_m
+    return expected_images(volume, length_m), per_image
 
 
 def _refuse_above(memory_limit_bytes: float, count: float, per_image: float) -> None:
@@ -583,6 +534,8 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     hits = np.concatenate([no_hits, *(s.hits for s in sets)])
     kept = np.prod((1.0 - scattering) ** hits, axis=1)
     nowhere = np.zeros((0, 3))
+    reflections = [s.reflections for s in sets if s.reflections is not None]
+    transforms = [s.image_transform for s in sets if s.image_transform is not None]
     return Paths(
         len(scene.pairs),
         scene.room.materials,
@@ -596,23 +549,6 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         np.full(len(length), -1, dtype=np.int32),
         0,
         scattering,
-        _joined_reflections([s.reflections for s in sets if s.reflections is not None]),
-        _joined_image_transforms(
-            [s.image_transform for s in sets if s.image_transform is not None]
-        ),
-    )
-
-
-def _joined_image_transforms(parts: list[FloatArray]) -> NDArray[np.float32] | None:
-    return np.concatenate(parts).astype(np.float32) if parts else None
-
-
-def _joined_reflections(parts: list[Reflections]) -> Reflections | None:
-    if not parts:
-        return None
-    counts = np.concatenate([np.diff(r.offsets) for r in parts])
-    return Reflections(
-        np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in parts]),
-        np.concatenate([r.cosine for r in parts]),
+        join_reflections(reflections) if reflections else None,
+        np.concatenate(transforms).astype(np.float32) if transforms else None,
     )

@@ -1,14 +1,9 @@
-"""Sound paths: the one thing that tracing makes and that every reader weighs.
-
-What both kinds of image sources hand over: the exact specular paths of one pair.
-
-How finely to trace.
-"""
+"""Sound paths: what tracing returns and every response weighs, and the settings of a trace."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
@@ -21,20 +16,11 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Reflections:
-    """The ordered wall hits of each path, as one long list.
+    """The ordered wall hits of each path, as one long list."""
 
-    Attributes
-    ----------
-    offsets : int64 array, shape (n_paths + 1,)
-        Path i owns the entries ``offsets[i]:offsets[i + 1]``, first hit first.
-    material : int32 array, shape (n_entries,)
-    cosine : float array, shape (n_entries,)
-        Cosine of the angle of incidence, 0 (grazing) to 1 (normal).
-    """
-
-    offsets: IntArray
-    material: IntArray
-    cosine: FloatArray
+    offsets: IntArray  # int64 (n_paths + 1,), entries of path i: ``offsets[i]:offsets[i + 1]``
+    material: IntArray  # int32 (n_entries,), first hit of a path first
+    cosine: FloatArray  # (n_entries,), of the angle of incidence, 0 (grazing) to 1 (normal)
 
     def __post_init__(self) -> None:
         offsets = int_array("offsets", self.offsets, (None,), np.int64, low=0)
@@ -55,55 +41,35 @@ class Paths:
     hits counts specular and diffuse ones together. Energies are absolute: the direct sound of a
     source of unit power is ``1 / (4 pi r**2)``.
 
-    Attributes
-    ----------
-    n_pairs : int
-        How many pairs the scene has; some may own no path.
-    materials : tuple of str
-    pair : int32 array, shape (n_paths,)
-    length_m : float array, shape (n_paths,)
-        Exact length; travel time is length over speed of sound. For a ray caught by a receiver
-        sphere: to the point of its track nearest to the centre.
-    weight_per_m2 : float array, shape (n_paths,)
-        Spreading and Monte-Carlo weight at the sampling scattering coefficient: for an image path
-        ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere volume)``.
-    hits_specular, hits_diffuse : uint16 arrays, shape (n_paths, n_materials)
-        Wall hits by kind, apart so that scattering can be re-weighed.
-    departure, arrival : float32 arrays, shape (n_paths, 3)
-        Unit vectors: away from the source, and the direction in which sound travels on arrival.
-    batch : int32 array, shape (n_paths,)
-        Independent Monte-Carlo batch, 0 to n_batches - 1; -1 for image paths, which are exact.
-    n_batches : int
-    sampling_scattering : float array, shape (n_materials,)
-        Scattering coefficient with which each material was traced.
-    reflections : Reflections or None
-        Ordered reflections with angles, for image paths on request; rays have none.
-    image_transform : float32 array, shape (n_paths, 3, 3), or None
-        Product A of a path's reflections (the last hit's leftmost), for image paths on request;
-        zeros for rays.
-
     Notes
     -----
-    The image of a source at S stands at ``A S + b``. From the receiver it is seen along
+    The image of a source at S stands at ``A S + b``, from the receiver along
     ``V = -length * arrival``, and when source and receiver move by dS and dR, without another wall
     coming into play, along ``V + A dS - dR``, exactly and for moves of any size. To first order
     the length grows by ``arrival . dR - departure . dS``, because ``departure = A^T arrival``:
     without A, departure and arrival do for that.
     """
 
-    n_pairs: int
+    n_pairs: int  #: Of the scene; some may have no path
     materials: tuple[str, ...]
-    pair: IntArray
-    length_m: FloatArray
+    pair: IntArray  #: int32 (n_paths,)
+    length_m: FloatArray  #: (n_paths,), exact; of a ray, to the point nearest to the receiver
+    #: (n_paths,), spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
+    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere
+    #: volume)``
     weight_per_m2: FloatArray
-    hits_specular: IntArray
-    hits_diffuse: IntArray
+    hits_specular: IntArray  #: uint16 (n_paths, n_materials), wall hits without scattering
+    hits_diffuse: IntArray  #: uint16 (n_paths, n_materials), scattered ones
+    #: float32 (n_paths, 3), unit vectors: away from the source
     departure: np.ndarray[tuple[int, int], np.dtype[np.float32]]
+    #: float32 (n_paths, 3), unit vectors in which sound travels on arrival
     arrival: np.ndarray[tuple[int, int], np.dtype[np.float32]]
-    batch: IntArray
+    batch: IntArray  #: int32 (n_paths,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int
-    sampling_scattering: FloatArray
-    reflections: Reflections | None = None
+    sampling_scattering: FloatArray  #: (n_materials,), coefficients of the trace
+    reflections: Reflections | None = None  #: Of image paths on request; rays have none
+    #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
+    #: image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
 
     def __post_init__(self) -> None:
@@ -121,7 +87,7 @@ class Paths:
             "sampling_scattering": (m,),
         }
         # Paths can be gigabytes and are made by this package only: shapes are checked and the
-        # arrays set read-only where they stand, not copied.
+        # arrays set read-only in place, not copied.
         for name, shape in shapes.items():
             array = getattr(self, name)
             if array.shape != shape:
@@ -132,7 +98,7 @@ class Paths:
         if self.image_transform is not None:
             if self.image_transform.shape != (n, 3, 3):
                 raise InputError(
-                    "paths: unfolding has the wrong shape",
+                    "paths: image_transform has the wrong shape",
                     found=f"{self.image_transform.shape}",
                     needed=f"{(n, 3, 3)}",
                 )
@@ -140,6 +106,13 @@ class Paths:
 
     def __len__(self) -> int:
         return len(self.length_m)
+
+
+# Arrays of `Paths` with one row a path; the others are optional or not of paths.
+_PER_PATH = (
+    *("pair", "length_m", "weight_per_m2", "hits_specular", "hits_diffuse"),
+    *("departure", "arrival", "batch"),
+)
 
 
 def hits(paths: Paths) -> IntArray:
@@ -158,29 +131,16 @@ def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
         # entry numbers of each kept path, laid end to end
         entries = np.arange(offsets[-1]) + np.repeat(old.offsets[index] - offsets[:-1], counts)
         reflections = Reflections(offsets, old.material[entries], old.cosine[entries])
-    return Paths(
-        paths.n_pairs,
-        paths.materials,
-        paths.pair[keep],
-        paths.length_m[keep],
-        paths.weight_per_m2[keep],
-        paths.hits_specular[keep],
-        paths.hits_diffuse[keep],
-        paths.departure[keep],
-        paths.arrival[keep],
-        paths.batch[keep],
-        paths.n_batches,
-        paths.sampling_scattering.copy(),
-        reflections,
-        None if paths.image_transform is None else paths.image_transform[keep],
-    )
+    columns: dict[str, Any] = {name: getattr(paths, name)[keep] for name in _PER_PATH}
+    transform = None if paths.image_transform is None else paths.image_transform[keep]
+    return replace(paths, **columns, reflections=reflections, image_transform=transform)
 
 
 def concatenate(parts: Sequence[Paths]) -> Paths:
     """Return all paths of several traces of one scene as one.
 
-    Where some part has ordered reflections or unfoldings, the paths of the others get empty lists
-    and zeros.
+    Where some part has ordered reflections or image transforms, the paths of the others get empty
+    lists and zeros.
 
     Raises
     ------
@@ -199,28 +159,19 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
                 hint="trace all parts with the same room, pairs and scattering",
             )
 
-    def joined(name: str) -> np.ndarray[Any, Any]:
-        return np.concatenate([getattr(p, name) for p in parts])
-
-    return Paths(
-        first.n_pairs,
-        first.materials,
-        joined("pair"),
-        joined("length_m"),
-        joined("weight_per_m2"),
-        joined("hits_specular"),
-        joined("hits_diffuse"),
-        joined("departure"),
-        joined("arrival"),
-        joined("batch"),
-        max(p.n_batches for p in parts),
-        first.sampling_scattering.copy(),
-        _joined_reflections(parts),
-        _joined_image_transforms(parts),
+    columns: dict[str, Any] = {
+        name: np.concatenate([getattr(p, name) for p in parts]) for name in _PER_PATH
+    }
+    return replace(
+        first,
+        **columns,
+        n_batches=max(p.n_batches for p in parts),
+        reflections=_reflections_of_all(parts),
+        image_transform=_joined_image_transforms(parts),
     )
 
 
-def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
+def _reflections_of_all(parts: Sequence[Paths]) -> Reflections | None:
     if all(p.reflections is None for p in parts):
         return None
     none = np.zeros(0, dtype=np.int32)
@@ -230,11 +181,16 @@ def _joined_reflections(parts: Sequence[Paths]) -> Reflections | None:
         else p.reflections
         for p in parts
     ]
-    counts = np.concatenate([np.diff(r.offsets) for r in lists])
+    return join_reflections(lists)
+
+
+def join_reflections(parts: Sequence[Reflections]) -> Reflections:
+    """Return the reflections of all paths of several lists, one list after the other."""
+    counts = np.concatenate([np.diff(r.offsets) for r in parts])
     return Reflections(
         np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in lists]),
-        np.concatenate([r.cosine for r in lists]),
+        np.concatenate([r.material for r in parts]),
+        np.concatenate([r.cosine for r in parts]),
     )
 
 
@@ -252,35 +208,21 @@ def _joined_image_transforms(parts: Sequence[Paths]) -> NDArray[np.float32] | No
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImageSet:
-    """Exact specular paths from one source to one receiver, shortest first.
+    """Exact specular paths from one source to one receiver, shortest first."""
 
-    Attributes
-    ----------
-    length_m : float array, shape (n_paths,)
-    hits : uint16 array, shape (n_paths, n_materials)
-    departure, arrival : float arrays, shape (n_paths, 3)
-        Unit vectors: away from the source, and the direction in which sound travels on arrival.
-    reflections : Reflections or None
-        Every path's hits in order, where they were asked for.
-    image_transform : float array, shape (n_paths, 3, 3), or None
-        Product of the reflections, see `Paths`, where it was asked for.
-    normals : float array, shape (n_hits, 3), or None
-        Normal of the wall of each hit as the receiver sees it, mirrored by all later hits, in the
-        order of `reflections`: its product with `arrival` is the cosine of incidence, for moved
-        sources and receivers, too. Only of rooms that are no boxes.
-    """
-
-    length_m: FloatArray
-    hits: IntArray
-    departure: FloatArray
-    arrival: FloatArray
-    reflections: Reflections | None = None
-    image_transform: FloatArray | None = None
+    length_m: FloatArray  # (n_paths,)
+    hits: IntArray  # uint16 (n_paths, n_materials)
+    departure: FloatArray  # (n_paths, 3), unit vectors away from the source
+    arrival: FloatArray  # (n_paths, 3), unit vectors in which sound travels on arrival
+    reflections: Reflections | None = None  # on request
+    image_transform: FloatArray | None = None  # (n_paths, 3, 3), see `Paths`, on request
+    # (n_hits, 3), from `unfolded_normals` in the order of `reflections`: the product with `arrival`
+    # is the cosine of incidence, for moved sources and receivers, too. Not for boxes.
     normals: FloatArray | None = None
 
 
 def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
-    """Return the normals of walls as the receiver sees them, mirrored by all later hits.
+    """Return the normals of walls in the receiver's frame, mirrored by all later hits.
 
     Parameters
     ----------
@@ -313,7 +255,6 @@ def reflections_in_order(
     place : float array, shape (n_hits,)
         Rises along the path from source to receiver.
     material, cosine : arrays, shape (n_hits,)
-    n_paths : int
     """
     order = np.lexsort((place, path))
     counts = np.bincount(path, minlength=n_paths)
@@ -331,50 +272,25 @@ Estimator = Literal["spheres", "rain"]
 
 @dataclass(frozen=True, slots=True)
 class TraceSettings:
-    """Settings of one trace. What ends a ray is time or hits, never energy.
+    """Settings of one trace. What ends a ray is time or hits, never energy."""
 
-    Attributes
-    ----------
-    duration_s : float
-        Sound travels this long, counted from emission.
-    n_rays : int
-        Rays per source, all batches together; 0 leaves rays out.
-    image_order : int
-        Highest reflection order done by image sources; -1 leaves image sources out, so that even
-        the direct sound comes from rays.
-    image_until_s : float or None
-        Image sources end here, and rays bring all that is later; None for the whole duration.
-    receiver_radius_m : float
-        Radius of the spheres that catch rays.
-    max_hits : int
-        A ray ends after so many wall hits, at most 65535.
-    directions : {"sobol", "fibonacci"}
-        Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
-        batches (its batches are not independent: it is there for the paper, and for pictures).
-    n_batches : int
-        Independent parts whose spread measures the Monte-Carlo noise.
-    seed : int
-        Same seed, same paths, bit by bit, for any number of threads.
-    keep_image_transforms : bool
-        Image paths keep what moves their images with the source.
-    estimator : {"spheres", "rain"}
-        "rain": every diffuse reflection adds a path straight to every receiver that it sees, and
-        spheres catch only what was last reflected specularly, or not at all. It costs half to all
-        of the tracing for the same Monte-Carlo error, the less the more walls scatter, but 1.1 to
-        1.6 times as many paths to weigh (`benchmarks/rays.py`).
-    """
-
-    duration_s: float
-    n_rays: int = 20_000
-    image_order: int = 2
-    receiver_radius_m: float = 0.5
-    max_hits: int = 65_535
+    duration_s: float  #: Sound travels this long, counted from emission
+    n_rays: int = 20_000  #: Rays per source, all batches together; 0 leaves rays out
+    image_order: int = 2  #: Highest order of image sources; -1: even the direct sound is of rays
+    receiver_radius_m: float = 0.5  #: Radius of the spheres that catch rays
+    max_hits: int = 65_535  #: A ray ends after so many wall hits, at most 65535
+    #: Scrambled Sobol points, new ones for each batch, or one Fibonacci spiral dealt out to the
+    #: batches, which then are not independent
     directions: Directions = "sobol"
-    n_batches: int = 16
-    seed: int = 1
+    n_batches: int = 16  #: Independent parts whose spread measures the Monte-Carlo noise
+    seed: int = 1  #: Same seed, same paths, bit by bit, for any number of threads
+    #: "rain" (diffuse rain): every diffuse reflection adds a path straight to every visible
+    #: receiver, and spheres catch only what was last reflected specularly, or not at all. It costs
+    #: half to all of the tracing for the same Monte-Carlo error, the less the more walls scatter,
+    #: but 1.1 to 1.6 times as many paths to weigh (`benchmarks/rays.py`).
     estimator: Estimator = "spheres"
-    image_until_s: float | None = None
-    keep_image_transforms: bool = False
+    image_until_s: float | None = None  #: Where image sources end; None for the whole duration
+    keep_image_transforms: bool = False  #: Image paths keep the product of their reflections
 
     def __post_init__(self) -> None:
         limits: tuple[tuple[str, float, float, float], ...] = (
@@ -404,7 +320,7 @@ class TraceSettings:
             )
         if self.estimator not in ("spheres", "rain"):
             raise InputError(
-                "unknown way to bring rays to receivers",
+                "unknown estimator of rays at receivers",
                 found=repr(self.estimator),
                 needed='"spheres" or "rain"',
             )

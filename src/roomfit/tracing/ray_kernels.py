@@ -1,16 +1,13 @@
-"""The loop over rays, walls and receivers.
+"""The compiled loop over rays, walls and receivers, with diffuse rain.
 
-Diffuse rain: what each diffuse reflection sends straight to each receiver.
-
-A wall that scatters by Lambert's law sends the share ``cos / pi`` of its energy into each unit of
-solid angle; at a point r metres away that arrives on ``cos / (pi r**2)`` of it per square metre.
-Every diffuse reflection that sees a receiver thus adds a path, exact in time and direction, where a
-sphere catches one ray of many. Only paths whose last reflection is diffuse can be had so; the
-others are still caught by spheres. The method is "diffuse rain" of D. Schroeder, "Physically based
-real-time auralization of interactive virtual environments", Aachen 2011, section 5.3, or next-event
-estimation of path tracing.
-
-Receivers as spheres that catch rays, sorted into a grid where there are many.
+Receivers are spheres that catch rays, sorted into a grid where there are many. With diffuse rain,
+each diffuse reflection also sends energy straight to each receiver: a wall that scatters by
+Lambert's law sends the share ``cos / pi`` of its energy into each unit of solid angle; at r metres
+that is ``cos / (pi r**2)`` of it per square metre. Every diffuse reflection that is visible from a
+receiver thus adds a path, exact in time and direction, where a sphere catches one ray of many.
+Paths whose last reflection is specular are still caught by spheres. The method is "diffuse rain" of
+D. Schroeder, "Physically based real-time auralization of interactive virtual environments", Aachen
+2011, section 5.3, or next-event estimation of path tracing.
 """
 
 # ruff: noqa: ARG001, ARG005 -- numba matches overloads by the names of all their arguments
@@ -36,31 +33,16 @@ _MARGIN_M = 1e-6
 
 
 class Spheres(NamedTuple):
-    """The receivers of one source, and a grid of boxes around them.
+    """The receivers of one source, and a grid of boxes around them."""
 
-    Attributes
-    ----------
-    centre_m : float array, shape (n_spheres, 3)
-    radius_m : float array, shape (n_spheres,)
-    pair : int32 array, shape (n_spheres,)
-        Pair of the scene that each stands for.
-    low_m, cell_m : float arrays, shape (3,)
-        Lowest corner of the grid, and lengths of a cell.
-    cells : int64 array, shape (3,)
-        Number of cells along each axis; 1, 1, 1 where every sphere is tried in turn.
-    first : int64 array, shape (n_cells + 1,)
-        Cell c holds the spheres ``members[first[c]:first[c + 1]]``; z runs fastest.
-    members : int32 array
-    """
-
-    centre_m: FloatArray
-    radius_m: FloatArray
-    pair: IntArray
-    low_m: FloatArray
-    cell_m: FloatArray
-    cells: IntArray
-    first: IntArray
-    members: IntArray
+    centre_m: FloatArray  # (n_spheres, 3)
+    radius_m: FloatArray  # (n_spheres,)
+    pair: IntArray  # int32 (n_spheres,), of the scene
+    low_m: FloatArray  # (3,), lowest corner of the grid
+    cell_m: FloatArray  # (3,), lengths of a cell
+    cells: IntArray  # int64 (3,), along each axis; 1, 1, 1 where every sphere is tried in turn
+    first: IntArray  # int64 (n_cells + 1,), spheres of cell c: ``members[first[c]:first[c + 1]]``
+    members: IntArray  # int32, by cell, z fastest
 
 
 def spheres(centre_m: FloatArray, radius_m: FloatArray, pair: IntArray) -> Spheres:
@@ -152,19 +134,19 @@ def leaves_cell(spheres: Spheres, cell: int, axis: int, o: float, d: float) -> f
     return float((spheres.low_m[axis] + wall * spheres.cell_m[axis] - o) / d)
 
 
-# What lies nearer to the receiver than this share of the way is no screen but rounding.
+# A wall nearer to the receiver than this share of the distance is no screen but rounding.
 _SAME_PLACE = 1e-9
 
 
 def unobstructed(walls: Planes | Tree, o: Vector, d: Vector, last: int, distance_m: float) -> bool:
-    """Return whether nothing stands in a straight way; only for use in kernels.
+    """Return whether a straight path is free of walls; only for use in kernels.
 
     Parameters
     ----------
     o, d : vector
         Start, on wall `last`, and unit direction.
     distance_m : float
-        Length of the way.
+        Length of the path.
     """
     raise TypeError("only compiled code may call this")
 
@@ -185,7 +167,7 @@ def _unobstructed(walls: Any, o: Any, d: Any, last: Any, distance_m: Any) -> Any
 def towards(
     spheres: Spheres, k: int, o: Vector, d: Vector, normal: Vector
 ) -> tuple[float, Vector, float]:
-    """Return how a wall that scatters rains on the centre of a sphere.
+    """Return the path from a diffuse reflection to the centre of a sphere.
 
     Parameters
     ----------
@@ -208,7 +190,7 @@ def towards(
     Notes
     -----
     The variance of the sum of many is finite for every receiver that is off the walls; nothing is
-    clamped. Towards a wall at distance h it grows as ``1 / h**2``.
+    clamped. At distance h from a wall it grows as ``1 / h**2``.
     """
     x = spheres.centre_m[k, 0] - o[0]
     y = spheres.centre_m[k, 1] - o[1]
@@ -226,82 +208,46 @@ def towards(
 
 CHUNK_RAYS = 256
 ESCAPES_KEPT = 4
-# Rain fainter than this share of a mean crossing of the receiver's sphere is drawn by lot.
+# Rain fainter than this share of a mean crossing of the receiver's sphere is drawn at random.
 FAINTEST = 0.25
 _FOR_LOTS = np.uint64(0xD1B54A32D192ED03)
 
 
 class Job(NamedTuple):
-    """What all rays of one source have in common.
+    """What all rays of one source have in common."""
 
-    Attributes
-    ----------
-    start_m : float array, shape (3,)
-    scattering : float array, shape (n_materials,)
-    max_length_m : float
-        Nothing is recorded that arrives after more than this.
-    max_hits : int
-        A ray ends at the wall hit of this number.
-    seed, source : int
-    rain : bool
-        Whether diffuse reflections rain on the receivers, and spheres catch only what comes from
-        a specular reflection or straight from the source.
-    """
-
-    start_m: FloatArray
-    scattering: FloatArray
-    max_length_m: float
-    max_hits: int
+    start_m: FloatArray  # (3,)
+    scattering: FloatArray  # (n_materials,)
+    max_length_m: float  # Nothing is recorded that arrives after more than this
+    max_hits: int  # A ray ends at the wall hit of this number
     seed: int
     source: int
-    rain: bool = False
+    rain: bool = False  # diffuse rain; spheres then catch only after a specular or no reflection
 
 
 class Caught(NamedTuple):
-    """Room for what each chunk of rays records; the first axis of every array is the chunk.
+    """Memory for what each chunk of rays records; the first axis of every array is the chunk."""
 
-    Attributes
-    ----------
-    found : int64 array, shape (n_chunks,)
-        Crossings found, more than `capacity` where the rest did not fit.
-    sphere : int32 array, shape (n_chunks, capacity)
-    ray : int64 array, shape (n_chunks, capacity)
-    length_m, chord_m : float arrays, shape (n_chunks, capacity)
-        For rain, the chord that would bring as much.
-    hits_specular, hits_diffuse : uint16 arrays, shape (n_chunks, capacity, n_materials)
-    arrival : float32 array, shape (n_chunks, capacity, 3)
-    """
-
-    found: IntArray
-    sphere: IntArray
-    ray: IntArray
-    length_m: FloatArray
-    chord_m: FloatArray
-    hits_specular: IntArray
-    hits_diffuse: IntArray
-    arrival: FloatArray
+    found: IntArray  # int64 (n_chunks,), crossings, more than `capacity` where not all fitted
+    sphere: IntArray  # int32 (n_chunks, capacity)
+    ray: IntArray  # int64 (n_chunks, capacity)
+    length_m: FloatArray  # (n_chunks, capacity), of the path
+    chord_m: FloatArray  # (n_chunks, capacity); for rain, the chord of equal energy
+    hits_specular: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    hits_diffuse: IntArray  # uint16 (n_chunks, capacity, n_materials)
+    arrival: FloatArray  # float32 (n_chunks, capacity, 3)
 
 
 class Tally(NamedTuple):
-    """What each chunk counts beside its crossings; the first axis is the chunk.
+    """Further counts of each chunk; the first axis is the chunk."""
 
-    Attributes
-    ----------
-    hits, escapes, free_paths : int64 arrays, shape (n_chunks,)
-    sum_m, sum_m2 : float arrays, shape (n_chunks,)
-        Sum of the free paths and of their squares.
-    escape_from_m : float array, shape (n_chunks, ESCAPES_KEPT, 3)
-        Where the first rays to escape began their last flight.
-    escape_direction : float array, shape (n_chunks, ESCAPES_KEPT, 3)
-    """
-
-    hits: IntArray
-    escapes: IntArray
-    free_paths: IntArray
-    sum_m: FloatArray
-    sum_m2: FloatArray
-    escape_from_m: FloatArray
-    escape_direction: FloatArray
+    hits: IntArray  # int64 (n_chunks,)
+    escapes: IntArray  # int64 (n_chunks,)
+    free_paths: IntArray  # int64 (n_chunks,)
+    sum_m: FloatArray  # (n_chunks,), of the free paths
+    sum_m2: FloatArray  # (n_chunks,), of their squares
+    escape_from_m: FloatArray  # (n_chunks, ESCAPES_KEPT, 3), start of the last flight of the first
+    escape_direction: FloatArray  # (n_chunks, ESCAPES_KEPT, 3)
 
 
 @kernel(parallel=True)
@@ -416,8 +362,20 @@ def _trace_ray(
             caught_by_spheres = not is_diffuse
             if is_diffuse:
                 _diffuse_rain(
-                    *(walls, spheres, job, o, before, normal, wall, travelled),
-                    *(ray, hit, chunk, specular, diffuse, caught),
+                    walls,
+                    spheres,
+                    job,
+                    o,
+                    before,
+                    normal,
+                    wall,
+                    travelled,
+                    ray,
+                    hit,
+                    chunk,
+                    specular,
+                    diffuse,
+                    caught,
                 )
 
 
@@ -438,10 +396,10 @@ def _diffuse_rain(
     diffuse: IntArray,
     caught: Caught,
 ) -> None:
-    """Record the way from a diffuse reflection to every receiver that it sees.
+    """Record the path from a diffuse reflection to every receiver that is visible from it.
 
-    Faint ways are drawn by lot and count as much more as they are drawn less: nothing is lost on
-    average, and there are far fewer rows of hardly more scatter.
+    Faint paths are drawn at random and weighed by the inverse of their probability (Russian
+    roulette): unbiased, with far fewer rows of hardly more variance.
     """
     lots = mixed(ray_key(job.seed, job.source, ray) ^ _FOR_LOTS)
     for k in range(len(spheres.radius_m)):
@@ -531,7 +489,7 @@ def _record(
     diffuse: IntArray,
     d: Vector,
 ) -> None:
-    """Note a crossing, or only count it where there is no room left."""
+    """Record a crossing, or only count it where the memory is full."""
     i = caught.found[chunk]
     caught.found[chunk] += 1
     if i >= caught.ray.shape[1]:

@@ -2,13 +2,8 @@
 
 The same seed gives the same bits for any number of threads. A wall or the source may cut a sphere:
 what counts is the part of the chord inside the room. Rays that leave through a leak are counted and
-dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3.
-
-In which directions the rays of a source start.
-
-Blocks of rays: room for what they record, traced, and packed into path arrays.
-
-What a trace tells of its room beside the paths.
+dropped. The method is that of M. Vorlaender, "Auralization", Springer 2008, section 11.3. Rays are
+traced block by block and packed into path arrays.
 """
 
 from __future__ import annotations
@@ -25,7 +20,7 @@ from roomfit._checks import float_array, read_only
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.materials.priors import Scattering
+from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room, Scene
 from roomfit.tracing.bvh import Walls, walls_of
 from roomfit.tracing.paths import Paths, TraceSettings
@@ -77,7 +72,6 @@ def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> Floa
     ----------
     n_rays : int
         All batches together; they differ in size by at most one ray.
-    n_batches : int
     seed : tuple of int
         Feeds the scrambles.
 
@@ -120,11 +114,6 @@ class Piece(NamedTuple):
     batch: IntArray
 
 
-def bytes_per_path(n_materials: int) -> int:
-    """Return the memory of one recorded path in bytes."""
-    return 48 + 4 * n_materials
-
-
 def new_tally(n_chunks: int) -> Tally:
     """Return zeroed counters for so many chunks."""
     return Tally(
@@ -139,12 +128,7 @@ def new_tally(n_chunks: int) -> Tally:
 
 
 def trace_block(
-    walls: Walls,
-    spheres: Spheres,
-    job: Job,
-    directions: FloatArray,
-    rays: range,
-    capacity: int,
+    walls: Walls, spheres: Spheres, job: Job, directions: FloatArray, rays: range, capacity: int
 ) -> tuple[Caught, Tally]:
     """Trace the rays of a block and return what they recorded and counted.
 
@@ -156,7 +140,7 @@ def trace_block(
         Those of this block.
     capacity : int
         Crossings that each chunk is expected to find at most. Where one finds more, the block is
-        traced a second time with room for all; its rays go the same ways.
+        traced a second time with memory for all; its rays take the same paths.
     """
     n_chunks = -(-len(rays) // CHUNK_RAYS)
     own = directions[rays.start : rays.stop]
@@ -233,29 +217,16 @@ class RayStatistics:
 
     Free paths run from one wall to the next. Each that begins before a ray's time is up counts in
     full, even where it ends later: counting only those that fit would favour short ones.
-
-    Attributes
-    ----------
-    n_rays, n_hits, n_escaped : int
-        Rays of all sources; their wall hits; how many met no wall and were dropped.
-    n_free_paths : int
-    mean_free_path_m : float
-        Mean length of the free paths; 0 where there is none.
-    relative_variance : float
-        Variance of the free paths over their squared mean, gamma squared in Kuttruff's formula; 0
-        where there is no free path.
-    escapes_from_m, escape_directions : float arrays, shape (n_specified, 3)
-        Where the first escaped rays began their last flight, and in which direction.
     """
 
-    n_rays: int
-    n_hits: int
-    n_escaped: int
+    n_rays: int  # of all sources
+    n_hits: int  # of walls
+    n_escaped: int  # met no wall and were dropped
     n_free_paths: int
-    mean_free_path_m: float
-    relative_variance: float
-    escapes_from_m: FloatArray
-    escape_directions: FloatArray
+    mean_free_path_m: float  # 0 without free paths
+    relative_variance: float  # Of the free paths, over their squared mean: Kuttruff's gamma squared
+    escapes_from_m: FloatArray  # (n, 3), where the first escaped rays began their last flight
+    escape_directions: FloatArray  # (n, 3), unit vectors of these flights
 
     @property
     def escape_fraction(self) -> float:
@@ -294,16 +265,9 @@ _BLOCK_CROSSINGS = 500_000
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RayTrace:
-    """What rays brought home.
+    """Paths of rays and their statistics."""
 
-    Attributes
-    ----------
-    paths : Paths
-        In the order of sources, then rays, then time.
-    statistics : RayStatistics
-    """
-
-    paths: Paths
+    paths: Paths  # In the order of sources, then rays, then time
     statistics: RayStatistics
 
 
@@ -342,7 +306,7 @@ def trace_rays(
         Scattering of other materials, or too many paths for the memory.
     """
     radii = _radii(scene, settings, receiver_radii_m)
-    coefficients = in_room_order(scattering, scene.room)
+    coefficients = coefficients_in_order(scattering, scene.room.materials)
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
     expected = expected_paths(
         scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
@@ -380,7 +344,7 @@ def _trace_source(
     radii: FloatArray,
     coefficients: FloatArray,
 ) -> Iterator[tuple[int, Piece, Tally]]:
-    """Trace block by block; give the rays done so far and what the block brought."""
+    """Trace block by block; give the rays done so far, and paths and counts of the block."""
     job = Job(
         scene.sources[source].position_m,
         coefficients,
@@ -390,9 +354,13 @@ def _trace_source(
         source,
         settings.estimator == "rain",
     )
-    receivers = _spheres(scene, source, radii)
+    pair = np.flatnonzero(scene.pairs[:, 0] == source)
+    receiver = scene.pairs[pair, 1]
+    centres = np.array([scene.receivers[r].position_m for r in receiver])
+    receivers = spheres(centres, radii[receiver], pair)
     directions = start_directions(settings, source)
-    per_ray = _paths_per_ray(scene.room, receivers.radius_m, job)
+    rain = float(job.scattering.max(initial=0.0)) if job.rain else 0.0
+    per_ray = _paths_along(scene.room, receivers.radius_m, job.max_length_m, rain)
     for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
         capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
         caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
@@ -409,12 +377,12 @@ def expected_paths(
     """Return about how many paths a trace will record, or more where walls differ in scattering.
 
     In a diffuse field a ray of length L crosses a sphere of radius a in a room of volume V
-    ``pi a**2 L / V`` times. Rain brings more paths of less weight.
+    ``pi a**2 L / V`` times. Diffuse rain gives more paths of less weight.
 
     Parameters
     ----------
     scattering : float
-        The largest of any wall; counts for rain.
+        The largest of any wall; counts for diffuse rain.
     """
     radii = _radii(scene, settings, receiver_radii_m)[scene.pairs[:, 1]]
     length = settings.duration_s * speed_of_sound_m_s(scene.air)
@@ -425,7 +393,7 @@ def expected_paths(
 
 def path_bytes(scene: Scene) -> int:
     """Return the memory of one recorded path of a scene in bytes."""
-    return bytes_per_path(len(scene.room.materials))
+    return 48 + 4 * len(scene.room.materials)
 
 
 def _check_memory(scene: Scene, settings: TraceSettings, n_paths: float, limit_bytes: int) -> None:
@@ -439,37 +407,12 @@ def _check_memory(scene: Scene, settings: TraceSettings, n_paths: float, limit_b
         )
 
 
-def in_room_order(scattering: Scattering, room: Room) -> FloatArray:
-    """Return the scattering coefficients in the order of the room's materials.
-
-    Raises
-    ------
-    InputError
-        A material of one is missing in the other.
-    """
-    if set(scattering.materials) != set(room.materials):
-        raise InputError(
-            "scattering and room name different materials",
-            found=", ".join(scattering.materials),
-            needed=", ".join(room.materials),
-        )
-    order = [scattering.materials.index(m) for m in room.materials]
-    return np.array(scattering.coefficients[order])
-
-
 def _radii(scene: Scene, settings: TraceSettings, receiver_radii_m: ArrayLike | None) -> FloatArray:
     if receiver_radii_m is None:
         return np.full(len(scene.receivers), settings.receiver_radius_m)
     return float_array(
         "radius of each receiver", receiver_radii_m, (len(scene.receivers),), low=1e-3, unit="m"
     )
-
-
-def _spheres(scene: Scene, source: int, radii: FloatArray) -> Spheres:
-    pair = np.flatnonzero(scene.pairs[:, 0] == source)
-    receiver = scene.pairs[pair, 1]
-    centres = np.array([scene.receivers[r].position_m for r in receiver])
-    return spheres(centres, radii[receiver], pair)
 
 
 def _volume_m3(room: Room) -> float:
@@ -483,16 +426,11 @@ def _mean_free_path_m(room: Room) -> float:
     return 4.0 * _volume_m3(room) / surface_area_m2(room.mesh)
 
 
-def _paths_per_ray(room: Room, radii_m: FloatArray, job: Job) -> float:
-    rain = float(job.scattering.max(initial=0.0)) if job.rain else 0.0
-    return _paths_along(room, radii_m, job.max_length_m, rain)
-
-
 def _paths_along(room: Room, radii_m: FloatArray, length_m: float, rain: float) -> float:
-    """Return how many paths one ray is expected to bring, at most.
+    """Return how many paths one ray is expected to give, at most.
 
-    Rain brings the energy of the crossings that it replaces, in paths of at least `FAINTEST` of
-    their weight, and never more than one path for a diffuse reflection and a receiver.
+    Diffuse rain brings the energy of the crossings that it replaces, in paths of at least
+    `FAINTEST` of their weight, never more than one for a diffuse reflection and a receiver.
     """
     crossings = length_m * np.pi * radii_m**2 / _volume_m3(room)
     drops = np.minimum(crossings / FAINTEST, length_m / _mean_free_path_m(room))

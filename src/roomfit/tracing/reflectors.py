@@ -1,6 +1,7 @@
-"""The walls of any room as image sources need them: coplanar triangles merged to one mirror.
+"""The walls of any room as mirrors for image sources: coplanar triangles merged to one each.
 
-Convex polygons of a plane: about the triangles of a wall, and merged from them.
+Their outlines and what may stand in a path's way are convex polygons of a plane, made about the
+triangles of a wall or merged from them.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ import numpy as np
 
 from roomfit._numba import kernel
 from roomfit.geometry.inside import Vector, corner, dot, row
-from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
+from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided, plane_axes
 from roomfit.scene import Room
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -20,7 +21,7 @@ _OUTLINE_CORNERS = 12
 
 
 def convex_outline(points_m: FloatArray, normal: FloatArray) -> FloatArray:
-    """Return a convex polygon that holds points of a plane, counter-clockwise about its normal.
+    """Return a convex polygon that contains points of a plane, counter-clockwise about its normal.
 
     The convex hull [1]_ where that has few corners, else a rectangle about it.
 
@@ -29,9 +30,11 @@ def convex_outline(points_m: FloatArray, normal: FloatArray) -> FloatArray:
     .. [1] A. M. Andrew, "Another efficient algorithm for convex hulls in two dimensions",
            Information Processing Letters 9, 216-219 (1979).
     """
-    axes = _axes(normal)
+    axes = plane_axes(normal)
     flat = points_m @ axes.T
-    hull = _hull(flat)
+    order = np.lexsort((flat[:, 1], flat[:, 0]))
+    hull = np.empty(2 * len(flat) + 1, dtype=np.int64)
+    hull = hull[: _hull_of(flat, order, len(order), hull)]
     if len(hull) <= _OUTLINE_CORNERS:
         return np.asarray(points_m[hull])
     (left, low), (right, high) = flat.min(axis=0), flat.max(axis=0)
@@ -60,7 +63,7 @@ def convex_pieces(
         Counter-clockwise about the normal; at most 12 corners where merged.
     """
     points = np.asarray(triangles_m, dtype=np.float64).reshape(-1, 3)
-    index, corners = _merge(points @ _axes(normal).T, tolerance_m)
+    index, corners = _merge(points @ plane_axes(normal).T, tolerance_m)
     return [points[own[:n]] for own, n in zip(index, corners, strict=True)]
 
 
@@ -136,7 +139,7 @@ def _touch(a: FloatArray, b: FloatArray, tolerance_m: float) -> bool:
 
 @kernel(allocates=False)
 def _fits(flat: FloatArray, hull: IntArray, m: int, area: float, tolerance_m: float) -> bool:
-    """Return whether a hull has few corners and holds no more than two pieces of such an area."""
+    """Return whether a hull has few corners and covers no more than two pieces of such an area."""
     if m > _OUTLINE_CORNERS:
         return False
     around = 0.0
@@ -197,19 +200,6 @@ def _is_before(flat: FloatArray, a: int, b: int) -> bool:
     return bool(flat[a, 1] < flat[b, 1])
 
 
-def _axes(normal: FloatArray) -> FloatArray:
-    """Return two unit vectors (2, 3) that make a right-handed system with the normal."""
-    axis = np.eye(3)[np.argmin(np.abs(normal))]
-    u = np.cross(axis, normal) / np.linalg.norm(np.cross(axis, normal))
-    return np.array([u, np.cross(normal, u)])
-
-
-def _hull(flat: FloatArray) -> IntArray:
-    order = np.lexsort((flat[:, 1], flat[:, 0]))
-    hull = np.empty(2 * len(flat) + 1, dtype=np.int64)
-    return hull[: _hull_of(flat, order, len(order), hull)]
-
-
 # Share of the room's size within which a point lies in a plane: 20 micrometres in a hall, above
 # the rounding of files in single precision and far below a wavelength.
 FLATNESS = 1e-6
@@ -223,46 +213,21 @@ class Walls(NamedTuple):
     """Mirrors: planes seen from the air side, each with the triangles that lie in it.
 
     A double-sided sheet belongs to two walls of opposite normal.
-
-    Attributes
-    ----------
-    tolerance_m : float
-        Points so close to a plane lie in it, images so close together are one.
-    margin_m : float
-        By how much beams are too wide: above the rounding of images many mirrorings away.
-    edge_m : float
-        So far beyond its edge a wall still reflects, and stops nothing.
-    normal : float array, shape (n_walls, 3)
-        Unit normal out of the air.
-    offset_m : float array, shape (n_walls,)
-        ``normal . x`` of the plane's points.
-    first_piece : int64 array, shape (n_walls + 1,)
-        Wall k owns the pieces ``first_piece[k]:first_piece[k + 1]``.
-    piece_m : float array, shape (n_pieces, 3 corners, 3)
-        Triangles, counter-clockwise about the wall's normal.
-    piece_triangle : int64 array, shape (n_pieces,)
-        Index of the triangle in the mesh.
-    first_corner : int64 array, shape (n_walls + 1,)
-    outline_m : float array, shape (n_corners, 3)
-        A convex polygon about each wall's pieces, corners in turn.
-    edge : float array, shape (n_corners, 4)
-        Unit normal and offset of the plane on which each side of an outline stands, inwards.
-    ends_sound : bool array, shape (n_walls,)
-        Whether sound goes nowhere beyond the outline: its pieces fill it, or it has the whole room
-        in front.
     """
 
-    tolerance_m: float
-    margin_m: float
-    edge_m: float
-    normal: FloatArray
-    offset_m: FloatArray
-    first_piece: IntArray
-    piece_m: FloatArray
-    piece_triangle: IntArray
-    first_corner: IntArray
-    outline_m: FloatArray
-    edge: FloatArray
+    tolerance_m: float  # Points so close to a plane lie in it, images so close together are one
+    margin_m: float  # By which beams are too wide: above the rounding of images of high order
+    edge_m: float  # So far beyond its edge a wall still reflects, and obstructs nothing
+    normal: FloatArray  # (n_walls, 3), unit normal out of the air
+    offset_m: FloatArray  # (n_walls,), ``normal . x`` of the plane's points
+    first_piece: IntArray  # int64 (n_walls + 1,), where the pieces of each wall begin, and the end
+    piece_m: FloatArray  # (n_pieces, 3 corners, 3), counter-clockwise about the wall's normal
+    piece_triangle: IntArray  # int64 (n_pieces,), index of the triangle in the mesh
+    first_corner: IntArray  # int64 (n_walls + 1,), where the corners of each outline begin
+    outline_m: FloatArray  # (n_corners, 3), a convex polygon about each wall's pieces
+    edge: FloatArray  # (n_corners, 4), inward normal and offset of the plane on each outline's side
+    # (n_walls,), whether no sound passes beyond the outline: its pieces fill it, or the whole room
+    # lies in front of it
     ends_sound: BoolArray
 
 
@@ -270,20 +235,11 @@ class Blockers(NamedTuple):
     """Convex polygons that may stand between two points of the room, largest first.
 
     Walls with the whole room in front of them are left out: a convex room has no blockers.
-
-    Attributes
-    ----------
-    wall : int64 array, shape (n_blockers,)
-        The wall whose plane each lies in, so that points of one wall are in front of none of its
-        polygons.
-    first_corner : int64 array, shape (n_blockers + 1,)
-    corner_m : float array, shape (n_corners, 3)
-        In turn, counter-clockwise about the wall's normal.
     """
 
-    wall: IntArray
-    first_corner: IntArray
-    corner_m: FloatArray
+    wall: IntArray  # int64 (n_blockers,), in whose plane each lies: it hides no point of that wall
+    first_corner: IntArray  # int64 (n_blockers + 1,)
+    corner_m: FloatArray  # (n_corners, 3), counter-clockwise about the wall's normal
 
 
 def mirrors_of(room: Room) -> tuple[Walls, Blockers]:
@@ -376,7 +332,7 @@ def _lies_in(
 def _group(
     piece_m: FloatArray, piece_normal: FloatArray, order: IntArray, tolerance_m: float
 ) -> tuple[IntArray, FloatArray, FloatArray]:
-    """Give each piece to the first wall whose plane holds its corners, or start a new one."""
+    """Give each piece to the first wall whose plane contains its corners, or start a new one."""
     n = len(order)
     owner = np.full(n, -1, dtype=np.int64)
     normal = np.empty((n, 3))

@@ -1,4 +1,4 @@
-"""The front door of tracing: image sources for the early part, rays for the rest."""
+"""All paths of a scene: image sources for the early part, rays for the rest."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from roomfit.scene import Scene, distances_m
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
 from roomfit.tracing.rays import RayStatistics, RayTrace, trace_rays
-from roomfit.typing import BoolArray, FloatArray, Progress
+from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
 _CLEARANCE = 0.999
@@ -26,28 +26,15 @@ _SHARE_OF_IMAGES = 0.1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trace:
-    """All paths of a scene, and what to know about them.
+    """All paths of a scene, and what to know about them."""
 
-    Attributes
-    ----------
-    paths : Paths
-        Image paths (batch -1) before rays.
-    statistics : RayStatistics
-        Of all rays, those included whose paths gave way to image paths.
-    findings : tuple of Finding
-        `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`.
-    """
-
-    paths: Paths
-    statistics: RayStatistics
-    findings: tuple[Finding, ...]
+    paths: Paths  # Image paths (batch -1) before rays
+    statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
+    findings: tuple[Finding, ...]  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
 
 
 def trace(
-    scene: Scene,
-    settings: TraceSettings,
-    scattering: Scattering,
-    progress: Progress | None = None,
+    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None = None
 ) -> Trace:
     """Return the paths of every pair: images up to an order, and rays for what they leave.
 
@@ -63,21 +50,40 @@ def trace(
     settings : TraceSettings
         ``image_order=-1`` leaves everything to rays, ``n_rays=0`` to images.
     scattering : Scattering
-        One coefficient for each material of the room, in any order.
+        One coefficient, 0 to 1, for each material of the room, in any order.
     progress : callable, optional
+        Called with the fraction that is done, 0 to 1.
+
+    Returns
+    -------
+    Trace
+        Paths by pair, statistics of the rays, and findings.
 
     Raises
     ------
     InputError
         Neither images nor rays are asked for, scattering of other materials, a receiver in a wall
-        or on a source, or more paths than the memory holds.
+        or on a source, or more paths than fit into memory.
 
     Notes
     -----
-    An image path is seen from the centre of the receiver and a ray from anywhere in its sphere;
-    the two sides of the join agree in the mean over the sphere. One pair in a furnished room, where
-    edges cut through spheres, may differ by some per cent. The sphere of a receiver nearer to
-    a wall or a source than its radius is shrunk to fit. Peak memory is twice that of the paths.
+    An image path holds for the centre of the receiver and a ray for its sphere; the two agree in
+    the mean over the sphere. One pair in a furnished room, where edges cut through spheres, may
+    differ by some per cent. The sphere of a receiver nearer to a wall or a source than its radius
+    is shrunk to fit. Peak memory is twice that of the paths.
+
+    Examples
+    --------
+    Direct sound and the six first reflections of a box:
+
+    >>> from roomfit.materials.priors import uniform_scattering
+    >>> from roomfit.scene import scene_of, shoebox_room
+    >>> room = shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = scene_of(room, {"LS1": (1.0, 1.0, 1.5)}, {"MP1": (4.0, 3.0, 1.5)})
+    >>> settings = TraceSettings(duration_s=0.1, n_rays=0, image_order=1)
+    >>> found = trace(scene, settings, uniform_scattering(("plaster",), 0.0))
+    >>> found.paths.length_m.round(2).tolist()
+    [3.61, 4.69, 4.69, 5.0, 5.39, 6.71, 7.28]
     """
     if settings.image_order < 0 and settings.n_rays == 0:
         raise InputError(
@@ -89,24 +95,24 @@ def trace(
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     if settings.image_order >= 0:
         order, duration_s = settings.image_order, _images_end_s(settings)
-        shown = _part_of(progress, 0.0, share)
         parts.append(
             trace_images(
-                *(scene, order, duration_s, scattering),
+                scene,
+                order,
+                duration_s,
+                scattering,
                 with_image_transforms=settings.keep_image_transforms,
-                progress=shown,
+                progress=part(progress, 0.0, share),
             )
         )
-    rays, findings = _rays_beyond_images(
-        scene, settings, scattering, _part_of(progress, share, 1.0)
-    )
+    rays, findings = _rays_beyond_images(scene, settings, scattering, part(progress, share, 1.0))
     parts.append(rays.paths)
     paths = concatenate(parts) if len(parts) > 1 else rays.paths
     return Trace(paths, rays.statistics, (*findings, *_leaks(rays.statistics)))
 
 
 def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -> BoolArray:
-    """Return which paths images up to an order and a length stand for: specular only, and short."""
+    """Return which paths images up to an order and a length replace: specular only, and short."""
     specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
     near = (specular <= image_order) & (paths.length_m < reach_m)
     return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
@@ -136,7 +142,7 @@ def _rays_beyond_images(
 def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:
     """Return for each receiver the largest radius up to `radius_m` clear of walls and sources.
 
-    A sphere that a wall cuts or that holds the source does not average ``1 / (4 pi r**2)``.
+    A sphere that a wall cuts or that contains the source does not average ``1 / (4 pi r**2)``.
 
     Returns
     -------
@@ -197,9 +203,3 @@ def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:
             graded="warning" if share < _TOLERABLE_LEAK else "serious",
         ),
     )
-
-
-def _part_of(progress: Progress | None, start: float, stop: float) -> Progress | None:
-    if progress is None:
-        return None
-    return lambda fraction: progress(start + fraction * (stop - start))

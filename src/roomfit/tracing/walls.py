@@ -1,13 +1,9 @@
-"""Walls of any room as facets: triangles, and parallelograms where two triangles make one.
+"""Walls for rays: facets or the planes of a convex room, reflection, and its random numbers.
 
-What a wall does to the direction of a ray.
-
-Convex rooms of few planes: a ray leaves through the plane that it meets first.
-
-Random numbers that depend only on what they are for: seed, source, ray and hit.
-
-Nothing is drawn in turn from a stream, so that a trace gives the same bits however its rays are
-dealt out to threads. The hash is the finaliser of splitmix64 [1]_ applied to a counter.
+Facets are triangles, or parallelograms where two triangles make one. From a convex room of few
+planes a ray leaves through the plane that it meets first. Random numbers depend only on seed,
+source, ray and hit: none is drawn from a stream, so that a trace gives the same bits however its
+rays are dealt out to threads. The hash is the finaliser of splitmix64 [1]_ applied to a counter.
 
 References
 ----------
@@ -47,7 +43,7 @@ def mixed(x: np.uint64) -> np.uint64:
 
 @kernel(allocates=False)
 def ray_key(seed: int, source: int, ray: int) -> np.uint64:
-    """Return the number that stands for one ray in every later draw."""
+    """Return the key of one ray for every later draw."""
     key = mixed(np.uint64(seed) + _GOLDEN)
     key = mixed(key ^ (np.uint64(source) + _GOLDEN))
     return mixed(key ^ (np.uint64(ray) + _GOLDEN))
@@ -127,7 +123,7 @@ def after_wall(
     return mirrored(d, normal), False
 
 
-# Facets are this much wider than their corners say, so that rounding opens no gap between two.
+# Facets are wider than their corners by this, so that rounding opens no gap between two.
 EDGE_M = 1e-9
 # A ray that starts this near to the plane of a facet, on either side, starts on it.
 TOUCH_M = 1e-9
@@ -136,19 +132,10 @@ _PARALLEL = 1.0 - 1e-8
 
 
 class Facets(NamedTuple):
-    """Facets with their transforms worked out beforehand [1]_.
+    """Facets with precomputed transforms [1]_.
 
     A point p of a facet's plane has the coordinates ``u = U . p + u0`` along one side and
     ``v = V . p + v0`` along the other, 0 to 1; a triangle ends at ``u + v = 1``.
-
-    Attributes
-    ----------
-    table : float array, shape (n_facets, 16)
-        In two cache lines: unit normal out of the air (3), its product with the plane's points in
-        m (1), U in 1/m (3), u0 (1), V in 1/m (3), v0 (1), `EDGE_M` in units of u and v (1), 1 for
-        a triangle and 0 for a parallelogram (1), 1 for a double-sided sheet (1), nothing (1).
-    normal : float array, shape (n_facets, 3)
-    material : int32 array, shape (n_facets,)
 
     References
     ----------
@@ -156,9 +143,13 @@ class Facets(NamedTuple):
            J. Computer Graphics Techniques 5 (3), 39-49 (2016).
     """
 
+    # (n_facets, 16), two cache lines: unit normal out of the air (3), its product with the
+    # plane's points in m (1), U in 1/m (3), u0 (1), V in 1/m (3), v0 (1), `EDGE_M` in units of u
+    # and v (1), 1 for a triangle and 0 for a parallelogram (1), 1 for a double-sided sheet (1),
+    # nothing (1)
     table: FloatArray
-    normal: FloatArray
-    material: IntArray
+    normal: FloatArray  # (n_facets, 3)
+    material: IntArray  # int32 (n_facets,)
 
 
 def facets_of(room: Room) -> tuple[Facets, FloatArray]:
@@ -299,28 +290,16 @@ _FLATNESS = 1e-7
 
 
 class Planes(NamedTuple):
-    """The walls of a convex room, as infinite planes.
+    """The walls of a convex room, as infinite planes."""
 
-    Attributes
-    ----------
-    normal : float array, shape (n_planes, 3)
-        Unit normals out of the room.
-    offset_m : float array, shape (n_planes,)
-        ``normal . x`` of the plane's points.
-    material : int32 array, shape (n_planes,)
-        -1 where the plane carries several.
-    first_piece : int64 array, shape (n_planes + 1,)
-        Plane k owns the pieces ``first_piece[k]:first_piece[k + 1]``.
-    piece_corners_m : float array, shape (n_pieces, 3 corners, 3)
-    piece_material : int32 array, shape (n_pieces,)
-    """
-
-    normal: FloatArray
-    offset_m: FloatArray
-    material: IntArray
-    first_piece: IntArray
-    piece_corners_m: FloatArray
-    piece_material: IntArray
+    normal: FloatArray  # (n_planes, 3): unit normals out of the room
+    offset_m: FloatArray  # (n_planes,), ``normal . x`` of the plane's points
+    material: IntArray  # int32 (n_planes,), -1 where the plane has several
+    first_piece: (
+        IntArray  # int64 (n_planes + 1,), where the pieces of each plane begin, and the end
+    )
+    piece_corners_m: FloatArray  # (n_pieces, 3 corners, 3)
+    piece_material: IntArray  # int32 (n_pieces,)
 
 
 def convex_planes(room: Room) -> Planes | None:
@@ -398,7 +377,7 @@ def nearest_plane(planes: Planes, o: Vector, d: Vector) -> tuple[float, int]:
     One is always found, and no wall just hit needs to be left out: after a reflection the ray
     moves away from it. A start that rounding has put behind a wall gives distance 0.
     """
-    # distances are compared as fractions, because a division costs more than all the rest
+    # distances are compared as fractions, because a division costs more than all else
     gap, approach, hit = 1.0, 0.0, -1
     normal, offset = planes.normal, planes.offset_m
     for k in range(len(offset)):

@@ -1,12 +1,7 @@
-"""What is sure where single materials are not: means over groups of them.
+"""What the data of a band determine where single materials are not: means over groups of them.
 
-What each band of an answer determines: means of materials, and shares of the absorption.
-
-What the data of a band determine and what they leave open, in words.
-
-How much of the room's absorption each material contributes.
-
-What the data of a band leave open: groups of materials that can change without being noticed.
+Groups whose absorptions can be exchanged without being noticed, the shares of the materials in the
+room's absorption, and all of it in one sentence a band.
 """
 
 from __future__ import annotations
@@ -31,7 +26,7 @@ def absorption_shares(
     """Return the share of each material in the sum of absorption areas, with its 95 % interval.
 
     ``A_i / sum A`` with ``A_i = alpha_i S_i``; the air is left out. Errors of two materials that
-    the data know only together go against each other, so that no interval can be had from those of
+    the data determine only together are opposite, so that no interval can be had from those of
     the coefficients.
 
     Parameters
@@ -69,7 +64,7 @@ def _shares(parts: FloatArray) -> FloatArray:
     return np.asarray(np.divide(parts, total, out=np.zeros_like(parts), where=total > 0.0))
 
 
-# A direction of which the data leave this share of what was beforehand is not in the data.
+# A direction of which the data leave this share of the prior spread is not in the data.
 OPEN_SHARE = 0.8
 # Of a projector's entries: what a material must take part in a direction to be named with it.
 _TAKES_PART = 0.1
@@ -78,48 +73,32 @@ _LOOSE_ENDS = 0.5
 
 @dataclass(frozen=True, slots=True)
 class Undetermined:
-    """Materials whose absorptions can be exchanged for each other as far as the data can tell.
+    """Materials whose absorptions can be exchanged for each other without effect on the data."""
 
-    Attributes
-    ----------
-    materials : tuple of int
-        In rising order.
-    directions : int
-        How many independent ways there are to change them unnoticed: as many as materials where
-        nothing is known of any, one less where only one mean of all of them is known.
-    against : bool
-        Whether more of one goes with less of another.
-    """
-
-    materials: tuple[int, ...]
+    materials: tuple[int, ...]  # in rising order
+    # how many independent ways there are to change them unnoticed: as many as materials where
+    # nothing is known of any, one less where only one mean of all of them is known
     directions: int
-    against: bool
+    against: bool  # whether more of one is compensated by less of another
 
     @property
     def all_undetermined(self) -> bool:
-        """Whether the data say nothing of any of these materials."""
+        """Whether the data determine nothing of any of these materials."""
         return self.directions >= len(self.materials)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Difference:
-    """The absorption of one material less that of another.
+    """The absorption of one material less that of another."""
 
-    Attributes
-    ----------
-    weights : float array, shape (n_materials,)
-        1, -1 and zeros: the first is the one that absorbs more at the answer.
-    value, lower95, upper95 : float
-        -1 to 1; the value is not below 0.
-    determined : bool
-        Whether the data at least halve what was unknown of it beforehand, and it is known within
-        10 % of the larger of both.
-    """
-
+    # (n_materials,), 1, -1 and zeros: the first is the one that absorbs more at the answer
     weights: FloatArray
+    # value, lower95, upper95: -1 to 1; the value is not below 0
     value: float
     lower95: float
     upper95: float
+    # whether the data at least halve its prior spread, and it is known within 10 %
+    # of the larger of both
     determined: bool
 
 
@@ -134,7 +113,7 @@ def information_directions(
     Parameters
     ----------
     covariance_logit : float array, shape (n_materials, n_materials)
-        Zeros where an absorption is held, equal rows where two are tied.
+        Zeros where an absorption is fixed, equal rows where two are tied.
     prior_logit_sd : float array, shape (n_materials,)
 
     Returns
@@ -207,41 +186,30 @@ def _connected(linked: BoolArray) -> list[list[int]]:
 
 # A combination counts as determined where its 95 % interval reaches this far to either side ...
 WITHIN = 0.1
-# ... and where the data, not the prior, say so.
+# ... and where the data, not the prior, make it so.
 _SHARE_OF_PRIOR = 0.5
 # Places the ends of an interval within a third of a percent of probability.
 N_DRAWS = 2048
 _ALIKE = 0.1
-# All differences of more materials would be a list that nobody reads.
+# All differences of more materials would be too long a list.
 _MOST_APART = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Combination:
-    """A mean of absorptions, weighed by area.
+    """A mean of absorptions, weighed by area."""
 
-    Attributes
-    ----------
-    weights : float array, shape (n_materials,)
-        0 or more, sum 1: the area of each material of the group over that of the group.
-    value : float
-        At the answer.
-    lower95, upper95 : float
-        Quantiles of the posterior, or the value where it lies outside of them.
-    sd : float
-        Standard deviation of the posterior.
-    determined : bool
-        Whether its interval is narrow and the data, not the prior, made it so.
-    differences : tuple of Difference
-        Between materials of this group, and of no smaller one, that the data leave open together.
-    """
-
+    # (n_materials,), 0 or more, sum 1: the area of each material of the group over that of the
+    # group
     weights: FloatArray
-    value: float
+    value: float  # at the answer
+    # lower95, upper95: quantiles of the posterior, or the value where it lies outside of them
     lower95: float
     upper95: float
-    sd: float
+    sd: float  # standard deviation of the posterior
+    # whether its interval is narrow and the data, not the prior, made it so
     determined: bool = True
+    # between materials of this group, and of no smaller one, that the data leave open together
     differences: tuple[Difference, ...] = ()
 
     @property
@@ -266,7 +234,7 @@ def find_combinations(
     Always first: the mean over the whole room. Then materials that are not determined each by
     itself are put together, always the two groups whose common mean is then known best, until the
     mean of a group is determined: its 95 % interval within `within` of its value on either side,
-    and its spread at most half of what it was beforehand. Groups that never get there are left
+    and its spread at most half of its prior. Groups that never get there are left
     out.
 
     Parameters
@@ -275,10 +243,10 @@ def find_combinations(
     absorption : float array, shape (n_materials,)
         The answer of one band.
     covariance_logit : float array, shape (n_materials, n_materials)
-        Posterior covariance of logit absorption, positive semi-definite: zeros where it is held,
+        Posterior covariance of logit absorption, positive semi-definite: zeros where it is fixed,
         equal rows where two materials are tied.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
-        Of logit absorption beforehand.
+        Prior of logit absorption.
     rng : numpy.random.Generator
     within : float
         Above 0.
@@ -337,7 +305,7 @@ def find_combinations(
             groups.append(found)
         else:
             loose.append((*one, *other))
-    # a group that is nearly the whole room says the same a second time
+    # a group that is nearly the whole room repeats it
     kept = (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
     left_open = undetermined_groups(covariance, prior_sd)
     return _with_differences(kept, _differences(left_open, a, drawn, prior_draws_of_group, within))
@@ -376,7 +344,7 @@ def _differences(
 def _with_differences(
     kept: tuple[Combination, ...], differences: list[Difference]
 ) -> tuple[Combination, ...]:
-    """Put each difference to the smallest group that holds both of its materials."""
+    """Assign each difference to the smallest group that has both of its materials."""
     out = list(kept)
     for difference in differences:
         holding = [
@@ -470,20 +438,14 @@ def _names(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Determined:
-    """What the bands of an answer determine, where single materials may not be.
+    """What the bands of an answer determine, where single materials may not be."""
 
-    Attributes
-    ----------
-    combinations : tuple of tuples of Combination, one a band
-        That of the whole room first.
-    sentences : tuple of str, one a band
-        What is known of groups and what is left open; empty where every material is determined.
-    shares : float array, shape (3, n_materials, n_bands)
-        Share of each material in the room's absorption, its lower and its upper 95 % bound.
-    """
-
-    combinations: tuple[tuple[Combination, ...], ...]
+    combinations: tuple[tuple[Combination, ...], ...]  # one a band, that of the whole room first
+    # one a band, what is known of groups and what is left open; empty where every material is
+    # determined
     sentences: tuple[str, ...]
+    # (3, n_materials, n_bands), share of each material in the room's absorption, its lower and its
+    # upper 95 % bound
     shares: FloatArray
 
 
@@ -495,6 +457,7 @@ def determined(
     areas_m2: FloatArray,
     seed: int,
     samples: Sequence[FloatArray | None] = (),
+    specified: BoolArray | None = None,
 ) -> Determined:
     """Return what every band determines.
 
@@ -505,15 +468,16 @@ def determined(
         See `band_combinations`.
     samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
         Draws of absorption where the posterior was sampled.
+    specified : bool array, shape (n_materials,), optional
+        Whose prior was specified; see `roomfit.uncertainty.posterior.band_draws`.
     """
     combinations, sentences, shares = [], [], []
     for band, covariance in enumerate(logit_covariance):
         a, prior = absorption[:, band], logit_prior[:, :, band]
         drawn = samples[band] if band < len(samples) else None
         if drawn is None:
-            drawn = band_draws(
-                a, covariance, prior[0], prior[1], N_DRAWS, np.random.default_rng(seed)
-            )
+            rng = np.random.default_rng(seed)
+            drawn = band_draws(a, covariance, prior[0], prior[1], N_DRAWS, rng, specified=specified)
         rng = np.random.default_rng(seed)
         found = find_combinations(areas_m2, a, covariance, prior[0], prior[1], rng, draws=drawn)
         combinations.append(found)
@@ -539,7 +503,7 @@ def band_combinations(
         Of logit absorption between 0 and 1, whatever the bounds of the fit; see
         `roomfit.uncertainty.posterior.plain_logit_covariance`.
     logit_prior : float array, shape (2, n_materials, n_bands)
-        Mean and standard deviation of logit absorption beforehand.
+        Prior mean and standard deviation of logit absorption.
     areas_m2 : float array, shape (n_materials,)
     seed : int
     """

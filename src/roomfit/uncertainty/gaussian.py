@@ -1,10 +1,9 @@
-"""Gaussian intervals of a fit, in the free numbers, carried over to physical values.
+"""Gaussian intervals of a band's fit, in the free numbers, carried over to absorption.
 
-Errors that all data of a band share, in the covariance of its answer.
-
-Variances of single windows know how far each of them may be off, and not that all are off together.
-Such errors hardly show in what a fit leaves over, for the answer follows them, and the sums that
-data determine best, as the mean absorption of the room, are moved by them most of all.
+Errors that all data of a band share are added to the covariance: variances of single windows know
+how far each of them may be off, and not that all are off together. Such errors hardly show in the
+residuals, for the answer follows them, and they move most of all the sums that data determine best,
+as the mean absorption of the room.
 """
 
 from __future__ import annotations
@@ -15,12 +14,13 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit.certified.certificate import Certificate
+from roomfit.logit import Z95, expit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
     Block,
     Parameters,
+    absorption_of,
     leaders,
     physical_values,
     position_of,
@@ -28,37 +28,56 @@ from roomfit.objective.parameters import (
     to_physical,
 )
 from roomfit.objective.problem import BandProblem
+from roomfit.solvers.certificate import Certificate
+from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import BoolArray, FloatArray, Progress
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 WIDEST_IDENTIFIABLE = 0.2
 LARGEST_CHI2_REDUCED = 2.0
 # Data whose information is below this share of the prior's narrow its interval by less than 5 %.
 _INFORMATION_SHARE = 0.1
 
 
+def is_identifiable(
+    chi2_reduced: float,
+    lower95: FloatArray,
+    upper95: FloatArray,
+    sd: FloatArray,
+    prior_sd: FloatArray,
+) -> BoolArray:
+    """Return which absorptions the data determine, shape (n_materials,).
+
+    Reduced chi-square at most 2, 95 % interval no wider than 0.2 in absorption, and a posterior
+    standard deviation in the logit at most half the prior's. Absorptions that are fixed are not
+    asked for: they count as identifiable.
+
+    Parameters
+    ----------
+    chi2_reduced : float
+    lower95, upper95 : float arrays, shape (n_materials,)
+        In absorption.
+    sd, prior_sd : float arrays, shape (n_materials,)
+        In the logit.
+    """
+    return np.asarray(
+        (chi2_reduced <= LARGEST_CHI2_REDUCED)
+        & (upper95 - lower95 <= WIDEST_IDENTIFIABLE)
+        & (sd <= 0.5 * prior_sd)
+    )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsorptionIntervals:
-    """Absorption of every material in one band with its 95 % interval.
+    """Absorption of every material in one band with its 95 % interval."""
 
-    Attributes
-    ----------
-    absorption, lower95, upper95 : float arrays, shape (n_materials,)
-    identifiable : bool array, shape (n_materials,)
-        phi at most 2, interval no wider than 0.2, and a standard deviation at most half the
-        prior's. A material that was given and held fixed counts as identifiable with a width of 0.
-    covariance : float array, shape (n_free, n_free)
-        Of the free vector, misfit included.
-    """
-
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials,), and so the next three
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray
-    covariance: FloatArray
+    identifiable: BoolArray  # by `is_identifiable`; True where an absorption is fixed
+    covariance: FloatArray  # (n_free, n_free), of the free vector, misfit included
 
 
 def absorption_intervals(
@@ -68,29 +87,26 @@ def absorption_intervals(
 
     The covariance is the inverse information times max(phi, 1): a misfit widens every interval.
     These are local, Gaussian intervals: they know nothing of a second minimum, and near absorption
-    0 or 1 their true coverage is not 95 %. A material of which the data tell nothing, even if all
-    others were known, has the interval 0 to 1.
+    0 or 1 their true coverage is not 95 %. A material of which the data determine nothing, even if
+    all others were known, has the interval 0 to 1.
     """
     covariance = np.linalg.inv(information) * max(chi2_reduced, 1.0)
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     n = int(np.count_nonzero(block.fitted))
     first = position_of(parameters, "absorption")
     sd: FloatArray = np.zeros(len(block.labels))
     sd[block.fitted] = np.sqrt(np.diag(covariance)[first : first + n])
-    free = _free_values(block, vector[first : first + n])
+    free = np.zeros(len(block.labels))
+    free[block.fitted] = vector[first : first + n]
     values, _ = physical_values(parameters, vector)
     absorption = values["absorption"]
     lower, upper = (
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
-        for z in (-_Z95, _Z95)
+        for z in (-Z95, Z95)
     )
     uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
-    sure = (
-        (chi2_reduced <= LARGEST_CHI2_REDUCED)
-        & (upper - lower <= WIDEST_IDENTIFIABLE)
-        & (sd <= 0.5 * block.prior_sd)
-    )
+    sure = is_identifiable(chi2_reduced, lower, upper, sd, block.prior_sd)
     leader = leaders(block)
     return AbsorptionIntervals(
         absorption,
@@ -117,14 +133,14 @@ def weighted_mean_interval(
     """
     values, slopes = physical_values(parameters, vector)
     mean = float(weights @ values["absorption"])
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     n = int(np.count_nonzero(block.fitted))
     first = position_of(parameters, "absorption")
     whole = np.bincount(leaders(block), weights * slopes["absorption"], len(block.labels))
     gradient = whole[block.fitted]
     part = covariance[first : first + n, first : first + n]
     sd = float(np.sqrt(gradient @ part @ gradient))
-    return mean, max(mean - _Z95 * sd, 0.0), min(mean + _Z95 * sd, 1.0)
+    return mean, max(mean - Z95 * sd, 0.0), min(mean + Z95 * sd, 1.0)
 
 
 def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
@@ -133,12 +149,6 @@ def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
     prior = 1.0 / block.prior_sd[block.fitted] ** 2
     excess_information[block.fitted] = information - prior - _INFORMATION_SHARE * prior
     return np.asarray(excess_information <= 0.0)
-
-
-def _free_values(block: Block, fitted: FloatArray) -> FloatArray:
-    free = np.zeros(len(block.labels))
-    free[block.fitted] = fitted
-    return free
 
 
 def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> FloatArray:
@@ -184,97 +194,56 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
-    """Where least squares from random starts ended.
+    """Where least squares from random starts ended."""
 
-    Attributes
-    ----------
-    number : int
-        Of random starts.
-    agreeing : int
-        How many of them ended within the interval of the best.
-    other : float array, shape (n_materials,), or None
-        The likeliest absorption outside of it that explains the data alike.
-    loss : float
-        By how much its log-likelihood, prior included, is lower.
-    """
-
-    number: int
-    agreeing: int
-    other: FloatArray | None
-    loss: float
+    number: int  # of random starts
+    agreeing: int  # of them, within the interval of the best
+    other: FloatArray | None  # (n_materials,), the likeliest outside of it that explains data alike
+    loss: float  # by how much its log-likelihood, prior included, is lower
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MirrorTrial:
-    """Where a second fit ended that began with absorptions exchanged by a symmetry.
+    """Where a second fit ended that began with absorptions exchanged by a symmetry."""
 
-    Attributes
-    ----------
-    absorption : float array, shape (n_materials,)
-    gain : float
-        Its log-likelihood less that of the first fit.
-    """
-
-    absorption: FloatArray
-    gain: float
+    absorption: FloatArray  # (n_materials,)
+    gain: float  # its log-likelihood less that of the first fit
+    evaluations: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class BandAnswer:
-    """What one band's fit says of the walls.
+    """Absorption of the materials in one band."""
 
-    Attributes
-    ----------
-    absorption, lower95, upper95 : float arrays, shape (n_materials,)
-    identifiable : bool array, shape (n_materials,)
-    logit_mean : float array, shape (n_materials,)
-        Logit of the absorption.
-    logit_covariance : float array, shape (n_materials, n_materials)
-        Its posterior covariance, misfit included; zeros where an absorption is held.
-    mean : tuple of three floats
-        Area-weighted mean absorption, its lower and its upper 95 % bound.
-    chi2_reduced, cost : float
-        Zeros where nothing was fitted.
-    evaluations : int
-    converged : bool
-    model : str
-        "energy", "coherent", "values", or "prior" where nothing was fitted.
-    directivity : tuple of float arrays (n,) and (n, n), or None
-        Free numbers of the sources' unknown directivity and their covariance, misfit included.
-    kinds : tuple of str
-        How each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
-        data tell nothing; empty: all Gaussian.
-    profiles : tuple of Profile
-        Of the absorptions that were looked at, `entry` counting materials.
-    samples : float array, shape (n_draws, n_materials), or None
-        Absorption drawn from the posterior, where that was asked for and came to rest.
-    sampling : Sampled or None
-        How the samples came about.
-    mirrors : tuple of MirrorTrial, one a symmetry
-    starts : Starts or None
-        Where least squares from random starts ended, where they were tried.
-    """
-
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials,), and so the next four
     lower95: FloatArray
     upper95: FloatArray
     identifiable: BoolArray
-    logit_mean: FloatArray
+    logit_mean: FloatArray  # logit of the absorption
+    # (n_materials, n_materials), its posterior, misfit included; zeros where absorption is fixed
     logit_covariance: FloatArray
-    mean: tuple[float, float, float]
-    chi2_reduced: float
+    mean: tuple[float, float, float]  # area-weighted mean absorption and its 95 % interval
+    chi2_reduced: float  # 0 where nothing was fitted, and so the cost
     cost: float
-    evaluations: int
-    converged: bool
-    model: str
+    evaluations: int  # of the model with its derivative: fits, starts, profiles, samples
+    ending: Ending
+    model: str  # "energy", "coherent", "values", or "prior" where nothing was fitted
+    # free numbers of the sources' unknown directivity, (n,), and their covariance, misfit included
     directivity: tuple[FloatArray, FloatArray] | None = None
     certificate: Certificate | None = None
+    # how each interval was made: "gaussian", "profile", "sampled", "given", or "none" where the
+    # data determine nothing; empty: all Gaussian
     kinds: tuple[str, ...] = ()
-    profiles: tuple[Profile, ...] = ()
-    samples: FloatArray | None = None
+    profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
+    samples: FloatArray | None = None  # (n_draws, n_materials), of a posterior that converged
     sampling: Sampled | None = None
-    mirrors: tuple[MirrorTrial, ...] = ()
-    starts: Starts | None = None
+    mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
+    starts: Starts | None = None  # where random starts were tried
+
+    @property
+    def converged(self) -> bool:
+        """Whether the fit met its test of convergence."""
+        return self.ending.converged
 
 
 Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
@@ -285,12 +254,12 @@ SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
 def band_answer(
     parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
 ) -> BandAnswer:
-    """Return what one band's fit says of each material and of the room as a whole."""
+    """Return one band's absorption of each material and of the room as a whole."""
     found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
     mean = weighted_mean_interval(
         parameters, fit.vector, found.covariance, areas_m2 / areas_m2.sum()
     )
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     own: FloatArray = np.zeros((areas_m2.size, areas_m2.size))
     fitted = np.flatnonzero(block.fitted)
     first = position_of(parameters, "absorption")
@@ -309,7 +278,7 @@ def band_answer(
         fit.chi2_reduced,
         fit.cost,
         fit.evaluations,
-        fit.converged,
+        fit.ending,
         model,
         _directivity(parameters, fit.vector, found.covariance),
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
@@ -338,13 +307,13 @@ def _directivity(
 def prior_only_band(
     priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
 ) -> BandAnswer:
-    """Return what is left of a band without data: what was known beforehand, and no more."""
+    """Return the answer of a band without data: the prior, with the interval 0 to 1."""
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
-    logit = np.array([k.prior_logit_mean[band] for k in priors])
+    free = np.array([k.prior_logit_mean[band] for k in priors])
     lower = np.array([k.lower for k in priors])
     upper = np.array([k.upper for k in priors])
-    expected = lower + (upper - lower) / (1.0 + np.exp(-logit))
+    expected = lower + (upper - lower) * expit(free)
     absorption = np.where(fixed, known, expected)
     least, most = np.where(fixed, known, 0.0), np.where(fixed, known, 1.0)
     share = areas_m2 / areas_m2.sum()
@@ -354,13 +323,13 @@ def prior_only_band(
         least,
         most,
         fixed,
-        logit,
+        free,
         np.diag(sd**2),
         (float(share @ absorption), float(share @ least), float(share @ most)),
         0.0,
         0.0,
         0,
-        True,
+        Ending.CONVERGED,
         "prior",
         kinds=_kinds(least, most, ~fixed),
     )

@@ -1,4 +1,4 @@
-"""Intervals of a fitted band where a Gaussian does not do: profiles, samples; and mirror images."""
+"""Intervals of a fitted band where a Gaussian does not suffice: profiles and samples."""
 
 from __future__ import annotations
 
@@ -7,9 +7,10 @@ from typing import Literal
 
 import numpy as np
 
+from roomfit.logit import Z95, expit, logit
 from roomfit.objective.parameters import (
-    Block,
     Parameters,
+    absorption_of,
     leaders,
     physical_values,
     position_of,
@@ -19,41 +20,25 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
-from roomfit.uncertainty.gaussian import (
-    LARGEST_CHI2_REDUCED,
-    WIDEST_IDENTIFIABLE,
-    BandAnswer,
-    MirrorTrial,
-)
-from roomfit.uncertainty.posterior import logit
+from roomfit.uncertainty.gaussian import BandAnswer, MirrorTrial, is_identifiable
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 # A profile never narrows either side of an interval, in the logit, to less than this of the
-# Gaussian's: a skew likelihood halves a side at most in every case looked at, and what asks for
-# more is rather an error of the weights that are held.
+# Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
+# more is rather an error of the weights.
 LEAST_SIDE = 0.5
 _DRAWS_KEPT = 2048
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Refinement:
-    """What is done to every band after its fit.
-
-    Attributes
-    ----------
-    intervals : {"gaussian", "profile", "posterior"}
-    areas_m2 : float array, shape (n_materials,)
-    seed : int
-    exchanges : tuple of int arrays, shape (n_materials,)
-        Of materials, by a symmetry of room and positions: fitted a second time from there.
-    sampling : SamplingSettings, optional
-    """
+    """What is done to every band after its fit."""
 
     intervals: Literal["gaussian", "profile", "posterior"]
-    areas_m2: FloatArray
+    areas_m2: FloatArray  # (n_materials,)
     seed: int
+    # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
     sampling: SamplingSettings | None = None
 
@@ -68,15 +53,20 @@ class Refinement:
         if fit.vector.size == 0:
             return answer
         trials = tuple(_mirrored(problem, fit, exchange) for exchange in self.exchanges)
-        answer = replace(answer, mirrors=trials)
+        evaluations = answer.evaluations + sum(t.evaluations for t in trials)
+        answer = replace(answer, mirrors=trials, evaluations=evaluations)
         if self.intervals == "profile":
             return profiled(problem, fit, answer)
         if self.intervals == "posterior":
             rng = np.random.default_rng(self.seed)
             law = log_posterior(problem, fit)
-            found = sample(law, surrogate(law, fit), rng, self.sampling, progress=progress)
+            near = surrogate(law, fit)
+            found = sample(law, near, rng, self.sampling, progress=progress)
+            # the curvature of the surrogate's windows takes one prediction an unknown, and one more
+            more = 0 if near.windows is None else 1 + near.centre.size
+            answer = replace(answer, evaluations=answer.evaluations + more)
             first = position_of(problem.parameters, "absorption")
-            fitted = np.flatnonzero(_absorption(problem.parameters).fitted)
+            fitted = np.flatnonzero(absorption_of(problem.parameters).fitted)
             beyond = _beyond_fit(fit, answer, first, fitted)
             return sampled(problem.parameters, found, answer, self.areas_m2, beyond)
         return answer
@@ -85,11 +75,11 @@ class Refinement:
 def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnswer:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
-    Weights are held. An interval of 0 to 1, where the data say nothing, stays as it is. What the
-    Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added to
-    either side as one more standard deviation.
+    Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
+    the Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added
+    to either side as one more standard deviation.
     """
-    block = _absorption(problem.parameters)
+    block = absorption_of(problem.parameters)
     first, fitted = position_of(problem.parameters, "absorption"), np.flatnonzero(block.fitted)
     free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
@@ -103,17 +93,16 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
         found.append(replace(line, entry=int(own)))
         if line.gaussian:
             continue
-        ends, at, least = np.array(free), free[own], LEAST_SIDE * _Z95 * sd[own]
-        ends[own] = at - max(np.hypot(at - line.lower, _Z95 * more[number]), least)
+        ends, at, least = np.array(free), free[own], LEAST_SIDE * Z95 * sd[own]
+        ends[own] = at - max(np.hypot(at - line.lower, Z95 * more[number]), least)
         lower[own] = to_physical(block, ends)[0][own]
-        ends[own] = at + max(np.hypot(line.upper - at, _Z95 * more[number]), least)
+        ends[own] = at + max(np.hypot(line.upper - at, Z95 * more[number]), least)
         upper[own] = to_physical(block, ends)[0][own]
         kinds[own] = "profile"
     leader = leaders(block)
     lower, upper = lower[leader], upper[leader]
     fixed = ~block.fitted[leader]
-    sure = (answer.chi2_reduced <= LARGEST_CHI2_REDUCED) & (upper - lower <= WIDEST_IDENTIFIABLE)
-    sure &= sd <= 0.5 * block.prior_sd[leader]
+    sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, block.prior_sd[leader])
     return replace(
         answer,
         lower95=lower,
@@ -121,6 +110,7 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
         identifiable=sure | fixed,
         kinds=tuple(kinds[i] for i in leader),
         profiles=tuple(found),
+        evaluations=answer.evaluations + sum(p.evaluations for p in found),
     )
 
 
@@ -147,16 +137,17 @@ def sampled(
 ) -> BandAnswer:
     """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
 
-    Where the walkers did not come to rest the Gaussian answer stays, with `sampling` telling so.
+    Where the walkers did not converge the Gaussian answer stays, and `sampling` says so.
 
     Parameters
     ----------
     beyond : float array, shape (n_fitted, n_fitted), optional
-        Covariance of the logits that the sampled law does not know of; samples are scattered by it.
+        Covariance of the logits that the sampled law does not include; samples are scattered by it.
     """
+    answer = replace(answer, evaluations=answer.evaluations + found.evaluations)
     if not found.converged:
         return replace(answer, sampling=found)
-    block = _absorption(parameters)
+    block = absorption_of(parameters)
     first, fitted = position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
     chosen = np.linspace(0, len(found.draws) - 1, min(_DRAWS_KEPT, len(found.draws))).astype(int)
     draws = np.tile(answer.absorption, (len(found.draws), 1))
@@ -166,7 +157,7 @@ def sampled(
         size, directions = np.linalg.eigh(beyond)
         root = directions * np.sqrt(np.maximum(size, 0.0))
         free = free + np.random.default_rng(1).standard_normal(free.shape) @ root.T
-    draws[:, fitted] = low + (high - low) * 0.5 * (1.0 + np.tanh(0.5 * free))
+    draws[:, fitted] = low + (high - low) * expit(free)
     draws = draws[:, leaders(block)]
     lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
     own = np.zeros((areas_m2.size, areas_m2.size))
@@ -176,8 +167,8 @@ def sampled(
     unspecified = (answer.lower95 == 0.0) & (answer.upper95 == 1.0) & ~fixed
     lower, upper = np.where(unspecified, 0.0, lower), np.where(unspecified, 1.0, upper)
     covariance = own[np.ix_(leader, leader)]
-    sure = (answer.chi2_reduced <= LARGEST_CHI2_REDUCED) & (upper - lower <= WIDEST_IDENTIFIABLE)
-    sure &= np.sqrt(np.diag(covariance)) <= 0.5 * block.prior_sd[leader]
+    sd = np.sqrt(np.diag(covariance))
+    sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, block.prior_sd[leader])
     means = draws @ (areas_m2 / areas_m2.sum())
     middle = (float(np.quantile(means, q)) for q in (0.5, 0.025, 0.975))
     return replace(
@@ -197,15 +188,12 @@ def sampled(
 
 def _mirrored(problem: BandProblem, fit: BandFit, exchange: IntArray) -> MirrorTrial:
     """Return where a second fit ends that begins with the absorptions exchanged."""
-    block = _absorption(problem.parameters)
+    block = absorption_of(problem.parameters)
     values, _ = physical_values(problem.parameters, fit.vector)
     start, first = np.array(fit.vector), position_of(problem.parameters, "absorption")
     free = to_free(block, values["absorption"][exchange])[block.fitted]
     start[first : first + free.size] = free
     other = score_band(problem, start)
     there, _ = physical_values(problem.parameters, other.vector)
-    return MirrorTrial(there["absorption"], other.log_likelihood - fit.log_likelihood)
-
-
-def _absorption(parameters: Parameters) -> Block:
-    return next(b for b in parameters.blocks if b.name == "absorption")
+    gain = other.log_likelihood - fit.log_likelihood
+    return MirrorTrial(there["absorption"], gain, other.evaluations)

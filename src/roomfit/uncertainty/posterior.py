@@ -1,9 +1,4 @@
-"""Absorption as it is known after a fit.
-
-Random draws of absorption as it is known after a fit.
-
-Draws of absorption that stay where the data are, however far the prior lets them go.
-"""
+"""Absorption after a fit, and random draws of it that stay where the data are."""
 
 from __future__ import annotations
 
@@ -13,47 +8,41 @@ from types import MappingProxyType
 
 import numpy as np
 
-from roomfit._checks import float_array, unique_names
+from roomfit._checks import bool_array, float_array, read_only, unique_names
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.findings import Finding
+from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
+from roomfit.response.directivity import Directivity, FirstOrder, FirstOrderBands
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
-_Z95 = 1.959963984540054  # standard normal, 97.5 %
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
 _SMALLEST = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AbsorptionPosterior:
-    """Absorption of every material in every band, and how sure one can be of it.
-
-    Attributes
-    ----------
-    materials : tuple of str
-    bands : Bands
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        0 to 1.
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-        Of logit absorption. A material with a variance of 0 is held at its absorption.
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials, n_bands), or None
-        What was known of logit absorption beforehand; it tells the data's part of the covariance.
-    scattering : float array, shape (n_materials, n_bands), or None
-        What the walls were taken to scatter when the absorption was found.
-    directivities : mapping of source to float array, shape (n_bands, 3), or None
-        Vectors b of the sources whose first-order directivity was found along with it.
-    """
+    """Absorption of every material in every band with its uncertainty."""
 
     materials: tuple[str, ...]
     bands: Bands
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands), 0 to 1, and so the next two
     lower95: FloatArray
     upper95: FloatArray
+    # (n_bands, n_materials, n_materials), of logit absorption; variance 0: absorption is fixed
     logit_covariance: FloatArray
+    # (n_materials, n_bands), prior of logit absorption: it gives the data's part of the covariance
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
+    # (n_materials, n_bands), with which absorption was found; a row of NaN where unspecified
     scattering: FloatArray | None = None
-    directivities: Mapping[str, FloatArray] | None = None
+    # by source, those that are not omnidirectional, in these bands
+    directivities: Mapping[str, Directivity] | None = None
+    chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
+    # (n_materials,), whether the prior was specified; None: unknown
+    prior_specified: BoolArray | None = None
+    findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
@@ -61,12 +50,18 @@ class AbsorptionPosterior:
         for name in ("absorption", "lower95", "upper95"):
             values = float_array(name, getattr(self, name), (n, m), low=0.0, high=1.0)
             object.__setattr__(self, name, values)
-        limits = {"prior_logit_mean": -50.0, "prior_logit_sd": 0.0, "scattering": 0.0}
-        for name, low in limits.items():
+        for name, low in (("prior_logit_mean", -50.0), ("prior_logit_sd", 0.0)):
             value = getattr(self, name)
             if value is not None:
-                high = 1.0 if name == "scattering" else 50.0
-                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=high))
+                object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=50.0))
+        if self.scattering is not None:
+            object.__setattr__(self, "scattering", _scattering(self.scattering, (n, m)))
+        if self.chi2_reduced is not None:
+            misfit = float_array("reduced chi-square", self.chi2_reduced, (m,), low=0.0)
+            object.__setattr__(self, "chi2_reduced", misfit)
+        if self.prior_specified is not None:
+            flags = bool_array("prior_specified", self.prior_specified, (n,))
+            object.__setattr__(self, "prior_specified", flags)
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -80,11 +75,30 @@ class AbsorptionPosterior:
                 needed="a symmetric matrix per band without negative eigenvalues",
             )
         object.__setattr__(self, "logit_covariance", covariance)
-        found = {
-            name: float_array(f"directivity of {name}", b, (m, 3), low=-1e3, high=1e3)
-            for name, b in (self.directivities or {}).items()
-        }
-        object.__setattr__(self, "directivities", MappingProxyType(found))
+        for name, directivity in (self.directivities or {}).items():
+            found = _n_bands(directivity)
+            if found not in (None, m):
+                raise InputError(
+                    f"the directivity of {name} is of other bands than the absorption",
+                    found=f"{found} bands",
+                    needed=f"{m}",
+                )
+        object.__setattr__(self, "directivities", MappingProxyType(dict(self.directivities or {})))
+
+
+def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
+    """Check coefficients; NaN, for unspecified, passes where it fills a row."""
+    unspecified = np.isnan(np.asarray(values, dtype=np.float64)).all(axis=-1, keepdims=True)
+    float_array("scattering", np.where(unspecified, 0.0, values), shape, low=0.0, high=1.0)
+    return read_only(np.array(values, dtype=np.float64))
+
+
+def _n_bands(directivity: Directivity) -> int | None:
+    if isinstance(directivity, FirstOrder):
+        return None
+    if isinstance(directivity, FirstOrderBands):
+        return len(directivity.b)
+    return len(directivity.centres_hz)
 
 
 def covariance_from_intervals(
@@ -92,9 +106,9 @@ def covariance_from_intervals(
 ) -> FloatArray:
     """Return a covariance of logit absorption from 95 % intervals alone: independent materials.
 
-    The sides of an interval are averaged in logit; a side at 0 or 1 says nothing. Where neither
-    says anything, the spread of the broad prior, 1.5, stands. Without the correlation between
-    materials, which a decay determines together, predictions come out less sure than they are.
+    The sides of an interval are averaged in logit; a side at 0 or 1 is open. Where both
+    are, the spread of the broad prior, 1.5, stands. Without the correlation between
+    materials, which a decay determines together, intervals of predictions come out too wide.
 
     Parameters
     ----------
@@ -105,7 +119,7 @@ def covariance_from_intervals(
     float array, shape (n_bands, n_materials, n_materials)
     """
     middle = logit(absorption)
-    sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / _Z95
+    sides = np.array([middle - logit(lower95), logit(upper95) - middle]) / Z95
     # five digits in a table: what is written as 0.00000 may have been a small interval's end
     is_bounded = np.array([lower95 > 0.0, upper95 < 1.0])
     count = is_bounded.sum(axis=0)
@@ -113,12 +127,6 @@ def covariance_from_intervals(
     sd = np.where(count > 0, np.maximum(mean, 0.0), DEFAULT_LOGIT_SD)
     sd = np.where(lower95 == upper95, 0.0, sd)
     return np.asarray(np.stack([np.diag(column**2) for column in sd.T]))
-
-
-def logit(absorption: FloatArray) -> FloatArray:
-    """Return ``log(a / (1 - a))``, a kept a millionth away from 0 and 1."""
-    a = np.clip(absorption, _SMALLEST, 1.0 - _SMALLEST)
-    return np.asarray(np.log(a) - np.log1p(-a))
 
 
 def plain_logit_covariance(
@@ -161,10 +169,11 @@ def rto_draws(
     """Return draws of absorption from a fit's answer and covariance, shape (n_draws, n_materials).
 
     A decay determines sums of ``-log(1 - a)`` very well and their parts hardly. Draws that are
-    Gaussian in logit absorption leave such a sum as soon as they go far along it: in rooms of five
-    materials, seen by one decay within 3 %, their 95 % intervals of the mean absorption held the
-    truth in 30 of 100. Here what the data say is Gaussian in ``-log(1 - a)``, the exponents in
-    which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to 96.
+    Gaussian in logit absorption leave such a sum as soon as they move far along it: in rooms of
+    five materials, observed by one decay within 3 %, their 95 % intervals of the mean absorption
+    held the true value in 30 of 100. Here the likelihood is Gaussian in ``-log(1 - a)``, the
+    exponents in which a path's energy is linear, and only the prior is Gaussian in the logit: 93 to
+    96.
 
     Parameters
     ----------
@@ -176,7 +185,7 @@ def rto_draws(
     n_draws : int
     rng : numpy.random.Generator
     prior_sd_scale : float or float array, shape (n_materials,)
-        How many times as wide the prior of the draws is as that of the answer: what the data say
+        How many times as wide the prior of the draws is as that of the answer: the likelihood
         stays as it is.
 
     Notes
@@ -204,13 +213,13 @@ def rto_draws(
     perturbed = perturbed + antithetic_normals(n_draws, perturbed.size, rng)
     prior_sd = prior_sd_scale * prior_logit_sd
     centres = prior_logit_mean + prior_sd * antithetic_normals(n_draws, n, rng)
-    return _absorption(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
+    return expit(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
 
 
 def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers, shape (n_draws, n), the second half minus the first.
 
-    Mirrored draws take the linear part of their scatter out of every mean over them.
+    Antithetic draws take the linear part of their scatter out of every mean over them.
     """
     half = rng.standard_normal(((n_draws + 1) // 2, n))
     return np.concatenate((half, -half))[:n_draws]
@@ -235,7 +244,7 @@ def _most_likely(
     r = residuals(x)
     cost = np.sum(r**2, axis=1)
     for _ in range(_STEPS):
-        J = np.concatenate((R[None] * _absorption(x)[:, None, :], below), axis=1)
+        J = np.concatenate((R[None] * expit(x)[:, None, :], below), axis=1)
         H = np.swapaxes(J, 1, 2) @ J
         gradient = np.einsum("dij,di->dj", J, r)
         H[:, diagonal, diagonal] *= (1.0 + damping)[:, None]
@@ -254,11 +263,7 @@ def _exponent(x: FloatArray) -> FloatArray:
     return np.asarray(np.logaddexp(0.0, x))
 
 
-def _absorption(x: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
-
-
-# A prior that nobody told may as well be so many times as wide.
+# An unspecified prior may as well be so many times as wide.
 DEFAULT_PRIOR_SD_SCALE = 2.0
 
 
@@ -267,7 +272,7 @@ def draw_absorption(
 ) -> FloatArray:
     """Return draws of absorption, each band by itself.
 
-    Where the posterior tells what was known beforehand they stay where the data are (`band_draws`);
+    Where the posterior has its prior, draws stay where the data are (`band_draws`);
     without, they are Gaussian in logit absorption. Draws come in mirrored pairs.
 
     Parameters
@@ -280,7 +285,7 @@ def draw_absorption(
     Returns
     -------
     float array, shape (n_draws, n_materials, n_bands)
-        0 to 1; a held material keeps its absorption exactly.
+        0 to 1; a fixed material keeps its absorption exactly.
     """
     n = 2 * ((max(n_draws, 2) + 1) // 2)
     draws = np.empty((n, *posterior.absorption.shape))
@@ -290,7 +295,9 @@ def draw_absorption(
             draws[:, :, band] = _gaussian_draws(a, covariance, n, rng)
         else:
             mean, sd = posterior.prior_logit_mean[:, band], posterior.prior_logit_sd[:, band]
-            draws[:, :, band] = band_draws(a, covariance, mean, sd, n, rng)
+            draws[:, :, band] = band_draws(
+                a, covariance, mean, sd, n, rng, specified=posterior.prior_specified
+            )
     return draws
 
 
@@ -301,22 +308,26 @@ def band_draws(
     prior_logit_sd: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
+    *,
+    specified: BoolArray | None = None,
 ) -> FloatArray:
     """Return draws of one band that stay where the data are, shape (n_draws, n_materials).
 
-    The prior of a wall of which nobody told anything is a guess. In a room with many hard walls it
-    pulls them all one way, and then their sum lies farther off than its parts. The draws take such
-    a prior for up to twice as wide as the answer did: by as much as the data know of the wall.
+    The default prior of an unspecified wall is a guess. In a room with many hard walls it pulls
+    them all one way, and then their sum lies farther off than its parts. The draws take such a
+    prior for up to twice as wide as the answer did: by as much as the data know of the wall.
 
     Parameters
     ----------
     absorption : float array, shape (n_materials,)
     covariance_logit : float array, shape (n_materials, n_materials)
-        Positive semi-definite: zeros where absorption is held, equal rows where two materials are
+        Positive semi-definite: zeros where absorption is fixed, equal rows where two materials are
         tied to each other.
     prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
     n_draws : int
     rng : numpy Generator
+    specified : bool array, shape (n_materials,), optional
+        Whose prior was specified; without it, every prior that does not equal the default.
 
     See Also
     --------
@@ -328,12 +339,11 @@ def band_draws(
     if own.size:
         mean, sd = prior_logit_mean[own], prior_logit_sd[own]
         answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
-        # where the data say little a wider prior would let other walls go wherever they like
+        # where the data determine little a wider prior would leave other walls undetermined
         information_fraction = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
+        is_default = is_default_prior(mean, sd) if specified is None else ~specified[own]
         prior_sd_scale = np.where(
-            is_default_prior(mean, sd),
-            1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction,
-            1.0,
+            is_default, 1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction, 1.0
         )
         drawn = rto_draws(*answer, n_draws, rng, prior_sd_scale=prior_sd_scale)
         draws[:, ~fixed] = drawn[:, twin]
@@ -348,13 +358,13 @@ def prior_draws(
     n_draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
-    """Return draws from the prior alone, held and tied as in `band_draws`."""
+    """Return draws from the prior alone, fixed and tied as in `band_draws`."""
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
     own, twin = _own(absorption, covariance_logit, fixed)
     if own.size:
         noise = antithetic_normals(n_draws, own.size, rng)
-        drawn = _share(prior_logit_mean[own] + prior_logit_sd[own] * noise)
+        drawn = expit(prior_logit_mean[own] + prior_logit_sd[own] * noise)
         draws[:, ~fixed] = drawn[:, twin]
     return draws
 
@@ -364,12 +374,8 @@ def _gaussian_draws(
 ) -> FloatArray:
     size, direction = np.linalg.eigh(covariance)
     step = antithetic_normals(n_draws, size.size, rng) * np.sqrt(np.maximum(size, 0.0))
-    share = _share(logit(absorption) + step @ direction.T)
+    share = expit(logit(absorption) + step @ direction.T)
     return np.asarray(np.where(np.diag(covariance) == 0.0, absorption, share))
-
-
-def _share(x: FloatArray) -> FloatArray:
-    return np.asarray(0.5 * (1.0 + np.tanh(0.5 * x)))
 
 
 def _own(

@@ -1,7 +1,4 @@
-"""Profile likelihood: how far one absorption can go when all other unknowns follow.
-
-Ends of a profile likelihood when something else says something of the same unknown.
-"""
+"""Profile likelihood of one free number, all others fitted anew."""
 
 from __future__ import annotations
 
@@ -10,14 +7,14 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
+from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
-_Z95 = 1.959963984540054
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
-RISE95 = 0.5 * _Z95**2
+RISE95 = 0.5 * Z95**2
 # A Gaussian whose rise at its own ends is within this of what it promises is kept: its interval
 # would change by less than a tenth.
 _GAUSSIAN_ENOUGH = 0.2
@@ -26,47 +23,36 @@ _NARROW = 0.3
 _MOST_POINTS = 6
 # Of the rise: an end is found when it is this near, 4 % of half an interval.
 _NEAR = 0.08
-# Ends within this of each other, as the absorption of a logit, need not be told apart; nor within
-# this share of the whole side.
+# Ends within this of each other, as the absorption of a logit, need not be distinguished; nor
+# within this share of the whole side.
 _ALIKE, _ALIKE_SHARE = 0.004, 0.03
 # Logits beyond differ by less than a millionth in absorption.
 _FARTHEST = 14.0
 # A gain of this much by following is worth a second look at the point.
 _FAR_FROM_FOLLOWING = 1.0
-# Of a free number, a logit or a logarithm: where nothing is told of it a step has no limit.
+# Of a free number, a logit or a logarithm: where it is undetermined a step has no limit.
 _LONGEST_STEP = 3.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Profile:
-    """The cost along one unknown, all others re-fitted at every point.
+    """The cost along one unknown, all others re-fitted at every point."""
 
-    Attributes
-    ----------
-    entry : int
-        Of the free vector.
-    points : float array, shape (n_points,)
-        Free numbers at which it was computed, rising; the answer is among them.
-    rise : float array, shape (n_points,)
-        Cost above that of the answer, misfit taken out: 1.92 at the end of a 95 % interval.
-    lower, upper : float
-        Free numbers at which the rise is 1.92.
-    gaussian : bool
-        Whether the Gaussian interval was good enough; then its ends are these.
-    evaluations : int
-    """
-
-    entry: int
+    entry: int  # of the free vector
+    # (n_points,), free numbers at which it was computed, rising; the answer is among them
     points: FloatArray
+    # (n_points,), cost above that of the answer, misfit taken out: 1.92 at the end of a 95 %
+    # interval
     rise: FloatArray
+    # lower, upper: free numbers at which the rise is 1.92
     lower: float
     upper: float
-    gaussian: bool
+    gaussian: bool  # whether the Gaussian interval was good enough; then its ends are these
     evaluations: int
 
 
 def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
-    """Return how far one free number can go while all others follow, weights held.
+    """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
     what a Gaussian promises, within a fifth, these ends are kept. Otherwise they are moved until it
@@ -77,7 +63,7 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     ----------
     problem : BandProblem
     fit : BandFit
-        Its answer; its weights are held.
+        Its answer; its weights are kept.
     entry : int
         Of the free vector.
 
@@ -91,7 +77,7 @@ def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
     ends: list[float] = []
     found_bent = False
     for sign in (-1.0, 1.0):
-        there = sign * _Z95 * sd
+        there = sign * Z95 * sd
         off = line.rise(there) / RISE95 - 1.0
         if abs(off) > _GAUSSIAN_ENOUGH:
             found_bent = True
@@ -161,8 +147,8 @@ class _Line:
                 share = (aim - low[1]) / max(high[1] - low[1], 1e-12)
                 here = low[0] + min(max(share, 0.1), 0.9) * (high[0] - low[0])
             else:
-                slope = max(low[1] / max(abs(low[0]), 1e-12), 0.25 * aim / (_Z95 * self.sd))
-                step = min(max((aim - low[1]) / slope, 0.1 * self.sd), 2.0 * _Z95 * self.sd)
+                slope = max(low[1] / max(abs(low[0]), 1e-12), 0.25 * aim / (Z95 * self.sd))
+                step = min(max((aim - low[1]) / slope, 0.1 * self.sd), 2.0 * Z95 * self.sd)
                 here = low[0] + sign * step
             if abs(here) >= far:
                 return sign * far
@@ -254,11 +240,11 @@ _BEYOND = 3.0
 def profile_under(
     found: Profile, sides: tuple[float, float], mean: float, information: float
 ) -> tuple[float, float]:
-    """Return the ends of a 95 % interval by a profile and by a Gaussian that is told of it.
+    """Return the ends of a 95 % interval by a profile and a Gaussian of the same number.
 
     The profile's rise and the Gaussian's half square are added; the ends are where the sum has
-    risen by 1.92 from its lowest. Exact for one unknown; of several it takes what the others say of
-    this one for Gaussian.
+    risen by 1.92 from its lowest. Exact for one unknown; of several it takes what the others
+    determine of this one for Gaussian.
 
     Parameters
     ----------
@@ -267,7 +253,7 @@ def profile_under(
         Lengths below and above the profile's centre that its interval has by now; the curve is
         stretched to them.
     mean, information : float
-        Of the Gaussian, in the profile's free number; an information of 0 says nothing.
+        Of the Gaussian, in the profile's free number; an information of 0: none.
 
     Returns
     -------

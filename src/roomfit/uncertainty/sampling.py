@@ -1,12 +1,7 @@
-"""A law near to a band's posterior that costs nothing: what proposals are drawn from.
+"""Samples of a band's posterior by walkers, and whether they have converged.
 
-Whether Markov chains have come to rest: how often, how long, how much alike.
-
-The posterior of one band's free numbers, what is not asked for integrated out.
-
-Samples of a band's posterior, and whether they may be trusted.
-
-Compiled walks under the law that proposals for a band's posterior are drawn from.
+Arrival times are integrated out. Proposals are compiled walks under a surrogate, a law near to the
+posterior that takes no evaluation.
 """
 
 from __future__ import annotations
@@ -24,6 +19,7 @@ from roomfit.errors import InputError
 from roomfit.objective.parameters import (
     GEOMETRY,
     Parameters,
+    absorption_of,
     physical_values,
     position_of,
     prior_residuals,
@@ -37,7 +33,7 @@ def split_r_hat(chains: FloatArray) -> FloatArray:
     """Return Gelman and Rubin's R-hat of chains cut in halves, for each unknown.
 
     The root of how much larger the variance over all halves is than the mean variance within one:
-    1 where all halves tell the same [1]_.
+    1 where all halves agree [1]_.
 
     Parameters
     ----------
@@ -95,7 +91,7 @@ def autocorrelation_steps(chains: FloatArray) -> FloatArray:
     return np.maximum(sums[last, np.arange(sums.shape[1])], 1.0)
 
 
-# An absorption this near to 1 or 0 can no more be told from it: a wall beyond is none of sound.
+# An absorption this near to 1 or 0 can no longer be distinguished from it.
 FARTHEST_FREE = 40.0
 # Least 1 - a of which a log is taken.
 LEAST_REFLECTED = 1e-18
@@ -113,28 +109,14 @@ class LogPosterior:
     step would still gain there is added. The fit's curvature is kept, so that its determinant
     is a constant. The ridge is straight in the exponents ``-log(1 - a)``, as the data are: one in
     logits leaves them where a wall is hard, and the step would promise what it does not gain.
-
-    Attributes
-    ----------
-    problem : BandProblem
-    centre : float array, shape (n_free,)
-        The fit's answer.
-    n_kept : int
-        Entries of the free vector, from its beginning, whose density this is.
-    follow : float array, shape (n_free - n_kept, n_kept)
-        By how much arrival times follow the exponents.
-    inner : float array, shape (n_free - n_kept, n_free - n_kept)
-        Their information, given the others.
-    flattening : float
-        max(phi, 1).
     """
 
     problem: BandProblem
-    centre: FloatArray
-    n_kept: int
-    follow: FloatArray
-    inner: FloatArray
-    flattening: float
+    centre: FloatArray  # (n_free,), the fit's answer
+    n_kept: int  # entries of the free vector, from its beginning, whose density this is
+    follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
+    inner: FloatArray  # (n_free - n_kept, n_free - n_kept), their information, given the others
+    flattening: float  # max(phi, 1)
 
     def __call__(self, kept: FloatArray) -> float:
         """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
@@ -175,7 +157,7 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
     timed = any(b.name == GEOMETRY for b in parameters.blocks)
     kept = position_of(parameters, GEOMETRY) if timed else n
     prior = prior_information(parameters, fit.vector)
-    # the data are flattened, what was known beforehand is not
+    # the data are flattened, the prior is not
     whole = (fit.information - prior) / flattening + prior
     inner = whole[kept:, kept:]
     follow = -np.linalg.solve(inner, whole[kept:, :kept]) if kept < n else np.zeros((0, kept))
@@ -184,14 +166,14 @@ def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
 
 
 def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
-    """Return the information of what was known beforehand, shape (n_free, n_free)."""
+    """Return the information of the prior, shape (n_free, n_free)."""
     _, rows = prior_residuals(parameters, vector)
     return np.asarray(rows.T @ rows)
 
 
 def absorption_columns(parameters: Parameters) -> tuple[int, IntArray]:
     """Return where the fitted absorptions begin, and which entries of their block they are."""
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     return position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
 
 
@@ -210,7 +192,7 @@ def exponents(parameters: Parameters, kept: FloatArray) -> FloatArray:
     out = np.array(kept)
     first, columns = absorption_columns(parameters)
     own = slice(first, first + columns.size)
-    block = next(b for b in parameters.blocks if b.name == "absorption")
+    block = absorption_of(parameters)
     low, high = block.lower[columns], block.upper[columns]
     # 1 - a, without rounding where a comes near to 1
     less = (1.0 - high) + (high - low) * 0.5 * (1.0 - np.tanh(0.5 * kept[:, own]))
@@ -259,7 +241,7 @@ def walk_points(
     centre, prior_mean, pull : shape (n,)
     prior, data : shape (n, n)
     measured, signal, background, weight, energies : shape (n_data,)
-        Of no data where `data` and `pull` say all.
+        Of no data where `data` and `pull` suffice.
     slopes, curvature : shapes (n_data, n), (n_data, n, n)
         See `roomfit.uncertainty.sampling.Windows`.
     """
@@ -374,28 +356,21 @@ class Windows:
 
     Of energies its log, a sum over paths of exponentials of the exponents: the mean and the
     covariance of their counts of hits are its first two derivatives.
-
-    Attributes
-    ----------
-    measured, signal, noise : float arrays, shape (n_data,)
-        `signal` at the centre; `noise` is what is expected besides.
-    slopes : float array, shape (n_data, n_kept)
-        Of the log of the signal by the exponents; of data that are no energies, of the signal.
-    curvature : float array, shape (n_data, n_kept, n_kept)
-        Second derivative of the same.
-    weight : float array, shape (n_data,)
-        Of energies the shape of their Gamma law, else one over the variance; neighbours that share
-        information counted once, flattened by the misfit.
-    energies : bool array, shape (n_data,)
     """
 
+    # measured, signal, noise: (n_data,), `signal` at the centre; `noise` is what is expected
+    # besides
     measured: FloatArray
     signal: FloatArray
     noise: FloatArray
+    # (n_data, n_kept), of the log of the signal by the exponents; of data that are no energies, of
+    # the signal
     slopes: FloatArray
-    curvature: FloatArray
+    curvature: FloatArray  # (n_data, n_kept, n_kept), second derivative of the same
+    # (n_data,), of energies the shape of their Gamma law, else one over the variance; neighbours
+    # that share information counted once, flattened by the misfit
     weight: FloatArray
-    energies: BoolArray
+    energies: BoolArray  # (n_data,)
 
     def log_likelihood(self, away: FloatArray) -> FloatArray:
         """Return it, up to a constant, at exponents this far from the centre, (n_points, n)."""
@@ -420,30 +395,18 @@ class Surrogate:
     arrival times are integrated out, so that windows hang together, the whole log-likelihood is
     taken as quadratic in them. Only the prior is Gaussian in the logits; see
     `roomfit.uncertainty.posterior`.
-
-    Attributes
-    ----------
-    parameters : Parameters
-    centre : float array, shape (n_kept,)
-    windows : Windows or None
-    data : float array, shape (n_kept, n_kept)
-        Information of the data in the exponents; used without windows.
-    pull : float array, shape (n_kept,)
-        Slope of the data's log-likelihood at the centre; used without windows.
-    prior : float array, shape (n_kept, n_kept)
-    prior_mean : float array, shape (n_kept,)
-    covariance : float array, shape (n_kept, n_kept)
-        Of the free numbers, Gaussian at the centre.
     """
 
     parameters: Parameters
-    centre: FloatArray
+    centre: FloatArray  # (n_kept,)
     windows: Windows | None
+    # (n_kept, n_kept), information of the data in the exponents; used without windows
     data: FloatArray
+    # (n_kept,), slope of the data's log-likelihood at the centre; used without windows
     pull: FloatArray
-    prior: FloatArray
-    prior_mean: FloatArray
-    covariance: FloatArray
+    prior: FloatArray  # (n_kept, n_kept)
+    prior_mean: FloatArray  # (n_kept,)
+    covariance: FloatArray  # (n_kept, n_kept), of the free numbers, Gaussian at the centre
 
     def log_density(self, kept: FloatArray) -> FloatArray:
         """Return the log density, up to a constant, of points of shape (n_points, n_kept)."""
@@ -460,7 +423,7 @@ class Surrogate:
     def usual_steps(self) -> tuple[int, ...]:
         """Lengths of walks: a short one, and one that costs less than what it is weighed by.
 
-        A random walk needs some 500 steps to forget its place under the skew laws of hard walls.
+        A random walk needs some 500 steps to forget its start under the skew laws of hard walls.
         """
         return (50, 4000) if self.windows is None else (50, 500)
 
@@ -479,12 +442,12 @@ class Surrogate:
         """
         n = points.shape[1]
         root = 2.38 / np.sqrt(n) * np.linalg.cholesky(self.covariance)
-        # drawn whatever the place, so that each step stays reversible; small ones still move along
+        # drawn whatever the point, so that each step stays reversible; small ones still move along
         # narrow ridges
         sizes = np.exp(rng.uniform(np.log(0.1), np.log(2.0), steps))
         here = np.array(points, dtype=np.float64, order="C")
         first, columns = absorption_columns(self.parameters)
-        block = next(b for b in self.parameters.blocks if b.name == "absorption")
+        block = absorption_of(self.parameters)
         w = _no_windows(n) if self.windows is None else self.windows
         gain = walk_points(
             *(here, root, sizes, rng.standard_normal((steps, *here.shape))),
@@ -568,53 +531,30 @@ _LOOK_EVERY = 10
 
 @dataclass(frozen=True, slots=True)
 class SamplingSettings:
-    """How much one band's samples may cost, and when there are enough.
+    """How much one band's samples may cost, and when there are enough."""
 
-    Attributes
-    ----------
-    most_evaluations : int
-        Of the posterior.
-    autocorrelations : float
-        How many times longer than the autocorrelation every walker must have walked.
-    largest_r_hat : float
-        How much alike the halves of all walkers must be (`split_r_hat`).
-    inner_steps : tuple of int, or None
-        Steps under the surrogate between two evaluations, one of them at random: where the
-        surrogate is far from the posterior only short walks are taken. None for
-        `Surrogate.usual_steps`.
-    """
-
-    most_evaluations: int = 6_000
+    most_evaluations: int = 6_000  # of the posterior
+    # how many times longer than the autocorrelation every walker must have walked
     autocorrelations: float = 20.0
-    largest_r_hat: float = 1.1
+    largest_r_hat: float = 1.1  # how much alike the halves of all walkers must be (`split_r_hat`)
+    # steps under the surrogate between two evaluations, one of them at random: where the surrogate
+    # is far from the posterior only short walks are taken. None for `Surrogate.usual_steps`.
     inner_steps: tuple[int, ...] | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sampled:
-    """Draws from a posterior and what is known of their quality.
+    """Draws from a posterior and what is known of their quality."""
 
-    Attributes
-    ----------
-    draws : float array, shape (n_draws, n_kept)
-        The first steps left out.
-    autocorrelation, r_hat : float arrays, shape (n_kept,)
-    effective : float
-        Draws over the longest autocorrelation time: so many independent ones tell as much.
-    acceptance : float
-        Share of proposals that were taken.
-    evaluations : int
-    converged : bool
-        Whether the walkers have walked long enough and agree.
-    """
-
-    draws: FloatArray
+    draws: FloatArray  # (n_draws, n_kept), the first steps left out
+    # autocorrelation, r_hat: (n_kept,)
     autocorrelation: FloatArray
     r_hat: FloatArray
+    # draws over the longest autocorrelation time: as many independent ones are worth as much
     effective: float
-    acceptance: float
+    acceptance: float  # share of proposals that were taken
     evaluations: int
-    converged: bool
+    converged: bool  # whether the walkers have walked long enough and agree
 
 
 def sample(
@@ -681,7 +621,7 @@ def sample(
             progress(min(max(number / steps, 1.0 / max(share, 1.0)), 1.0))
         if found.converged:
             break
-    assert found is not None  # noqa: S101 - the loop looks at its last step
+    assert found is not None  # noqa: S101 - the loop judges its last step
     return found
 
 

@@ -1,6 +1,6 @@
-"""Neighbouring bands know of each other: absorption changes gradually with frequency.
+"""Smoothness over frequency: logit absorption as a random walk from band to band.
 
-Bands that were answered one by one, drawn together as far as walls change slowly.
+Bands that were answered one by one are drawn together as far as walls change slowly.
 """
 
 from __future__ import annotations
@@ -12,13 +12,14 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE, BandAnswer
+from roomfit.uncertainty.gaussian import BandAnswer, is_identifiable
 from roomfit.uncertainty.intervals import LEAST_SIDE
 from roomfit.uncertainty.profile import profile_under
 
-# In units of the prior's variance: what is held is known this well.
+# In units of the prior's variance: what is fixed is known this well.
 _FIXED_VARIANCE = 1e-12
 _STIFFEST = 1.0 - 1e-9
 
@@ -33,11 +34,11 @@ def smooth_over_bands(
 ) -> tuple[FloatArray, FloatArray]:
     """Combine Gaussian answers of separate bands under a prior that ties the bands together.
 
-    Each band was answered by itself, under a prior of its own. Its data are what it says beyond
+    Each band was answered by itself, under a prior of its own. Its data are what it adds
     that prior. Beforehand, each material's logit absorption now walks from band to band: what it is
     off its prior's mean keeps the prior's standard deviation in every band, and changes over an
     octave by `sd_per_octave`. The result is the posterior of all data and that one prior, which
-    thus counts once; six answers under the same guess, put together as they are, would hold it six
+    thus counts once; six answers under the same guess, put together as they are, would count it six
     times.
 
     Parameters
@@ -45,7 +46,7 @@ def smooth_over_bands(
     means : float array, shape (n_bands, n_materials)
         Logit absorption.
     covariances : float array, shape (n_bands, n_materials, n_materials)
-        Symmetric and positive semi-definite. A material of zero variance is held where it is; its
+        Symmetric and positive semi-definite. A material of zero variance is fixed; its
         neighbours in frequency are still drawn towards it. No two materials tied to each other.
     prior_mean, prior_sd : float arrays, shape (n_bands, n_materials)
         Of logit absorption in every band by itself; `prior_sd` above 0.
@@ -70,7 +71,7 @@ def smooth_over_bands(
     -----
     A Gaussian Markov process over the bands [1]_ (appendix B): in units of the prior's standard
     deviations s the correlation of two neighbours is ``1 - q / (2 s1 s2)`` with the variance q of
-    the step, and not below 0. Directions in which an answer is less sure than its prior hold no
+    the step, and not below 0. Directions in which an answer is wider than its prior have no
     data.
 
     References
@@ -145,9 +146,6 @@ def _checked_shape(
     return int(shape[0]), int(shape[1])
 
 
-_Z95 = 1.959963984540054
-
-
 def smoothed(
     answers: Sequence[BandAnswer],
     priors: tuple[MaterialPrior, ...],
@@ -155,12 +153,13 @@ def smoothed(
     sd_per_octave: float,
     areas_m2: FloatArray,
 ) -> tuple[BandAnswer, ...]:
-    """Return the answers under the belief that logit absorption walks slowly over frequency.
+    """Return the answers under the assumption that logit absorption changes slowly over frequency.
 
     Parameters
     ----------
     sd_per_octave : float
-        Standard deviation of the step over one octave; intervals hold only as far as it is true.
+        Standard deviation of the step over one octave; intervals are valid only as far as it is
+        true.
     areas_m2 : float array, shape (n_materials,)
     """
     names = [k.name for k in priors]
@@ -198,20 +197,16 @@ def _redrawn(
     sd = np.sqrt(np.maximum(np.diag(covariance), 0.0))
     fixed = np.array([k.known is not None for k in priors])
 
-    def physical(logit: FloatArray) -> FloatArray:
-        return np.asarray(low + width / (1.0 + np.exp(-logit)))
+    def physical(free: FloatArray) -> FloatArray:
+        return np.asarray(low + width * expit(free))
 
     ends = _profile_ends(answer, mean, sd, priors)
     absorption = np.where(fixed, answer.absorption, physical(mean))
     lower = np.where(fixed, answer.lower95, physical(ends[0]))
     upper = np.where(fixed, answer.upper95, physical(ends[1]))
     prior_sd = np.array([k.prior_logit_sd[band] for k in priors])
-    sure = (
-        (answer.chi2_reduced <= LARGEST_CHI2_REDUCED)
-        & (upper - lower <= WIDEST_IDENTIFIABLE)
-        & (sd <= 0.5 * prior_sd)
-        & (answer.model != "prior")
-    )
+    sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, prior_sd)
+    sure &= answer.model != "prior"
     share = areas_m2 / areas_m2.sum()
     gradient = share * (absorption - low) * (low + width - absorption) / width
     mean_sd = float(np.sqrt(max(gradient @ covariance @ gradient, 0.0)))
@@ -222,12 +217,12 @@ def _redrawn(
         lower95=lower,
         upper95=upper,
         identifiable=sure | fixed,
-        # what was sampled holds without that belief only
+        # samples are valid without that assumption only
         kinds=tuple("gaussian" if k == "sampled" else k for k in answer.kinds),
         samples=None,
         logit_mean=mean,
         logit_covariance=covariance,
-        mean=(whole, max(whole - _Z95 * mean_sd, 0.0), min(whole + _Z95 * mean_sd, 1.0)),
+        mean=(whole, max(whole - Z95 * mean_sd, 0.0), min(whole + Z95 * mean_sd, 1.0)),
     )
 
 
@@ -239,10 +234,10 @@ def _profile_ends(
 ) -> tuple[FloatArray, FloatArray]:
     """Return the ends of every interval as free numbers: Gaussian, by profiles where there are.
 
-    What the other bands say of a material is the Gaussian that makes its new mean and spread of
-    the old ones; it is put to the profile of the band itself.
+    What the other bands determine of a material is the Gaussian that makes its new mean and spread
+    of the old ones; it is put to the profile of the band itself.
     """
-    lower, upper = mean - _Z95 * sd, mean + _Z95 * sd
+    lower, upper = mean - Z95 * sd, mean + Z95 * sd
     names = [k.name for k in priors]
     found = {p.entry: p for p in answer.profiles if not p.gaussian}
     for i, own in enumerate(priors):
@@ -259,12 +254,11 @@ def _profile_ends(
             *(found[leader], (at - free[0], free[1] - at)),
             *(weighed / others if others > 0.0 else at, others),
         )
-        least = LEAST_SIDE * _Z95 * sd[i]
+        least = LEAST_SIDE * Z95 * sd[i]
         lower[i], upper[i] = min(ends[0], mean[i] - least), max(ends[1], mean[i] + least)
     return lower, upper
 
 
 def _free(absorption: FloatArray, own: MaterialPrior) -> FloatArray:
     """Return the free numbers of absorption between a material's bounds."""
-    share = np.clip((absorption - own.lower) / (own.upper - own.lower), 1e-9, 1.0 - 1e-9)
-    return np.asarray(np.log(share) - np.log1p(-share))
+    return logit((absorption - own.lower) / (own.upper - own.lower), 1e-9)

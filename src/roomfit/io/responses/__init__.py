@@ -1,4 +1,4 @@
-"""The one door to measured responses: the ending of the name tells the reader."""
+"""Reading measured impulse responses: the ending of the name selects the reader."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from roomfit.errors import InputError, StoreError
 from roomfit.findings import Finding
 from roomfit.io.responses.formats import read_mat, read_rew, read_wav
 from roomfit.io.responses.hdf5 import read_sofa
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, checked, deconvolved
-from roomfit.measurement import ResponseSpec
 from roomfit.signals.response import ImpulseResponse
 
 _READERS = {
@@ -36,8 +36,8 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
     """Return one impulse response, checked, with what is doubtful about it.
 
     Where `spec.time_zero` is "emission", sample 0 lies `spec.latency_s` before emission. Where it
-    is "direct" or "unknown" the file does not know when the sound left: the same holds for the time
-    being, and `roomfit.signals.response.time_zero_from_direct` sets it right by the geometry.
+    is "direct" or "unknown" the file does not contain the time of emission: the same is assumed,
+    and `roomfit.signals.response.time_zero_from_direct` corrects it by the geometry.
 
     Where `spec.excitation` is given, the file is a recording and is deconvolved first.
 

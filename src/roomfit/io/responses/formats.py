@@ -1,21 +1,16 @@
-"""Impulse responses that Room EQ Wizard (REW) exported as text.
+"""Responses in MATLAB files, in text exported by Room EQ Wizard (REW), and in WAV files.
 
-Responses in MATLAB files of versions 5 to 7.3.
+MATLAB files of versions 5 to 7.2 [1]_ have an own reader, since scipy's ends the whole process on
+some damaged files (a segmentation fault within seconds of fuzzing, scipy 1.17), which no caller can
+turn into a message. It reads full arrays of real numbers and ignores everything else. Version 7.3
+is HDF5.
 
-Arrays of real numbers in MATLAB files of versions 5 to 7.2.
-
-An own reader, since scipy's ends the whole process on some damaged files (a segmentation fault
-within seconds of fuzzing, scipy 1.17), which no caller can turn into a message. It reads what a
-measurement needs, full arrays of real numbers, and passes over everything else.
+A WAV file that was cut off in copying opens without complaint in every reader, and the missing end
+looks like a room with less reverberation. So the lengths in the header are checked here.
 
 References
 ----------
 .. [1] The MathWorks, "MAT-File Format", R2023b, chapter 1: level 5 MAT-files.
-
-WAV files: PCM of 16, 24, 32 bits and floating point, with the header held against the file.
-
-A file that was cut off in copying opens without complaint in every reader, and the missing end
-looks like a room with less reverberation. So the lengths in the header are checked here.
 """
 
 from __future__ import annotations
@@ -36,8 +31,8 @@ from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, pick
-from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
 
 Variables = Mapping[str, FloatArray | str]  # what it is instead, where it is no real numbers
@@ -49,7 +44,7 @@ def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
     Parameters
     ----------
     spec : ResponseSpec
-        Names the variable, the column and where the sampling rate stands.
+        Names the variable, the column and the source of the sampling rate.
     content : bytes
         The whole file.
 
@@ -200,7 +195,7 @@ def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
 
 
 def _elements(data: bytes, order: str) -> Iterator[_Element]:
-    """Walk the data elements that stand one after the other."""
+    """Yield the data elements in their order."""
     position = 0
     while position + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
@@ -268,20 +263,11 @@ _MOST_HEADER_LINES = 200
 
 @dataclass(frozen=True, slots=True)
 class _Header:
-    """What stands above the samples.
-
-    Attributes
-    ----------
-    numbers : mapping from short name to float
-    notes : str
-        All other lines, in lower case.
-    n_lines : int
-        Lines before the first sample.
-    """
+    """The lines above the samples."""
 
     numbers: Mapping[str, float]
-    notes: str
-    n_lines: int
+    notes: str  # all other lines, in lower case
+    n_lines: int  # lines before the first sample
 
 
 def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
@@ -295,7 +281,7 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     Parameters
     ----------
     spec : ResponseSpec
-        Names the file in messages; its `time_zero` is held against the file.
+        Names the file in messages; its `time_zero` is compared with the file.
     content : bytes
         The whole file.
 
@@ -459,13 +445,14 @@ def _window_findings(header: _Header, spec: ResponseSpec) -> list[Finding]:
 def _clock_findings(
     pressure: FloatArray, rate_hz: float, header: _Header, spec: ResponseSpec
 ) -> list[Finding]:
-    """Tell where REW's zero lies at the peak and is taken for the time of emission."""
+    """Return a finding where REW's zero is at the peak and is taken for the time of emission."""
     peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + header.numbers["start_s"]
     if spec.time_zero != "emission" or not abs(peak_s) <= 1.5 / rate_hz:
         return []
     text = (
-        f"REW put the time zero of {spec.path.name} at the peak, so it does not tell when the "
-        'sound left; say time_zero = "direct", or measure with a loopback as timing reference.'
+        f"REW put the time zero of {spec.path.name} at the peak, so it does not contain the "
+        'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
+        "reference."
     )
     return [Finding(Code.TIME_ZERO_AT_PEAK, text, {"peak_s": peak_s})]
 
@@ -476,7 +463,7 @@ _UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
 
 @dataclass(frozen=True, slots=True)
 class _DataChunk:
-    """Where the samples lie and how long the header says that they are."""
+    """Position of the samples, and their length by the header."""
 
     size_offset: int
     start: int
@@ -571,8 +558,8 @@ def _with_lengths(content: bytes, chunk: _DataChunk, available: int) -> bytes:
 def _streamed(path: Path, available: int) -> Finding:
     return Finding(
         Code.WAV_LENGTH_UNKNOWN,
-        f"{path.name} was written as a stream: its header does not tell its length, so a cut end "
-        "would not be noticed. Everything up to the end of the file was read.",
+        f"{path.name} was written as a stream: its header does not contain its length, so a cut "
+        "end would not be noticed. Everything up to the end of the file was read.",
         {"bytes_of_samples": available},
     )
 

@@ -1,12 +1,8 @@
-"""SOFA files (AES69) with impulse responses.
-
-Variables of HDF5 files, such as SOFA files and MATLAB files of version 7.3 are.
+"""HDF5 files: SOFA files (AES69, which is netCDF-4 [1]_) and MATLAB files of version 7.3.
 
 References
 ----------
-.. [1] Unidata, "NetCDF-4 file format", in The NetCDF User's Guide: how dimensions lie in HDF5.
-
-Arrays of real numbers in MATLAB files of version 7.3, which are HDF5 files.
+.. [1] Unidata, "NetCDF-4 file format", in The NetCDF User's Guide: dimensions in HDF5.
 """
 
 from __future__ import annotations
@@ -19,8 +15,8 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
+from roomfit.io.responses.spec import ResponseSpec
 from roomfit.io.responses.sweeps import Recording, pick
-from roomfit.measurement import ResponseSpec
 from roomfit.typing import FloatArray
 
 _LARGEST_BYTES = 1 << 31
@@ -38,21 +34,14 @@ Attributes = Mapping[str, str | float]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hdf5Variable:
-    """One member of the root of an HDF5 file.
+    """One member of the root of an HDF5 file."""
 
-    Attributes
-    ----------
-    values : float array or None
-        In the file's order of axes; None for whatever holds no real numbers.
-    axes : tuple of str
-        Names of the netCDF dimensions; empty ones up to three axes, or where the file names none.
-    attributes : mapping
-        Texts and single numbers.
-    """
-
+    # In the file's order of axes; None for anything but real numbers
     values: FloatArray | None
+    # Names of the netCDF dimensions; empty ones up to three axes, or where the file names
+    # none
     axes: tuple[str, ...]
-    attributes: Attributes
+    attributes: Attributes  # texts and single numbers
 
 
 def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
@@ -69,7 +58,8 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
     Raises
     ------
     ValueError
-        The bytes are no HDF5 file, or are damaged, or hold more than 2 GiB of numbers; says where.
+        The bytes are no HDF5 file, or are damaged, or contain more than 2 GiB of numbers; the
+        message says where.
     """
     import h5py
 
@@ -81,7 +71,7 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
             n_bytes = 0
             for name in file:
                 place = repr(name)
-                # a link to another file would read what this file does not hold
+                # a link to another file would read what this file does not contain
                 if not isinstance(file.get(name, getlink=True), h5py.HardLink):
                     continue
                 member = file[name]
@@ -97,8 +87,8 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
                 name = name.removeprefix(_BESIDE_A_DIMENSION)
                 variables[name] = Hdf5Variable(_real_numbers(member), _axes(member), own)
     except _UNREADABLE as error:
-        specified = f"{place}: {type(error).__name__}: {error}"
-        raise ValueError(" ".join(specified.split())) from error
+        text = f"{place}: {type(error).__name__}: {error}"
+        raise ValueError(" ".join(text.split())) from error
     return variables, attributes
 
 
@@ -156,7 +146,7 @@ _KINDS = {"char": "text", "cell": "a cell array", "struct": "a structure"}
 
 
 def is_mat73(content: bytes) -> bool:
-    """Tell whether the bytes begin as MATLAB files of version 7.3, or other HDF5 files, do."""
+    """Return whether the bytes begin as MATLAB files of version 7.3, or other HDF5 files, do."""
     starts = (content[: len(_SIGNATURE)], content[_HEADER_BYTES:][: len(_SIGNATURE)])
     return content[:19] == b"MATLAB 7.3 MAT-file" or _SIGNATURE in starts
 
@@ -172,8 +162,8 @@ def mat73_arrays(content: bytes) -> dict[str, FloatArray | str]:
     Returns
     -------
     dict
-        Float64 arrays of the shape they have in MATLAB, which lies in the file with its axes
-        reversed; what it is instead for text, structures, cells, sparse and complex arrays.
+        Float64 arrays of the shape they have in MATLAB, whose axes are reversed in the file; what
+        it is instead for text, structures, cells, sparse and complex arrays.
 
     Raises
     ------
@@ -210,18 +200,10 @@ _AXES = "MRNE"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Sofa:
-    """A SOFA file, whatever its convention.
+    """A SOFA file, whatever its convention."""
 
-    Attributes
-    ----------
-    data_type : str
-        FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say.
-    variables : mapping
-        By the names that AES69 gives them, such as "Data.IR".
-    """
-
-    data_type: str
-    variables: Mapping[str, Hdf5Variable]
+    data_type: str  # FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say
+    variables: Mapping[str, Hdf5Variable]  # by the names that AES69 gives them, such as "Data.IR"
 
 
 def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
@@ -260,7 +242,7 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
 
 
 def read_sofa_variables(content: bytes, where: str) -> Sofa:
-    """Return what a SOFA file holds.
+    """Return the variables of a SOFA file.
 
     Raises
     ------

@@ -1,7 +1,4 @@
-"""Recorded excitations: the impulse response from the recording of a sweep and the sweep itself.
-
-What every reader hands over, and the doubts that any recording is searched for.
-"""
+"""Recordings as readers return them, their checks, and deconvolution of recorded excitations."""
 
 from __future__ import annotations
 
@@ -16,7 +13,7 @@ from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray
 
 _SHORTEST_S = 0.01
-_LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from what a float can hold
+_LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from the range of a float
 _CLIPPED_RUN = 4
 _EQUAL_PEAKS = 5
 _FEW_LEVELS = 500.0
@@ -27,20 +24,11 @@ _LEAST_OFFSET = 1e-4
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Recording:
-    """One channel as it lies in a file.
+    """One channel of a file."""
 
-    Attributes
-    ----------
-    pressure : float array, shape (n_samples,)
-        Not yet checked: may hold nan.
-    sampling_rate_hz : float
-    delay_s : float
-        By how much the file says that its first sample comes after its own time zero.
-    findings : tuple of Finding
-    """
-
-    pressure: FloatArray
+    pressure: FloatArray  # (n_samples,); not yet checked: may contain nan
     sampling_rate_hz: float
+    # of the first sample after the time zero of the file, by the file itself
     delay_s: float = 0.0
     findings: tuple[Finding, ...] = ()
 
@@ -135,7 +123,7 @@ def refuse_useless(recording: Recording, where: Path) -> None:
 def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...]:
     """Return a finding where the peak was cut off: a run of equal samples with steep sides.
 
-    A peak is one sample or two. The crest of a low tone holds more samples that a coarse converter
+    A peak is one sample or two. The crest of a low tone has more samples that a coarse converter
     takes for equal, but beside them it falls by a step or two of the converter only.
 
     Parameters
@@ -237,7 +225,7 @@ def deconvolved(
 
     Its time zero is the start of the excitation's file: a recording that began with the playback
     needs no `latency_s` but that of its converters. The response ends where the recording no
-    longer holds the decay of every frequency: as long after time zero as the recording goes on
+    longer contains the decay of every frequency: as long after time zero as the recording goes on
     after the last sound of the excitation. Products of harmonic distortion of a rising sweep come
     out before time zero [1]_, the second by T ln 2 / ln(f2 / f1), and are cut away but for the
     last 20 ms; the room's answer to them goes on into the response, the less the longer the sweep.
@@ -300,7 +288,7 @@ def deconvolved(
 
 
 def _kept(recorded: FloatArray, played: FloatArray, rate_hz: float, path: Path) -> int:
-    """Return how many samples of the response hold all frequencies."""
+    """Return how many samples of the response contain all frequencies."""
     size = np.abs(played - np.median(played))
     sounding = int(np.flatnonzero(size > _SILENT * size.max())[-1]) + 1
     if len(recorded) + len(played) > _MOST_SAMPLES:
@@ -368,7 +356,7 @@ def regularised_quotient(
     Returns
     -------
     float array, shape (n,)
-        n >= n_recorded + n_played; what comes before time zero stands at the end.
+        n >= n_recorded + n_played; what precedes time zero is at the end.
 
     References
     ----------

@@ -1,4 +1,4 @@
-"""The front door: from a specification to a checked room."""
+"""Reading rooms: from a specification to a checked room."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     Raises
     ------
     InputError
-        The room cannot be read, or has a fault that forbids tracing it: the first one is told,
+        The room cannot be read, or has a fault that forbids tracing it: the first one is raised,
         `roomfit check` lists them all.
     """
     mesh, findings = read_mesh(spec)
@@ -59,7 +59,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
 
 
 def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
-    """Read a room as far as its mesh, welded, triangulated and oriented, with all faults told.
+    """Read a room as far as its mesh, welded, triangulated and oriented, with findings.
 
     Raises
     ------

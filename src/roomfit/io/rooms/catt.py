@@ -1,15 +1,13 @@
-"""The reader of CATT-Acoustic's .geo files.
+"""The reader of CATT-Acoustic's .geo files: corners, planes and their parts, materials.
 
-Constants, directives and corners of every file of a room, put where expressions find them.
-
-A plane cut into its parts: what an earlier part covers is taken out of the later ones.
-
-Planes of a .geo file: which corners in which order, which material, which parts.
+`catt_language` reads statements and evaluates expressions; here they become a room. A plane is cut
+into its parts: what an earlier part covers is removed from the later ones.
 """
 
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -36,7 +34,7 @@ _MOST_STEPS = 10_000
 
 
 def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
-    """Return what the expressions of each file know.
+    """Return the names that the expressions of each file may use.
 
     Raises
     ------
@@ -50,7 +48,7 @@ def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
             name, expression = _definition(line)
             known = shared.constants if kind == "global" else owner.local
             if name in known:
-                raise InputError("a constant is given twice", where=line.where, found=name)
+                raise line.error("a constant is given twice", found=name)
             if kind == "global":
                 shared.constants[name] = (owner, expression)
             else:
@@ -85,10 +83,8 @@ def _check_images(shared: Shared) -> None:
 def _definition(line: Line) -> tuple[str, Line]:
     match = re.fullmatch(r"\w+\s+([A-Za-z_]\w*)\s*=\s*([^=\"]+)", line.text, re.ASCII)
     if match is None:
-        raise InputError(
+        raise line.error(
             "a constant of the .geo file is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="GLOBAL or LOCAL, a name, = and a number or an expression",
         )
     return match.group(1).lower(), Line(match.group(2), line.where)
@@ -101,11 +97,7 @@ def _obey_directives(owner: FileNames) -> None:
             return None
         words = line.text.split()[1:]
         if len(words) != count:
-            raise InputError(
-                f"{word.upper()} needs {count} number{'s' if count > 1 else ''}",
-                where=line.where,
-                found=line.text[:80],
-            )
+            raise line.error(f"{word.upper()} needs {count} number{'s' if count > 1 else ''}")
         return [value_of(text, owner, line.where) for text in words]
 
     offset = numbers("offsetco", 1)
@@ -140,10 +132,8 @@ def _add_corners(owner: FileNames, line: Line) -> None:
         return
     words = split_words(line.text)
     if len(words) != 4:
-        raise InputError(
+        raise line.error(
             "a corner needs a number and three coordinates",
-            where=line.where,
-            found=line.text[:80],
             hint="write an expression without blanks, as in 2*w-1",
         )
     source = CornerSource(owner, (words[1], words[2], words[3]), line.where)
@@ -167,10 +157,8 @@ def _add_loop(owner: FileNames, line: Line) -> None:
     match = re.fullmatch(r"loop\s*\((.*)\)", line.text, re.ASCII | re.IGNORECASE)
     arguments = split_words(match.group(1), ",") if match else []
     if len(arguments) != 8 or not re.fullmatch(r"[A-Za-z_]\w*", arguments[1], re.ASCII):
-        raise InputError(
+        raise line.error(
             "a loop of the .geo file is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="loop(first number, name, start, stop, step, x, y, z)",
         )
     number, start, stop, step = (value_of(arguments[k], owner, line.where) for k in (0, 2, 3, 4))
@@ -204,7 +192,7 @@ def split_words(text: str, mark: str = " ") -> list[str]:
 
 
 def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
-    """Return what is left of each part once the earlier ones are taken out of it.
+    """Return what is left of each part without the earlier ones.
 
     Parameters
     ----------
@@ -214,8 +202,8 @@ def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
     Returns
     -------
     list of lists of float arrays, shape (n_corners, 3)
-        For each part its polygons, which turn as the part does. A part that nothing is taken out
-        of comes back whole; else the pieces are convex and meet without gaps. Pieces thinner than
+        For each part its polygons, oriented as the part. A part that no other covers comes back
+        whole; else the pieces are convex and meet without gaps. Pieces thinner than
         the tolerance at which corners are welded are left out.
 
     Notes
@@ -309,40 +297,21 @@ _MOST_PLANES = 20_000
 
 @dataclass(frozen=True, slots=True)
 class Part:
-    """One piece of a plane, such as the door in a wall.
-
-    Attributes
-    ----------
-    name : str
-    corners : tuple of int
-        Numbers as the file writes them.
-    material : str
-    """
+    """One piece of a plane, such as the door in a wall."""
 
     name: str
-    corners: tuple[int, ...]
+    corners: tuple[int, ...]  # numbers as the file writes them
     material: str
 
 
 @dataclass(frozen=True, slots=True)
 class GeoPlane:
-    """One plane of a .geo file.
-
-    Attributes
-    ----------
-    number : int
-    outline : Part
-        Its material is empty where the plane has parts.
-    parts : tuple of Part
-        In order: an earlier part hides what a later one covers as well.
-    where : str
-        File and line.
-    """
+    """One plane of a .geo file."""
 
     number: int
-    outline: Part
-    parts: tuple[Part, ...]
-    where: str
+    outline: Part  # its material is empty where the plane has parts
+    parts: tuple[Part, ...]  # in order: an earlier part hides what a later one covers as well
+    where: str  # file and line
 
 
 def parse_planes(line: Line) -> list[GeoPlane]:
@@ -407,11 +376,7 @@ def _head(head: str, line: Line) -> tuple[int | None, int, str]:
 def _outline(text: str, turned: bool, line: Line) -> tuple[int, ...]:
     corners = _corners(text, line)
     if len(corners) < 3:
-        raise InputError(
-            "a plane has fewer than three corners",
-            where=line.where,
-            found=text.strip()[:60] or "none",
-        )
+        raise line.error("a plane has fewer than three corners", found=text.strip()[:60] or "none")
     return corners[::-1] if turned else corners
 
 
@@ -420,16 +385,15 @@ def _corners(text: str, line: Line) -> tuple[int, ...]:
     for token in re.sub(r"\s*-\s*", "-", text).split():
         match = re.fullmatch(r"(\d{1,9})s?(?:-(\d{1,9})s?)?", token, re.ASCII | re.IGNORECASE)
         if match is None:
-            raise InputError(
+            raise line.error(
                 "a corner number was expected",
-                where=line.where,
                 found=repr(token[:40]),
                 needed="corner numbers such as 5 or 5-8",
             )
         first = whole(match.group(1), line.where)
         last = whole(match.group(2) or match.group(1), line.where)
         if abs(last - first) + len(corners) >= _MOST_CORNERS:
-            raise InputError("a plane has too many corners", where=line.where, found=token)
+            raise line.error("a plane has too many corners", found=token)
         step = 1 if last >= first else -1
         corners.extend(range(first, last + step, step))
     return tuple(corners)
@@ -466,23 +430,30 @@ def _loop(
     if plane.parts or len(each) != len(outline.corners):
         raise _malformed(line)
     each = each[::-1] if turned else each
-    return [
-        replace(
-            plane,
-            number=plane.number + k,
-            outline=replace(
-                outline,
-                corners=tuple(c + k * s for c, s in zip(outline.corners, each, strict=True)),
-            ),
+
+    def copy(k: int) -> GeoPlane:
+        return _renumbered(
+            plane, k, lambda corners: (c + k * s for c, s in zip(corners, each, strict=True))
         )
-        for k in range(times)
-    ]
+
+    return [copy(k) for k in range(times)]
+
+
+def _renumbered(
+    plane: GeoPlane, add: int, corners: Callable[[tuple[int, ...]], Iterable[int]]
+) -> GeoPlane:
+    """Return a plane with a number so much higher and other corners, those of its parts as well."""
+
+    def part(old: Part) -> Part:
+        return replace(old, corners=tuple(corners(old.corners)))
+
+    parts = tuple(part(old) for old in plane.parts)
+    return replace(plane, number=plane.number + add, outline=part(plane.outline), parts=parts)
 
 
 def _malformed(line: Line) -> InputError:
-    return InputError(
+    return line.error(
         "a plane of the .geo file is not understood",
-        where=line.where,
         found=f"[{line.text.strip()[:80]}]",
         needed="[number name / corners / material], or (name / corners / material) for its parts",
     )
@@ -516,7 +487,7 @@ def read_catt(path: Path) -> RoomModel:
     ABS statement, or else the first one met, is kept. Absorption and scattering of ABS statements
     are not used: they are what roomfit is to find.
 
-    OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL hold for the file they stand in.
+    OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE and LOCAL apply to their own file.
     MIRROR adds the image at x = 0 of every corner, and of every plane that names no image itself
     and is not its own image. Two planes on the same corners with opposite reflecting sides and
     one material become one sheet that reflects on both sides.
@@ -524,8 +495,8 @@ def read_catt(path: Path) -> RoomModel:
     Raises
     ------
     InputError
-        A file cannot be read, or holds a statement that is not supported (IF, ROTATE, COPY, cut()
-        and others): it is told with its line. Nothing that may shape the room is passed over.
+        A file cannot be read, or contains a statement that is not supported (IF, ROTATE, COPY,
+        cut() and others); the message has its line. Nothing that may shape the room is ignored.
     """
     files = read_files(path)
     shared, owners = names_of(files)
@@ -550,11 +521,13 @@ def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
     line = owner.file.directives.get("offsetpl")
     words = line.text.split()[1:] if line else ["0"]
     if line and not (len(words) == 1 and re.fullmatch(r"\d{1,9}", words[0], re.ASCII)):
-        raise InputError("OFFSETPL needs a whole number", where=line.where, found=line.text[:80])
+        raise line.error("OFFSETPL needs a whole number")
     planes = []
     for text in owner.file.planes:
         for plane in parse_planes(text):
-            final = _renumbered(plane, int(words[0]), owner.offset)
+            final = _renumbered(
+                plane, int(words[0]), lambda corners: (c + owner.offset for c in corners)
+            )
             planes.append(final)
             image = _image(final, owner)
             if image is not None:
@@ -571,16 +544,6 @@ def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
     return planes
 
 
-def _renumbered(plane: GeoPlane, add_plane: int, add_corner: int) -> GeoPlane:
-    def moved(part: Part) -> Part:
-        return replace(part, corners=tuple(c + add_corner for c in part.corners))
-
-    parts = tuple(moved(part) for part in plane.parts)
-    return replace(
-        plane, number=plane.number + add_plane, outline=moved(plane.outline), parts=parts
-    )
-
-
 def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
     """Return the plane's image at x = 0, or None where it has none of its own."""
     if owner.mirror is None:
@@ -594,14 +557,7 @@ def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
     rounded = {tuple(round(v, 6) + 0.0 for v in p) for p in points}
     if rounded == {(0.0 - x, y, z) for x, y, z in rounded}:
         return None  # it is its own image
-
-    def mirrored(part: Part) -> Part:
-        return replace(part, corners=tuple(c + add_corner for c in part.corners[::-1]))
-
-    parts = tuple(mirrored(part) for part in plane.parts)
-    return replace(
-        plane, number=plane.number + add_plane, outline=mirrored(plane.outline), parts=parts
-    )
+    return _renumbered(plane, add_plane, lambda corners: (c + add_corner for c in corners[::-1]))
 
 
 def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces: _Faces) -> None:
@@ -649,7 +605,7 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
         for line in owner.file.materials:
             name, rest = _absorption(line)
             if name.lower() in spelling:
-                raise InputError("a material is given twice", where=line.where, found=name)
+                raise line.error("a material is given twice", found=name)
             spelling[name.lower()] = name
             if not rest.startswith("<"):
                 stands_for[name.lower()] = rest.strip('"').strip()
@@ -658,26 +614,24 @@ def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, 
         visited, end = {name}, stands_for[name]
         while end.lower() in stands_for:
             if end.lower() in visited:
-                raise InputError("materials that stand for each other", found=f"{name}, {end}")
+                raise InputError("materials that replace each other", found=f"{name}, {end}")
             visited.add(end.lower())
             end = stands_for[end.lower()]
         followed[name] = spelling.get(end.lower(), end)
     if not followed:
         return spelling, ()
     listed = ", ".join(f"{spelling[name]} is {end}" for name, end in followed.items())
-    text = f"The file says that one material stands for another: {listed}."
+    text = f"The file replaces one material by another: {listed}."
     evidence = {spelling[name]: end for name, end in followed.items()}
     return spelling | followed, (Finding(Code.MATERIALS_JOINED, text, evidence),)
 
 
 def _absorption(line: Line) -> tuple[str, str]:
-    """Return the name of an ABS statement and what stands behind it: <numbers>, or a name."""
+    """Return the name of an ABS statement and what it is: <numbers>, or another name."""
     match = re.fullmatch(r"(?i:abs)\s+([^\s=<]+)\s*(?:=\s*|(?=<))(<[^<>]+>.*|[^<>{}=]+)", line.text)
     if match is None:
-        raise InputError(
+        raise line.error(
             "an ABS statement is not understood",
-            where=line.where,
-            found=line.text[:80],
             needed="ABS name = <10 10 10 10 10 10>, or ABS name = other name",
         )
     return match.group(1).strip('"'), match.group(2).strip()

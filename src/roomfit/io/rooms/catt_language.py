@@ -1,11 +1,8 @@
-"""Numbers of a .geo file: constants, corners of other corners, and the arithmetic around them.
+"""The language of CATT-Acoustic's .geo files: statements, includes and expressions.
 
-Constants and corners of all files of a room, worked out when they are asked for.
-
-The statements of a .geo file and of the files that it includes, each with its place.
-
-The format is CATT-Acoustic's; it is described in its manual's "Short GEO, LOC input file syntax
-reminder" [1]_, and shown by its tutorial's files MASTER.GEO and REFLECT.GEO.
+Constants and corners of all files of a room are evaluated when they are needed. The format is
+described in the manual's "Short GEO, LOC input file syntax reminder" [1]_, and shown by the files
+MASTER.GEO and REFLECT.GEO of its tutorial.
 
 References
 ----------
@@ -14,7 +11,9 @@ References
 
 from __future__ import annotations
 
+import ast
 import math
+import operator
 import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -28,7 +27,7 @@ from roomfit.io.rooms.model import finite, read_text, whole
 _TOKEN = re.compile(
     r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII
 )
-_EXPRESSIONS_DEEPEST = 40
+_MOST_TOKENS = 1000
 
 Point = tuple[float, float, float]
 
@@ -43,11 +42,17 @@ _FUNCTIONS: dict[str, Callable[[float], float]] = {
     "sqrt": math.sqrt,
     "abs": abs,
 }
-_AXES = "xyz"
+_OPERATIONS: dict[type[ast.operator], Callable[[float, float], float]] = {
+    ast.Add: operator.add,
+    ast.Sub: operator.sub,
+    ast.Mult: operator.mul,
+    ast.Div: operator.truediv,
+}
+_AXES = ("x", "y", "z")
 
 
 class Names(Protocol):
-    """What the names in an expression stand for."""
+    """The values of the names in an expression."""
 
     def constant(self, name: str, where: str) -> float:
         """Return the value of a constant, its name in lower case."""
@@ -56,145 +61,108 @@ class Names(Protocol):
         """Return a corner by the number that its file writes."""
 
 
-@dataclass(slots=True)
-class _Reader:
-    """An expression on its way from left to right."""
-
-    tokens: list[str]
-    names: Names
-    where: str
-    lock: Callable[[Point, Point, Point], float] | None
-    at: int = 0
-    depth: int = 0
-
-    def peek(self) -> str:
-        return self.tokens[self.at] if self.at < len(self.tokens) else ""
-
-    def take(self) -> str:
-        token = self.peek()
-        self.at += 1
-        return token
-
-
 def value_of(
     text: str,
     names: Names,
     where: str,
     lock: Callable[[Point, Point, Point], float] | None = None,
 ) -> float:
-    """Return what an expression amounts to.
+    """Return the value of an expression.
 
     Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
     abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner and, where `lock` is
-    given, ``lock(4 7 8)`` for the place on the plane through three corners.
+    given, ``lock(4 7 8)`` for the point on the plane through three corners.
 
     Raises
     ------
     InputError
         Anything else, a name that is not known, or a value that is not a finite number.
     """
-    reader = _Reader(_tokens(text, where), names, where, lock)
+
+    def corners(call: ast.Call, count: int) -> list[Point]:
+        arguments = call.args
+        if len(arguments) == 1 and isinstance(arguments[0], ast.Tuple):
+            arguments = arguments[0].elts
+        numbers = [a.value for a in arguments if isinstance(a, ast.Constant)]
+        if len(numbers) != len(arguments) or len(numbers) != count:
+            raise InputError(
+                f"{_name(call.func)}() needs {count} corner number{'s' if count > 1 else ''}",
+                where=where,
+                found=text,
+            )
+        return [names.corner(whole(str(number), where), where) for number in numbers]
+
+    def value(node: ast.expr) -> float:
+        match node:
+            case ast.Constant(value=int() | float() as number):
+                return float(number)
+            case ast.Name():
+                return names.constant(_name(node), where)
+            case ast.UnaryOp(operand=operand):
+                return -value(operand) if isinstance(node.op, ast.USub) else value(operand)
+            case ast.BinOp(left=left, right=right) if type(node.op) in _OPERATIONS:
+                return _OPERATIONS[type(node.op)](value(left), value(right))
+            case ast.Call(func=ast.Name(), args=[argument]) if _name(node.func) in _FUNCTIONS:
+                return _FUNCTIONS[_name(node.func)](value(argument))
+            case ast.Call(func=ast.Name()) if _name(node.func) in _AXES:
+                return corners(node, 1)[0][_AXES.index(_name(node.func))]
+            case ast.Call(func=ast.Name()) if _name(node.func) == "lock" and lock is not None:
+                return lock(*corners(node, 3))
+        raise _not_understood(text, where)
+
     try:
-        value = _sum(reader)
+        return finite(repr(value(ast.parse(_in_python(text, where), mode="eval").body)), where)
+    except (RecursionError, MemoryError):
+        raise _too_long(where) from None
+    except SyntaxError as error:
+        if "nested" in str(error):
+            raise _too_long(where) from None
+        raise _not_understood(text, where) from None
     except (ZeroDivisionError, ValueError, OverflowError) as error:
         raise InputError(
             "an expression has no value", where=where, found=f"{text!r}: {error}"
         ) from None
-    if reader.peek():
-        raise _not_understood(text, where, reader.peek())
-    return finite(repr(value), where)
 
 
-def _tokens(text: str, where: str) -> list[str]:
-    tokens, at = [], 0
-    while at < len(text.rstrip()):
+def _in_python(text: str, where: str) -> str:
+    """Return an expression as Python writes it.
+
+    Names get an underscore in front, so that none is a word of Python; zeros in front of a number
+    go; corner numbers get a comma between them.
+    """
+    words: list[str] = []
+    at, text = 0, text.rstrip()
+    while at < len(text):
         match = _TOKEN.match(text, at)
         if match is None:
-            raise _not_understood(text, where, text[at:].strip()[:20])
-        tokens.append(match.group(0).strip())
+            raise _not_understood(text, where)
+        if len(words) > _MOST_TOKENS:
+            raise _too_long(where)
+        number, name, mark = match.groups()
+        if number and words and words[-1][-1].isdigit():
+            words.append(",")
+        words.append(f"_{name.lower()}" if name else mark or re.sub(r"^0+(?=\d)", "", number))
         at = match.end()
-    return tokens
+    return " ".join(words)
 
 
-def _not_understood(text: str, where: str, token: str) -> InputError:
+def _name(node: ast.expr) -> str:
+    """Return the name that `_in_python` put an underscore in front of."""
+    return node.id[1:] if isinstance(node, ast.Name) else ""
+
+
+def _too_long(where: str) -> InputError:
+    return InputError("an expression is too long, or has too many brackets", where=where)
+
+
+def _not_understood(text: str, where: str) -> InputError:
     return InputError(
         "an expression of the .geo file is not understood",
         where=where,
-        found=f"{token!r} in {text.strip()[:80]!r}" if token else repr(text.strip()[:80]),
+        found=repr(text.strip()[:80]),
         needed="numbers, constants, + - * / and brackets, sin, cos, tan, asin, acos, atan, sqrt, "
         "abs, x(), y(), z(), lock()",
     )
-
-
-def _sum(reader: _Reader) -> float:
-    value = _product(reader)
-    while reader.peek() in ("+", "-"):
-        sign = 1.0 if reader.take() == "+" else -1.0
-        value += sign * _product(reader)
-    return value
-
-
-def _product(reader: _Reader) -> float:
-    value = _factor(reader)
-    while reader.peek() in ("*", "/"):
-        if reader.take() == "*":
-            value *= _factor(reader)
-        else:
-            value /= _factor(reader)
-    return value
-
-
-def _factor(reader: _Reader) -> float:
-    sign = 1.0
-    while reader.peek() in ("+", "-"):
-        sign = -sign if reader.take() == "-" else sign
-    token = reader.take()
-    if token == "(":
-        return sign * _bracket(reader)
-    if token[:1].isdigit() or token[:1] == ".":
-        return sign * float(token)
-    if not token[:1].isalpha() and token[:1] != "_":
-        raise _not_understood(" ".join(reader.tokens), reader.where, token)
-    name = token.lower()
-    if reader.peek() != "(":
-        return sign * reader.names.constant(name, reader.where)
-    reader.take()
-    if name in _FUNCTIONS:
-        return sign * _FUNCTIONS[name](_bracket(reader))
-    if name in _AXES:
-        (number,) = _numbers(reader, name, 1)
-        return sign * reader.names.corner(number, reader.where)[_AXES.index(name)]
-    if name == "lock" and reader.lock is not None:
-        a, b, c = (reader.names.corner(n, reader.where) for n in _numbers(reader, name, 3))
-        return sign * reader.lock(a, b, c)
-    raise _not_understood(" ".join(reader.tokens), reader.where, f"{token}(")
-
-
-def _bracket(reader: _Reader) -> float:
-    reader.depth += 1
-    if reader.depth > _EXPRESSIONS_DEEPEST:
-        raise InputError("an expression has too many brackets", where=reader.where)
-    value = _sum(reader)
-    reader.depth -= 1
-    if reader.take() != ")":
-        raise _not_understood(" ".join(reader.tokens), reader.where, "a bracket that stays open")
-    return value
-
-
-def _numbers(reader: _Reader, name: str, count: int) -> list[int]:
-    """Return the corner numbers up to the closing bracket."""
-    numbers: list[int] = []
-    while reader.peek() not in (")", ""):
-        token = reader.take()
-        if token != ",":
-            numbers.append(whole(token, reader.where))
-    if reader.take() != ")" or len(numbers) != count:
-        raise InputError(
-            f"{name}() needs {count} corner number{'s' if count > 1 else ''}",
-            where=reader.where,
-            found=" ".join(reader.tokens),
-        )
-    return numbers
 
 
 def lock_on_plane(
@@ -206,12 +174,12 @@ def lock_on_plane(
     ----------
     axis : {0, 1, 2}
     point : three floats
-        The one along `axis` is not looked at.
+        The one along `axis` is not used.
 
     Raises
     ------
     InputError
-        The plane runs along the axis, or the three corners stand on one line.
+        The plane runs along the axis, or the three corners are collinear.
     """
     u = [q - p for p, q in zip(a, b, strict=True)]
     v = [q - p for p, q in zip(a, c, strict=True)]
@@ -223,7 +191,7 @@ def lock_on_plane(
     size = math.sqrt(sum(n * n for n in normal))
     if abs(normal[axis]) <= 1e-9 * size or size == 0.0:
         raise InputError(
-            "lock() finds no place",
+            "lock() has no solution",
             where=where,
             found=f"the plane of its three corners runs along {_AXES[axis]}",
             needed="three corners that are not on one line, of a plane that is not parallel to it",
@@ -242,17 +210,17 @@ _WITHOUT_EFFECT = ("say", "debug", "debugon", "debugoff")
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """One statement without its comment.
-
-    Attributes
-    ----------
-    text : str
-    where : str
-        File and line.
-    """
+    """One statement without its comment."""
 
     text: str
-    where: str
+    where: str  # file and line
+
+    def error(
+        self, what: str, *, found: str | None = None, needed: str | None = None, hint: str = ""
+    ) -> InputError:
+        """Return an error about this line; its text is shown unless `found` says what is wrong."""
+        found = self.text[:80] if found is None else found
+        return InputError(what, where=self.where, found=found, needed=needed, hint=hint)
 
 
 @dataclass(slots=True)
@@ -271,13 +239,13 @@ class GeoFile:
 def read_files(path: Path) -> list[GeoFile]:
     """Return a file and, behind it, all that it includes.
 
-    An included file comes after the whole of the file that names it, so that it sees constants
-    which stand below the INCLUDE.
+    An included file comes after the whole of the file that names it, so that it may use
+    constants defined below the INCLUDE.
 
     Raises
     ------
     InputError
-        A file cannot be read, includes itself, or holds a statement that is not understood.
+        A file cannot be read, includes itself, or contains a statement that is not understood.
     """
     files: list[GeoFile] = []
     _gather(Path(path), (), files)
@@ -294,7 +262,7 @@ def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile]) -> None:
     for line in file.includes:
         inner = _included(line, path.parent)
         if inner.resolve() in (*above, path.resolve()):
-            raise InputError("a file includes itself", where=line.where, found=inner.name)
+            raise line.error("a file includes itself", found=inner.name)
         _gather(inner, (*above, path.resolve()), files)
 
 
@@ -311,9 +279,8 @@ def _included(line: Line, folder: Path) -> Path:
     for candidate in (*options, *(f for f in beside if f.name.lower() in lower)):
         if candidate in beside:
             return candidate
-    raise InputError(
+    raise line.error(
         "an included file does not exist",
-        where=line.where,
         found=name,
         needed=f"{wanted.name} or {wanted.name}.geo in {wanted.parent}",
     )
@@ -360,7 +327,7 @@ def _close_planes(file: GeoFile, pending: list[str], where: str) -> None:
 
 
 def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
-    """Put a statement where it belongs and return the section that holds afterwards."""
+    """Assign a statement to its list and return the section that applies afterwards."""
     alone = line.text.lower() == word
     if alone and word in ("corners", "planes", "markers"):
         return word
@@ -374,10 +341,10 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
         file.includes.append(line)
     elif word in ("offsetco", "offsetpl", "mirror", "translate", "object"):
         if word in file.directives:
-            raise InputError("a statement stands twice in one file", where=line.where, found=word)
+            raise line.error("a statement occurs twice in one file", found=word)
         if file.corners or file.planes:
             raise InputError(
-                f"{word.upper()} stands below corners or planes",
+                f"{word.upper()} is below corners or planes",
                 where=line.where,
                 needed="a place above CORNERS",
             )
@@ -390,10 +357,8 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
 
 
 def _unknown(line: Line) -> InputError:
-    return InputError(
+    return line.error(
         "a statement of the .geo file is not supported",
-        where=line.where,
-        found=line.text[:80],
         needed="ABS, GLOBAL, LOCAL, INCLUDE, OFFSETCO, OFFSETPL, MIRROR, OBJECT with TRANSLATE, "
         "CORNERS with loop(), PLANES",
         hint="let CATT-Acoustic (or TUCT) export the room with everything worked out, or export "
@@ -417,7 +382,7 @@ class CornerSource:
 
 @dataclass(slots=True)
 class Shared:
-    """What all files see: global constants, and corners by their final number."""
+    """What all files share: global constants, and corners by their final number."""
 
     constants: dict[str, tuple[FileNames, Line]] = field(default_factory=dict)
     corners: dict[int, CornerSource] = field(default_factory=dict)
@@ -427,31 +392,18 @@ class Shared:
 
 @dataclass(slots=True)
 class FileNames:
-    """The names that the expressions of one file know.
-
-    Attributes
-    ----------
-    shared : Shared
-    file : GeoFile
-    local : dict
-        Constants of this file alone.
-    offset : int
-        What OFFSETCO adds to its corner numbers.
-    mirror : tuple of two ints or None
-        What MIRROR adds to numbers of mirrored corners and planes.
-    shift : tuple of three floats
-        TRANSLATE.
-    """
+    """The names that the expressions of one file know."""
 
     shared: Shared
     file: GeoFile
-    local: dict[str, Line] = field(default_factory=dict)
-    offset: int = 0
+    local: dict[str, Line] = field(default_factory=dict)  # constants of this file alone
+    offset: int = 0  # what OFFSETCO adds to its corner numbers
+    # What MIRROR adds to numbers of mirrored corners and planes
     mirror: tuple[int, int] | None = None
-    shift: Point = (0.0, 0.0, 0.0)
+    shift: Point = (0.0, 0.0, 0.0)  # TRANSLATE
 
     def constant(self, name: str, where: str) -> float:
-        """Return the value of a constant: this file's, or everybody's."""
+        """Return the value of a constant, of this file or global."""
         owner, line = self, self.local.get(name)
         if line is None:
             if name not in self.shared.constants:
@@ -493,7 +445,7 @@ class _InLoop:
 
 @dataclass(slots=True)
 class _Step:
-    """One step of working something out: refuses circles and endless chains."""
+    """One step of an evaluation: refuses circles and endless chains."""
 
     shared: Shared
     what: str
@@ -519,7 +471,7 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
     Raises
     ------
     InputError
-        There is none, or it cannot be worked out.
+        There is none, or it cannot be evaluated.
     """
     source = shared.corners.get(number)
     if source is None:

@@ -48,8 +48,9 @@ def read_dxf(path: Path) -> RoomModel:
     Raises
     ------
     InputError
-        ezdxf is not installed; not a DXF file, cut short, without faces; or it holds surfaces that
-        cannot be read: bodies of a solid modeller, extruded lines, curved outlines, lost blocks.
+        ezdxf is not installed; not a DXF file, cut short, without faces; or it contains surfaces
+        that cannot be read: bodies of a solid modeller, extruded lines, curved outlines, missing
+        blocks.
 
     References
     ----------
@@ -106,7 +107,7 @@ def _damaged(path: Path, error: Exception) -> InputError:
 def _taken_apart(
     entities: Any, path: Path, layer: str | None = None, block: str | None = None, depth: int = 0
 ) -> Iterator[tuple[Any, str, str | None]]:
-    """Yield every entity with its layer and block, those of inserted blocks where they stand."""
+    """Yield every entity with its layer and block, those of inserted blocks transformed."""
     if depth > _DEEPEST:
         raise InputError("blocks are inserted into each other", where=str(path), found=block)
     for entity in entities:
@@ -230,7 +231,7 @@ def _findings(drawing: _Drawing) -> tuple[Finding, ...]:
     over, hidden = drawing.passed_over, drawing.hidden
     if over:
         graded: Severity = "warning" if any(kind in _FLAT for kind in over) else "info"
-        text = f"The drawing holds entities that are no faces, passed over: {_counted(over)}."
+        text = f"The drawing has entities that are no faces, ignored: {_counted(over)}."
         found.append(Finding(Code.ENTITIES_IGNORED, text, dict(over), graded=graded))
     if hidden:
         text = f"Entities on layers that are off or frozen were passed over: {_counted(hidden)}."

@@ -1,11 +1,7 @@
-"""AC3D (.ac): a tree of objects, each with its own vertices and surfaces.
+"""Readers of polygon meshes: AC3D (.ac), Wavefront OBJ, and Stanford PLY in text or binary.
 
-Wavefront OBJ: faces with their object, group and material, with or without the .mtl file.
-
-Stanford PLY, text or binary, polygons kept whole.
-
-Read here and not by trimesh, which cuts concave polygons into a fan: an L-shaped floor of 7 m2 came
-out with 16 m2.
+Read here and not by trimesh, which cuts concave polygons into a fan (an L-shaped floor of 7 m2 came
+out with 16 m2) and loses names of groups and materials.
 """
 
 from __future__ import annotations
@@ -71,7 +67,7 @@ class _Lines:
         return []
 
     def needed(self, first: str | None, least: int) -> list[str]:
-        """Return the next line, which must start with a word and hold so many words in all."""
+        """Return the next line, which must start with a word and have so many words in all."""
         words = self.words()
         if not words:
             raise InputError(
@@ -96,7 +92,7 @@ class _Lines:
 
 
 def read_ac3d(path: Path) -> RoomModel:
-    """Read the surfaces of an AC3D file [1]_, carried to the places where `rot` and `loc` put them.
+    """Read the surfaces of an AC3D file [1]_, transformed by `rot` and `loc` of their objects.
 
     The name of a surface is its object's, its material that of the MATERIAL line it points to.
     Lines are passed over. "Two-sided" is often set for all surfaces, only for the sake of drawing;
@@ -262,11 +258,11 @@ def _check_indices(path: Path, this: _Object, surf: _Surf, n_materials: int) -> 
 
 @dataclass(slots=True)
 class _State:
-    """What has been read so far, and the names that hold for the next face."""
+    """What has been read so far, and the names that apply to the next face."""
 
     vertices: list[tuple[float, float, float]] = field(default_factory=list)
     faces: list[Face] = field(default_factory=list)
-    lines: list[int] = field(default_factory=list)  # where each face stands in the file
+    lines: list[int] = field(default_factory=list)  # of each face in the file
     object_name: str | None = None
     group: str | None = None
     material: str | None = None
@@ -276,14 +272,14 @@ def read_obj(path: Path) -> RoomModel:
     """Read the faces of an OBJ file [1]_.
 
     `usemtl` gives the material of a face, `o` its surface name (its group's or material's name
-    where there is no `o`), `g` its group. The .mtl file holds only looks and is not opened, so it
-    may be missing. Lines, points, curves, normals and texture coordinates are passed over.
+    where there is no `o`), `g` its group. The .mtl file describes only looks and is not opened, so
+    it may be missing. Lines, points, curves, normals and texture coordinates are passed over.
 
     Raises
     ------
     InputError
         No faces, a face of less than three corners or with a corner that does not exist, or a
-        coordinate that is not finite; the line is told.
+        coordinate that is not finite; the message has the line.
 
     References
     ----------
@@ -294,7 +290,12 @@ def read_obj(path: Path) -> RoomModel:
         where = f"{path}, line {number}"
         match words[0]:
             case "v":
-                state.vertices.append(_vertex(words, where))
+                if len(words) < 4:
+                    raise InputError(
+                        "a vertex needs three coordinates", where=where, found=" ".join(words)
+                    )
+                x, y, z = (finite(word, where) for word in words[1:4])
+                state.vertices.append((x, y, z))
             case "f" | "fo":
                 state.faces.append(_face(words, state, where))
                 state.lines.append(number)
@@ -319,7 +320,7 @@ def read_obj(path: Path) -> RoomModel:
 def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
     """Yield line number, words without comment, and all that follows the first word.
 
-    A backslash at its end continues a line. A name may hold a "#", as in "Material #25".
+    A backslash at its end continues a line. A name may contain a "#", as in "Material #25".
     """
     pending, first = "", 0
     for number, line in enumerate(text.split("\n"), start=1):
@@ -332,12 +333,6 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
         if words:
             yield first, words, pending.strip()[len(words[0]) :].strip()
         pending, first = "", 0
-
-
-def _vertex(words: list[str], where: str) -> tuple[float, float, float]:
-    if len(words) < 4:
-        raise InputError("a vertex needs three coordinates", where=where, found=" ".join(words))
-    return finite(words[1], where), finite(words[2], where), finite(words[3], where)
 
 
 def _face(words: list[str], state: _State, where: str) -> Face:
@@ -532,6 +527,6 @@ def _cut_short(path: Path) -> InputError:
     return InputError(
         "the room file ends early",
         where=str(path),
-        needed="as many numbers as its header promises",
+        needed="as many numbers as its header declares",
         hint="the file is cut short: export or copy it again",
     )

@@ -1,10 +1,6 @@
-"""Formats read by trimesh: STL and GLB.
+"""What the readers of rooms share: the specification, the model they return, and reading of files.
 
-What every reader of a room hands back, before units and axes are settled.
-
-Where a room comes from, as a campaign or a command line says it.
-
-Opening room files and reading numbers from them, with errors that say where.
+Here are also the formats of triangles that trimesh reads, STL and GLB.
 """
 
 from __future__ import annotations
@@ -30,25 +26,13 @@ METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoomModel:
-    """The polygons of a file.
+    """The polygons of a file."""
 
-    Attributes
-    ----------
-    vertices : float array, shape (n_vertices, 3)
-        In the file's own unit and axes.
-    faces : tuple of Face
-    findings : tuple of Finding
-        What the reader doubts.
-    unit : str or None
-        Unit that the format prescribes, None where it prescribes none.
-    up : {"y", "z"}
-        Axis that points up by the format's standard or habit, where the caller says nothing.
-    """
-
-    vertices: FloatArray
+    vertices: FloatArray  # (n_vertices, 3); in the file's own unit and axes
     faces: tuple[Face, ...]
-    findings: tuple[Finding, ...] = ()
-    unit: str | None = None
+    findings: tuple[Finding, ...] = ()  # what the reader doubts
+    unit: str | None = None  # unit that the format prescribes, None where it prescribes none
+    # Axis that points up by the format's standard or habit, where the caller says nothing
     up: str = "z"
 
 
@@ -82,60 +66,40 @@ def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) ->
 
 @dataclass(frozen=True, slots=True)
 class PolygonSpec:
-    """A room as tables of corners and planes.
+    """A room as tables of corners and planes."""
 
-    Attributes
-    ----------
-    corners, planes : tuple of Path
-        A corner or a plane in a later file replaces the one of the same number in an earlier.
-    replace : mapping from plane to Path
-        The planes of that table stand in for one plane.
-    drop : tuple
-        Numbers of planes that are left out.
-    sides : mapping from plane to 1 or 2
-        2 makes a plane a sheet in the air, 1 a wall, whatever its row says.
-    """
-
+    # A corner or a plane in a later file replaces the one of the same number in an earlier
     corners: tuple[Path, ...]
     planes: tuple[Path, ...]
+    # the planes of that table replace one plane
     replace: Mapping[str, Path] = field(default_factory=dict)
-    drop: tuple[str | int, ...] = ()
+    drop: tuple[str | int, ...] = ()  # numbers of planes that are left out
+    # 2 makes a plane a sheet in the air, 1 a wall, whatever its row says
     sides: Mapping[str, int] = field(default_factory=dict)
 
 
 @dataclass(frozen=True, slots=True)
 class RoomSpec:
-    """Which room to read, and how to understand it. One of the first three is given.
+    """Which room to read, and how to understand it. One of the first three is given."""
 
-    Attributes
-    ----------
-    file : Path or None
-        OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, or DXF, by the end of its name.
-    shoebox : tuple of three floats or None
-        Lengths along x, y and z of a box with one corner at the origin.
-    polygons : PolygonSpec or None
-    unit : str or None
-        m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons: m)
-        or the file says (DXF's $INSUNITS).
-    up : {"z", "y"} or None
-        None: what the format prescribes (GLB: y, all others: z).
-    materials : mapping from str to str
-        From the name of a surface, a group or a file's material (in that precedence) to a
-        material. Surfaces that are not named keep the file's material name.
-    """
-
+    # OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, or DXF, by the end of its name
     file: Path | None = None
+    # Lengths along x, y and z of a box with one corner at the origin
     shoebox: tuple[float, float, float] | None = None
     polygons: PolygonSpec | None = None
+    # m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons:
+    # m) or the file says (DXF's $INSUNITS).
     unit: str | None = None
-    up: str | None = None
+    up: str | None = None  # None: what the format prescribes (GLB: y, all others: z)
+    # From the name of a surface, a group or a file's material (in that precedence) to a
+    # material. Surfaces that are not named keep the file's material name.
     materials: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         given = [self.file is not None, self.shoebox is not None, self.polygons is not None]
         if sum(given) != 1:
             raise InputError(
-                "a room comes from exactly one place",
+                "a room has exactly one source",
                 found=f"{sum(given)} of file, shoebox and polygons",
                 needed="one of them",
             )
@@ -146,7 +110,7 @@ _LARGEST = 1e9
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the contents of a file that must exist and hold something.
+    """Return the contents of a file that must exist and not be empty.
 
     Raises
     ------
@@ -180,7 +144,7 @@ def read_text(path: Path) -> str:
         raise InputError(
             "the room file is not text",
             where=str(path),
-            needed=f"a text file, as {Path(path).suffix or 'its name'} promises",
+            needed=f"a text file, as {Path(path).suffix or 'its name'} says",
             hint="check that the file's name ends as its format demands",
         )
     try:
@@ -270,7 +234,7 @@ def read_glb(path: Path) -> RoomModel:
 
 
 def _load(path: Path, kind: str) -> list[tuple[str, FloatArray, np.ndarray[Any, Any], str | None]]:
-    """Return name, vertices, triangles and material of every part, where the file places it."""
+    """Return name, vertices, triangles and material of every part, transformed as in the file."""
     import trimesh
 
     content = io.BytesIO(read_bytes(path))

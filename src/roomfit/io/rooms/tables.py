@@ -1,7 +1,4 @@
-"""Corner and plane tables as spreadsheets hold them, with headings and notes between the rows.
-
-A room from tables of corners and planes: which planes hold, and what the tables doubt.
-"""
+"""A room from tables of corners and planes, as spreadsheets with headings and notes have them."""
 
 from __future__ import annotations
 
@@ -19,44 +16,28 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface, area_vector_m2
 from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite, read_text
-from roomfit.typing import FloatArray
 
 _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
 
 
 @dataclass(frozen=True, slots=True)
 class Plane:
-    """One polygon of a plane table.
+    """One polygon of a plane table."""
 
-    Attributes
-    ----------
-    number : str
-        As written, without a decimal part.
-    corners : tuple of str
-        Numbers of its corners, in order.
-    material, description : str or None
-    double_sided : bool
-        The row says "double sided", or has 2 in a column "sides".
-    stated_area_m2 : float or None
-        Area that the table gives, for a comparison.
-    where : str
-        File and line.
-    """
-
-    number: str
-    corners: tuple[str, ...]
+    number: str  # as written, without a decimal part
+    corners: tuple[str, ...]  # numbers of its corners, in order
     material: str | None
     description: str | None
-    double_sided: bool
-    stated_area_m2: float | None
-    where: str
+    double_sided: bool  # the row says "double sided", or has 2 in a column "sides"
+    stated_area_m2: float | None  # area that the table gives, for a comparison
+    where: str  # file and line
 
 
 def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
     """Return the corners of one table by their number, in the table's unit.
 
-    The columns are found by the heading that holds the words number, x, y and z. Rows without a
-    number are headings or notes and are passed over.
+    The columns are found by the heading with the words number, x, y and z. Rows without a number
+    are headings or notes and are ignored.
 
     Raises
     ------
@@ -85,10 +66,10 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
 def read_planes(path: Path) -> dict[str, Plane]:
     """Return the planes of one table by their number.
 
-    The columns are found by the heading that holds the words number and corner; "material", "area"
-    and "name" or "description" are used where they stand. The corners of a plane end at the first
-    cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
-    A column "sides" may hold 1 or 2.
+    The columns are found by the heading with the words number and corner; "material", "area" and
+    "name" or "description" are used where they exist. The corners of a plane end at the first cell
+    that is no number, so that notes behind them do no harm. Numbers may be written as 616.0. A
+    column "sides" may have 1 or 2.
 
     Raises
     ------
@@ -128,7 +109,7 @@ def read_planes(path: Path) -> dict[str, Plane]:
 
 
 def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
-    """Yield place, cells and heading of each row below a heading; a later heading takes over."""
+    """Yield place, cells and heading of each row below a heading; a later heading replaces it."""
     heading: list[str] | None = None
     reader = csv.reader(read_text(path).split("\n"))
     try:
@@ -183,7 +164,7 @@ def _cell(row: list[str], heading: list[str], starts: tuple[str, ...]) -> str | 
 
 
 def _as_number(cell: str) -> str | None:
-    """Return a whole number as it is meant, or None.
+    """Return a whole number without leading zeros or a decimal part, or None.
 
     Examples
     --------
@@ -234,7 +215,10 @@ def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
         surface = Surface(plane.number, plane.description, plane.material, sides == 2)
         faces.append(Face(_indices(plane, index), surface))
     scale = METRES_PER_UNIT.get(unit or "m", 1.0)
-    areas = _areas_m2(vertices * scale, faces)
+    areas = [
+        float(np.linalg.norm(area_vector_m2((vertices * scale)[list(face.corners)])))
+        for face in faces
+    ]
     findings = (*moved, *replaced, *_area_findings(planes, areas), *_alike(planes))
     return RoomModel(vertices, tuple(faces), findings, "m", "z")
 
@@ -251,7 +235,7 @@ def _merged_corners(paths: tuple[Path, ...]) -> tuple[Corners, list[Finding]]:
         return corners, []
     text = (
         f"{len(moved)} corners differ between the tables, by up to {max(moved.values()):.3g}; the "
-        f"last table holds: {_some(list(moved))}."
+        f"last table applies: {_some(list(moved))}."
     )
     return corners, [Finding(Code.CORNERS_DIFFER, text, {"moved": moved})]
 
@@ -313,10 +297,6 @@ def _indices(plane: Plane, index: Mapping[str, int]) -> tuple[int, ...]:
     return tuple(index[corner] for corner in plane.corners)
 
 
-def _areas_m2(vertices_m: FloatArray, faces: list[Face]) -> list[float]:
-    return [float(np.linalg.norm(area_vector_m2(vertices_m[list(f.corners)]))) for f in faces]
-
-
 def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Finding]:
     """Compare with the stated areas, allowing for their two decimals."""
     wrong = {
@@ -330,12 +310,12 @@ def _area_findings(planes: Mapping[str, Plane], areas: list[float]) -> list[Find
     listed = [
         f"plane {n}: {stated:g} m2 stated, {area:.2f} m2" for n, (stated, area) in wrong.items()
     ]
-    text = f"{len(wrong)} stated areas disagree with the corners, which hold: {_some(listed)}."
+    text = f"{len(wrong)} stated areas disagree with the corners, which are used: {_some(listed)}."
     return [Finding(Code.STATED_AREA_MISMATCH, text, {"planes": wrong})]
 
 
 def _alike(planes: Mapping[str, Plane]) -> list[Finding]:
-    """Tell of material names that differ in blanks, underscores, case or a plural s only."""
+    """Return findings of names of materials that differ in blanks, _, case or a plural s only."""
     families: dict[str, set[str]] = {}
     for plane in planes.values():
         if plane.material:

@@ -1,10 +1,7 @@
-"""What might be true of a campaign: absorption, places, air, levels, as far as it leaves them open.
+"""Synthetic rooms that a campaign may describe: draws of all that it leaves open.
 
-What a campaign states with a spread is drawn within that spread, what it calls known is kept.
-
-What every replicate of a campaign is made from.
-
-What a calibration is asked to do.
+Absorption, positions, air and levels that a campaign states with a standard deviation are drawn
+with it, those it calls known are kept.
 """
 
 from __future__ import annotations
@@ -21,48 +18,35 @@ from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
-from roomfit.io.materials import material_priors, unknown_directivity
+from roomfit.io.inputs import campaign_room, campaign_scene
+from roomfit.io.materials import material_priors, source_directivities
+from roomfit.io.measurements import read_measurements
 from roomfit.io.results import read_result
-from roomfit.io.rooms import read_room
+from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import SPEED_SD
 from roomfit.objective.directivity import DEFAULT_B_SD
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
+from roomfit.objective.room_parameters import values_at
+from roomfit.response.directivity import Directivity, UnknownDirectivity
 from roomfit.scene import Point, Room, position_findings
 from roomfit.signals.iso3382 import MeasuredValues, ValueName
 from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior, logit
+from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 
 @dataclass(frozen=True, slots=True)
 class CoverageSettings:
-    """How many replicates, drawn from what, and which of them now.
+    """How many replicates, drawn from what, and which of them now."""
 
-    Attributes
-    ----------
-    replicates : int
-        Of the whole calibration, 1 to 100,000.
-    first : int
-        The first replicate of this run, from 0.
-    only : int or None
-        How many this run makes at most; None for all that follow.
-    result : Path or None
-        ``result.json`` whose posterior absorption is drawn from; None for the priors.
-    snr_db : float or None
-        Loudest 10 ms over noise in every band, 20 to 90 dB; None for what the files have.
-    seed : int
-        Of the draws; replicate n of one seed is the same in any slice.
-    workers : int
-        Processes.
-    """
-
-    replicates: int = 200
-    first: int = 0
-    only: int | None = None
-    result: Path | None = None
+    replicates: int = 200  # of the whole estimate, 1 to 100,000
+    first: int = 0  # the first replicate of this run
+    only: int | None = None  # how many this run simulates at most; None: all that follow
+    result: Path | None = None  # result.json whose posterior is drawn from; None: the priors
+    # loudest 10 ms over noise in every band, 20 to 90 dB; None: that of the recordings
     snr_db: float | None = None
-    seed: int = 1
-    workers: int = 1
+    seed: int = 1  # of the draws; replicate n of one seed is the same in any slice
+    workers: int = 1  # processes
 
     def __post_init__(self) -> None:
         only = self.replicates if self.only is None else self.only
@@ -78,7 +62,7 @@ class CoverageSettings:
         for name, value, low, high in limits:
             if not low <= value <= high:
                 raise InputError(
-                    "a setting of the calibration is out of range",
+                    "a setting of the estimate of coverage is out of range",
                     where=name,
                     found=f"{value:g}",
                     needed=f"{low:g} to {high:g}",
@@ -91,86 +75,50 @@ class CoverageSettings:
         return range(self.first, min(stop, self.replicates))
 
 
-# Peak over noise of made responses where neither files nor the user tell.
+# Peak over noise of synthetic responses where neither recordings nor settings specify it.
 USUAL_SNR_DB = 60.0
 _LEAST_SNR_DB, _MOST_SNR_DB = 15.0, 90.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceResult:
-    """An answer that absorption is drawn about, bands as they are fitted.
+    """An answer that absorption is drawn about, in the fitted bands; worker processes get it."""
 
-    Attributes
-    ----------
-    absorption : float array, shape (n_materials, n_bands)
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials)
-    scattering : float array, shape (n_materials, n_bands), or None
-    """
-
-    absorption: FloatArray
-    logit_covariance: FloatArray
-    scattering: FloatArray | None
+    absorption: FloatArray  # (n_materials, n_bands)
+    logit_covariance: FloatArray  # (n_bands, n_materials, n_materials)
+    scattering: FloatArray | None  # (n_materials, n_bands)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TabulatedPair:
-    """Which room parameters of a pair are fitted.
-
-    Attributes
-    ----------
-    source, receiver : str
-    spread : dict of value name to float array, shape (n_bands,)
-        Stated standard deviation in the fitted bands, NaN where none is stated.
-    """
+    """Which room parameters of a pair are fitted."""
 
     source: str
     receiver: str
+    # stated standard deviation in the fitted bands, (n_bands,), NaN where none is stated
     spread: dict[ValueName, FloatArray]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoveragePlan:
-    """A campaign, what is known of it beforehand, and how its files sound.
+    """What every replicate of a campaign is drawn and simulated from."""
 
-    Attributes
-    ----------
-    campaign : Campaign
-        Without what is kept for validation.
-    room : Room
-    priors : tuple of MaterialPrior, in the order of the room's materials
-    answer : ReferenceResult or None
-        What absorption is drawn from; None for the priors.
-    grid : Bands
-        Adjacent bands of the truth, one beyond the fitted ones at either end.
-    columns : int array, shape (n_bands,)
-        Places of the fitted bands among the grid's.
-    nearest : int array, shape (n_grid,)
-        The fitted band nearest to each of the grid's.
-    snr_db : float array, shape (n_measurements, n_grid)
-        Loudest block over noise of every file that is made.
-    length_s : float
-        No file that is made is longer.
-    tabulated : tuple of TabulatedPair
-        Pairs of which room parameters are fitted.
-    digest : str
-        Of all that decides a replicate besides its number.
-    """
-
-    campaign: Campaign
+    campaign: Campaign  # without what is kept for validation
     room: Room
-    priors: tuple[MaterialPrior, ...]
-    answer: ReferenceResult | None
-    grid: Bands
-    columns: IntArray
-    nearest: IntArray
-    snr_db: FloatArray
-    length_s: float
+    priors: tuple[MaterialPrior, ...]  # in the order of the room's materials
+    answer: ReferenceResult | None  # what absorption is drawn from; None: the priors
+    grid: Bands  # adjacent bands of the simulation, one beyond the fitted ones at either end
+    columns: IntArray  # (n_bands,), indices of the fitted bands among the grid's
+    nearest: IntArray  # (n_grid,), the fitted band nearest to each of the grid's
+    snr_db: FloatArray  # (n_measurements, n_grid), loudest block over noise of every recording
+    length_s: float  # no synthetic recording is longer
     tabulated: tuple[TabulatedPair, ...]
-    digest: str
+    directivities: dict[str, Directivity | UnknownDirectivity]  # by source
+    digest: str  # of all that decides a replicate besides its number
 
 
 def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePlan:
-    """Return what every replicate of a campaign is made from.
+    """Return what every replicate of a campaign is drawn and simulated from.
 
     Raises
     ------
@@ -180,7 +128,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
     """
     if campaign.spectra:
         raise InputError(
-            "a campaign of damped spectra cannot be calibrated",
+            "the coverage of damped spectra cannot be estimated",
             where=str(campaign.path),
             needed="impulse responses (file) or room parameters",
         )
@@ -189,11 +137,11 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         measurements=tuple(m for m in campaign.measurements if m.use == "fit"),
         tables=tuple(t for t in campaign.tables if t.use == "fit"),
     )
-    room, _ = read_room(campaign.room)
+    room = campaign_room(campaign)
     priors = material_priors(campaign, room.materials)
     answer = None
     if settings.result is not None:
-        answer = _checked(read_result(settings.result), settings.result, campaign, room)
+        answer = _reference(read_result(settings.result), settings.result, campaign, room)
     grid = synthetic_bands(campaign.bands)
     steps = np.abs(np.log(grid.centres_hz[:, None] / campaign.bands.exact_centres_hz[None, :]))
     nearest = np.argmin(steps, axis=1)
@@ -209,6 +157,7 @@ def coverage_plan(campaign: Campaign, settings: CoverageSettings) -> CoveragePla
         read_only(observed[:, nearest]),
         length_s,
         tabulated,
+        source_directivities(campaign, campaign.bands),
         _digest(campaign, settings),
     )
 
@@ -225,7 +174,7 @@ def synthetic_bands(bands: Bands) -> Bands:
     return Bands(bands.kind, exact[0] * ratio ** np.arange(-1, count + 2))
 
 
-def _checked(
+def _reference(
     posterior: AbsorptionPosterior, where: Path, campaign: Campaign, room: Room
 ) -> ReferenceResult:
     same_bands = np.array_equal(posterior.bands.centres_hz, campaign.bands.centres_hz)
@@ -245,7 +194,7 @@ def _checked(
 def _as_measured(
     campaign: Campaign, room: Room, snr_db: float | None
 ) -> tuple[FloatArray, tuple[TabulatedPair, ...], float]:
-    """Return what is kept of the measured files: peak over noise, tables, and the longest length.
+    """Return what counts of the recordings: peak over noise, tables, and the longest length.
 
     With a stated ratio no response is read: the campaign may be one that is still to be measured.
     """
@@ -253,7 +202,8 @@ def _as_measured(
     read = campaign if snr_db is None else replace(campaign, measurements=())
     if not read.measurements and not read.tables:
         return np.full((n, n_bands), snr_db), (), np.inf
-    measurements = collect_measurements(read, room)
+    scene = campaign_scene(read, room)
+    measurements = collect_measurements(scene, read_measurements(read), read.bands, {})
     tabulated = tuple(_tabulated(v, campaign.bands) for v in measurements.values)
     if not read.measurements:
         return np.full((n, n_bands), snr_db or USUAL_SNR_DB), tabulated, np.inf
@@ -266,16 +216,9 @@ def _as_measured(
 
 
 def _tabulated(values: MeasuredValues, bands: Bands) -> TabulatedPair:
-    def at_bands(name: ValueName) -> FloatArray:
-        if name not in values.spread:
-            return np.full(len(bands), np.nan)
-        rows = zip(values.centres_hz.tolist(), values.spread[name].tolist(), strict=True)
-        by_centre = dict(rows)
-        return np.array([by_centre.get(f, np.nan) for f in bands.centres_hz.tolist()])
-
-    return TabulatedPair(
-        values.source, values.receiver, {name: at_bands(name) for name in values.values}
-    )
+    stated = replace(values, values=values.spread, spread={})
+    spread = {name: values_at(stated, name, bands) for name in values.values}
+    return TabulatedPair(values.source, values.receiver, spread)
 
 
 def _digest(campaign: Campaign, settings: CoverageSettings) -> str:
@@ -292,7 +235,7 @@ def _digest(campaign: Campaign, settings: CoverageSettings) -> str:
 
 
 # Correlation of logit absorption from one octave to the next, where the campaign states none.
-_ALIKE = 0.95
+_CORRELATION = 0.95
 _LEVEL_SD_DB = 3.0
 _DEFAULT_LATENCY_SD_S = {"emission": 2e-5, "direct": 0.0, "unknown": 5e-3}
 _SCATTERING = (0.02, 0.4)
@@ -301,37 +244,21 @@ _MOST_DRAWS = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SyntheticRoom:
-    """One draw of everything that the campaign leaves open.
+    """One draw of everything that the campaign leaves open."""
 
-    Attributes
-    ----------
-    absorption : float array, shape (n_materials, n_grid)
-    scattering : float array, shape (n_materials, n_bands)
-    delays_s : float array, shape (n_materials,)
-        What each material adds to the travel time at every reflection.
-    sources, receivers : tuple of Point
-        Where they stand.
-    speed_of_sound_m_s : float
-    b : mapping of source to float array, shape (3,)
-        First-order directivity of the sources whose directivity is unknown.
-    level_db : float array, shape (n_measurements, n_grid)
-    latency_s : float array, shape (n_measurements,)
-        By how much emission differs from where the campaign has it.
-    """
-
-    absorption: FloatArray
-    scattering: FloatArray
-    delays_s: FloatArray
+    absorption: FloatArray  # (n_materials, n_grid)
+    scattering: FloatArray  # (n_materials, n_bands)
+    delays_s: FloatArray  # (n_materials,), added to the travel time at every reflection
     sources: tuple[Point, ...]
     receivers: tuple[Point, ...]
     speed_of_sound_m_s: float
-    b: dict[str, FloatArray]
-    level_db: FloatArray
-    latency_s: FloatArray
+    b: dict[str, FloatArray]  # (3,), first order, of the sources whose directivity is unknown
+    level_db: FloatArray  # (n_measurements, n_grid)
+    latency_s: FloatArray  # (n_measurements,), error of the moment of emission
 
 
 def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> SyntheticRoom:
-    """Draw what might be true of a campaign.
+    """Draw a room that the campaign may describe.
 
     Raises
     ------
@@ -343,7 +270,7 @@ def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> Synthet
     sds = [k.wall_delay_sd_s or 0.0 for k in plan.priors]
     delays = np.abs(rng.standard_normal(len(sds))) * np.array(sds)
     sources, receivers = _positions(plan, rng)
-    temperature_sd_c = plan.campaign.temperature_sd_c
+    temperature_sd_c = plan.campaign.settings.temperature_sd_c
     kelvin = 273.15 + plan.campaign.air.temperature_c
     speed_sd = SPEED_SD if temperature_sd_c is None else 0.5 * temperature_sd_c / kelvin
     c = speed_of_sound_m_s(plan.campaign.air) * float(np.exp(speed_sd * rng.standard_normal()))
@@ -365,12 +292,12 @@ def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
     if plan.answer is None:
         mean = np.array([k.prior_logit_mean for k in plan.priors])[:, plan.nearest]
         free = mean + prior_sd[:, plan.nearest] * normal
-        drawn = lower + (upper - lower) / (1.0 + np.exp(-free))
+        drawn = lower + (upper - lower) * expit(free)
     else:
         roots = np.array([_root(c) for c in plan.answer.logit_covariance])[plan.nearest]
         spread = np.einsum("gij,jg->ig", roots, normal)
         free = logit(plan.answer.absorption)[:, plan.nearest] + spread
-        drawn = np.clip(1.0 / (1.0 + np.exp(-free)), lower, upper)
+        drawn = np.clip(expit(free), lower, upper)
     for row, k in enumerate(plan.priors):
         if k.known is not None:
             drawn[row] = k.known[plan.nearest]
@@ -381,9 +308,11 @@ def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
 
 def _smooth_normal(plan: CoveragePlan, sd: float, n: int, rng: np.random.Generator) -> FloatArray:
     """Return standard normal numbers (n, n_grid) that run smoothly over the bands of the grid."""
-    sd_per_octave = plan.campaign.smoothness_per_octave
-    alike = _ALIKE if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
-    step = alike if plan.grid.kind == "octave" else alike ** (1.0 / 3.0)
+    sd_per_octave = plan.campaign.settings.smoothness_per_octave
+    correlation = (
+        _CORRELATION if sd_per_octave is None else max(1.0 - 0.5 * (sd_per_octave / sd) ** 2, 0.0)
+    )
+    step = correlation if plan.grid.kind == "octave" else correlation ** (1.0 / 3.0)
     drawn = rng.standard_normal((n, len(plan.grid)))
     for band in range(1, len(plan.grid)):
         drawn[:, band] = step * drawn[:, band - 1] + np.sqrt(1.0 - step**2) * drawn[:, band]
@@ -397,7 +326,7 @@ def _root(covariance: FloatArray) -> FloatArray:
 
 
 def _scattering(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
-    """Keep what is told; draw one coefficient for all walls of which nothing is."""
+    """Keep what is specified; draw one coefficient for all walls where it is not."""
     n_bands = len(plan.campaign.bands)
     low, high = np.log(_SCATTERING)
     drawn = float(np.exp(rng.uniform(low, high)))
@@ -422,7 +351,7 @@ def _positions(
         if not position_findings(plan.room, sources, receivers):
             return sources, receivers
     raise CannotTell(
-        "places so uncertain that hardly any draw stands within the room",
+        "positions so uncertain that hardly any draw stands within the room",
         where=str(plan.campaign.path),
         found=f"{_MOST_DRAWS} draws, each with a point in a wall or outside",
         needed="position_sd well below the distance to the walls",
@@ -436,8 +365,8 @@ def _moved(point: Point, rng: np.random.Generator) -> Point:
 
 def _b(plan: CoveragePlan, name: str, rng: np.random.Generator) -> FloatArray | None:
     """Draw the unknown directivity of a source, nowhere of negative amplitude."""
-    unknown = unknown_directivity(plan.campaign, name)
-    if unknown is None:
+    unknown = plan.directivities.get(name)
+    if not isinstance(unknown, UnknownDirectivity):
         return None
     mean = np.zeros(3) if unknown.mean is None else unknown.mean
     sd = DEFAULT_B_SD if unknown.sd is None else unknown.sd
@@ -459,7 +388,7 @@ def _levels(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
 
 
 def _latency_s(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
-    """Draw the error of the moment of emission, which all files of a source share."""
+    """Draw the error of the moment of emission, which all recordings of a source share."""
     error = {s.name: rng.standard_normal() for s in plan.campaign.sources}
     rows = []
     for m in plan.campaign.measurements:

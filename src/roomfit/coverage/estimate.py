@@ -1,8 +1,8 @@
-"""Use case: do the intervals of this campaign hold what they promise?
+"""Coverage of a campaign's intervals: synthetic replicates of it are identified and counted.
 
-One replicate: draw a truth, make its responses, identify them, and keep what came out.
-
-Replicates of a calibration: one small JSON file each, so that a killed run loses one at most.
+A replicate draws everything that the campaign leaves open, simulates its recordings by a model
+other than that of the fit, and identifies them. It is a small JSON file of its own, so that a
+killed run loses one at most.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -31,20 +31,24 @@ from roomfit.coverage.simulate import (
     wanted_pairs,
 )
 from roomfit.coverage.statistics import CoverageSample
-from roomfit.coverage.truth import (
+from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
     coverage_plan,
     draw_synthetic_room,
 )
 from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
+from roomfit.io.inputs import identify_arguments
 from roomfit.results import Answer
-from roomfit.solvers.least_squares import eyring_absorption
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 FOLDER = "replicates"
 _FORMAT, _VERSION = "roomfit-replicate", 1
@@ -52,76 +56,39 @@ _FORMAT, _VERSION = "roomfit-replicate", 1
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Found:
-    """What an identification said of a made campaign.
+    """What is kept of the answer to a synthetic campaign."""
 
-    Attributes
-    ----------
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-    identifiable : bool array, shape (n_materials, n_bands)
-    uniform : float array, shape (n_bands,)
-        Eyring's absorption of the measured decay.
-    chi2_reduced : float array, shape (n_bands,)
-    models : tuple of str, one a band
-    findings : tuple of Code
-        Codes of all findings above "info", each once.
-    """
-
-    absorption: FloatArray
+    absorption: FloatArray  # (n_materials, n_bands), as the next three
     lower95: FloatArray
     upper95: FloatArray
     identifiable: BoolArray
-    uniform: FloatArray
-    chi2_reduced: FloatArray
-    models: tuple[str, ...]
-    findings: tuple[Code, ...]
+    uniform: FloatArray  # (n_bands,), Eyring's absorption of the measured decay: a baseline
+    chi2_reduced: FloatArray  # (n_bands,)
+    models: tuple[str, ...]  # one a band
+    findings: tuple[Code, ...]  # of all findings above "info", each once
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Replicate:
-    """One made campaign.
-
-    Attributes
-    ----------
-    number : int
-    digest : str
-        Of the campaign and the settings that it belongs to.
-    synthesis : str
-        How its responses were made.
-    true : float array, shape (n_materials, n_bands)
-    refused : str or None
-        Why roomfit gave no answer.
-    found : Found or None
-        None where it gave none.
-    seconds : float
-    """
+    """One synthetic campaign."""
 
     number: int
-    digest: str
-    synthesis: str
-    true: FloatArray
-    refused: str | None
-    found: Found | None
+    digest: str  # of the campaign and the settings that it belongs to
+    synthesis: str  # how its responses were simulated
+    true: FloatArray  # (n_materials, n_bands), absorption
+    refused: str | None  # why roomfit gave no answer
+    found: Found | None  # None where it gave none
     seconds: float
-
-    @staticmethod
-    def found_in(answer: Answer, uniform: FloatArray) -> Found:
-        """Return what is kept of an answer."""
-        codes = sorted({f.code for f in answer.findings if f.severity != "info"})
-        return Found(
-            answer.absorption,
-            answer.lower95,
-            answer.upper95,
-            answer.identifiable,
-            uniform,
-            answer.chi2_reduced,
-            answer.models,
-            tuple(codes),
-        )
 
 
 def replicate_path(out: Path, number: int) -> Path:
     """Return where a replicate lies within the output folder."""
     return Path(out) / FOLDER / f"{number:04d}.json"
+
+
+# Keys of a replicate's file that have another name here.
+_KEYS = {"phi": "chi2_reduced"}
+_ARRAYS = ("absorption", "lower95", "upper95", "identifiable", "uniform", "phi")
 
 
 def write_replicate(out: Path, replicate: Replicate) -> Path:
@@ -151,17 +118,15 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
     }
     found = replicate.found
     if found is not None:
-        for name in ("absorption", "lower95", "upper95", "identifiable", "uniform", "phi"):
-            content[name] = getattr(found, {"phi": "chi2_reduced"}.get(name, name)).tolist()
-        content["models"], content["findings"] = (
-            list(found.models),
-            [c.value for c in found.findings],
-        )
+        for key in _ARRAYS:
+            content[key] = getattr(found, _KEYS.get(key, key)).tolist()
+        content["models"] = list(found.models)
+        content["findings"] = [code.value for code in found.findings]
     return write_json_atomically(path, content)
 
 
 def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
-    """Return a replicate of a calibration; None where there is none yet.
+    """Return a replicate; None where there is none yet.
 
     Raises
     ------
@@ -179,11 +144,11 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
         raise _damaged(path, "another kind of file")
     if content.get("digest") != digest:
         raise InputError(
-            "a replicate belongs to another calibration",
+            "a replicate belongs to another estimate of coverage",
             where=str(path),
             found="another campaign, other measured files, --from, --snr-db or --seed, or another "
             "version of roomfit",
-            needed="the same as it was made with",
+            needed="the same as it was simulated with",
             hint="choose another folder",
         )
     try:
@@ -195,20 +160,12 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
 def _replicate(content: dict[str, Any], path: Path) -> Replicate:
     found = None
     if content["refused"] is None:
-        absorption, lower95, upper95 = (
-            np.array(content[name], dtype=np.float64)
-            for name in ("absorption", "lower95", "upper95")
-        )
-        found = Found(
-            absorption,
-            lower95,
-            upper95,
-            np.array(content["identifiable"], dtype=np.bool_),
-            np.array(content["uniform"], dtype=np.float64),
-            np.array(content["phi"], dtype=np.float64),
-            tuple(content["models"]),
-            tuple(code_of(text, str(path)) for text in content["findings"]),
-        )
+        arrays: dict[str, Any] = {
+            _KEYS.get(key, key): np.array(content[key], bool if key == "identifiable" else float)
+            for key in _ARRAYS
+        }
+        codes = tuple(code_of(text, str(path)) for text in content["findings"])
+        found = Found(**arrays, models=tuple(content["models"]), findings=codes)
     return Replicate(
         int(content["number"]),
         content["digest"],
@@ -225,11 +182,11 @@ def _damaged(path: Path, why: str) -> InputError:
         "a replicate is damaged",
         where=str(path),
         found=why,
-        hint="remove it; it will be made again",
+        hint="remove it; it will be simulated again",
     )
 
 
-# Keeps the draws of a calibration apart from those of other tasks with the same seed.
+# Keeps these draws apart from those of other tasks with the same seed.
 _PURPOSE = 31
 
 
@@ -240,14 +197,14 @@ def replicated(
     scratch: Path,
     progress: Progress | None = None,
 ) -> Replicate:
-    """Return what one replicate tells; the same for the same seed and number, whoever asks.
+    """Return one replicate; the same for the same seed and number, whoever asks.
 
-    Where roomfit refuses the made campaign, the replicate tells the refusal.
+    Where roomfit refuses the synthetic campaign, the replicate holds the refusal.
 
     Parameters
     ----------
     scratch : Path
-        An existing folder for the made files, which are removed again.
+        An existing folder for the synthetic files, which are removed again.
 
     Raises
     ------
@@ -257,49 +214,73 @@ def replicated(
     began = time.perf_counter()
     rng = np.random.default_rng([seed, _PURPOSE, number])
     synthetic = draw_synthetic_room(plan, rng)
-    pairs = wanted_pairs(plan)
-    sound = synthetic_sound(plan, synthetic, pairs, synthetic_rate_hz(plan.campaign.bands), rng)
-    true = synthetic.absorption[:, plan.columns]
+    rate_hz = synthetic_rate_hz(plan.campaign.bands)
+    sound = synthetic_sound(plan, synthetic, wanted_pairs(plan), rate_hz, rng)
+    found, refused = None, None
     with tempfile.TemporaryDirectory(dir=scratch, prefix=f"{number:04d}-") as folder:
         campaign = synthetic_campaign(plan, synthetic, sound, Path(folder), rng)
         try:
-            answer = identify(campaign, progress=part(progress, 0.3, 1.0))
+            # through files, as a campaign's own recordings come: their format limits them alike
+            answer = identify(**identify_arguments(campaign), progress=part(progress, 0.3, 1.0))
         except StoreError:
             raise
         except RoomfitError as error:
-            seconds = time.perf_counter() - began
-            return Replicate(number, plan.digest, sound.synthesis, true, str(error), None, seconds)
-    seconds = time.perf_counter() - began
-    found = Replicate.found_in(answer, _uniform(plan, answer))
-    return Replicate(number, plan.digest, sound.synthesis, true, None, found, seconds)
+            refused = str(error)
+        else:
+            found = _found(plan, answer)
+    return Replicate(
+        number,
+        plan.digest,
+        sound.synthesis,
+        synthetic.absorption[:, plan.columns],
+        refused,
+        found,
+        time.perf_counter() - began,
+    )
+
+
+def _found(plan: CoveragePlan, answer: Answer) -> Found:
+    return Found(
+        answer.absorption,
+        answer.lower95,
+        answer.upper95,
+        answer.identifiable,
+        _uniform(plan, answer),
+        answer.chi2_reduced,
+        answer.models,
+        tuple(sorted({f.code for f in answer.findings if f.severity != "info"})),
+    )
+
+
+def _prior_middle(plan: CoveragePlan) -> FloatArray:
+    """Return the middle absorption of every prior, shape (n_materials, n_bands)."""
+    return np.array(
+        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean)) for k in plan.priors]
+    )
 
 
 def _uniform(plan: CoveragePlan, answer: Answer) -> FloatArray:
-    """Return Eyring's absorption of the measured decay in every band, the null model; or the prior.
+    """Return Eyring's absorption of the measured decay in every band, or the mean of the priors.
 
-    The median over pairs of T20, else of EDT.
+    Of the median over pairs of T20, else of T30, else of EDT.
     """
     mesh = plan.room.mesh
     attenuation = attenuation_per_m(plan.campaign.air, plan.campaign.bands)
-    mean: FloatArray = np.array(
-        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean))
-         for k in plan.priors]
-    ).mean(axis=0)  # fmt: skip
-    out = []
+    out: FloatArray = _prior_middle(plan).mean(axis=0)
     for band in range(len(plan.campaign.bands)):
-        t = np.nan
         for name in ("T20_s", "T30_s", "EDT_s"):
             rows = [p.parameters[name].measured for p in answer.pairs if name in p.parameters]
             known = [float(row[band]) for row in rows if np.isfinite(row[band])]
-            if known and not np.isfinite(t):
-                t = float(np.median(known))
-        if not np.isfinite(t):
-            out.append(float(mean[band]))
-            continue
-        rate = 6.0 * float(np.log(10.0)) / t
-        ends = (volume_m3(mesh), surface_area_m2(mesh), answer.speed_of_sound_m_s)
-        out.append(eyring_absorption(rate, *ends, float(attenuation[band])))
-    return np.array(out)
+            if known:
+                out[band] = eyring_absorption(
+                    6.0 * float(np.log(10.0)) / float(np.median(known)),
+                    volume_m3(mesh),
+                    surface_area_m2(mesh),
+                    answer.speed_of_sound_m_s,
+                    float(attenuation[band]),
+                )
+                break
+    return out
 
 
 _SCRATCH = ".making-"
@@ -307,30 +288,46 @@ _SCRATCH = ".making-"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoverageResult:
-    """What all replicates that are there say together.
+    """What all replicates that are there say together."""
 
-    Attributes
-    ----------
-    requested, done : int
-        Replicates of the whole calibration, and those that are there.
-    refused : tuple of str
-        Why roomfit gave no answer to some of them.
-    syntheses : mapping of road to count
-        How their responses were made.
-    findings : mapping of code to count
-        Above "info", over the replicates that were answered.
-    found : CoverageSample
-    drawn_from : str
-        "prior" or "answer".
-    """
-
-    requested: int
-    done: int
-    refused: tuple[str, ...]
-    syntheses: dict[str, int]
-    findings: dict[Code, int]
+    requested: int  # replicates of the whole estimate
+    done: int  # those that are there
+    refused: tuple[str, ...]  # why roomfit gave no answer to some of them
+    syntheses: dict[str, int]  # how often responses were simulated in which way
+    findings: dict[Code, int]  # above "info", over the replicates that were answered
     found: CoverageSample
-    drawn_from: str
+    drawn_from: str  # "prior" or "answer"
+
+    def __str__(self) -> str:
+        """Return the table, what it means, and what was doubtful or refused."""
+        from roomfit.coverage.output import coverage_text
+
+        return coverage_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return the table in HTML, for notebooks."""
+        from roomfit.coverage.output import coverage_html
+
+        return coverage_html(self)
+
+    def plot(self) -> Figure:
+        """Return coverage over the level of the interval, and of 95 % intervals by band."""
+        from roomfit.coverage.output import coverage_figure
+
+        return coverage_figure(self.found)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a band, then all of them, as calibration.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.coverage.output import COLUMNS, coverage_numbers
+        from roomfit.report.frames import data_frame
+
+        return data_frame(COLUMNS, coverage_numbers(self), "calibration.csv")
 
 
 def estimate_coverage(
@@ -340,29 +337,50 @@ def estimate_coverage(
     *,
     progress: Progress | None = None,
 ) -> CoverageResult:
-    """Make a campaign anew many times with known truths, identify each, and count.
+    """Estimate how often intervals hold the true absorption, over synthetic replicates.
 
-    Every replicate is a file of its own in ``out/replicates``; those that are there already are
-    not made again, so that a run that was stopped goes on, and several machines may each take a
+    The campaign is simulated many times with known absorption, and each time identified. Every
+    replicate is a file of its own in ``out/replicates``; those that are there already are not
+    simulated again, so that a run that was stopped goes on, and several machines may each take a
     slice (`CoverageSettings.first` and `only`) of one folder.
 
     Parameters
     ----------
     campaign : Campaign
+        Its recordings need not exist where `CoverageSettings.snr_db` is given.
     out : Path
         Made if needed. What lies there must belong to the same campaign and settings.
     settings : CoverageSettings, optional
     progress : callable, optional
+        Called with the share of the work that is done, 0 to 1.
+
+    Returns
+    -------
+    CoverageResult
+        Proportions, dimensionless, 0 to 1, with their own 95 % intervals: see
+        `roomfit.coverage.statistics.coverage_rows`.
 
     Raises
     ------
     InputError
         Something in the campaign or its files is not as needed, or the folder holds replicates of
-        another calibration.
+        another campaign or other settings.
     CannotTell
         No replicate could be answered.
     StoreError
         The disk refuses.
+
+    Notes
+    -----
+    Absorption drawn from the prior and intervals computed from simulated data make coverage exact
+    on average where model and noise are right: S. Talts, M. Betancourt, D. Simpson, A. Vehtari,
+    A. Gelman, "Validating Bayesian inference algorithms with simulation-based calibration",
+    arXiv:1804.06788 (2018).
+
+    Examples
+    --------
+    ``print(roomfit.estimate_coverage(roomfit.read_campaign("campaign.toml"), Path("coverage")))``
+    is what ``roomfit coverage`` does.
     """
     settings = CoverageSettings() if settings is None else settings
     _check_folder(out)
@@ -370,11 +388,11 @@ def estimate_coverage(
     there = {n: read_replicate(out, n, plan.digest) for n in range(settings.replicates)}
     missing = [n for n in settings.numbers if there[n] is None]
     with _scratch(out) as scratch:
-        _make(plan, settings, missing, out, scratch, progress)
+        _simulate(plan, settings, missing, out, scratch, progress)
     return collected(plan, out, settings)
 
 
-def _make(
+def _simulate(
     plan: CoveragePlan,
     settings: CoverageSettings,
     missing: list[int],
@@ -398,7 +416,7 @@ def _make(
 
 
 def _task(plan: CoveragePlan, seed: int, number: int, out: Path, scratch: Path) -> None:
-    """Make one replicate in a worker, unless the work was called off."""
+    """Write one replicate in a worker, unless the work was called off."""
 
     def watch(_: float) -> None:
         if not scratch.is_dir():
@@ -425,7 +443,7 @@ def collected(plan: CoveragePlan, out: Path, settings: CoverageSettings) -> Cove
             where=str(plan.campaign.path),
             found=f"{len(refused)} refused; the first: {refused[0].splitlines()[0]}"
             if refused
-            else "none was made",
+            else "none is there",
             hint="more measurements, or less noise",
         )
     codes = Counter(code for r in answered if r.found for code in r.found.findings)
@@ -444,11 +462,7 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
     found = [r.found for r in answered if r.found is not None]
     free = np.array([k.known is None and k.tied_to is None for k in plan.priors])
     fitted = np.array([[model != "prior" for model in f.models] for f in found])
-    prior = np.array(
-        [k.lower + (k.upper - k.lower) / (1.0 + np.exp(-k.prior_logit_mean)) for k in plan.priors]
-    )
-    if plan.answer is not None:
-        prior = plan.answer.absorption
+    prior = _prior_middle(plan) if plan.answer is None else plan.answer.absorption
     return CoverageSample(
         plan.room.materials,
         plan.campaign.bands,
@@ -476,7 +490,7 @@ def _check_folder(out: Path) -> None:
 
 @contextmanager
 def _scratch(out: Path) -> Iterator[Path]:
-    """Give a folder for made responses on the same disk, and remove it in any case."""
+    """Give a folder for synthetic responses on the same disk, and remove it in any case."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=out))

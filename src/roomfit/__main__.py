@@ -1,4 +1,4 @@
-"""``python -m roomfit.cli``."""
+"""``python -m roomfit``."""
 
 from __future__ import annotations
 

@@ -1,23 +1,16 @@
-"""A calibration in words and tables.
-
-What `roomfit calibrate` leaves beside its replicates: JSON, table, picture.
-
-A calibration in a picture: what intervals of every level hold, and those of 95 % by band.
-"""
+"""An estimate of coverage as calibration.json, calibration.csv, text, and a figure."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
-from pathlib import Path
-from typing import Any
+from collections.abc import Iterable, Iterator, Sequence
+from html import escape
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from roomfit.cache import write_bytes_atomically, write_json_atomically, write_text_atomically
-from roomfit.coverage.calibrate import CoverageResult, estimate_coverage
 from roomfit.coverage.statistics import (
     CoverageRow,
     CoverageSample,
@@ -25,40 +18,41 @@ from roomfit.coverage.statistics import (
     coverage_at,
     coverage_rows,
 )
-from roomfit.coverage.truth import CoverageSettings
-from roomfit.findings import Code
-from roomfit.io.campaign import read_campaign
+from roomfit.io.encoding import number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.typing import Progress
+from roomfit.report.frames import html_table
+
+if TYPE_CHECKING:
+    from roomfit.coverage.estimate import CoverageResult
 
 _NOMINAL = np.concatenate((np.linspace(0.05, 0.95, 19), [0.98, 0.99]))
 
 
 def coverage_figure(found: CoverageSample) -> Figure:
-    """Return coverage over nominal level, and coverage and false certainty of every band."""
+    """Return coverage over the nominal level, and in every band, with what is wrongly certain."""
     figure = new_figure(9.6, 4.8)
     left, right = figure.subplots(1, 2)
     _levels(left, coverage_at(found, _NOMINAL))
     _bands(right, coverage_rows(found)[:-1])
     n = len(found.true)
-    figure.suptitle(f"{n} replicate{'' if n == 1 else 's'} with a known truth", fontsize=10)
+    figure.suptitle(f"{n} replicate{'' if n == 1 else 's'} of known absorption", fontsize=10)
     return figure
 
 
 def _levels(axes: Axes, proportions: tuple[Proportion, ...]) -> None:
     percent = 100.0 * _NOMINAL
-    axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="as promised")
+    axes.plot([0, 100], [0, 100], color="black", lw=1.0, ls="--", label="nominal")
     if proportions[0].of:
         low, high = (
             100.0 * np.array([getattr(s, n) for s in proportions]) for n in ("low", "high")
         )
         axes.fill_between(
-            *(percent, low, high), color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
+            percent, low, high, color=OKABE_ITO[0], alpha=0.25, lw=0.0, label="range of chance"
         )
         values = [100.0 * s.value for s in proportions]
         axes.plot(percent, values, "o-", color=OKABE_ITO[0], ms=3.5, lw=1.4, label="found")
     axes.set_xlabel("level of the interval (%)")
-    axes.set_ylabel("intervals that hold the truth (%)")
+    axes.set_ylabel("intervals that hold the true value (%)")
     axes.set_xlim(0, 100)
     axes.set_ylim(0, 101)
     axes.grid(alpha=0.25)
@@ -101,12 +95,19 @@ def _bands(axes: Axes, rows: tuple[CoverageRow, ...]) -> None:
     axes.legend(loc="lower center", bbox_to_anchor=(0.5, 1.0), ncols=3, frameon=False, fontsize=8.5)
 
 
-PROMISED = 0.95
+_NOMINAL_COVERAGE = 0.95
 _TOLERATED_WRONG = 0.05
-CSV_HEAD = (
+COLUMNS = (
     *("band_hz", "values", "hold", "hold_low", "hold_high"),
     *("identifiable", "identifiable_wrong", "wrong_low", "wrong_high"),
     *("median_width", "median_error", "median_error_prior", "median_error_uniform"),
+)
+
+
+_HEADINGS = (
+    *("band", "95 % intervals that hold the true value", "identifiable"),
+    *("of these outside their interval", "median width"),
+    *("median |error|", "of the prior", "of a uniform absorption"),
 )
 
 
@@ -115,27 +116,35 @@ def coverage_table(rows: Sequence[CoverageRow]) -> str:
     lines = [
         "             95 % intervals      called           of these        median    "
         "median |error|",
-        "   band      hold the truth   identifiable     outside theirs     width    "
+        "   band     hold true value   identifiable     outside theirs     width    "
         "answer  prior  uniform",
     ]
-    for row in rows:
-        name = "all" if row.band_hz is None else f"{row.band_hz:g} Hz"
+    for name, hold, identifiable, outside, width, error, prior, uniform in map(_cells, rows):
         lines.append(
-            f"{name:>8}  {_fraction(row.holds):>18}  {_percent(row.identifiable):>10}  "
-            f"{_fraction(row.outside):>18}  {_short(row.width):>8}  {_short(row.error):>8} "
-            f"{_short(row.error_prior):>6}  {_short(row.error_uniform):>6}"
+            f"{name:>8}  {hold:>18}  {identifiable:>10}  {outside:>18}  {width:>8}  {error:>8} "
+            f"{prior:>6}  {uniform:>6}"
         )
     return "\n".join(lines)
 
 
+def _cells(row: CoverageRow) -> list[str]:
+    return [
+        "all" if row.band_hz is None else f"{row.band_hz:g} Hz",
+        _fraction(row.holds),
+        _percent(row.identifiable),
+        _fraction(row.outside),
+        *map(_short, (row.width, row.error, row.error_prior, row.error_uniform)),
+    ]
+
+
 def verdict(row: CoverageRow) -> str:
-    """Return in words whether the intervals of all bands together hold what they promise."""
+    """Return in words whether the intervals of all bands together have their nominal coverage."""
     if not row.holds.of:
         return "No absorption was fitted: nothing can be said of intervals."
-    share = f"{100 * row.holds.value:.0f} % of 95 % intervals hold the truth"
-    if row.holds.low <= PROMISED <= row.holds.high:
-        first = f"{share}, which so many replicates cannot tell from 95 %."
-    elif row.holds.value < PROMISED:
+    share = f"{100 * row.holds.value:.0f} % of 95 % intervals hold the true value"
+    if row.holds.low <= _NOMINAL_COVERAGE <= row.holds.high:
+        first = f"{share}, which so many replicates cannot distinguish from 95 %."
+    elif row.holds.value < _NOMINAL_COVERAGE:
         first = f"{share}: they are too narrow for this campaign. Do not rely on them."
     else:
         first = f"{share}: they are wider than they need be for this campaign."
@@ -147,24 +156,28 @@ def verdict(row: CoverageRow) -> str:
     return f"{first} {second}."
 
 
-def coverage_text(
-    rows: Sequence[CoverageRow],
-    done: int,
-    asked: int,
-    syntheses: Mapping[str, int],
-    findings: Mapping[Code, int],
-    refused: Sequence[str],
-) -> str:
-    """Return everything a user must see."""
-    lines = [f"{done} of {asked} replicates; made by " + _counts(syntheses.items())]
-    if done < asked:
-        lines.append("The calibration is not complete: run it again, or the other slices.")
+def coverage_text(result: CoverageResult) -> str:
+    """Return the table, what it means, and what was doubtful or refused."""
+    rows = coverage_rows(result.found)
+    lines = [
+        f"{result.done} of {result.requested} replicates; simulated by "
+        + _counts(result.syntheses.items())
+    ]
+    if result.done < result.requested:
+        lines.append("The estimate is not complete: run it again, or the other slices.")
     lines += ["", coverage_table(rows), "", verdict(rows[-1])]
-    if findings:
-        lines.append("Findings: " + _counts(findings.items()))
-    if refused:
-        lines.append(_refusals(refused))
+    if result.findings:
+        lines.append("Findings: " + _counts(result.findings.items()))
+    if result.refused:
+        lines.append(_refusals(result.refused))
     return "\n".join(lines)
+
+
+def coverage_html(result: CoverageResult) -> str:
+    """Return the table and what it means in HTML."""
+    rows = coverage_rows(result.found)
+    caption = f"{result.done} of {result.requested} replicates"
+    return html_table(caption, _HEADINGS, map(_cells, rows)) + f"<p>{escape(verdict(rows[-1]))}</p>"
 
 
 def _refusals(refused: Sequence[str]) -> str:
@@ -176,18 +189,23 @@ def _refusals(refused: Sequence[str]) -> str:
     return f"{number} refused; the first: {what}" + "".join(f" ({f})" for f in found)
 
 
-def coverage_csv(rows: Sequence[CoverageRow]) -> str:
-    """Return the table as CSV; empty cells where nothing can be counted."""
-    lines = [",".join(CSV_HEAD)]
-    for row in rows:
-        numbers = (
+def coverage_numbers(result: CoverageResult) -> Iterator[tuple[Any, ...]]:
+    """Yield one row a band, then all of them, as `COLUMNS` says; NaN where there is nothing."""
+    for row in coverage_rows(result.found):
+        yield (
+            *("all" if row.band_hz is None else row.band_hz, row.holds.of),
             *(row.holds.value, row.holds.low, row.holds.high),
             *(row.identifiable.value, row.outside.value, row.outside.low, row.outside.high),
             *(row.width, row.error, row.error_prior, row.error_uniform),
         )
-        band = "all" if row.band_hz is None else f"{row.band_hz:g}"
-        cells = ["" if math.isnan(x) else f"{x:.4f}" for x in numbers]
-        lines.append(",".join((band, str(row.holds.of), *cells)))
+
+
+def coverage_csv(result: CoverageResult) -> str:
+    """Return the table as CSV; empty cells where nothing can be counted."""
+    lines = [",".join(COLUMNS)]
+    for band, count, *values in coverage_numbers(result):
+        cells = ["" if math.isnan(x) else f"{x:.4f}" for x in values]
+        lines.append(",".join((band if band == "all" else f"{band:g}", str(count), *cells)))
     return "\n".join(lines) + "\n"
 
 
@@ -209,43 +227,6 @@ def _percent(proportion: Proportion) -> str:
 
 def _short(value: float) -> str:
     return "-" if math.isnan(value) else f"{value:.3f}"
-
-
-def estimate_coverage_to_folder(
-    campaign_file: Path,
-    out: Path,
-    settings: CoverageSettings | None = None,
-    *,
-    progress: Progress | None = None,
-) -> CoverageResult:
-    """Calibrate a campaign and write calibration.json, calibration.csv and calibration.png.
-
-    They tell of all replicates in the folder, whichever run has made them.
-
-    Raises
-    ------
-    InputError, CannotTell, StoreError
-        See `calibrate`.
-    """
-    from roomfit.report.figures import png
-
-    result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
-    write_text_atomically(out / "calibration.csv", coverage_csv(coverage_rows(result.found)))
-    write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
-    write_json_atomically(out / "calibration.json", coverage_json(result))
-    return result
-
-
-def result_text(result: CoverageResult) -> str:
-    """Return everything a user must see."""
-    return coverage_text(
-        coverage_rows(result.found),
-        result.done,
-        result.requested,
-        result.syntheses,
-        result.findings,
-        result.refused,
-    )
 
 
 def coverage_json(result: CoverageResult) -> dict[str, Any]:
@@ -275,10 +256,10 @@ def _row(row: CoverageRow) -> dict[str, Any]:
         "hold": _proportion(row.holds),
         "identifiable": _proportion(row.identifiable),
         "identifiable_wrong": _proportion(row.outside),
-        "median_width": _number(row.width),
-        "median_error": _number(row.error),
-        "median_error_prior": _number(row.error_prior),
-        "median_error_uniform": _number(row.error_uniform),
+        "median_width": number_or_null(row.width),
+        "median_error": number_or_null(row.error),
+        "median_error_prior": number_or_null(row.error_prior),
+        "median_error_uniform": number_or_null(row.error_uniform),
     }
 
 
@@ -286,11 +267,7 @@ def _proportion(proportion: Proportion) -> dict[str, Any]:
     return {
         "count": proportion.count,
         "of": proportion.of,
-        "share": _number(proportion.value),
+        "share": number_or_null(proportion.value),
         "lower95": proportion.low,
         "upper95": proportion.high,
     }
-
-
-def _number(value: float) -> float | None:
-    return None if math.isnan(value) else value

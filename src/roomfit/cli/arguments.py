@@ -1,0 +1,126 @@
+"""Parsers of arguments: a wrong call is an `InputError` that names the nearest known word."""
+
+from __future__ import annotations
+
+import argparse
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+from typing import Any, NoReturn, TypeAlias
+
+from roomfit.errors import InputError
+
+
+class Parser(argparse.ArgumentParser):
+    """A parser that raises where `argparse` would exit."""
+
+    def error(self, message: str) -> NoReturn:
+        """Raise what `argparse` finds wrong.
+
+        Raises
+        ------
+        InputError
+            Always.
+        """
+        raise call_error(self, message.removeprefix("argument "))
+
+    def refuse_unknown_options(self, arguments: Sequence[str]) -> None:
+        """Refuse an unknown option before `argparse` takes its value for another argument.
+
+        Raises
+        ------
+        InputError
+            One of the arguments is an option that this parser does not have.
+        """
+        known = self._option_string_actions
+        for argument in arguments:
+            name = argument.partition("=")[0]
+            if name == "--":
+                return
+            if name.startswith("--") and name not in known:
+                raise call_error(self, "there is no such option", found=name, known=known)
+
+    def add_option(self, name: str, text: str, *, default: object = None, **settings: Any) -> None:
+        """Add an option with a value; `text` gets the default behind it."""
+        if default is not None:
+            text = f"{text.removesuffix('.')} (default: {default})."
+        self.add_argument(name, default=default, help=text, **settings)
+
+    def add_out(self, text: str = "Folder for the results; made if needed.") -> None:
+        """Add ``--out``, a path that must be given."""
+        self.add_argument("--out", type=Path, required=True, help=text)
+
+    def add_overwrite(self, text: str = "Write into a folder that is not empty.") -> None:
+        """Add ``--overwrite``."""
+        self.add_argument("--overwrite", action="store_true", help=text)
+
+
+Commands: TypeAlias = "argparse._SubParsersAction[Parser]"
+
+
+def add_command(
+    commands: Commands, name: str, about: str, run: Callable[[argparse.Namespace], None]
+) -> Parser:
+    """Add a command and return its parser; the first line of `about` is shown in the list."""
+    parser = commands.add_parser(
+        name, help=about.partition("\n")[0], description=about, allow_abbrev=False
+    )
+    parser.set_defaults(run=run)
+    return parser
+
+
+def number(text: str) -> float:
+    """Return a number."""
+    try:
+        return float(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a number") from None
+
+
+def whole_number(text: str) -> int:
+    """Return a whole number."""
+    try:
+        return int(text)
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
+
+
+def positive_number(text: str) -> int:
+    """Return a whole number of at least 1."""
+    value = whole_number(text)
+    if value < 1:
+        raise argparse.ArgumentTypeError(f"{value} is less than 1")
+    return value
+
+
+def call_error(
+    parser: argparse.ArgumentParser,
+    what: str,
+    *,
+    found: str | None = None,
+    known: Iterable[str] = (),
+) -> InputError:
+    """Return what is wrong with a call of the command line.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+        Of the command; its usage is what was needed.
+    what : str
+        One short sentence.
+    found : str, optional
+        The word that was not understood.
+    known : iterable of str
+        Words that could have been meant by `found`.
+    """
+    near = None
+    if found is not None:
+        from roomfit._checks import nearest  # needs numpy, which --help must not wait for
+
+        near = nearest(found, known)
+    usage = " ".join(parser.format_usage().split()).removeprefix("usage: ")
+    return InputError(
+        what,
+        found=None if found is None else repr(found),
+        needed=usage,
+        hint=f"{parser.prog} --help" if near is None else f"did you mean {near!r}?",
+    )

@@ -1,0 +1,114 @@
+"""A campaign, and the result of a fit, as the arguments of `roomfit.design`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, TypedDict
+
+import numpy as np
+
+from roomfit.bands import Bands
+from roomfit.errors import located
+from roomfit.experiment_design.candidates import DesignOptions
+from roomfit.io.campaign import Campaign
+from roomfit.io.inputs import campaign_room, campaign_scene
+from roomfit.io.materials import material_priors, source_directivities
+from roomfit.io.measurements import read_measurements
+from roomfit.materials.priors import MaterialPrior, in_bands
+from roomfit.prediction.campaign import common_bands, room_posterior
+from roomfit.response.directivity import Directivity, UnknownDirectivity
+from roomfit.scene import Room, Scene
+from roomfit.settings import Settings
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+
+class DesignArguments(TypedDict):
+    """What `roomfit.design` takes."""
+
+    scene: Scene
+    materials: tuple[MaterialPrior, ...]
+    bands: Bands
+    absorption: AbsorptionPosterior | None
+    directivities: dict[str, Directivity | UnknownDirectivity]
+    options: DesignOptions
+    settings: Settings
+
+
+def design_arguments(
+    campaign: Campaign,
+    result: AbsorptionPosterior | None = None,
+    changed: Mapping[str, Any] | None = None,
+) -> DesignArguments:
+    """Return a campaign as arguments of `roomfit.design`.
+
+    Recordings are not read: which pairs they belong to is all that counts.
+
+    Parameters
+    ----------
+    campaign : Campaign
+        Read with ``to_fit=False``: it need not have a measurement.
+    result : AbsorptionPosterior, optional
+        A finished fit, from `roomfit.read_result`; materials are matched by name.
+    changed : mapping of option to value, optional
+        Fields of `DesignOptions` that stand instead of the campaign's.
+
+    Raises
+    ------
+    InputError
+        The room or a table cannot be read, an option is out of range, the result and the campaign
+        have no band in common, or the absorption of a material is unspecified.
+    """
+    room = campaign_room(campaign)
+    bands, absorption = campaign.bands, None
+    priors = material_priors(campaign, room.materials)
+    if result is not None:
+        with located(f"{campaign.path}, identify"):
+            bands, doubts = common_bands(campaign.bands, result.bands)
+        at = np.flatnonzero(np.isin(campaign.bands.centres_hz, bands.centres_hz))
+        priors = in_bands(priors, at)
+        with located(str(campaign.path)):
+            absorption = replace(room_posterior(result, priors, bands), findings=doubts)
+    return {
+        "scene": _measured_scene(campaign, room),
+        "materials": priors,
+        "bands": bands,
+        "absorption": absorption,
+        "directivities": source_directivities(campaign, bands),
+        "options": _options(campaign, changed or {}, after_fit=result is not None),
+        "settings": campaign.settings,
+    }
+
+
+def _options(campaign: Campaign, changed: Mapping[str, Any], *, after_fit: bool) -> DesignOptions:
+    """Return the options of ``[design]`` with changes; its criterion counts without a fit."""
+    table = campaign.design
+    options: dict[str, Any] = {
+        "criterion": None if after_fit else table.criterion,
+        "most_sources": table.most_sources,
+        "n_draws": table.draws,
+        "sources": tuple(table.sources),
+        "receivers": tuple(table.receivers),
+        "new_sources": table.new_sources,
+        "grid_m": table.grid_m,
+        "source_heights_m": table.source_heights_m,
+        "receiver_heights_m": table.receiver_heights_m,
+        "region_m": table.region_m,
+        "wall_distance_m": table.wall_distance_m,
+        "source_distance_m": table.source_distance_m,
+        "receiver_distance_m": table.receiver_distance_m,
+        "decay_range_db": table.decay_range_db,
+        "position_sd_m": table.position_sd,
+        "level": table.level,
+    }
+    return DesignOptions(**{**options, **changed})
+
+
+def _measured_scene(campaign: Campaign, room: Room) -> Scene:
+    """Return all sources and receivers of a campaign, and the pairs measured to be fitted."""
+    names = {(m.source, m.receiver) for m in campaign.measurements if m.use == "fit"}
+    tables = read_measurements(replace(campaign, measurements=(), spectra=()))
+    names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
+    scene = campaign_scene(campaign, room)
+    measured = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
+    return replace(scene, pairs=scene.pairs[np.array(measured, dtype=np.bool_)])

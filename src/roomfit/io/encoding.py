@@ -1,0 +1,85 @@
+"""What all files that are written have in common: findings, provenance, unknown numbers, rows."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import io
+from collections.abc import Iterable, Mapping, Sequence
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomfit.errors import StoreError
+from roomfit.findings import Finding
+from roomfit.typing import FloatArray
+
+
+def numbers_or_null(values: FloatArray) -> list[float | None]:
+    """Return an array as a list, None for what is unknown."""
+    return [number_or_null(v) for v in values]
+
+
+def number_or_null(value: float) -> float | None:
+    """Return a number, None where it is unknown (not finite)."""
+    return float(value) if np.isfinite(value) else None
+
+
+def csv_text(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
+    """Return a table as CSV with one line a row."""
+    stream = io.StringIO()
+    writer = csv.writer(stream, lineterminator="\n")
+    writer.writerow(heading)
+    writer.writerows(rows)
+    return stream.getvalue()
+
+
+def finding_content(finding: Finding) -> dict[str, Any]:
+    """Return a finding as a JSON object."""
+    return {
+        "code": finding.code.value,
+        "severity": finding.severity,
+        "sentence": finding.sentence,
+        "evidence": _plain(finding.evidence),
+    }
+
+
+def _plain(value: Any) -> Any:
+    """Return evidence as JSON values; numbers that are not finite become text."""
+    if isinstance(value, Mapping):
+        return {str(key): _plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return _plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [_plain(item) for item in value]
+    if isinstance(value, bool | int | str) or (isinstance(value, float) and np.isfinite(value)):
+        return value
+    return str(value)
+
+
+def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
+    """Return the version of roomfit and the digests of the input files; see `input_digests`."""
+    return {"roomfit": version("roomfit"), "inputs_sha256": input_digests(tuple(inputs))}
+
+
+def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
+    """Return the SHA-256 of every file, named relative to the folder of the first.
+
+    Raises
+    ------
+    StoreError
+        A file cannot be read again.
+    """
+    folder = inputs[0].parent if inputs else Path()
+    digests = {}
+    for path in inputs:
+        name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
+        try:
+            digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
+        except OSError as error:
+            raise StoreError(
+                "an input file cannot be read again", where=str(path), found=str(error)
+            ) from error
+    return digests

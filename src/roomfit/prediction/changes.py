@@ -1,0 +1,189 @@
+"""What if: materials with another absorption than the one that was found."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from roomfit._checks import nearest
+from roomfit.bands import Bands
+from roomfit.errors import InputError, located
+from roomfit.findings import Code, Finding
+from roomfit.materials.catalogue import catalogue_prior
+from roomfit.materials.priors import logit_prior
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+_NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
+_NUMBER = r"(\d+\.?\d*|\.\d+)"
+_VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
+
+
+@dataclass(frozen=True, slots=True)
+class Change:
+    """Another absorption for one material."""
+
+    material: str
+    # a new absorption, a factor on the one that was found, or an entry of the catalogue
+    kind: Literal["value", "factor", "catalogue"]
+    values: tuple[float, ...] = ()  # one for all bands, or one a band
+    sds: tuple[float, ...] = ()  # their standard deviations
+    entry: str = ""  # name in the catalogue
+
+
+def read_change(text: str) -> Change:
+    """Return a change as it is written on the command line.
+
+    Examples
+    --------
+    >>> read_change("ceiling=0.3+-0.05,0.6")
+    Change(material='ceiling', kind='value', values=(0.3, 0.6), sds=(0.05, 0.0), entry='')
+
+    Raises
+    ------
+    InputError
+        It is not written so.
+    """
+    material, sign, specified = (part.strip() for part in text.partition("="))
+    if not (material and sign and specified):
+        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
+    found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
+    matches = [m for m in found if m is not None]
+    if not matches:
+        return Change(material, "catalogue", entry=specified)
+    factors = {m[1] for m in matches}
+    if len(matches) != len(found) or len(factors) != 1:
+        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
+    values = tuple(float(m[2]) for m in matches)
+    sds = tuple(float(m[3] or 0.0) for m in matches)
+    return Change(material, "factor" if factors == {"x"} else "value", values, sds)
+
+
+def change_text(change: Change) -> str:
+    """Return a change in the words of the command line."""
+    if change.kind == "catalogue":
+        return f"{change.material}={change.entry}"
+    mark = "x" if change.kind == "factor" else ""
+    values = [
+        f"{mark}{v:g}" + (f"+-{sd:g}" if sd else "")
+        for v, sd in zip(change.values, change.sds, strict=True)
+    ]
+    return f"{change.material}={','.join(values)}"
+
+
+def changed_draws(
+    posterior: AbsorptionPosterior,
+    draws: FloatArray,
+    changes: Sequence[Change],
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray, tuple[Finding, ...]]:
+    """Return absorption and its draws after all changes.
+
+    Parameters
+    ----------
+    posterior : AbsorptionPosterior
+    draws : float array, shape (n_draws, n_materials, n_bands)
+    changes : sequence of Change
+    rng : numpy Generator
+
+    Returns
+    -------
+    absorption : float array, shape (n_materials, n_bands)
+    draws : float array, shape (n_draws, n_materials, n_bands)
+    findings : tuple of Finding
+        `Code.ABSORPTION_CLIPPED` where a factor leads beyond 1.
+
+    Raises
+    ------
+    InputError
+        The room has no such material, it is changed twice, there is not one value a band, an
+        absorption lies outside of 0 to 1, or the catalogue has no such entry.
+    """
+    absorption, drawn = posterior.absorption.copy(), draws.copy()
+    findings: list[Finding] = []
+    visited: set[str] = set()
+    for change in changes:
+        where = change_text(change)
+        index = _index_of(change.material, posterior.materials, where)
+        if change.material in visited:
+            raise InputError("a material is changed twice", where=where)
+        visited.add(change.material)
+        # one number a draw for all bands: a material is thicker, or hung closer, at all frequencies
+        z = rng.standard_normal(len(draws))
+        with located(where):
+            if change.kind == "factor":
+                factor, sd = _per_band(change, posterior.bands, high=np.inf)
+                wanted = absorption[index] * factor
+                absorption[index] = np.minimum(wanted, 1.0)
+                factors = np.maximum(factor + sd * z[:, None], 0.0)
+                drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
+                findings += _clipped(change, wanted, posterior.bands)
+            else:
+                mean, sd = _specified_absorption(change, posterior.bands)
+                absorption[index] = mean
+                drawn[:, index] = _logit_normal(mean, sd, z)
+    return absorption, drawn, tuple(findings)
+
+
+def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
+    if material not in materials:
+        guess = nearest(material, materials)
+        raise InputError(
+            "a change names a material that the room does not have",
+            where=where,
+            found=repr(material),
+            needed=f"one of {', '.join(materials)}",
+            hint=f"did you mean {guess!r}?" if guess else None,
+        )
+    return materials.index(material)
+
+
+def _specified_absorption(change: Change, bands: Bands) -> tuple[FloatArray, FloatArray]:
+    if change.kind == "catalogue":
+        return catalogue_prior(change.entry, bands)
+    return _per_band(change, bands, high=1.0)
+
+
+def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
+    values, sds = np.array(change.values), np.array(change.sds)
+    if values.size not in (1, len(bands)):
+        raise InputError(
+            "a change has not one value per predicted band",
+            found=f"{values.size} values",
+            needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
+        )
+    if not (np.all(values >= 0.0) and np.all(values <= high)):
+        raise InputError(
+            "absorption coefficient out of range",
+            found=f"{values.max():g}",
+            needed="0 <= a <= 1 (energy, dimensionless)",
+            hint="if these are percentages, divide by 100",
+        )
+    return np.broadcast_to(values, len(bands)).copy(), np.broadcast_to(sds, len(bands)).copy()
+
+
+def _logit_normal(mean: FloatArray, sd: FloatArray, z: FloatArray) -> FloatArray:
+    """Return draws between 0 and 1 about a mean; where the spread is 0 the mean itself."""
+    inside = np.clip(mean, 1e-4, 1.0 - 1e-4)
+    middle, width = logit_prior(inside, sd)
+    drawn = 1.0 / (1.0 + np.exp(-(middle + width * z[:, None])))
+    return np.asarray(np.where(sd > 0.0, drawn, mean))
+
+
+def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding, ...]:
+    over = np.flatnonzero(wanted > 1.0)
+    if not over.size:
+        return ()
+    where = ", ".join(f"{bands.centres_hz[j]:g} Hz ({wanted[j]:.2f})" for j in over)
+    return (
+        Finding(
+            Code.ABSORPTION_CLIPPED,
+            f"The change {change_text(change)} would make the absorption larger than 1 at {where}; "
+            "1 was taken.",
+            {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
+        ),
+    )

@@ -1,0 +1,296 @@
+"""Predicted decays: a room traced as far as needed, and the numbers of every pair with noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands
+from roomfit.cache import Cache
+from roomfit.findings import Code, Finding
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.compare import predicted_curve
+from roomfit.inversion.scattering import band_factors, specified_scattering
+from roomfit.inversion.trace_plan import cached_trace, plan_trace
+from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.objective.parameters import start_vector
+from roomfit.objective.room_parameters import predicted_values, value_covariances, value_problems
+from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
+from roomfit.response.directivity import Directivity, known_directivities
+from roomfit.response.energy import grouped_rows, thinned_rows
+from roomfit.scene import Scene, distances_m, material_areas_m2
+from roomfit.settings import Settings
+from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
+from roomfit.tracing.paths import TraceSettings
+from roomfit.typing import BoolArray, FloatArray, Progress, part
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+# T30 is read from 5 to 35 dB below the start of the decay.
+_NEEDED_DB = 36.0
+_ATTEMPTS = 4
+_LONGER = 1.5
+_LONGEST_S = 30.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FollowedDecay:
+    """Paths in bins, with what they were traced and weighed by."""
+
+    binned: BinnedPaths
+    settings: TraceSettings
+    scattering: FloatArray  # (n_materials, n_bands)
+    directivities: tuple[Directivity | None, ...]  # of each source
+    findings: tuple[Finding, ...]
+
+
+def follow_decay(
+    scene: Scene,
+    known: AbsorptionPosterior,
+    absorption: FloatArray,
+    measured_decay_s: float,
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> FollowedDecay:
+    """Trace until every band of every pair has fallen by 36 dB, in up to four attempts.
+
+    How long is estimated from Eyring's formula and the measured decay, the longer of both; where
+    walls differ much, sound between the hard ones lasts longer still, and the trace is repeated.
+
+    Parameters
+    ----------
+    known : AbsorptionPosterior
+        Bands, scattering and directivities.
+    absorption : float array, shape (n_materials, n_bands)
+    measured_decay_s : float
+        Longest measured reverberation time, 0 where none is known.
+    """
+    bands, directivities = known.bands, known.directivities or {}
+    priors = _scattering_priors(known)
+    longest_s = max(measured_decay_s, float(eyring_time_s(scene, bands, absorption).max()))
+    found: list[Finding] = []
+    for attempt in range(_ATTEMPTS):
+        plan = plan_trace(scene, priors, min(longest_s, _LONGEST_S), 0.0, settings)
+        done = part(progress, attempt / _ATTEMPTS, (attempt + 1) / _ATTEMPTS)
+        traced = cached_trace(scene, plan.settings, plan.scattering, cache, done)
+        found += traced.findings
+        paths = traced.value.paths
+        scattering = specified_scattering(priors, plan.scattering.coefficients, len(bands))
+        factors, degenerate = band_factors(directivities, scene, bands, paths, scattering)
+        binned = bin_paths(scene, bands, paths, plan.settings.duration_s, factors)
+        short = _short_bands(scene, bands, binned, absorption)
+        if not short or longest_s >= _LONGEST_S:
+            break
+        longest_s *= _LONGER
+    if progress is not None:
+        progress(1.0)
+    return FollowedDecay(
+        binned,
+        plan.settings,
+        scattering,
+        known_directivities(directivities, scene.sources),
+        (
+            *plan.findings,
+            *traced.value.findings,
+            *found,
+            *degenerate,
+            *_short_finding(bands, short),
+        ),
+    )
+
+
+def eyring_time_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
+    """Return the reverberation time of a diffuse field in every band, shape (n_bands,).
+
+    References
+    ----------
+    .. [1] C. F. Eyring, "Reverberation time in 'dead' rooms", J. Acoust. Soc. Am. 1, 217-241
+           (1930); with the attenuation of the air.
+    """
+    mesh = scene.room.mesh
+    areas = material_areas_m2(scene.room)
+    mean = np.clip(areas @ absorption / areas.sum(), 1e-4, 0.999)
+    lost_m2 = -surface_area_m2(mesh) * np.log1p(-mean)
+    lost_m2 += 4.0 * volume_m3(mesh) * attenuation_per_m(scene.air, bands)
+    return np.asarray(
+        24.0 * np.log(10.0) * volume_m3(mesh) / (speed_of_sound_m_s(scene.air) * lost_m2)
+    )
+
+
+def _scattering_priors(known: AbsorptionPosterior) -> tuple[MaterialPrior, ...]:
+    """Return priors that hold nothing but the scattering, as the plan of a trace reads them."""
+    n = len(known.bands)
+    rows = np.full((len(known.materials), n), np.nan)
+    if known.scattering is not None:
+        rows = known.scattering
+    return tuple(
+        replace(unknown_material(name, n), scattering=None if np.isnan(row).any() else row)
+        for name, row in zip(known.materials, rows, strict=True)
+    )
+
+
+def _short_bands(
+    scene: Scene, bands: Bands, binned: BinnedPaths, absorption: FloatArray
+) -> Sequence[int]:
+    """Return the bands in which the decay of some pair is not followed far enough."""
+    attenuation = attenuation_per_m(scene.air, bands)
+    direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
+    usable_db = np.array(
+        [
+            predicted_curve(bands, binned, i, absorption, attenuation, float(t)).usable_db
+            for i, t in enumerate(direct_s)
+        ]
+    )
+    return [int(j) for j in np.flatnonzero(usable_db.min(axis=0) < _NEEDED_DB)]
+
+
+def _short_finding(bands: Bands, short: Sequence[int]) -> tuple[Finding, ...]:
+    if not short:
+        return ()
+    centres = [float(bands.centres_hz[j]) for j in short]
+    return (
+        Finding(
+            Code.DECAY_NOT_FOLLOWED,
+            f"The trace does not follow the decay over 35 dB at "
+            f"{', '.join(f'{f:g}' for f in centres)} Hz: T30 is not predicted there. Some walls "
+            "absorb next to nothing.",
+            {"bands_hz": centres},
+        ),
+    )
+
+
+# Differences between absorptions are read from so many rows, in bins of a millisecond.
+_ROWS_OF_A_DRAW = 30_000
+_BINS_TOGETHER = 10
+_PICTURE_POINTS = 160
+_LOWEST_DB = -200.0
+# Times are compared by their ratio, all else by the difference.
+RELATIVE: BoolArray = np.array([name in ("EDT_s", "T20_s", "T30_s") for name in VALUE_NAMES])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairNumbers:
+    """Predictions for one pair, names in the order of `VALUE_NAMES`."""
+
+    values: FloatArray  # (n_names, n_bands); NaN where the decay is not followed far enough
+    draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
+    noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
+    time_s: FloatArray  # (n_times,)
+    decay_db: FloatArray  # (n_bands, n_times), as the two bounds
+    lower_db: FloatArray
+    upper_db: FloatArray
+
+
+def pair_numbers(
+    scene: Scene,
+    bands: Bands,
+    binned: BinnedPaths,
+    pair: int,
+    absorption: FloatArray,
+    draws: FloatArray,
+) -> PairNumbers:
+    """Return the predictions for one pair of the scene.
+
+    Parameters
+    ----------
+    absorption : float array, shape (n_materials, n_bands)
+    draws : float array, shape (n_draws, n_materials, n_bands)
+    """
+    alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
+    bands_of = {f: (rows[pair],) for f, rows in binned.by_band.items()}
+    own = BinnedPaths(binned.edges_s, (binned.rows[pair],), bands_of)
+    direct_s = float(distances_m(alone)[0] / speed_of_sound_m_s(scene.air))
+    attenuation = attenuation_per_m(scene.air, bands)
+    curve = predicted_curve(bands, own, 0, absorption, attenuation, direct_s)
+    values = np.vstack(
+        [
+            room_parameters(curve).values,
+            predicted_values(alone, bands, own, absorption, ("G_dB",))[0],
+        ]
+    )
+    times = np.linspace(0.0, float(curve.time_s[-1]), _PICTURE_POINTS)
+    moved, shapes = _draws(bands, own, direct_s, np.stack([absorption, *draws]), attenuation, times)
+    ratio = np.divide(moved[1:], moved[0], out=np.ones_like(moved[1:]), where=moved[0] != 0.0)
+    drawn = np.where(RELATIVE[:, None], values * ratio, values + (moved[1:] - moved[0]))
+    decay_db = levels_at(curve, times)
+    low, high = np.quantile(shapes[1:] - shapes[0], (0.025, 0.975), axis=0)
+    return PairNumbers(
+        values,
+        drawn,
+        _noise_sd(alone, bands, own, absorption),
+        times,
+        decay_db,
+        decay_db + low,
+        decay_db + high,
+    )
+
+
+def _draws(
+    bands: Bands,
+    own: BinnedPaths,
+    direct_s: float,
+    absorptions: FloatArray,
+    attenuation: FloatArray,
+    times: FloatArray,
+) -> tuple[FloatArray, FloatArray]:
+    """Return values and decay levels under several absorptions, from fewer rows and wider bins."""
+    edges_s = np.append(own.edges_s[:-1][::_BINS_TOGETHER], own.edges_s[-1])
+    few = regrouped(
+        own, edges_s, lambda r: grouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), _BINS_TOGETHER)
+    )
+    values = np.empty((len(absorptions), len(VALUE_NAMES), len(bands)))
+    shapes = np.empty((len(absorptions), len(bands), times.size))
+    for i, absorption in enumerate(absorptions):
+        energy = pair_energies(few, bands, 0, absorption, attenuation)
+        # a wall that absorbs all leaves later bins empty: too little to matter, but not nothing
+        energy = np.maximum(energy, 1e-30 * energy.sum(axis=1, keepdims=True))
+        curve = echogram_decay_curve(bands, energy, edges_s, direct_s)
+        for band in range(len(bands)):
+            values[i, :, band] = value_gradients(curve, band, VALUE_NAMES)[0]
+        shapes[i] = levels_at(curve, times)
+    return values, shapes
+
+
+def levels_at(curve: DecayCurve, times: FloatArray) -> FloatArray:
+    """Return a decay curve in dB at given times, -200 at least; shape (n_bands, n_times)."""
+    levels = np.maximum(decay_curve_db(curve), _LOWEST_DB)
+    return np.stack([np.interp(times, curve.time_s, row) for row in levels])
+
+
+def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArray) -> FloatArray:
+    """Return by how much values scatter though the absorption is known, (n_names, n_bands)."""
+    source, receiver = alone.pairs[0]
+    sd = np.empty((len(VALUE_NAMES), len(bands)))
+    for band in range(len(bands)):
+        one = Bands(bands.kind, bands.centres_hz[band : band + 1])
+        chosen = absorption[:, band : band + 1]
+        expected = predicted_values(alone, one, own, chosen)[0]
+        as_measured = MeasuredValues(
+            alone.sources[source].name,
+            alone.receivers[receiver].name,
+            one.centres_hz,
+            dict(zip(VALUE_NAMES, expected, strict=True)),
+            {},
+        )
+        (problem,) = value_problems(
+            alone,
+            one,
+            tuple(
+                replace(unknown_material(name, 1), known=row)
+                for name, row in zip(alone.room.materials, chosen, strict=True)
+            ),
+            (as_measured,),
+            own,
+            np.array([0.5]),
+            model_error_jnd=0.0,
+        )
+        if problem is None or problem.observations[0].names != VALUE_NAMES:
+            sd[:, band] = np.nan
+            continue
+        (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+        sd[:, band] = np.sqrt(np.diag(covariance))
+    return sd

@@ -1,0 +1,104 @@
+"""What steers a fit: the choices of a user, and the constants that stand behind them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any, Literal, get_args
+
+from roomfit.errors import InputError
+
+Method = Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"]
+Model = Literal["auto", "energy", "coherent"]
+Positions = Literal["auto", "fit", "fixed"]
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How to identify, predict and design; the defaults are what the command line takes.
+
+    Those that differ from the default are written into result.json.
+
+    Raises
+    ------
+    InputError
+        A value is unknown or out of its range.
+
+    Examples
+    --------
+    >>> Settings(seed=3).changed()
+    {'seed': 3}
+    """
+
+    method: Method = "auto"  # "auto": least squares with profile intervals
+    model: Model = "auto"  # "auto": partly coherent where image sources reach far enough
+    seed: int = 1  # of every random number, 0 to 2**63 - 1
+    positions: Positions = "auto"  # whether positions move within their standard deviation
+    reflection_delays: bool = True  # whether walls may delay what they reflect
+    smoothness_per_octave: float | None = None  # sd of the change of logit absorption, > 0
+    temperature_sd_c: float | None = None  # standard deviation of the air's temperature, K
+    n_rays: int = 60_000  # rays a source
+    # Beside image sources of every order in a room of smooth walls rays bring only what is late:
+    # the Monte-Carlo error of a window, 5 to 8 %, stays well below what interference does to it.
+    # Where walls scatter, they bring most of the energy from the first reflections on.
+    n_rays_beside_images: int = 20_000
+    receiver_radius_m: float = 0.5  # of the spheres in which rays are counted
+    default_scattering: float = 0.1  # scattering coefficient of walls where it is unspecified
+    n_draws: int = 128  # draws of the absorption behind a prediction's intervals
+    n_random_starts: int = 3  # of energies alone: do they end in one minimum?
+    n_scattering_rays: int = 20_000  # rays a source of the trials that choose the scattering
+    # Image sources of every order are enumerated as long as they stay below these numbers a pair:
+    # where they are all there is, as in a box of smooth walls, and for pressures.
+    most_images: int = 400_000
+    most_coherent_images: int = 60_000
+    most_triangles_for_images: int = 600  # a furnished room's images end within milliseconds
+    # Pressures are added in windows that end by this time after emission; later ones add little
+    # information and need many more images.
+    coherent_until_s: float = 0.2
+    speed_of_sound_sd: float = 2e-3  # relative, where temperature_sd_c is unspecified
+
+    def __post_init__(self) -> None:
+        for key, value, known in (
+            ("method", self.method, get_args(Method)),
+            ("model", self.model, get_args(Model)),
+            ("positions", self.positions, get_args(Positions)),
+        ):
+            if value not in known:
+                raise InputError(
+                    "unknown setting",
+                    where=f"settings.{key}",
+                    found=repr(value),
+                    needed=", ".join(map(repr, known)),
+                )
+        for key, low, high in (
+            ("seed", 0, 2**63 - 1),
+            ("n_rays", 1, 10**8),
+            ("n_rays_beside_images", 1, 10**8),
+            ("receiver_radius_m", 0.01, 5.0),
+            ("default_scattering", 0.0, 1.0),
+            ("n_draws", 2, 10**6),
+            ("n_random_starts", 0, 1000),
+            ("n_scattering_rays", 1, 10**8),
+            ("most_images", 1, 10**8),
+            ("most_coherent_images", 1, 10**8),
+            ("most_triangles_for_images", 0, 10**7),
+            ("coherent_until_s", 0.01, 10.0),
+            ("speed_of_sound_sd", 1e-6, 0.2),
+            ("smoothness_per_octave", 1e-6, 1e6),
+            ("temperature_sd_c", 0.0, 100.0),
+        ):
+            value = getattr(self, key)
+            if value is not None and not low <= value <= high:
+                raise InputError(
+                    "setting out of range",
+                    where=f"settings.{key}",
+                    found=f"{value:g}",
+                    needed=f"{low:g} to {high:g}",
+                )
+
+    def changed(self) -> dict[str, Any]:
+        """Return the settings that differ from the default, by name."""
+        return {
+            f.name: getattr(self, f.name)
+            for f in fields(self)
+            if getattr(self, f.name) != f.default
+        }

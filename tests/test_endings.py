@@ -1,0 +1,131 @@
+"""Every fit says how it ended, and running out of damping is not convergence."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from posterior_cases import Linear, linear_case
+from roomfit.impedance import fit as impedance_fit
+from roomfit.objective.problem import Prediction
+from roomfit.solvers import least_squares
+from roomfit.solvers.ending import Ending
+from roomfit.solvers.least_squares import (
+    few_gauss_newton_steps,
+    fit_band,
+    gauss_newton,
+    score_band,
+)
+from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
+from roomfit.typing import FloatArray
+
+USES = {
+    "main path": least_squares._GAUSS_NEWTON,
+    "scoring": replace(least_squares._SCORING, max_steps=20),
+    "impedance": impedance_fit._ending_at(impedance_fit._SETTINGS, 1e-4),
+}
+
+
+def decay_residuals(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Samples of 0.3 exp(-2 t) and their derivative by amplitude and rate, in units of 0.001."""
+    t = np.linspace(0.0, 2.0, 30)
+    e = np.exp(-x[1] * t)
+    rows = np.stack((e, -x[0] * t * e), axis=1)
+    return 1e3 * (x[0] * e - 0.3 * np.exp(-2.0 * t)) + np.cos(40.0 * t), 1e3 * rows
+
+
+@pytest.mark.parametrize("name", USES)
+def test_a_derivative_of_the_wrong_sign_does_not_converge(name: str) -> None:
+    """Each step goes uphill however short it is: the damping runs out where it began."""
+    start = np.array([0.5, 1.0])
+
+    def wrong(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        values, jacobian = decay_residuals(x)
+        return values, -jacobian
+
+    settings = replace(USES[name], max_trials=100)
+    found = levenberg_marquardt(wrong, start, settings)
+    assert found.ending is Ending.OUT_OF_DAMPING
+    assert not found.ending.converged
+    assert "derivative" in found.ending.advice
+    np.testing.assert_array_equal(found.x, start)
+
+
+@pytest.mark.parametrize("name", USES)
+def test_the_right_derivative_converges(name: str) -> None:
+    """The same residuals with their own derivative; 0.3 and 2 to a few standard deviations."""
+    found = levenberg_marquardt(decay_residuals, np.array([0.5, 1.0]), USES[name])
+    assert found.ending is Ending.CONVERGED
+    np.testing.assert_allclose(found.x, [0.3, 2.0], rtol=0.02)
+
+
+@pytest.mark.parametrize("name", USES)
+def test_a_start_at_the_minimum_is_convergence_even_where_no_step_helps(name: str) -> None:
+    """Rounding rejects all steps from there, and none promises anything."""
+    settings = USES[name]
+    exact = replace(settings, gain=1e-30, relative_gain=0.0, length_sd=0.0, entry_sd=0.0)
+    best = levenberg_marquardt(decay_residuals, np.array([0.5, 1.0]), exact).x
+    found = levenberg_marquardt(decay_residuals, best, settings)
+    assert found.ending.converged
+    np.testing.assert_allclose(found.x, best, rtol=1e-6)
+
+
+def test_every_evaluation_counts_and_too_few_steps_say_so() -> None:
+    """One at the start, one a trial step."""
+    calls = 0
+
+    def watched(x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        nonlocal calls
+        calls += 1
+        return decay_residuals(x)
+
+    found = levenberg_marquardt(watched, np.array([0.5, 1.0]), MarquardtSettings(max_trials=2))
+    assert found.ending is Ending.OUT_OF_STEPS
+    assert found.evaluations == calls == 3
+
+
+class WrongSign(Linear):
+    """A linear problem with a derivative of the wrong sign."""
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        found = super().predict(vector)
+        return replace(found, jacobian=-found.jacobian)
+
+
+def test_a_band_with_a_wrong_derivative_is_not_called_converged() -> None:
+    """Both ways to fit a band say that the damping ran out; with the right one they converge."""
+    right = linear_case(0)
+    wrong = WrongSign(right.matrix, right.observed, right.sd, right.parameters)
+    start = np.zeros(right.matrix.shape[1])
+    for problem, converged in ((right, True), (wrong, False)):
+        fits = (
+            fit_band(problem, gauss_newton, few_gauss_newton_steps),
+            score_band(problem, start, rounds=12),
+        )
+        for fit in fits:
+            assert fit.converged is converged
+            if not converged:
+                assert fit.ending is Ending.OUT_OF_DAMPING
+
+
+class Counting(Linear):
+    """A linear problem that counts its own predictions."""
+
+    made = 0
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        Counting.made += 1
+        return super().predict(vector)
+
+
+def test_the_evaluations_of_a_band_are_all_that_were_made() -> None:
+    """Counted by the problem itself."""
+    case = linear_case(0)
+    problem = Counting(case.matrix, case.observed, case.sd, case.parameters)
+    Counting.made = 0
+    assert fit_band(problem, gauss_newton, few_gauss_newton_steps).evaluations == Counting.made
+    Counting.made = 0
+    start = np.zeros(case.matrix.shape[1])
+    assert score_band(problem, start, rounds=12).evaluations == Counting.made

@@ -1,0 +1,82 @@
+"""The shape of the code: few nouns, short ways, imports that point one way."""
+
+from __future__ import annotations
+
+import ast
+from collections import Counter
+
+import pytest
+
+import shape
+
+FOUND = shape.modules()
+NAMES = frozenset(m.name for m in FOUND)
+
+
+def test_there_are_at_most_140_modules_and_none_is_longer_than_800_lines() -> None:
+    """An idea has one module that can be read in one sitting."""
+    assert len(FOUND) <= 140
+    assert {m.name: m.n_lines for m in FOUND if m.n_lines > 800} == {}
+
+
+def test_the_core_has_at_most_30_000_lines_and_all_of_src_at_most_45_000() -> None:
+    """The core is what `identify` imports."""
+    assert sum(m.n_lines for m in shape.core(FOUND)) <= 30_000
+    assert sum(m.n_lines for m in FOUND) <= 45_000
+
+
+def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> None:
+    """More means that a record is missing."""
+    long = {
+        f"{m.name}.{f.name}": shape.n_parameters(f)
+        for m, f in shape.functions(FOUND)
+        if shape.n_parameters(f) > 8 and not shape.is_compiled(f)
+    }
+    assert long == {}
+
+
+def test_no_call_spreads_a_tuple_written_on_the_spot() -> None:
+    """``f(*(a, b), c)`` hides which argument is which."""
+    assert [f"{m.name}:{line}" for m, line in shape.splats(FOUND)] == []
+
+
+def test_the_core_imports_no_satellite_no_file_and_no_report() -> None:
+    """Satellites may leave for packages of their own without touching the core."""
+    outside = (*shape.SATELLITES, "io", "report", "commands", "cli")
+    inside = {m.name for m in shape.core(FOUND)}
+    assert {name for name in inside if name.split(".")[0] in outside} == set()
+
+
+def test_modules_import_each_other_in_no_circle() -> None:
+    """Not even inside functions."""
+    arrows = {m.name: shape.imported(m, NAMES) - {""} for m in FOUND}
+    done: set[str] = set()
+    while len(done) < len(arrows):
+        free = {name for name, to in arrows.items() if name not in done and to <= done}
+        left = sorted(set(arrows) - done)
+        assert free, f"modules in or above a circle: {', '.join(left)}"
+        done |= free
+
+
+def test_the_counts_see_what_they_count() -> None:
+    """Each rule, broken on purpose."""
+    tree = ast.parse(
+        "def f(a, b, c, d, e, g, h, i, j): ...\n"
+        "@kernel\ndef k(a, b, c, d, e, g, h, i, j): ...\n"
+        "f(*(1, 2), 3)\nf(*x)\n"
+        "from roomfit.inversion.identify import identify\n"
+    )
+    (first, second) = (n for n in tree.body if isinstance(n, ast.FunctionDef))
+    assert shape.n_parameters(first) == 9
+    assert [shape.is_compiled(f) for f in (first, second)] == [False, True]
+    module = shape.Module("made", shape.SOURCE, tree, 5)
+    assert [line for _, line in shape.splats([module])] == [4]
+    assert shape.imported(module, NAMES) == {"inversion.identify"}
+    assert Counter(m.name for m in FOUND)["inversion.identify"] == 1
+
+
+@pytest.mark.slow
+def test_from_identify_to_the_innermost_call_there_are_at_most_eleven_frames() -> None:
+    """On the default path: responses of an omnidirectional source, pressures that add."""
+    stack = shape.deepest_stack()
+    assert len(stack) <= 11, "\n".join(stack)
