@@ -115,7 +115,7 @@ def test_identify_refuses_spectra_and_names_the_command(finished, tmp_path):
     from roomfit.commands import identify_to_folder
 
     folder, _, _ = finished
-    with pytest.raises(InputError, match="damped spectra tell impedances"):
+    with pytest.raises(InputError, match="damped spectra hold impedances"):
         identify_to_folder(folder / "campaign.toml", tmp_path / "out")
 
 
