@@ -42,9 +42,9 @@ def box_scene(
     names = {s: walls.get(s, "plaster") for s in SURFACES}
     room = room_from_mesh(shoebox_mesh(LENGTHS_M), names, LENGTHS_M)
 
-    def points(kind: str, positions_m: tuple[tuple[float, float, float], ...]) -> tuple[Point, ...]:
-        off = 0.0 if rng is None else rng.normal(scale=move_m, size=(len(positions_m), 3))
-        return tuple(Point(f"{kind}{i}", p) for i, p in enumerate(np.array(positions_m) + off))
+    def points(kind: str, places: tuple[tuple[float, float, float], ...]) -> tuple[Point, ...]:
+        off = 0.0 if rng is None else rng.normal(scale=move_m, size=(len(places), 3))
+        return tuple(Point(f"{kind}{i}", p) for i, p in enumerate(np.array(places) + off))
 
     air = Air(speed_of_sound_m_s=speed_m_s, attenuation="none")
     sources, receivers = points("S", SOURCES_M), points("R", RECEIVERS_M)
@@ -89,7 +89,7 @@ def noisy(
     snr_db: float,
     rng: np.random.Generator,
 ) -> Observed:
-    """Return pressures with complex normal noise so far below their rms; the noise is known."""
+    """Return pressures with complex normal noise so far below their rms, and its sd."""
     rms = float(np.sqrt(np.mean(np.abs(pressure) ** 2))) * 10.0 ** (-snr_db / 20.0)
     noise = rng.normal(size=pressure.shape) + 1j * rng.normal(size=pressure.shape)
     return Observed(

@@ -355,10 +355,7 @@ class LawCurve:
     def start(self) -> FloatArray:
         low, high = self._log_bounds()
         # a little off the ends, where the slope vanishes
-        share = np.clip(
-            (np.log([p.start for p in self.parameters]) - low) / (high - low), 0.01, 0.99
-        )
-        return np.asarray(np.log(share / (1.0 - share)))
+        return logit((np.log([p.start for p in self.parameters]) - low) / (high - low), 0.01)
 
     @property
     def roughness(self) -> FloatArray:

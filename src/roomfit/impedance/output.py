@@ -138,9 +138,8 @@ def _csv(result: ImpedanceResult) -> str:
             cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
             identified = "true" if material.identified[j] else "false"
             rows.append([material.name, f"{frequency:g}", *cells, identified])
-    return csv_text(
-        ["material", "frequency_hz", *result.materials[0].columns(), "identified"], rows
-    )
+    heading = ["material", "frequency_hz", *result.materials[0].columns(), "identified"]
+    return csv_text(heading, rows)
 
 
 def walls_figure(result: ImpedanceResult, materials: Sequence[MaterialImpedance]) -> Figure:
