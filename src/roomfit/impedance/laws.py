@@ -16,7 +16,7 @@ import numpy as np
 from scipy.interpolate import BSpline
 
 from roomfit.errors import InputError
-from roomfit.logit import expit
+from roomfit.logit import expit, logit
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
