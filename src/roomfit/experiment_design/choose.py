@@ -138,67 +138,60 @@ def choose(
            time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
            exact D-optimal designs", Technometrics 22, 315-324 (1980).
     """
-    first = _greedy(unknowns, pairs, rules, n, criterion, fixed)
+    search = _Search(unknowns, pairs, rules, criterion, fixed)
+    first = _greedy(search, n)
     others = [random_design(rules, n, rng, fixed) for _ in range(starts if n > 1 else 0)]
     found = [
-        _exchanged(unknowns, pairs, rules, start, criterion, fixed)
-        for start in (first, *(list(o) for o in others if len(o) == n))
+        _exchanged(search, start) for start in (first, *(list(o) for o in others if len(o) == n))
     ]
     _, best = min(found, key=lambda one: one[0])
-    return _in_order(unknowns, pairs, best, criterion, fixed)
+    return _in_order(search, best)
 
 
-def _greedy(
-    unknowns: Unknowns,
-    pairs: PairInformation,
-    rules: Rules,
-    n: int,
-    criterion: Criterion,
-    fixed: tuple[int, ...],
-) -> list[int]:
+@dataclass(frozen=True, slots=True, eq=False)
+class _Search:
+    """What every step of a choice has in common."""
+
+    unknowns: Unknowns
+    pairs: PairInformation
+    rules: Rules
+    criterion: Criterion
+    fixed: tuple[int, ...]
+
+
+def _greedy(search: _Search, n: int) -> list[int]:
     chosen: list[int] = []
     for number in range(n):
-        mask = allowed(rules, chosen, fixed)
+        mask = allowed(search.rules, chosen, search.fixed)
         if not mask.any():
             raise InputError(
                 "the rules leave no position for another measurement",
                 found=f"{number} of {n}",
                 hint="choose fewer, give more candidates, or lower the least distances in [design]",
             )
-        chosen.append(_best(unknowns, pairs, [*fixed, *chosen], mask, criterion)[1])
+        chosen.append(_best_addition(search, chosen, mask)[1])
     return chosen
 
 
-def _best(
-    unknowns: Unknowns,
-    pairs: PairInformation,
-    chosen: list[int],
-    mask: BoolArray,
-    criterion: Criterion,
-) -> tuple[float, int]:
+def _best_addition(search: _Search, chosen: list[int], mask: BoolArray) -> tuple[float, int]:
     """Return the lowest score that an addition reaches, and which."""
-    scores = np.where(mask, scores_of_additions(unknowns, pairs, chosen, criterion), np.inf)
+    together = [*search.fixed, *chosen]
+    scores = scores_of_additions(search.unknowns, search.pairs, together, search.criterion)
+    scores = np.where(mask, scores, np.inf)
     at = int(np.argmin(scores))
     return float(scores[at]), at
 
 
-def _exchanged(
-    unknowns: Unknowns,
-    pairs: PairInformation,
-    rules: Rules,
-    chosen: list[int],
-    criterion: Criterion,
-    fixed: tuple[int, ...],
-) -> tuple[float, list[int]]:
+def _exchanged(search: _Search, chosen: list[int]) -> tuple[float, list[int]]:
     """Return score and design after single exchanges, the best first, until none helps."""
-    start = information_of(unknowns, pairs, [*fixed, *chosen])
-    now = float(score(unknowns, start, criterion))
+    start = information_of(search.unknowns, search.pairs, [*search.fixed, *chosen])
+    now = float(score(search.unknowns, start, search.criterion))
     for _ in range(_MOST_EXCHANGES):
         found = []
         for i in range(len(chosen)):
             rest = chosen[:i] + chosen[i + 1 :]
-            mask = allowed(rules, rest, fixed)
-            found.append((*_best(unknowns, pairs, [*fixed, *rest], mask, criterion), i))
+            mask = allowed(search.rules, rest, search.fixed)
+            found.append((*_best_addition(search, rest, mask), i))
         best, at, index = min(found)
         if best > now - _LEAST_GAIN:
             break
@@ -206,19 +199,13 @@ def _exchanged(
     return now, chosen
 
 
-def _in_order(
-    unknowns: Unknowns,
-    pairs: PairInformation,
-    chosen: list[int],
-    criterion: Criterion,
-    fixed: tuple[int, ...],
-) -> tuple[int, ...]:
+def _in_order(search: _Search, chosen: list[int]) -> tuple[int, ...]:
     """Return the chosen pairs, at every step the one that helps most."""
     order: list[int] = []
     while len(order) < len(chosen):
-        mask = np.zeros(len(pairs.gain), dtype=np.bool_)
+        mask = np.zeros(len(search.pairs.gain), dtype=np.bool_)
         mask[[c for c in chosen if c not in order]] = True
-        order.append(_best(unknowns, pairs, [*fixed, *order], mask, criterion)[1])
+        order.append(_best_addition(search, order, mask)[1])
     return tuple(order)
 
 

@@ -333,7 +333,7 @@ def _problems(
             f,
             in_band(binned, f.centre_hz),
             direct_s,
-            _absorption(expected, f.band, typical[:, f.band]),
+            replace(absorption_block(expected.priors, f.band, 0.2), start=typical[:, f.band]),
             expected.decay_range_db,
             timing_sd_s,
             periods=_PRESSURE_PERIODS if expected.coherent else _ENERGY_PERIODS,
@@ -432,10 +432,6 @@ def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) ->
     jacobian = problem.predict(vector).jacobian
     spread = problem.correlation_length() * problem.variance(vector)
     return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
-
-
-def _absorption(expected: ExpectedMeasurement, band: int, absorption: FloatArray) -> Block:
-    return replace(absorption_block(expected.priors, band, 0.2), start=absorption)
 
 
 def _pair_geometry(expected: ExpectedMeasurement, speed_m_s: float) -> Geometry:
