@@ -386,6 +386,52 @@ class MeasuredBox:
     absorption: FloatArray  # (n_materials, n_bands)
 
 
+def simulated_responses(
+    plan: BoxPlan,
+    rng: np.random.Generator,
+    *,
+    position_error_m: float = _POSITION_ERROR_M,
+    noise_db: float = _NOISE_DB,
+    patch: Patch | None = None,
+    progress: Progress | None = None,
+) -> dict[tuple[str, str], FloatArray]:
+    """Return simulated impulse responses of every source with every receiver of a box.
+
+    Image sources whose pressures add; a loudspeaker with a spectrum and a phase of its own.
+
+    Parameters
+    ----------
+    rng : numpy.random.Generator
+        Draws position errors, loudspeaker levels and noise.
+    position_error_m : float
+        Standard deviation of each true coordinate about the specified one.
+    noise_db : float
+        Level of the noise relative to the peak of each response.
+    patch : Patch, optional
+        Another material on a part of one wall, in the plan's octaves.
+
+    Returns
+    -------
+    dict from (source, receiver) to float array, shape (n_samples,)
+        Samples at `SAMPLING_RATE_HZ`, the first at the moment of emission.
+    """
+    synthetic, true_at = _true_box(plan, position_error_m, rng)
+    levels_db = {s: rng.normal(0.0, 3.0, synthetic.centres_hz.size) for s in plan.sources_m}
+    pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
+    found = {}
+    for number, (s, r) in enumerate(pairs):
+        ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
+        pressure = (
+            pressure_response(synthetic, *ends)
+            if patch is None
+            else patched_response(synthetic, patch, *ends)
+        )
+        found[s, r] = add_noise(pressure, noise_db, rng)
+        if progress is not None:
+            progress((number + 1) / len(pairs))
+    return found
+
+
 def write_measured_box(
     plan: BoxPlan,
     folder: Path,
@@ -396,37 +442,24 @@ def write_measured_box(
     patch: Patch | None = None,
     progress: Progress | None = None,
 ) -> MeasuredBox:
-    """Simulate measured responses of every pair in a box and write them as a campaign.
+    """Write simulated responses of every pair in a box into an existing folder, as a campaign.
 
-    Parameters
-    ----------
-    folder : Path
-        An existing folder.
-    rng : numpy.random.Generator
-        Draws position errors, loudspeaker levels and noise.
-    position_error_m : float
-        Standard deviation of each true coordinate about the specified one.
-    noise_db : float
-        Level of the noise relative to the peak of each response.
-    patch : Patch, optional
-        On one of the walls, in the plan's octaves; the campaign does not specify it.
+    The other parameters are those of `simulated_responses`; the campaign does not specify a patch.
     """
-    synthetic, true_at = _true_box(plan, position_error_m, rng)
-    levels_db = {s: rng.normal(0.0, 3.0, synthetic.centres_hz.size) for s in plan.sources_m}
-    pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
-    for number, (s, r) in enumerate(pairs):
-        ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
-        pressure = (
-            pressure_response(synthetic, *ends)
-            if patch is None
-            else patched_response(synthetic, patch, *ends)
-        )
-        _write_wav(folder / f"{s}_{r}.wav", add_noise(pressure, noise_db, rng))
-        if progress is not None:
-            progress((number + 1) / len(pairs))
-    text = campaign_text(plan, pairs, position_error_m)
+    responses = simulated_responses(
+        plan,
+        rng,
+        position_error_m=position_error_m,
+        noise_db=noise_db,
+        patch=patch,
+        progress=progress,
+    )
+    for (s, r), pressure in responses.items():
+        _write_wav(folder / f"{s}_{r}.wav", pressure)
+    text = campaign_text(plan, list(responses), position_error_m)
     campaign = write_text_atomically(folder / "campaign.toml", text)
-    return MeasuredBox(campaign, plan.materials, synthetic.centres_hz, plan.absorption)
+    centres_hz = bands_between("octave", 63, 8000).centres_hz
+    return MeasuredBox(campaign, plan.materials, centres_hz, plan.absorption)
 
 
 def _true_box(
