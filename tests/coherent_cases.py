@@ -38,7 +38,7 @@ from roomfit.signals.filters import (
 )
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 
 SPEED_M_S = 340.0
 END_S = 0.06
@@ -133,7 +133,7 @@ def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
     return replace(problem, energies=replace(problem.energies, observations=tuple(observed)))
 
 
-def estimates_of(fit: CoherentFit) -> tuple[BandAnswer | None, ...]:
+def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     """Return the Gaussian estimate of every band of a partly coherent fit."""
     areas_m2 = material_areas_m2(fit.state.task.scene.room)
     coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))

@@ -24,7 +24,7 @@ from roomfit.objective.problem import InflatedVariance, Prediction
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 
 N_OWN, N_SHARED = 2, 3
 
@@ -169,10 +169,10 @@ def test_softened_data_have_larger_variances_and_nothing_else() -> None:
     np.testing.assert_array_equal(soft.predict(vector).expected, problem.predict(vector).expected)
 
 
-def _answer(absorption: list[float], half_width: float) -> BandAnswer:
+def _answer(absorption: list[float], half_width: float) -> BandEstimate:
     a = np.array(absorption)
     sure = np.ones(a.size, dtype=np.bool_)
-    return BandAnswer(
+    return BandEstimate(
         *(a, a - half_width, a + half_width, sure, np.log(a / (1 - a)), 0.01 * np.eye(a.size)),
         *((float(a.mean()), 0.1, 0.4), 1.0, 1.0, 1, Ending.CONVERGED, "coherent"),
     )
