@@ -36,6 +36,7 @@ from roomfit.signals.filters import (
     spreading_kernel,
     statistical_bandwidth_hz,
 )
+from roomfit.solvers.ending import Ending
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
 from roomfit.uncertainty.gaussian import BandEstimate
@@ -139,3 +140,22 @@ def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))
     energy = [b if b is None else b.estimate for b in energy_estimates(fit)]
     return decided(fit, energy, widened_by_neighbours(coherent, areas_m2))
+
+
+def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:
+    """Return the estimate of a band with intervals of one width, all identifiable."""
+    a = np.array(absorption)
+    return BandEstimate(
+        a,
+        a - half_width,
+        a + half_width,
+        np.ones(a.size, dtype=np.bool_),
+        np.log(a / (1 - a)),
+        0.01 * np.eye(a.size),
+        (float(a.mean()), 0.1, 0.4),
+        1.0,
+        1.0,
+        1,
+        Ending.CONVERGED,
+        "coherent",
+    )

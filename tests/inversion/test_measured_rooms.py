@@ -21,7 +21,7 @@ pytestmark = pytest.mark.slow
 @pytest.fixture(scope="module")
 def benchmark() -> ModuleType:
     """Return the benchmark as a module."""
-    path = Path(__file__).parents[1] / "benchmarks" / "measured_rooms.py"
+    path = Path(__file__).parents[2] / "benchmarks" / "measured_rooms.py"
     spec = importlib.util.spec_from_file_location("measured_rooms", path)
     assert spec is not None
     assert spec.loader is not None
