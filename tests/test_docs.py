@@ -20,12 +20,12 @@ import roomfit
 from roomfit.cli import command_parsers
 from roomfit.geometry.build import TOO_WARPED_FROM_M
 from roomfit.geometry.check import LEAK_LIMIT
-from roomfit.inversion.trace_plan import DEFAULT_SCATTERING, RECEIVER_RADIUS_M
 from roomfit.io import campaign as schema
 from roomfit.io.materials import material_priors
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.objective.energy import EnergyProblem
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
+from roomfit.settings import Settings
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
@@ -236,6 +236,7 @@ file = "a.wav"
 
 def test_numbers_that_the_pages_tell_are_those_of_the_code():
     fields = EnergyProblem.__dataclass_fields__
+    settings = Settings()
     middle = np.log(DEFAULT_MEAN / (1.0 - DEFAULT_MEAN))
     reach = 1.96 * DEFAULT_LOGIT_SD
     low, high = (1.0 / (1.0 + np.exp(-x)) for x in (middle - reach, middle + reach))
@@ -245,19 +246,19 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
             f"the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
         ],
         "findings.md": [
-            f"explains the responses best, and {DEFAULT_SCATTERING:g} where there are only room",
+            f"explains the responses best, and {settings.default_scattering:g} where there are only room",
             f"More than {100 * LEAK_LIMIT:g} % of hits escape",
             f"`phi` exceeds {LARGEST_CHI2_REDUCED:g}",
             f"; {100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed",
             f"by more than {1e3 * TOO_WARPED_FROM_M:g} mm",
         ],
         "campaign-file.md": [
-            f"({DEFAULT_SCATTERING:g} where there are only room parameters), with a finding",
+            f"({settings.default_scattering:g} where there are only room parameters), with a finding",
             f"Left out: {DEFAULT_POSITION_SD_M:g}",
             f"lies between {low:.2f} and {high:.2f}",
         ],
         "how-it-works.md": [
-            f"({RECEIVER_RADIUS_M:g} m in radius",
+            f"({settings.receiver_radius_m:g} m in radius",
             f"{100 * fields['model_error'].default:g} % of the window's energy",
             f"{100 * fields['ringing_error'].default:g} % of what a loudspeaker",
             f"(mean {DEFAULT_MEAN:g}, standard deviation {DEFAULT_LOGIT_SD:g} in logit)",

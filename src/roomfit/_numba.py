@@ -10,7 +10,6 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from functools import wraps
 from multiprocessing import get_context
 from typing import Any, ParamSpec, TypeVar, cast
 
@@ -69,11 +68,7 @@ def one_blas_thread(function: Callable[P, R]) -> Callable[P, R]:
     makes sums the same on machines of any number of cores.
     """
 
-    @wraps(function)
-    def limited(*args: P.args, **kwargs: P.kwargs) -> R:
-        with threadpool_limits(limits=1, user_api="blas"):
-            return function(*args, **kwargs)
-
+    limited: Callable[P, R] = threadpool_limits.wrap(limits=1, user_api="blas")(function)
     return limited
 
 

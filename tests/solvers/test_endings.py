@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from posterior_cases import Linear, linear_case
+
 from roomfit.impedance import fit as impedance_fit
 from roomfit.objective.problem import Prediction
 from roomfit.solvers import least_squares
@@ -20,7 +20,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import band_estimate
+from roomfit.uncertainty.gaussian import FittedBand, band_estimate
 from roomfit.uncertainty.intervals import Refinement
 
 USES = {
@@ -141,6 +141,6 @@ def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> Non
     fit = fit_band(problem, gauss_newton, few_gauss_newton_steps)
     answer = band_estimate(problem.parameters, fit, np.ones(3), "energy")
     refine = Refinement("profile", np.ones(3), 1, exchanges=(np.array([1, 0, 2]),))
-    refined = refine(problem, fit, answer)
+    refined = refine(FittedBand(answer, problem, fit))
     assert refined.profiles
     assert refined.evaluations == Counting.made > fit.evaluations

@@ -6,9 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq, least_squares
-from scipy.stats import binom
-
 from posterior_cases import (
     Posynomial,
     absorption_block,
@@ -16,12 +13,15 @@ from posterior_cases import (
     exchangeable_case,
     linear_case,
 )
+from scipy.optimize import brentq, least_squares
+from scipy.stats import binom
+
 from roomfit.bands import Bands
 from roomfit.findings import Code
 from roomfit.inversion.bands import from_random_starts, starts_findings
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
 from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
-from roomfit.uncertainty.gaussian import absorption_intervals, band_estimate
+from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
@@ -170,7 +170,9 @@ def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():
     problem = exchangeable_case()
     fit = fitted(problem)
     answer = band_estimate(problem.parameters, fit, np.ones(2), "energy")
-    refined = Refinement("gaussian", np.ones(2), 1, (np.array([1, 0]),))(problem, fit, answer)
+    refined = Refinement("gaussian", np.ones(2), 1, (np.array([1, 0]),))(
+        FittedBand(answer, problem, fit)
+    )
     (trial,) = refined.mirrors
     np.testing.assert_allclose(trial.absorption, answer.absorption[::-1], atol=0.02)
     assert abs(trial.gain) < 0.05

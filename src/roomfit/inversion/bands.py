@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -34,8 +34,7 @@ from roomfit.solvers.least_squares import (
 from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
-    BandEstimate,
-    Refine,
+    FittedBand,
     SharedCovariance,
     Starts,
     absorption_intervals,
@@ -146,24 +145,6 @@ def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
 
 """Problem, its fit and the Gaussian answer to a better answer."""
 """Number of a band, its problem and its fit to the same fit, less sure."""
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FittedBand:
-    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
-
-    estimate: BandEstimate
-    problem: BandProblem | None = None  # None, as the fit, where only the prior is known
-    fit: BandFit | None = None
-
-
-def refined(
-    band: FittedBand, refine: Refine | None, progress: Progress | None = None
-) -> BandEstimate:
-    """Return the estimate of a band with better intervals, where there are data and a wish."""
-    if refine is None or band.problem is None or band.fit is None:
-        return band.estimate
-    return refine(band.problem, band.fit, band.estimate, progress)
 
 
 def fit_bands(

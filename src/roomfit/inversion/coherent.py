@@ -24,7 +24,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.findings import Finding
-from roomfit.inversion.bands import FittedBand, affordable_certificate
+from roomfit.inversion.bands import affordable_certificate
 from roomfit.inversion.directivity import (
     directivities_under_cavity_priors,
     directivity_score,
@@ -97,7 +97,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandEstimate, add_covariance, band_estimate
+from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, add_covariance, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75

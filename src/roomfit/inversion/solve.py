@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 from roomfit.air import Air
 from roomfit.findings import Finding
-from roomfit.inversion.bands import fit_bands, refined
+from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import (
     CoherentTask,
     coherent_estimates,
@@ -107,7 +107,7 @@ def estimate_energies(
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
-    refine: Refine | None,
+    refine: Refine,
     progress: Progress | None,
 ) -> BandFits:
     """Estimate the absorption of every band by window energies and room parameters.
@@ -116,7 +116,7 @@ def estimate_energies(
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
-    refine : callable or None
+    refine : callable
         Makes better intervals of each band's fit.
 
     Raises
@@ -141,7 +141,7 @@ def estimate_energies(
         watch=None if tested is None else score_sources(task, tested, scores),
         shared_covariance=shared_error_covariance(task),
     )
-    estimates = tuple(refined(band, refine) for band in fitted)
+    estimates = tuple(refine(band, None) for band in fitted)
     found = band_directivities(unknown, directivities, estimates)
     return BandFits(estimates, None, source_findings(tested, scores), found)
 
@@ -152,7 +152,7 @@ def estimate_pressures(
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
-    refine: Refine | None,
+    refine: Refine,
     progress: Progress | None,
 ) -> BandFits:
     """Estimate the absorption of every band by partly coherent image sources where they explain it.
@@ -185,15 +185,15 @@ def estimate_pressures(
     coherent: list[BandEstimate | None] = []
     for i, band in enumerate(coherent_estimates(fit)):
         done = part(progress, 0.75 + 0.2 * i / n, 0.75 + 0.2 * (i + 1) / n)
-        coherent.append(None if band is None else refined(band, refine, done))
+        coherent.append(None if band is None else refine(band, done))
     areas_m2 = material_areas_m2(scene.room)
-    energy = [None if b is None else refined(b, refine) for b in energy_estimates(fit)]
+    energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
     chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
     # where no response has data, room parameters or the prior
     alone = [None if e is not None else v for e, v in zip(chosen, values, strict=True)]
     rest = fit_bands(alone, priors, areas_m2, settings, part(progress, 0.95, 1.0))
     estimates = tuple(
-        refined(r, refine) if e is None else e for e, r in zip(chosen, rest, strict=True)
+        refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)
     )
     directed = tuple(None if b is None else b.directed for b in fit.state.bands)
     found = band_directivities(unknown, directed, estimates)

@@ -43,7 +43,6 @@ from roomfit.objective.windows import in_windows
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
-    CoherentResponse,
     ImagePaths,
     band_grid,
     binned_energies,
@@ -97,7 +96,26 @@ class CoherentProblem:
 
     def predict(self, vector: FloatArray) -> Prediction:
         """Return what the model expects in every window."""
-        return _predict(self, vector)
+        values, slopes = physical_values(self.parameters, vector)
+        n_leading = position_of(self.parameters, GEOMETRY)
+        leading = Parameters(tuple(b for b in self.parameters.blocks if b.name != GEOMETRY))
+        # all paths as energies, with the unknowns that these have
+        plain = predict_windows(replace(self.energies, parameters=leading), vector[:n_leading])
+        extra, by_absorption, by_times = _correction(self, values)
+        gains = np.append(values["gain"], 1.0)
+        gain = gains[_gain_of_window(self)]
+        columns = np.zeros((extra.size, values["gain"].size))
+        for k in range(columns.shape[1]):
+            columns[_gain_of_window(self) == k, k] = 1.0
+        jacobians = {
+            "absorption": gain[:, None] * by_absorption * slopes["absorption"],
+            "gain": columns * extra[:, None] * slopes["gain"],
+            GEOMETRY: gain[:, None] * by_times * slopes[GEOMETRY],
+        }
+        jacobian = fitted_columns(self.parameters, jacobians)
+        jacobian[:, :n_leading] += plain.jacobian
+        added = gain * extra
+        return Prediction(plain.expected + added, plain.signal + added, jacobian)
 
     def variance(self, vector: FloatArray) -> FloatArray:
         """Return how far every window may scatter; see `coherent_variance`."""
@@ -160,35 +178,18 @@ def _with_gamma(problem: CoherentProblem, gamma: FloatArray) -> CoherentProblem:
     )
 
 
-def _predict(problem: CoherentProblem, vector: FloatArray) -> Prediction:
-    values, slopes = physical_values(problem.parameters, vector)
-    n_leading = position_of(problem.parameters, GEOMETRY)
-    leading = Parameters(tuple(b for b in problem.parameters.blocks if b.name != GEOMETRY))
-    # all paths as energies, with the unknowns that these have
-    plain = predict_windows(replace(problem.energies, parameters=leading), vector[:n_leading])
-    extra, by_absorption, by_times = _correction(problem, values)
-    gains = np.append(values["gain"], 1.0)
-    gain = gains[_gain_of_window(problem)]
-    columns = np.zeros((extra.size, values["gain"].size))
-    for k in range(columns.shape[1]):
-        columns[_gain_of_window(problem) == k, k] = 1.0
-    jacobians = {
-        "absorption": gain[:, None] * by_absorption * slopes["absorption"],
-        "gain": columns * extra[:, None] * slopes["gain"],
-        GEOMETRY: gain[:, None] * by_times * slopes[GEOMETRY],
-    }
-    jacobian = fitted_columns(problem.parameters, jacobians)
-    jacobian[:, :n_leading] += plain.jacobian
-    added = gain * extra
-    return Prediction(plain.expected + added, plain.signal + added, jacobian)
-
-
 def _correction(
     problem: CoherentProblem, values: dict[str, FloatArray]
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return what coherence adds to each window at a gain of 1, by absorption and geometry."""
     absorption = values["absorption"]
-    response = _response(problem, values, derivative=True)
+    response = coherent_response(
+        problem.coherent,
+        absorption,
+        times_of(problem.geometry, values[GEOMETRY]),
+        problem.grid,
+        tuple(o.edges_s for o in problem.early),
+    )
     n_materials = absorption.size
     energy = image_energies(problem.coherent, absorption) * problem.coherent.coherence
     less, less_by_hits = [], []
@@ -229,20 +230,6 @@ def _with_late_zeros(problem: CoherentProblem, early: FloatArray) -> FloatArray:
     return out
 
 
-def _response(
-    problem: CoherentProblem, values: dict[str, FloatArray], *, derivative: bool = False
-) -> CoherentResponse:
-    """Return the coherent energy, with derivatives in windows or without in their pieces."""
-    return coherent_response(
-        problem.coherent,
-        values["absorption"],
-        times_of(problem.geometry, values[GEOMETRY]),
-        problem.grid,
-        tuple(o.edges_s if derivative else o.fine_edges_s for o in problem.early),
-        derivative=derivative,
-    )
-
-
 def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArray:
     """Return the variance of every measured window energy about its expectation.
 
@@ -259,7 +246,15 @@ def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArra
     values, _ = physical_values(problem.parameters, vector)
     gains = np.append(values["gain"], 1.0)
     paths = weighed(problem.energies, values["absorption"])
-    intensity = _response(problem, values).energy
+    # the energy of the coherent pressure in the pieces of the windows
+    intensity = coherent_response(
+        problem.coherent,
+        values["absorption"],
+        times_of(problem.geometry, values[GEOMETRY]),
+        problem.grid,
+        tuple(o.fine_edges_s for o in problem.early),
+        derivative=False,
+    ).energy
     ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
     energy = image_energies(problem.images, values["absorption"])
     variances = []

@@ -243,7 +243,16 @@ class BandEstimate:
         return self.ending.converged
 
 
-Refine: TypeAlias = Callable[[BandProblem, BandFit, BandEstimate, Progress | None], BandEstimate]
+@dataclass(frozen=True, slots=True, eq=False)
+class FittedBand:
+    """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
+
+    estimate: BandEstimate
+    problem: BandProblem | None = None  # None, as the fit, where only the prior is known
+    fit: BandFit | None = None
+
+
+Refine: TypeAlias = Callable[[FittedBand, Progress | None], BandEstimate]
 
 SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
 

@@ -20,7 +20,7 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
-from roomfit.uncertainty.gaussian import BandEstimate, MirrorTrial, is_identifiable
+from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
 
@@ -42,15 +42,10 @@ class Refinement:
     exchanges: tuple[IntArray, ...] = ()
     sampling: SamplingSettings | None = None
 
-    def __call__(
-        self,
-        problem: BandProblem,
-        fit: BandFit,
-        answer: BandEstimate,
-        progress: Progress | None = None,
-    ) -> BandEstimate:
-        """Return the answer with better intervals, and what mirror images explain."""
-        if fit.vector.size == 0:
+    def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
+        """Return a band's estimate with better intervals, and what mirror images explain."""
+        problem, fit, answer = band.problem, band.fit, band.estimate
+        if problem is None or fit is None or fit.vector.size == 0:
             return answer
         trials = tuple(_mirrored(problem, fit, exchange) for exchange in self.exchanges)
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)

@@ -9,7 +9,7 @@ from scipy.interpolate import PchipInterpolator
 
 from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.problem import BandProblem, Prediction
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
@@ -121,11 +121,11 @@ class _Line:
     def rise(self, move: float) -> float:
         """Return the re-fitted cost at a distance from the answer, above that of the answer."""
         vector = self._guess(move)
-        cost, gain, step = self._cost(vector)
+        cost, gain, step = self._evaluated(self.problem.predict(vector), vector)
         if gain > _FAR_FROM_FOLLOWING * self.flattening:
             trial = np.array(vector)
             trial[self.others] += _no_farther(step)
-            there, more, _ = self._cost(trial)
+            there, more, _ = self._evaluated(self.problem.predict(trial), trial)
             if there < cost:
                 vector, cost, gain = trial, there, more
         rise = (cost - gain - self.fit.cost) / self.flattening
@@ -191,9 +191,10 @@ class _Line:
         vector[self.others] += _no_farther(by * self.follow)
         return vector
 
-    def _cost(self, vector: FloatArray) -> tuple[float, float, FloatArray]:
+    def _evaluated(
+        self, prediction: Prediction, vector: FloatArray
+    ) -> tuple[float, float, FloatArray]:
         """Return cost, what a Newton step of the others would still gain, and that step."""
-        prediction = self.problem.predict(vector)
         self.evaluations += 1
         prior, rows = prior_residuals(self.problem.parameters, vector)
         off = self.problem.measured() - prediction.expected
