@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.synthetic.boxes import (
     BoxPlan,
     MeasuredBox,
@@ -130,7 +130,7 @@ def _means(
     return truth
 
 
-def true_absorption_of(misspecified: Misspecified, answer: Answer) -> np.ndarray:
+def true_absorption_of(misspecified: Misspecified, answer: Result) -> np.ndarray:
     """Return the true absorption of the answer's materials and octaves, (n_materials, n_bands)."""
     octaves = 62.5 * 2.0 ** np.arange(OCTAVES)
     columns = [int(np.argmin(np.abs(np.log(octaves / f)))) for f in answer.bands.centres_hz]

@@ -19,13 +19,13 @@ import numpy as np
 from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.synthetic.boxes import random_plan, write_measured_box
 
 BANDS = slice(1, 7)  # of the simulated octaves 63 to 8000 Hz, those that are fitted
 
 
-def identified(seed: int) -> tuple[Answer, np.ndarray]:
+def identified(seed: int) -> tuple[Result, np.ndarray]:
     """Return the answer of one simulated room and the truth, (n_materials, n_bands)."""
     rng = np.random.default_rng(seed)
     plan = random_plan(rng)
@@ -35,7 +35,7 @@ def identified(seed: int) -> tuple[Answer, np.ndarray]:
     return answer, plan.absorption[:, BANDS]
 
 
-def line(name: str, answers: list[tuple[Answer, np.ndarray]]) -> str:
+def line(name: str, answers: list[tuple[Result, np.ndarray]]) -> str:
     """Return one row of the table."""
     truth = np.array([t for _, t in answers])
     error = np.abs(np.array([a.absorption for a, _ in answers]) - truth)

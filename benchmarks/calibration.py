@@ -32,7 +32,7 @@ from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.materials.priors import DEFAULT_MEAN
-from roomfit.results import Answer
+from roomfit.results import Result
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 
 MOST_MATERIALS = 7
@@ -43,7 +43,7 @@ SHAPES: tuple[Shape, ...] = ("slanted", "paper")
 class Room:
     """One answer and the true absorption, (n_materials, n_bands)."""
 
-    answer: Answer
+    answer: Result
     true: np.ndarray
 
 

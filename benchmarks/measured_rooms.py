@@ -35,7 +35,7 @@ from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.report.text import absorption_table, directivity_text, separable_text
-from roomfit.results import Answer
+from roomfit.results import Result
 
 DECHORATE_ROOM = """
 [room]
@@ -136,7 +136,7 @@ def bras_joint_campaign(data: Path) -> str:
     return text
 
 
-def answer_to(text: str) -> Answer:
+def answer_to(text: str) -> Result:
     """Return what roomfit says of a campaign given as text."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "campaign.toml"
@@ -144,7 +144,7 @@ def answer_to(text: str) -> Answer:
         return identify(**load_campaign(path))
 
 
-def errors(answer: Answer, name: str) -> tuple[np.ndarray, np.ndarray]:
+def errors(answer: Result, name: str) -> tuple[np.ndarray, np.ndarray]:
     """Return absolute errors of model and null model over pairs kept apart, (n_pairs, n_bands)."""
     pairs = [p for p in answer.pairs if p.use == "validate" and name in p.parameters]
     measured, ours, null = (
@@ -157,7 +157,7 @@ def errors(answer: Answer, name: str) -> tuple[np.ndarray, np.ndarray]:
     return np.abs(scale * (ours - measured)), np.abs(scale * (null - measured))
 
 
-def table(answers: list[Answer]) -> str:
+def table(answers: list[Result]) -> str:
     """Return mean errors per band and over 500 to 4000 Hz, the null model below each."""
     centres = answers[0].bands.centres_hz
     judged = centres > 400.0
@@ -173,7 +173,7 @@ def table(answers: list[Answer]) -> str:
     return "\n".join(lines)
 
 
-def show(title: str, answers: list[Answer], *, whole: bool = True) -> None:
+def show(title: str, answers: list[Result], *, whole: bool = True) -> None:
     """Print one room: what was found, what was doubted, and what was predicted how well."""
     first = answers[0]
     print(f"\n{title}\n{'=' * len(title)}")

@@ -32,7 +32,7 @@ from _other_box import OtherBox, write_other_box
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
-from roomfit.results import Answer
+from roomfit.results import Result
 
 # Findings of nearly every one of these rooms: their decays are short, some bands low.
 QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
@@ -43,7 +43,7 @@ class Outcome:
     """One room: what was found, and what is true."""
 
     box: OtherBox
-    answer: Answer
+    answer: Result
     seconds: float
     cpu_seconds: float
 

@@ -24,7 +24,7 @@ import numpy as np
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import identify_arguments
-from roomfit.results import Answer
+from roomfit.results import Result
 from simulated_rooms.measured_polyhedron import (
     MeasuredPolyhedron,
     polyhedron_plan,
@@ -38,7 +38,7 @@ ROOMS = ("paper", "slanted", "l-shaped")
 class Outcome:
     """One room by one model: what was found, and what is true in the same bands."""
 
-    answer: Answer
+    answer: Result
     true: np.ndarray  # (n_materials, n_bands)
 
     @property

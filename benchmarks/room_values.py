@@ -54,7 +54,7 @@ from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import determined
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 from roomfit.uncertainty.posterior import rto_draws
 
 BANDS = bands_between("octave", 125, 4000)
@@ -195,7 +195,9 @@ def start(case: Case) -> np.ndarray:
     )
 
 
-def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tuple[BandAnswer, ...]:
+def fitted(
+    case: Case, binned: BinnedPaths, values: list[MeasuredValues]
+) -> tuple[BandEstimate, ...]:
     """Return what these values say of the walls."""
     problems = value_problems(
         case.scene,
@@ -210,14 +212,14 @@ def fitted(case: Case, binned: BinnedPaths, values: list[MeasuredValues]) -> tup
     return solved(case, tuple(p and replace(p, model_error_jnd=error) for p in problems))
 
 
-def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandAnswer, ...]:
+def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandEstimate, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
     fitted = fit_bands(problems, case.priors, areas, Settings())
     return tuple(band.estimate for band in fitted)
 
 
-def absorption_of(answers: tuple[BandAnswer, ...]) -> np.ndarray:
+def absorption_of(answers: tuple[BandEstimate, ...]) -> np.ndarray:
     """Return the absorption, (n_materials, n_bands)."""
     return np.stack([a.absorption for a in answers], axis=1)
 
@@ -263,7 +265,7 @@ def short_line(label: str, case: Case, errors: dict[str, tuple[np.ndarray, np.nd
     return f"{label:44}" + " ".join(cells)
 
 
-def print_combinations(case: Case, answers: tuple[BandAnswer, ...]) -> None:
+def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
     """Print what all pairs together say of the walls."""
     absorption = absorption_of(answers)
     covariance = np.stack([a.logit_covariance for a in answers])
@@ -299,7 +301,7 @@ def seminar(folder: Path) -> tuple[Case, BinnedPaths]:
     return case, binned
 
 
-def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandAnswer, ...]:
+def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandEstimate, ...]:
     """Return what the values of all pairs and the window energies of one response say together."""
     with tempfile.TemporaryDirectory() as scratch:
         path = Path(scratch) / "campaign.toml"

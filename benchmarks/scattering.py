@@ -22,7 +22,7 @@ import numpy as np
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.settings import Model
 from roomfit.synthetic.boxes import MeasuredBox, random_plan, write_scattering_box
 
@@ -33,7 +33,7 @@ GRID = (0.05, 0.15, 0.3, 0.5)
 class Outcome:
     """One fit of one room, and what is true in the same bands."""
 
-    answer: Answer
+    answer: Result
     true: np.ndarray  # (n_materials, n_bands)
 
     @property

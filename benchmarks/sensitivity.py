@@ -24,7 +24,7 @@ from _misspecified import FAULTS, Fault, true_absorption_of, write_misspecified
 from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
-from roomfit.results import Answer
+from roomfit.results import Result
 
 # Findings that short decays and low bands have in any of these rooms.
 QUIET = {Code.DECAY_RANGE_TOO_SMALL, Code.BELOW_SCHROEDER_FREQUENCY}
@@ -35,7 +35,7 @@ HEAD = "fault                    |error|  90 %  cover  width ident.  wrong   far
 class Outcome:
     """One campaign: its answer and the true absorption."""
 
-    answer: Answer
+    answer: Result
     true: np.ndarray
 
     @property

@@ -36,9 +36,10 @@ from roomfit.signals.filters import (
     spreading_kernel,
     statistical_bandwidth_hz,
 )
+from roomfit.solvers.ending import Ending
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 
 SPEED_M_S = 340.0
 END_S = 0.06
@@ -133,9 +134,28 @@ def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
     return replace(problem, energies=replace(problem.energies, observations=tuple(observed)))
 
 
-def estimates_of(fit: CoherentFit) -> tuple[BandAnswer | None, ...]:
+def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:
     """Return the Gaussian estimate of every band of a partly coherent fit."""
     areas_m2 = material_areas_m2(fit.state.task.scene.room)
     coherent = tuple(b if b is None else b.estimate for b in coherent_estimates(fit))
     energy = [b if b is None else b.estimate for b in energy_estimates(fit)]
     return decided(fit, energy, widened_by_neighbours(coherent, areas_m2))
+
+
+def estimate_of(absorption: list[float], half_width: float) -> BandEstimate:
+    """Return the estimate of a band with intervals of one width, all identifiable."""
+    a = np.array(absorption)
+    return BandEstimate(
+        a,
+        a - half_width,
+        a + half_width,
+        np.ones(a.size, dtype=np.bool_),
+        np.log(a / (1 - a)),
+        0.01 * np.eye(a.size),
+        (float(a.mean()), 0.1, 0.4),
+        1.0,
+        1.0,
+        1,
+        Ending.CONVERGED,
+        "coherent",
+    )

@@ -6,9 +6,10 @@ Nothing here shares code with the image sources that it checks.
 from __future__ import annotations
 
 from itertools import pairwise, product
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+import pytest
 
 from roomfit.air import Air
 from roomfit.geometry.build import Face, build_mesh
@@ -173,3 +174,27 @@ def _planes(mesh: Mesh) -> list[tuple[FloatArray, float, list[int]]]:
 
 def _plane_of(planes: list[tuple[FloatArray, float, list[int]]], triangle: int) -> int:
     return next(k for k, (_, _, members) in enumerate(planes) if triangle in members)
+
+
+def their_images(
+    room: Room, source: FloatArray, receiver: FloatArray, order: int
+) -> tuple[FloatArray, FloatArray]:
+    """Return distance and energy left of every image that the other program sees.
+
+    Absorption rises evenly over the materials from 0.1 to 0.7.
+    """
+    pra: Any = pytest.importorskip("pyroomacoustics")
+    a = np.linspace(0.1, 0.7, len(room.materials))
+    owner = room.surface_material[room.mesh.triangle_surface]
+    walls = [
+        pra.wall_factory(triangle.T, [a[m]], [0.0], f"triangle {i}")
+        for i, (triangle, m) in enumerate(zip(corners_m(room.mesh), owner, strict=True))
+    ]
+    theirs = pra.Room(walls, fs=16000, max_order=order, air_absorption=False)
+    theirs.add_source(source)
+    theirs.add_microphone(receiver)
+    theirs.image_source_model()
+    observed = np.asarray(theirs.visibility[0][0]).astype(bool)
+    distance = np.linalg.norm(theirs.sources[0].images[:, observed].T - receiver, axis=1)
+    near = np.argsort(distance)
+    return distance[near], np.asarray(theirs.sources[0].damping[0, observed] ** 2)[near]

@@ -15,7 +15,7 @@ from roomfit.air import Air
 from roomfit.bands import bands_between
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import shoebox_mesh
-from roomfit.results import Answer, Compared, ComparedPair, Decay
+from roomfit.results import Compared, ComparedPair, Decay, Result
 from roomfit.scene import Point, Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
 
@@ -50,7 +50,7 @@ def answer_of(scene, *, kind="octave", low=125, high=4000, kept=(), findings=())
     areas = material_areas_m2(scene.room)
     mean = areas @ absorption / areas.sum()
     names = [(scene.sources[i].name, scene.receivers[j].name) for i, j in scene.pairs]
-    return Answer(
+    return Result(
         bands=bands,
         materials=scene.room.materials,
         areas_m2=areas,

@@ -44,7 +44,7 @@ from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.figures import write_pictures
 from roomfit.report.text import findings_text
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
@@ -290,12 +290,12 @@ def _safe(name: str) -> str:
     return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
-def demo_text(answer: Answer, true_absorption: FloatArray) -> str:
+def demo_text(answer: Result, true_absorption: FloatArray) -> str:
     """Return a table of true and identified absorption, and how the errors compare to a baseline.
 
     Parameters
     ----------
-    answer : Answer
+    answer : Result
     true_absorption : float array, shape (n_materials, n_bands)
     """
     parts = [_table(answer, true_absorption), _summary(answer, true_absorption)]
@@ -303,7 +303,7 @@ def demo_text(answer: Answer, true_absorption: FloatArray) -> str:
     return "\n\n".join(p for p in parts if p)
 
 
-def _table(answer: Answer, true_absorption: FloatArray) -> str:
+def _table(answer: Result, true_absorption: FloatArray) -> str:
     width = max(len(n) for n in answer.materials)
     cell = f"{'true':>5} {'found':>5} {'95 %':>9} "
     lines = [
@@ -324,7 +324,7 @@ def _table(answer: Answer, true_absorption: FloatArray) -> str:
     return "\n".join(lines)
 
 
-def _summary(answer: Answer, true_absorption: FloatArray) -> str:
+def _summary(answer: Result, true_absorption: FloatArray) -> str:
     error = np.abs(answer.absorption - true_absorption)
     covered = _covered(answer, true_absorption)
     uniform = np.abs(answer.mean_absorption[0] - true_absorption)
@@ -342,7 +342,7 @@ def _summary(answer: Answer, true_absorption: FloatArray) -> str:
     return "\n".join(lines)
 
 
-def _covered(answer: Answer, true_absorption: FloatArray) -> BoolArray:
+def _covered(answer: Result, true_absorption: FloatArray) -> BoolArray:
     return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
 
 
@@ -360,7 +360,7 @@ def identify_to_folder(
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
-) -> Answer:
+) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
 
     Files are written after the whole computation, all of them or none.
@@ -414,7 +414,7 @@ def identify_to_folder(
 class DemoResult:
     """An answer and the absorption with which its data were simulated."""
 
-    answer: Answer
+    answer: Result
     true_absorption: FloatArray  # (n_materials, n_bands), in the answer's order
 
 
@@ -449,7 +449,7 @@ def run_demo(
     return DemoResult(answer, true_absorption)
 
 
-def _true_absorption(box: MeasuredBox, answer: Answer) -> FloatArray:
+def _true_absorption(box: MeasuredBox, answer: Result) -> FloatArray:
     """Return the true absorption in the answer's order of materials and bands."""
     rows = [box.materials.index(name) for name in answer.materials]
     columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]

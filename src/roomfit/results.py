@@ -1,16 +1,17 @@
-"""The answer of an identification: numbers, their intervals, and every doubt about them."""
+"""The result of an identification: numbers, their intervals, and every finding."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Literal
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Literal
 
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.response.directivity import FirstOrderBands
+from roomfit.settings import Settings
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination
@@ -18,174 +19,146 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_i
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
+if TYPE_CHECKING:
+    pass
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
 Use = Literal["fit", "validate"]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Compared:
-    """One room-acoustic parameter of one pair in every band, measured and predicted.
+    """One room-acoustic parameter of one pair in every band, measured and predicted."""
 
-    Attributes
-    ----------
-    measured, predicted : float arrays, shape (n_bands,)
-        NaN where it cannot be determined.
-    null : float array, shape (n_bands,)
-        The mean of this parameter over the other measurements that were fitted: what one would
-        guess without any model of the room. NaN where there is no other.
-    jnd : float array, shape (n_bands,)
-        Predicted minus measured in just noticeable differences of ISO 3382-1.
-    """
-
-    measured: FloatArray
-    predicted: FloatArray
+    measured: FloatArray  # (n_bands,), NaN where it cannot be determined
+    predicted: FloatArray  # (n_bands,), NaN where it cannot be determined
+    # (n_bands,), The mean of this parameter over the other measurements that were fitted: what
+    # one would guess without any model of the room. NaN where there is no other
     null: FloatArray
+    # (n_bands,), Predicted minus measured in just noticeable differences of ISO 3382-1
     jnd: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decay:
-    """Energy decay curves of one pair, for looking at.
+    """Energy decay curves of one pair, for looking at."""
 
-    Attributes
-    ----------
-    time_s : float array, shape (n_times,)
-        After emission.
-    measured_db, predicted_db : float arrays, shape (n_bands, n_times)
-        Relative to the whole; NaN beyond the usable part.
-    """
-
-    time_s: FloatArray
+    time_s: FloatArray  # (n_times,), After emission
+    # (n_bands, n_times), Relative to the whole; NaN beyond the usable part
     measured_db: FloatArray
+    # (n_bands, n_times), Relative to the whole; NaN beyond the usable part
     predicted_db: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ComparedPair:
-    """Measured against predicted for one source and receiver.
-
-    Attributes
-    ----------
-    source, receiver : str
-    use : {"fit", "validate"}
-        "validate": this pair was predicted without having been fitted.
-    parameters : mapping of "T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"
-        and "G_dB", those that are known.
-    decay : Decay or None
-        None where room parameters were measured and no response.
-    """
+    """Measured against predicted for one source and receiver."""
 
     source: str
     receiver: str
-    use: Use
-    parameters: Mapping[str, Compared]
-    decay: Decay | None
+    use: Use  # "validate": this pair was predicted without having been fitted
+    parameters: Mapping[str, Compared]  # and "G_dB", those that are known
+    decay: Decay | None  # None where room parameters were measured and no response
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Answer:
+class Result:
     """What an identification found.
 
-    Attributes
-    ----------
-    bands : Bands
-    materials : tuple of str
-    areas_m2 : float array, shape (n_materials,)
-    absorption, lower95, upper95 : float arrays, shape (n_materials, n_bands)
-        Energy absorption and its 95 % interval; 0 to 1 where the data tell nothing.
-    identifiable : bool array, shape (n_materials, n_bands)
-    mean_absorption : float array, shape (3, n_bands)
-        Area-weighted mean absorption of the room, its lower and its upper 95 % bound.
-    chi2_reduced : float array, shape (n_bands,)
-        Pearson's chi-square over degrees of freedom; above 2 the model does not fit.
-    cost : float
-        Sum over bands of half the squared weighted residuals, priors included.
-    evaluations : int
-    converged : bool array, shape (n_bands,)
-    pairs : tuple of ComparedPair
-    findings : tuple of Finding
-    method, model : str
-    interval_kind : str
-        How the intervals were made, in words.
-    speed_of_sound_m_s : float
-    seed : int
-    seconds : float
-    logit_covariance : float array, shape (n_bands, n_materials, n_materials), or None
-        Covariance of logit absorption, misfit included; zeros for what is held. None where only
-        the intervals are known.
-    logit_prior : float array, shape (2, n_materials, n_bands), or None
-        Mean and standard deviation of logit absorption before anything was measured.
-    prior_specified : bool array, shape (n_materials,), or None
-        Whether the campaign specifies that prior, or it is the broad default.
-    combinations : tuple of tuples of Combination, one a band
-        Means over groups of materials that the data determine, that of the whole room first.
-    models : tuple of str, one a band
-        "energy", "coherent", "values", or "prior" where nothing could be fitted.
-    scattering : float array, shape (n_materials, n_bands), or None
-        What the walls were taken to scatter, told, assumed or fitted.
-    geometry : FittedGeometry or None
-        None where arrival times were not fitted.
-    directivities : tuple of FittedDirectivity
-        Of the sources whose directivity was fitted.
-    certificates : tuple of Certificate or None, one a band
-        What was proven of the lowest cost of energies with their weights held; empty where nobody
-        asked.
-    sentences : tuple of str, one a band
-        What the data know of groups of materials and what they leave open; "" where nothing is.
-    shares : float array, shape (3, n_materials, n_bands), or None
-        Share of each material in the room's absorption, its lower and its upper 95 % bound.
-    interval_kinds : tuple of tuples of str, one a band, one a material
-        "gaussian", "profile", "sampled", "given", or "none" where the data tell nothing.
-    profiles : tuple of tuples of Profile, one a band
-        `entry` counts materials.
-    samples : tuple of float arrays, shape (n_draws, n_materials), or None, one a band
-        Absorption drawn from the posterior.
-    sampling : tuple of Sampled or None, one a band
-    prior : float array, shape (3, n_materials, n_bands), or None
-        Median of absorption beforehand, its lower and its upper 95 % bound.
-    reasons : tuple of str
-        What was chosen, and why.
+    Examples
+    --------
+    ``print(result)`` shows what the command line prints; a notebook shows a table.
     """
 
     bands: Bands
     materials: tuple[str, ...]
-    areas_m2: FloatArray
+    areas_m2: FloatArray  # (n_materials,)
+    # energy absorption coefficient and its 95 % interval, 0 to 1 where undetermined; each of shape
+    # (n_materials, n_bands)
     absorption: FloatArray
     lower95: FloatArray
     upper95: FloatArray
-    identifiable: BoolArray
+    identifiable: BoolArray  # (n_materials, n_bands)
+    # (3, n_bands), area-weighted mean absorption of the room, its lower and its upper 95 % bound
     mean_absorption: FloatArray
-    chi2_reduced: FloatArray
-    cost: float
+    chi2_reduced: FloatArray  # (n_bands,); above 2 the model does not fit
+    cost: float  # sum over bands of half the squared weighted residuals, priors included
     evaluations: int
-    converged: BoolArray
+    converged: BoolArray  # (n_bands,)
     pairs: tuple[ComparedPair, ...]
     findings: tuple[Finding, ...]
     method: str
     model: str
-    interval_kind: str
+    interval_kind: str  # how the intervals were made, in words
     speed_of_sound_m_s: float
     seed: int
     seconds: float
+    # (n_bands, n_materials, n_materials), covariance of logit absorption, misfit included; zeros
+    # for what is fixed. None where only the intervals are known
     logit_covariance: FloatArray | None = None
-    logit_prior: FloatArray | None = None
+    logit_prior: FloatArray | None = None  # (2, n_materials, n_bands), prior mean and sd
+    # by band, means over groups of materials that the data determine, the whole room first
     combinations: tuple[tuple[Combination, ...], ...] = ()
-    models: tuple[str, ...] = ()
-    scattering: FloatArray | None = None
-    geometry: FittedGeometry | None = None
-    directivities: tuple[FittedDirectivity, ...] = ()
+    models: tuple[str, ...] = ()  # by band, "energy", "coherent", "values", or "prior" alone
+    scattering: FloatArray | None = None  # (n_materials, n_bands): specified, assumed or fitted
+    geometry: FittedGeometry | None = None  # None where arrival times were not fitted
+    directivities: tuple[FittedDirectivity, ...] = ()  # of the sources for which it was fitted
+    # by band, what was proven of the lowest cost of energies with their weights fixed
     certificates: tuple[Certificate | None, ...] = ()
-    sentences: tuple[str, ...] = ()
+    sentences: tuple[str, ...] = ()  # by band, which groups of materials the data determine
+    # (3, n_materials, n_bands), share of each material in the room's absorption with its bounds
     shares: FloatArray | None = None
+    # by band and material, "gaussian", "profile", "sampled", "given", or "none" where undetermined
     interval_kinds: tuple[tuple[str, ...], ...] = ()
-    profiles: tuple[tuple[Profile, ...], ...] = ()
-    samples: tuple[FloatArray | None, ...] = ()
-    sampling: tuple[Sampled | None, ...] = ()
-    prior: FloatArray | None = None
-    reasons: tuple[str, ...] = ()
-    prior_specified: BoolArray | None = None
+    profiles: tuple[tuple[Profile, ...], ...] = ()  # by band; `entry` counts materials
+    samples: tuple[FloatArray | None, ...] = ()  # by band, (n_draws, n_materials), of the posterior
+    sampling: tuple[Sampled | None, ...] = ()  # by band
+    prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
+    reasons: tuple[str, ...] = ()  # what was chosen, and why
+    prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
+    settings: Settings = field(default_factory=Settings)
+
+    def __str__(self) -> str:
+        """Return what the command line prints: absorption, errors of predictions, findings."""
+        from roomfit.report.text import answer_text
+
+        return answer_text(self)
+
+    def _repr_html_(self) -> str:
+        """Return a table of absorption with intervals in HTML, for notebooks."""
+        from roomfit.report.html import result_fragment
+
+        return result_fragment(self)
+
+    def plot(self) -> Figure:
+        """Return a figure of the absorption of every material over frequency."""
+        from roomfit.report.figures import absorption_figure
+
+        return absorption_figure(self)
+
+    def to_dataframe(self) -> Any:
+        """Return a pandas data frame of one row a material and band, as absorption.csv.
+
+        Raises
+        ------
+        InputError
+            pandas, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.report.frames import data_frame
+
+        values = (self.absorption, self.lower95, self.upper95)
+        rows = [
+            (name, band, *(float(v[i, j]) for v in values), bool(self.identifiable[i, j]))
+            for i, name in enumerate(self.materials)
+            for j, band in enumerate(self.bands.centres_hz.tolist())
+        ]
+        columns = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
+        return data_frame(columns, rows, "absorption.csv")
 
 
-def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
+def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     """Return the absorption of an answer with its posterior, as predictions and designs take it.
 
     Where the answer has no covariance, the intervals are taken as independent.
@@ -214,7 +187,7 @@ def absorption_posterior(answer: Answer) -> AbsorptionPosterior:
     )
 
 
-def certificate_distance(answer: Answer, band: int) -> float:
+def certificate_distance(answer: Result, band: int) -> float:
     """Return the largest difference of any absorption from the certified minimiser's.
 
     An answer from pressures is not the minimiser of energies: this is how far apart they are.

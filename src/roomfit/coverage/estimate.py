@@ -45,7 +45,7 @@ from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.logit import expit
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 if TYPE_CHECKING:
@@ -240,7 +240,7 @@ def replicated(
     )
 
 
-def _found(plan: CoveragePlan, answer: Answer) -> Found:
+def _found(plan: CoveragePlan, answer: Result) -> Found:
     return Found(
         answer.absorption,
         answer.lower95,
@@ -260,7 +260,7 @@ def _prior_middle(plan: CoveragePlan) -> FloatArray:
     )
 
 
-def _uniform(plan: CoveragePlan, answer: Answer) -> FloatArray:
+def _uniform(plan: CoveragePlan, answer: Result) -> FloatArray:
     """Return Eyring's absorption of the measured decay in every band, or the mean of the priors.
 
     Of the median over pairs of T20, else of T30, else of EDT.

@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import html
 from dataclasses import dataclass
-from importlib import import_module
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 
 import numpy as np
@@ -223,28 +222,17 @@ class ImpedanceResult:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        try:
-            pandas = import_module("pandas")
-        except ImportError as error:
-            raise InputError(
-                "data frames need pandas",
-                where="ImpedanceResult.to_dataframe",
-                found=str(error),
-                needed="the package pandas, on which roomfit does not depend",
-                hint="pip install pandas; or read impedance.csv of roomfit impedance",
-            ) from error
-        frames = [
-            pandas.DataFrame(
-                {
-                    "material": m.name,
-                    "frequency_hz": self.frequency_hz,
-                    **m.columns(),
-                    "identified": m.identified,
-                }
-            )
+        from roomfit.report.frames import data_frame
+
+        names = list(self.materials[0].columns())
+        rows = [
+            (m.name, f, *(float(column[j]) for column in m.columns().values()), bool(known))
             for m in self.materials
+            for j, (f, known) in enumerate(
+                zip(self.frequency_hz.tolist(), m.identified, strict=True)
+            )
         ]
-        return pandas.concat(frames, ignore_index=True)
+        return data_frame(("material", "frequency_hz", *names, "identified"), rows, "impedance.csv")
 
 
 _HEADINGS = ("Hz", "R0", "absorption, 95 %", "random", "Z / rho c")

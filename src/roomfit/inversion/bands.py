@@ -34,12 +34,12 @@ from roomfit.solvers.least_squares import (
 from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
-    BandAnswer,
+    BandEstimate,
     Refine,
     SharedCovariance,
     Starts,
     absorption_intervals,
-    band_answer,
+    band_estimate,
     prior_only_band,
 )
 
@@ -152,14 +152,14 @@ def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
 class FittedBand:
     """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
 
-    estimate: BandAnswer
+    estimate: BandEstimate
     problem: BandProblem | None = None  # None, as the fit, where only the prior is known
     fit: BandFit | None = None
 
 
 def refined(
     band: FittedBand, refine: Refine | None, progress: Progress | None = None
-) -> BandAnswer:
+) -> BandEstimate:
     """Return the estimate of a band with better intervals, where there are data and a wish."""
     if refine is None or band.problem is None or band.fit is None:
         return band.estimate
@@ -218,7 +218,7 @@ def fit_bands(
         if method == "auto":
             proof = affordable_certificate(problem, fit.vector)
         noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-        own = band_answer(problem.parameters, noisy, areas_m2, model)
+        own = band_estimate(problem.parameters, noisy, areas_m2, model)
         yield FittedBand(replace(own, starts=starts, certificate=proof), problem, fit)
 
 

@@ -97,7 +97,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandAnswer, add_covariance, band_answer
+from roomfit.uncertainty.gaussian import BandEstimate, add_covariance, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -553,7 +553,7 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         air = air_error(task.scene.air, task.bands, number, band.energies)
         steps = shared_steps(found.problem, found.fit, band.energies, air, band)
         noisy = add_covariance(noisy, steps)
-        own = band_answer(found.parameters, noisy, areas_m2, "coherent")
+        own = band_estimate(found.parameters, noisy, areas_m2, "coherent")
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, found.problem, found.fit)
 
@@ -607,15 +607,15 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         air = air_error(task.scene.air, task.bands, number, problem)
         steps = shared_steps(whole, own_fit, problem, air)
         noisy = add_covariance(noisy, steps)
-        answer = band_answer(problem.parameters, noisy, areas_m2, "energy")
+        answer = band_estimate(problem.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, whole, own_fit)
 
 
 def decided(
     fit: CoherentFit,
-    energy: Sequence[BandAnswer | None],
-    coherent: Sequence[BandAnswer | None],
-) -> tuple[BandAnswer | None, ...]:
+    energy: Sequence[BandEstimate | None],
+    coherent: Sequence[BandEstimate | None],
+) -> tuple[BandEstimate | None, ...]:
     """Return each band's estimate by the model that explains it better, None without data.
 
     With what is proven of its energies alone, where that is affordable.
@@ -630,7 +630,7 @@ def decided(
     return tuple(_certified(*each) for each in zip(chosen, fit.state.bands, strict=True))
 
 
-def _certified(answer: BandAnswer | None, band: CoherentBand | None) -> BandAnswer | None:
+def _certified(answer: BandEstimate | None, band: CoherentBand | None) -> BandEstimate | None:
     """Return an estimate with what is proven of its energies alone, where that is affordable."""
     # a proof would be of other costs where variances are inflated, or data of other kinds joined
     if answer is None or band is None or band.parts or np.any(band.factor != 1.0):
@@ -649,11 +649,11 @@ def _needs_energy_fit(
 
 
 def _decided(
-    energy: BandAnswer | None,
-    coherent: BandAnswer | None,
+    energy: BandEstimate | None,
+    coherent: BandEstimate | None,
     likelihoods: FloatArray,
     settings: CoherentOptions,
-) -> BandAnswer | None:
+) -> BandEstimate | None:
     """Return the likelier answer; with both intervals where the likelihood cannot decide."""
     if coherent is None:
         return energy

@@ -51,7 +51,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
@@ -291,7 +291,7 @@ def moved_start(fit: BandFit, old: UnknownDirectivities, new: UnknownDirectiviti
 def band_directivities(
     parameters: DirectivityParameters | None,
     directivities: Sequence[BandDirectivities | None],
-    answers: Sequence[BandAnswer | None],
+    answers: Sequence[BandEstimate | None],
 ) -> tuple[FittedDirectivity, ...]:
     """Return the fitted directivity of each source; in bands without a fit, the prior."""
     if parameters is None:

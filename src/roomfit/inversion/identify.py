@@ -43,14 +43,14 @@ from roomfit.objective.observation import (
     unspecified_position_findings,
 )
 from roomfit.response.directivity import Directivities
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import determined, inseparable_findings
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.posterior import plain_logit_covariance
 from roomfit.uncertainty.sampling import check_sampler
@@ -68,7 +68,7 @@ def identify(
     directivities: Directivities | None = None,
     cache: Cache | None = None,
     progress: Progress | None = None,
-) -> Answer:
+) -> Result:
     """Return the absorption of every material of a measured room in every band.
 
     Traces the room once, fits every band, finds 95 % confidence intervals, and predicts every
@@ -175,7 +175,7 @@ def combine(
     fits: BandFits,
     findings: tuple[Finding, ...],
     settings: Settings,
-) -> Answer:
+) -> Result:
     """Return the result of all bands together, with every pair predicted.
 
     Parameters
@@ -220,7 +220,7 @@ def combine(
             determined_groups.combinations,
         )
     )
-    return Answer(
+    return Result(
         bands=bands,
         materials=scene.room.materials,
         areas_m2=areas,
@@ -261,6 +261,7 @@ def combine(
         geometry=fits.geometry,
         directivities=fits.directivities,
         certificates=tuple(b.certificate for b in found),
+        settings=settings,
     )
 
 
@@ -270,7 +271,7 @@ def _model_of(models: tuple[str, ...]) -> str:
 
 
 def _logit_covariance(
-    found: tuple[BandAnswer, ...], absorption: FloatArray, priors: tuple[MaterialPrior, ...]
+    found: tuple[BandEstimate, ...], absorption: FloatArray, priors: tuple[MaterialPrior, ...]
 ) -> FloatArray:
     """Return the covariance of logit absorption in every band, whatever the bounds of the fit."""
     names = [k.name for k in priors]

@@ -19,14 +19,14 @@ from roomfit.logit import Z95, expit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.settings import Settings
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandAnswer
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandEstimate
 
 _FEWEST_BANDS, _LARGEST_MEDIAN_CHI2 = 3, 1.5
 # Of the prior's standard deviation: an answer that keeps more of it comes from the prior.
 _PRIOR_DOMINATED = 0.9
 
 
-def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+def fit_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Finding, ...]:
     """Return a finding for bands that the model misfits, and one for fits that did not converge."""
     findings = []
     bad = [j for j, a in enumerate(answers) if a.chi2_reduced > LARGEST_CHI2_REDUCED]
@@ -54,7 +54,7 @@ def fit_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, 
     return tuple(findings)
 
 
-def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+def description_findings(answers: Sequence[BandEstimate]) -> tuple[Finding, ...]:
     """Return a finding where the model misfits most bands.
 
     One band that fits badly may have its own reason. Where the median of the reduced chi-square
@@ -65,7 +65,7 @@ def description_findings(answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
 
     Parameters
     ----------
-    answers : sequence of BandAnswer, one a band
+    answers : sequence of BandEstimate, one a band
         Bands of room parameters alone, and those without data, are left out.
     """
     chi2_of_bands = [a.chi2_reduced for a in answers if a.model in ("coherent", "energy")]
@@ -134,7 +134,7 @@ def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
 
 
 def prior_findings(
-    bands: Bands, priors: tuple[MaterialPrior, ...], answers: Sequence[BandAnswer]
+    bands: Bands, priors: tuple[MaterialPrior, ...], answers: Sequence[BandEstimate]
 ) -> tuple[Finding, ...]:
     """Return a finding for each material whose answer is nearly the prior that was specified.
 
@@ -167,7 +167,7 @@ def prior_findings(
     return tuple(findings)
 
 
-def sampling_findings(bands: Bands, answers: Sequence[BandAnswer]) -> tuple[Finding, ...]:
+def sampling_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Finding, ...]:
     """Return a finding for the bands whose samples did not converge."""
     samplings = {
         j: a.sampling
@@ -201,7 +201,7 @@ def method_chosen(method: str) -> str:
     return "least-squares" if method == "auto" else method
 
 
-def interval_words(answers: Sequence[BandAnswer]) -> str:
+def interval_words(answers: Sequence[BandEstimate]) -> str:
     """Return how the intervals were made, in a few words."""
     kinds = {kind for a in answers for kind in a.kinds}
     words = [w for kind, w in (("sampled", "sampled"), ("profile", "profiles")) if kind in kinds]
@@ -210,7 +210,7 @@ def interval_words(answers: Sequence[BandAnswer]) -> str:
     return ", ".join(words)
 
 
-def reasons(method: str, bands: Bands, answers: Sequence[BandAnswer]) -> tuple[str, ...]:
+def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple[str, ...]:
     """Return sentences on what was chosen and why.
 
     Parameters

@@ -50,7 +50,7 @@ from roomfit.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandAnswer, Refine, SharedCovariance, add_covariance
+from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance, add_covariance
 
 
 def shared_error_covariance(task: EnergyTask) -> SharedCovariance:
@@ -84,7 +84,7 @@ class BandFits:
     `directivities`, one a source, are empty where none was to be fitted.
     """
 
-    answers: tuple[BandAnswer, ...]
+    answers: tuple[BandEstimate, ...]
     geometry: FittedGeometry | None = None
     findings: tuple[Finding, ...] = ()
     directivities: tuple[FittedDirectivity, ...] = ()
@@ -182,7 +182,7 @@ def estimate_pressures(
     )
     fit = fit_coherent(task, traced, part(progress, 0.0, 0.75))
     n = len(fit.fits)
-    coherent: list[BandAnswer | None] = []
+    coherent: list[BandEstimate | None] = []
     for i, band in enumerate(coherent_estimates(fit)):
         done = part(progress, 0.75 + 0.2 * i / n, 0.75 + 0.2 * (i + 1) / n)
         coherent.append(None if band is None else refined(band, refine, done))

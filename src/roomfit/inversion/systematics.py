@@ -28,7 +28,7 @@ from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import (
     WIDEST_IDENTIFIABLE,
-    BandAnswer,
+    BandEstimate,
     add_covariance,
     answer_steps,
 )
@@ -43,8 +43,8 @@ _SLOT_S = 0.04
 
 
 def widened_by_neighbours(
-    answers: Sequence[BandAnswer | None], areas_m2: FloatArray
-) -> tuple[BandAnswer | None, ...]:
+    answers: Sequence[BandEstimate | None], areas_m2: FloatArray
+) -> tuple[BandEstimate | None, ...]:
     """Return intervals that allow for absorption that changes within a band.
 
     A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
@@ -54,10 +54,10 @@ def widened_by_neighbours(
 
     Parameters
     ----------
-    answers : sequence of BandAnswer or None, one a band, low to high
+    answers : sequence of BandEstimate or None, one a band, low to high
     areas_m2 : float array, shape (n_materials,)
     """
-    out: list[BandAnswer | None] = []
+    out: list[BandEstimate | None] = []
     neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
     for answer, below, above in neighbours:
         if answer is None:
@@ -73,7 +73,7 @@ def widened_by_neighbours(
     return tuple(out)
 
 
-def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
+def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
     """Return an answer whose intervals contain those of another model, too."""
     lower = np.minimum(best.lower95, other.lower95)
     upper = np.maximum(best.upper95, other.upper95)
@@ -95,7 +95,7 @@ def with_both_intervals(best: BandAnswer, other: BandAnswer) -> BandAnswer:
     )
 
 
-def _widened(answer: BandAnswer, sd: FloatArray, areas_m2: FloatArray) -> BandAnswer:
+def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> BandEstimate:
     """Return the answer with an independent error of absorption added, shape (n_materials,)."""
     fixed = answer.upper95 <= answer.lower95
     sd = np.where(fixed, 0.0, sd)

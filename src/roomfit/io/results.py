@@ -20,7 +20,7 @@ from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import FirstOrderBands
-from roomfit.results import Answer, ComparedPair, certificate_distance
+from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
@@ -114,7 +114,7 @@ def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatAr
         ) from error
 
 
-def write_result(folder: Path, answer: Answer, inputs: Iterable[Path]) -> None:
+def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     """Write ``result.json`` and ``absorption.csv`` into a folder.
 
     Raises
@@ -127,7 +127,7 @@ def write_result(folder: Path, answer: Answer, inputs: Iterable[Path]) -> None:
     write_json_atomically(folder / "result.json", content)
 
 
-def absorption_csv(answer: Answer) -> str:
+def absorption_csv(answer: Result) -> str:
     """Return the absorption table: material, band_hz, absorption, bounds, identifiable."""
     rows = []
     for i, name in enumerate(answer.materials):
@@ -139,7 +139,7 @@ def absorption_csv(answer: Answer) -> str:
     return csv_text(heading, rows)
 
 
-def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
+def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
     """Return the content of result.json: arrays over bands_hz, null only inside pairs.
 
     The first of the inputs is the campaign; the others are named relative to its folder.
@@ -170,6 +170,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
             "reasons": answer.reasons,
             **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
         },
+        "settings": answer.settings.changed(),
         "provenance": provenance(inputs)
         | {
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,
@@ -194,7 +195,7 @@ def result_content(answer: Answer, inputs: Iterable[Path]) -> dict[str, Any]:
     return content
 
 
-def _material(answer: Answer, i: int) -> dict[str, Any]:
+def _material(answer: Result, i: int) -> dict[str, Any]:
     """Absorption of a material, its share (air left out), its prior, and kinds of intervals."""
     content: dict[str, Any] = {
         "absorption": answer.absorption[i],
@@ -216,7 +217,7 @@ def _material(answer: Answer, i: int) -> dict[str, Any]:
     return content
 
 
-def _sampling(answer: Answer) -> list[dict[str, Any]]:
+def _sampling(answer: Result) -> list[dict[str, Any]]:
     """Diagnostics of the samples of each band."""
     return [
         {
@@ -233,7 +234,7 @@ def _sampling(answer: Answer) -> list[dict[str, Any]]:
     ]
 
 
-def _combinations(answer: Answer) -> list[dict[str, Any]]:
+def _combinations(answer: Result) -> list[dict[str, Any]]:
     """Means over groups of materials that the data determine, the whole room's first."""
 
     def entry(kind: str, c: Combination | Difference) -> dict[str, Any]:
@@ -261,7 +262,7 @@ def _combinations(answer: Answer) -> list[dict[str, Any]]:
     ]
 
 
-def _certified(answer: Answer) -> dict[str, Any] | None:
+def _certified(answer: Result) -> dict[str, Any] | None:
     """What was proven of the cost of energies with their weights fixed: bands add up."""
     proven = [
         (centre, certificate_content(proof) | {"distance": certificate_distance(answer, j)})

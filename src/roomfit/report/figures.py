@@ -32,7 +32,7 @@ from roomfit.report.wording import (
     short_hertz,
     shortened,
 )
-from roomfit.results import Answer, ComparedPair, Decay
+from roomfit.results import ComparedPair, Decay, Result
 from roomfit.typing import FloatArray, Progress
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 
@@ -40,7 +40,7 @@ from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 MOST_DECAY_PICTURES = 12
 
 
-def write_pictures(folder: Path, answer: Answer, progress: Progress | None = None) -> None:
+def write_pictures(folder: Path, answer: Result, progress: Progress | None = None) -> None:
     """Write absorption, what is identifiable, profiles, samples and decays as PNG files.
 
     Profiles and samples only where there are some; decays of the first twelve pairs.
@@ -48,7 +48,7 @@ def write_pictures(folder: Path, answer: Answer, progress: Progress | None = Non
     Parameters
     ----------
     folder : Path
-    answer : Answer
+    answer : Result
     progress : callable, optional
 
     Raises
@@ -79,7 +79,7 @@ def _in_file_name(name: str) -> str:
 MOST_PROFILES = 12
 
 
-def shown_profiles(answer: Answer) -> list[tuple[int, Profile]]:
+def shown_profiles(answer: Result) -> list[tuple[int, Profile]]:
     """Return bands and profiles that replaced a Gaussian, the widest.
 
     At most twelve, in the order of bands and materials.
@@ -268,7 +268,7 @@ def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> 
 # ---------------------------------------------------------------- absorption
 
 
-def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None) -> Figure:
+def absorption_figure(answer: Result, true_absorption: FloatArray | None = None) -> Figure:
     """Return absorption over frequency, one panel a material, the last for the mean by area.
 
     Filled points are identifiable, hollow ones are not, diamonds were given; bars are 95 %
@@ -276,7 +276,7 @@ def absorption_figure(answer: Answer, true_absorption: FloatArray | None = None)
 
     Parameters
     ----------
-    answer : Answer
+    answer : Result
     true_absorption : float array, shape (n_materials, n_bands), optional
         Drawn as crosses where the truth is known.
     """
@@ -339,7 +339,7 @@ def _intervals(
 # ---------------------------------------------------------------- how sure
 
 
-def identifiability_figure(answer: Answer) -> Figure:
+def identifiability_figure(answer: Result) -> Figure:
     """Return a matrix of materials by bands: the darker, the narrower the 95 % interval.
 
     A tick marks what is identifiable, G what was given.
@@ -379,7 +379,7 @@ def identifiability_figure(answer: Answer) -> Figure:
     return figure
 
 
-def profiles_figure(answer: Answer) -> Figure | None:
+def profiles_figure(answer: Result) -> Figure | None:
     """Return the profiles that replaced Gaussian intervals, twelve at most.
 
     None where there are none.
@@ -415,7 +415,7 @@ def profiles_figure(answer: Answer) -> Figure | None:
     return figure
 
 
-def corner_figure(answer: Answer) -> tuple[float, Figure] | None:
+def corner_figure(answer: Result) -> tuple[float, Figure] | None:
     """Return the centre of the sampled band whose materials are correlated most, and its samples.
 
     Each material against each other, six at most, histograms on the diagonal; None where nothing
@@ -461,12 +461,12 @@ def corner_figure(answer: Answer) -> tuple[float, Figure] | None:
 # ---------------------------------------------------------------- decay curves
 
 
-def decay_figure(answer: Answer, *pairs: ComparedPair) -> Figure:
+def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     """Return measured and predicted energy decay curves, one panel a band.
 
     Parameters
     ----------
-    answer : Answer
+    answer : Result
     pairs : ComparedPair
         With decay curves. Of several, the curves and words of the i-th are in the SVG groups
         ``curve-i``, and a page shows one of them at a time; curves have fewer points then.

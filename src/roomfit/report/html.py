@@ -60,7 +60,7 @@ from roomfit.report.wording import (
     number,
     parameter,
 )
-from roomfit.results import Answer, ComparedPair
+from roomfit.results import ComparedPair, Result
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
@@ -80,7 +80,7 @@ class FindingGroup:
     others: tuple[str, ...]
 
 
-def summary_sentences(answer: Answer) -> tuple[str, ...]:
+def summary_sentences(answer: Result) -> tuple[str, ...]:
     """Return what was done, what is identifiable, what is not, and how well it predicts."""
     return tuple(
         sentence
@@ -95,7 +95,7 @@ def summary_sentences(answer: Answer) -> tuple[str, ...]:
     )
 
 
-def determined_in_words(answer: Answer) -> tuple[tuple[str, str], ...]:
+def determined_in_words(answer: Result) -> tuple[tuple[str, str], ...]:
     """Return band and sentence where the data know groups of materials, or leave some open."""
     sentences = zip(answer.bands.centres_hz, answer.sentences, strict=False)
     return tuple(
@@ -116,7 +116,7 @@ def finding_groups(findings: tuple[Finding, ...]) -> tuple[FindingGroup, ...]:
     )
 
 
-def _what_was_done(answer: Answer) -> str:
+def _what_was_done(answer: Result) -> str:
     fitted = sum(pair.use == "fit" for pair in answer.pairs)
     kept = len(answer.pairs) - fitted
     data = count(fitted, "fitted measurement")
@@ -131,7 +131,7 @@ def _what_was_done(answer: Answer) -> str:
     )
 
 
-def _what_is_determined(answer: Answer) -> list[str]:
+def _what_is_determined(answer: Result) -> list[str]:
     is_fixed = fixed_coefficients(answer)
     sure = answer.identifiable & ~is_fixed
     wanted = int(np.sum(~is_fixed))
@@ -161,7 +161,7 @@ def _what_is_determined(answer: Answer) -> list[str]:
     return sentences
 
 
-def _where(answer: Answer, found: BoolArray) -> str:
+def _where(answer: Result, found: BoolArray) -> str:
     """Return the bands; their number where they are too scattered to be read."""
     if int(np.sum(np.diff(found.astype(int)) != 0)) > _MOST_ENDS:
         return f"{int(found.sum())} of {len(answer.bands)} bands"
@@ -174,7 +174,7 @@ def _first(names: list[str]) -> str:
     return listing(names) if more <= 0 else listing([*names[:_MOST_NAMES], f"{more} more"])
 
 
-def _where_it_does_not_fit(answer: Answer) -> str:
+def _where_it_does_not_fit(answer: Result) -> str:
     misfit = answer.chi2_reduced > LARGEST_CHI2_REDUCED
     if not misfit.any():
         return ""
@@ -184,7 +184,7 @@ def _where_it_does_not_fit(answer: Answer) -> str:
     )
 
 
-def _how_well_it_predicts(answer: Answer) -> str:
+def _how_well_it_predicts(answer: Result) -> str:
     kept = [pair for pair in answer.pairs if pair.use == "validate"]
     pairs = kept or list(answer.pairs)
     sentences = []
@@ -208,7 +208,7 @@ def _how_well_it_predicts(answer: Answer) -> str:
     )
 
 
-def _how_many_findings(answer: Answer) -> str:
+def _how_many_findings(answer: Result) -> str:
     counts = [
         (sum(f.severity == severity for f in answer.findings), severity) for severity in _SEVERITIES
     ]
@@ -226,7 +226,7 @@ class Drawing:
 
 
 def report_html(
-    answer: Answer,
+    answer: Result,
     scene: Scene,
     *,
     title: str,
@@ -242,7 +242,7 @@ def report_html(
 
     Parameters
     ----------
-    answer : Answer
+    answer : Result
     scene : Scene
         That the answer was found in: room, positions and air.
     title : str
@@ -285,7 +285,7 @@ def report_html(
     return text
 
 
-def result_fragment(answer: Answer) -> str:
+def result_fragment(answer: Result) -> str:
     """Return absorption with its 95 % intervals as an HTML table without a page, for a notebook.
 
     One row a material, one column a band, and the mean of the room; a question mark and grey
@@ -351,7 +351,7 @@ def _room(scene: Scene) -> Drawing:
     return _drawing(room_figure(scene), "room", title, caption)
 
 
-def _absorption(answer: Answer) -> Drawing:
+def _absorption(answer: Result) -> Drawing:
     return _drawing(
         absorption_figure(answer),
         "absorption",
@@ -364,7 +364,7 @@ def _absorption(answer: Answer) -> Drawing:
     )
 
 
-def _certainty(answer: Answer) -> tuple[Drawing, ...]:
+def _certainty(answer: Result) -> tuple[Drawing, ...]:
     drawings = [
         _drawing(
             identifiability_figure(answer),
@@ -404,7 +404,7 @@ def _certainty(answer: Answer) -> tuple[Drawing, ...]:
     return tuple(drawings)
 
 
-def _decays(answer: Answer, pairs: tuple[ComparedPair, ...]) -> Drawing:
+def _decays(answer: Result, pairs: tuple[ComparedPair, ...]) -> Drawing:
     caption = (
         "Energy left in the room relative to the whole, after each time; above each panel the "
         "decay time, measured → predicted."
@@ -427,7 +427,7 @@ def _worst(pairs: tuple[ComparedPair, ...]) -> int:
     return int(np.argmax(np.nan_to_num([mean_abs_jnd(pair) for pair in pairs], nan=-1.0)))
 
 
-def _provenance(answer: Answer, scene: Scene, campaign: str | None) -> tuple[tuple[str, str], ...]:
+def _provenance(answer: Result, scene: Scene, campaign: str | None) -> tuple[tuple[str, str], ...]:
     mesh, air = scene.room.mesh, scene.air
     return (
         ("roomfit", version("roomfit")),

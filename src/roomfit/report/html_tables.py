@@ -32,7 +32,7 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
-from roomfit.results import Answer, Compared, ComparedPair, Use, certificate_distance
+from roomfit.results import Compared, ComparedPair, Result, Use, certificate_distance
 from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -41,12 +41,12 @@ from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
 NOT_IDENTIFIABLE = "not identif."
 
 
-def fixed_coefficients(answer: Answer) -> BoolArray:
+def fixed_coefficients(answer: Result) -> BoolArray:
     """Return which coefficients were fixed, shape (n_materials, n_bands)."""
     return np.asarray(answer.lower95 == answer.upper95)
 
 
-def absorption_tables(answer: Answer) -> tuple[Table, ...]:
+def absorption_tables(answer: Result) -> tuple[Table, ...]:
     """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
     return band_tables(
         f"Absorption coefficient, 95 % interval ({answer.interval_kind})",
@@ -56,7 +56,7 @@ def absorption_tables(answer: Answer) -> tuple[Table, ...]:
     )
 
 
-def material_rows(answer: Answer, block: IntArray) -> list[Row]:
+def material_rows(answer: Result, block: IntArray) -> list[Row]:
     """Return absorption with its interval in the bands of a block, one row a material."""
     fixed = fixed_coefficients(answer)
     return [
@@ -78,7 +78,7 @@ def material_rows(answer: Answer, block: IntArray) -> list[Row]:
     ]
 
 
-def mean_row(answer: Answer, block: IntArray) -> Row:
+def mean_row(answer: Result, block: IntArray) -> Row:
     """Return the mean absorption of the room, weighted by area, in the bands of a block."""
     total = float(np.sum(answer.areas_m2))
     cells = tuple(
@@ -100,7 +100,7 @@ def coefficient_cell(value: float, lower: float, upper: float, *, sure: bool, fi
     return Cell(f"({text})", (interval, NOT_IDENTIFIABLE), "unsure")
 
 
-def fit_tables(answer: Answer) -> tuple[Table, ...]:
+def fit_tables(answer: Result) -> tuple[Table, ...]:
     """Return how well the model fits each band, and whether the fit converged."""
 
     def rows(block: IntArray) -> tuple[Row, ...]:
@@ -122,7 +122,7 @@ def _chi2_cell(chi2_reduced: float) -> Cell:
     return Cell(number(chi2_reduced, 1), ("fits",), "near")
 
 
-def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
+def area_tables(answer: Result, scene: Scene) -> tuple[Table, ...]:
     """Return equivalent absorption areas ``A = alpha S`` in m2, their sum, and the air's ``4 m V``.
 
     The interval of the sum is that of the mean absorption times the whole area. The air's part is
@@ -146,7 +146,7 @@ def area_tables(answer: Answer, scene: Scene) -> tuple[Table, ...]:
     )
 
 
-def _area_rows(answer: Answer, areas: FloatArray, block: IntArray) -> list[Row]:
+def _area_rows(answer: Result, areas: FloatArray, block: IntArray) -> list[Row]:
     rows = []
     for i, name in enumerate(answer.materials):
         cells = [Cell(area(float(answer.areas_m2[i])), style="first")]
@@ -159,7 +159,7 @@ def _area_rows(answer: Answer, areas: FloatArray, block: IntArray) -> list[Row]:
     return rows
 
 
-def _wall_row(answer: Answer, walls: FloatArray, bounds: FloatArray, block: IntArray) -> Row:
+def _wall_row(answer: Result, walls: FloatArray, bounds: FloatArray, block: IntArray) -> Row:
     cells = []
     for j in block:
         known = bool(np.isfinite(bounds[:, j]).all())
@@ -174,7 +174,7 @@ def _sum_row(head: str, values: FloatArray, block: IntArray, small: str, style: 
     return Row(head, (Cell("", style="first"), *cells), small, style=style)
 
 
-def share_tables(answer: Answer) -> tuple[Table, ...]:
+def share_tables(answer: Result) -> tuple[Table, ...]:
     """Return what share of the room's absorption each material contributes, with its interval."""
     if answer.shares is None:
         return ()
@@ -190,7 +190,7 @@ def share_tables(answer: Answer) -> tuple[Table, ...]:
     )
 
 
-def prior_tables(answer: Answer) -> tuple[Table, ...]:
+def prior_tables(answer: Result) -> tuple[Table, ...]:
     """Return the prior, in the order of `absorption_tables`."""
     if answer.prior is None:
         return ()
@@ -224,7 +224,7 @@ def _area_cell(value_m2: float, interval: str = "") -> Cell:
 _STATUS = {"certified": "proven", "stopped": "stopped early", "unresolved": "not resolved"}
 
 
-def certificate_tables(answer: Answer) -> tuple[Table, ...]:
+def certificate_tables(answer: Result) -> tuple[Table, ...]:
     """Return one table with a row a band, or none where nothing was to be proven."""
     rows = []
     for band, proof in enumerate(answer.certificates):
@@ -310,7 +310,7 @@ def known_mean(values: FloatArray) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def pair_sections(answer: Answer, *, opened: int = 2) -> tuple[PairSection, ...]:
+def pair_sections(answer: Result, *, opened: int = 2) -> tuple[PairSection, ...]:
     """Return the tables of every pair; the first few are shown unfolded."""
     keys = parameter_keys(answer.pairs)
     return tuple(
@@ -319,7 +319,7 @@ def pair_sections(answer: Answer, *, opened: int = 2) -> tuple[PairSection, ...]
     )
 
 
-def _pair_tables(answer: Answer, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
+def _pair_tables(answer: Result, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
     return band_tables(
         f"{pair_title(pair)}: predicted minus measured in JND",
         "parameter",
@@ -360,7 +360,7 @@ def jnd_style(jnd: float) -> str:
     return "near" if size <= NEAR_JND else "middle" if size <= FAR_JND else "far"
 
 
-def overview_table(answer: Answer) -> Table | None:
+def overview_table(answer: Result) -> Table | None:
     """Return the mean |JND| over bands of every pair and parameter beside the baseline's."""
     keys = parameter_keys(answer.pairs)
     if not keys:
@@ -418,7 +418,7 @@ def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
     return Errors(np.where(both, model, np.nan), np.where(both, baseline, np.nan))
 
 
-def error_tables(answer: Answer) -> tuple[Table, ...]:
+def error_tables(answer: Result) -> tuple[Table, ...]:
     """Return mean |error| per parameter and band, model beside baseline, by use of the pairs."""
     uses: tuple[tuple[Use, str], ...] = (("validate", "not fitted"), ("fit", "fitted"))
     tables: list[Table] = []
@@ -429,7 +429,7 @@ def error_tables(answer: Answer) -> tuple[Table, ...]:
     return tuple(tables)
 
 
-def _tables(answer: Answer, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:
+def _tables(answer: Result, pairs: Sequence[ComparedPair], caption: str) -> tuple[Table, ...]:
     keys = parameter_keys(pairs)
     found = {key: errors_of(pairs, key) for key in keys}
     every = list(range(len(answer.bands)))
@@ -501,7 +501,7 @@ def position_table(scene: Scene) -> Table:
     )
 
 
-def source_tables(answer: Answer) -> tuple[Table, ...]:
+def source_tables(answer: Result) -> tuple[Table, ...]:
     """Return a table of every source whose directivity was fitted, none where none was."""
     return tuple(
         table

@@ -11,7 +11,7 @@ from roomfit.findings import Code, Finding
 from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
-from roomfit.results import Answer, ComparedPair
+from roomfit.results import ComparedPair, Result
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
 
@@ -21,7 +21,7 @@ _OF_RECORDINGS = ("T20_s", "EDT_s", "C80_dB")
 _BELOW_BAND = " " * 11
 
 
-def answer_text(answer: Answer) -> str:
+def answer_text(answer: Result) -> str:
     """Return everything a user must know: absorption, what is identifiable, pairs, findings."""
     parts = [
         absorption_table(answer),
@@ -35,7 +35,7 @@ def answer_text(answer: Answer) -> str:
     return "\n\n".join(p for p in parts if p)
 
 
-def absorption_table(answer: Answer) -> str:
+def absorption_table(answer: Result) -> str:
     """Return absorption with its interval per material and band; ``?`` marks what is not sure."""
     width = max(len(n) for n in (*answer.materials, "room mean"))
     head = "  ".join(f"{f:>13g}" for f in answer.bands.centres_hz)
@@ -60,7 +60,7 @@ def absorption_table(answer: Answer) -> str:
     return "\n".join(lines)
 
 
-def separable_text(answer: Answer) -> str:
+def separable_text(answer: Result) -> str:
     """Return in words which materials the data determine, band by band."""
     has_sentences = any(answer.sentences)
     lines = [
@@ -91,7 +91,7 @@ def _below_band(sentence: str) -> str:
     return textwrap.fill(sentence, 100, initial_indent=_BELOW_BAND, subsequent_indent=_BELOW_BAND)
 
 
-def shares_table(answer: Answer) -> str:
+def shares_table(answer: Result) -> str:
     """Return what each material contributes to the room's absorption, in percent."""
     if answer.shares is None:
         return ""
@@ -110,7 +110,7 @@ def shares_table(answer: Answer) -> str:
     return "\n".join(lines)
 
 
-def directivity_text(answer: Answer) -> str:
+def directivity_text(answer: Result) -> str:
     """Return strength and axis of every source whose directivity was fitted, band by band."""
     lines = []
     for found in answer.directivities:
@@ -124,7 +124,7 @@ def directivity_text(answer: Answer) -> str:
     return "\n".join(lines)
 
 
-def certificate_text(answer: Answer) -> str:
+def certificate_text(answer: Result) -> str:
     """Return what was proven of the cost in each band, and the minima that come near the lowest."""
     lines = []
     for centre, proof in zip(answer.bands.centres_hz, answer.certificates, strict=False):
@@ -145,7 +145,7 @@ def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
     return ", ".join(n for n, c in zip(materials, chosen, strict=True) if c)
 
 
-def pairs_table(answer: Answer) -> str:
+def pairs_table(answer: Result) -> str:
     """Return mean absolute errors of predicted parameters beside those of the baseline.
 
     Of pairs with a recording T20, EDT and C80; of tables of room parameters all that they have.

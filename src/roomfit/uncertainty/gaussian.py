@@ -209,7 +209,7 @@ class MirrorTrial:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BandAnswer:
+class BandEstimate:
     """Absorption of the materials in one band."""
 
     absorption: FloatArray  # (n_materials,), and so the next four
@@ -243,14 +243,14 @@ class BandAnswer:
         return self.ending.converged
 
 
-Refine: TypeAlias = Callable[[BandProblem, BandFit, BandAnswer, Progress | None], BandAnswer]
+Refine: TypeAlias = Callable[[BandProblem, BandFit, BandEstimate, Progress | None], BandEstimate]
 
 SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
 
 
-def band_answer(
+def band_estimate(
     parameters: Parameters, fit: BandFit, areas_m2: FloatArray, model: str
-) -> BandAnswer:
+) -> BandEstimate:
     """Return one band's absorption of each material and of the room as a whole."""
     found = absorption_intervals(parameters, fit.vector, fit.information, fit.chi2_reduced)
     mean = weighted_mean_interval(
@@ -264,7 +264,7 @@ def band_answer(
     own[np.ix_(fitted, fitted)] = found.covariance[chosen, chosen]
     leader = leaders(block)
     covariance = own[np.ix_(leader, leader)]
-    return BandAnswer(
+    return BandEstimate(
         found.absorption,
         found.lower95,
         found.upper95,
@@ -303,7 +303,7 @@ def _directivity(
 
 def prior_only_band(
     priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
-) -> BandAnswer:
+) -> BandEstimate:
     """Return the answer of a band without data: the prior, with the interval 0 to 1."""
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
@@ -315,7 +315,7 @@ def prior_only_band(
     least, most = np.where(fixed, known, 0.0), np.where(fixed, known, 1.0)
     share = areas_m2 / areas_m2.sum()
     sd = np.where(fixed, 0.0, [k.prior_logit_sd[band] for k in priors])
-    return BandAnswer(
+    return BandEstimate(
         absorption,
         least,
         most,

@@ -20,7 +20,7 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import BandProblem
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
-from roomfit.uncertainty.gaussian import BandAnswer, MirrorTrial, is_identifiable
+from roomfit.uncertainty.gaussian import BandEstimate, MirrorTrial, is_identifiable
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
 
@@ -46,9 +46,9 @@ class Refinement:
         self,
         problem: BandProblem,
         fit: BandFit,
-        answer: BandAnswer,
+        answer: BandEstimate,
         progress: Progress | None = None,
-    ) -> BandAnswer:
+    ) -> BandEstimate:
         """Return the answer with better intervals, and what mirror images explain."""
         if fit.vector.size == 0:
             return answer
@@ -72,7 +72,7 @@ class Refinement:
         return answer
 
 
-def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnswer:
+def profiled(problem: BandProblem, fit: BandFit, answer: BandEstimate) -> BandEstimate:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
     Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
@@ -114,7 +114,7 @@ def profiled(problem: BandProblem, fit: BandFit, answer: BandAnswer) -> BandAnsw
     )
 
 
-def _beyond_fit(fit: BandFit, answer: BandAnswer, first: int, fitted: IntArray) -> FloatArray:
+def _beyond_fit(fit: BandFit, answer: BandEstimate, first: int, fitted: IntArray) -> FloatArray:
     """Return the covariance of an answer's fitted logits that its fit does not know of.
 
     Shape (n_fitted, n_fitted), symmetric, positive semi-definite.
@@ -131,10 +131,10 @@ def _beyond_fit(fit: BandFit, answer: BandAnswer, first: int, fitted: IntArray) 
 def sampled(
     parameters: Parameters,
     found: Sampled,
-    answer: BandAnswer,
+    answer: BandEstimate,
     areas_m2: FloatArray,
     beyond: FloatArray | None = None,
-) -> BandAnswer:
+) -> BandEstimate:
     """Return the answer by samples: medians, quantiles, covariance; as it was where they fail.
 
     Where the walkers did not converge the Gaussian answer stays, and `sampling` says so.

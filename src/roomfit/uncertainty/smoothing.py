@@ -15,7 +15,7 @@ from roomfit.errors import InputError
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logits
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import BandAnswer, is_identifiable
+from roomfit.uncertainty.gaussian import BandEstimate, is_identifiable
 from roomfit.uncertainty.intervals import LEAST_SIDE
 from roomfit.uncertainty.profile import profile_under
 
@@ -147,12 +147,12 @@ def _checked_shape(
 
 
 def smoothed(
-    answers: Sequence[BandAnswer],
+    answers: Sequence[BandEstimate],
     priors: tuple[MaterialPrior, ...],
     bands: Bands,
     sd_per_octave: float,
     areas_m2: FloatArray,
-) -> tuple[BandAnswer, ...]:
+) -> tuple[BandEstimate, ...]:
     """Return the answers under the assumption that logit absorption changes slowly over frequency.
 
     Parameters
@@ -184,13 +184,13 @@ def smoothed(
 
 
 def _redrawn(
-    answer: BandAnswer,
+    answer: BandEstimate,
     mean: FloatArray,
     covariance: FloatArray,
     priors: tuple[MaterialPrior, ...],
     band: int,
     areas_m2: FloatArray,
-) -> BandAnswer:
+) -> BandEstimate:
     """Return one band's answer with another mean and covariance of logit absorption."""
     low = np.array([k.lower for k in priors])
     width = np.array([k.upper for k in priors]) - low
@@ -227,7 +227,7 @@ def _redrawn(
 
 
 def _profile_ends(
-    answer: BandAnswer,
+    answer: BandEstimate,
     mean: FloatArray,
     sd: FloatArray,
     priors: tuple[MaterialPrior, ...],

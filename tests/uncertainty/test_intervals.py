@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import roomfit.io.campaign
+from coherent_cases import estimate_of
 from roomfit.bands import Bands
 from roomfit.commands import identify_to_folder
 from roomfit.inversion.model_checks import (
@@ -20,7 +21,6 @@ from roomfit.inversion.model_checks import (
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.settings import Settings
 from small_campaign import write_campaign
-from test_coherent_fit import _answer
 
 QUICK = ("to_hz = 1000", 'to_hz = 500\nmodel = "energy"\nmethod = "posterior"')
 SPECIFIED = ("[materials.tiles]", "[materials.tiles]\nprior = {mean = [0.5], sd = [0.02]}")
@@ -79,7 +79,7 @@ def test_prior_intervals_follow_bounds_ties_and_fixed_values():
 
 def test_only_a_specified_prior_is_reported():
     """The answer's variance of 0.01 is small beside the broad prior's, and all of the other's."""
-    bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
+    bands, answer = Bands("octave", [500.0]), estimate_of([0.3, 0.3], 0.05)
     broad = unknown_material("x", 1)
     narrow = MaterialPrior("y", np.full(1, -0.85), np.full(1, 0.1))
     (finding,) = prior_findings(bands, (broad, narrow), [answer])
@@ -89,7 +89,7 @@ def test_only_a_specified_prior_is_reported():
 
 
 def test_reasons_of_plain_answers():
-    bands, answer = Bands("octave", [500.0]), _answer([0.3, 0.3], 0.05)
+    bands, answer = Bands("octave", [500.0]), estimate_of([0.3, 0.3], 0.05)
     assert interval_words([answer]) == "Gaussian, local"
     assert reasons("least-squares", bands, [answer]) == ()
     assert len(reasons("auto", bands, [answer])) == 2

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numba
 import numpy as np
 import pytest
@@ -11,9 +9,8 @@ from hypothesis import given
 from hypothesis import settings as hypothesis_settings
 from hypothesis import strategies as st
 
-from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
+from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of, their_images
 from roomfit.errors import InputError
-from roomfit.geometry.mesh import corners_m
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room
 from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3, with_moved_planes
@@ -128,30 +125,6 @@ def test_another_program_has_the_same_images(name: str, order: int) -> None:
     a = np.linspace(0.1, 0.7, len(room.materials))
     own = np.prod((1.0 - a) ** found.hits, axis=1)
     assert np.sum(own / found.length_m**2) == pytest.approx(np.sum(left / distance**2), rel=1e-4)
-
-
-def their_images(
-    room: Room, source: FloatArray, receiver: FloatArray, order: int
-) -> tuple[FloatArray, FloatArray]:
-    """Return distance and energy left of every image that the other program sees.
-
-    Absorption rises evenly over the materials from 0.1 to 0.7.
-    """
-    pra: Any = pytest.importorskip("pyroomacoustics")
-    a = np.linspace(0.1, 0.7, len(room.materials))
-    owner = room.surface_material[room.mesh.triangle_surface]
-    walls = [
-        pra.wall_factory(triangle.T, [a[m]], [0.0], f"triangle {i}")
-        for i, (triangle, m) in enumerate(zip(corners_m(room.mesh), owner, strict=True))
-    ]
-    theirs = pra.Room(walls, fs=16000, max_order=order, air_absorption=False)
-    theirs.add_source(source)
-    theirs.add_microphone(receiver)
-    theirs.image_source_model()
-    observed = np.asarray(theirs.visibility[0][0]).astype(bool)
-    distance = np.linalg.norm(theirs.sources[0].images[:, observed].T - receiver, axis=1)
-    near = np.argsort(distance)
-    return distance[near], np.asarray(theirs.sources[0].damping[0, observed] ** 2)[near]
 
 
 @pytest.mark.parametrize("name", ["box", *CELLS])

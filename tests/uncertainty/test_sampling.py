@@ -13,7 +13,7 @@ from roomfit.errors import InputError
 from roomfit.objective.parameters import prior_residuals
 from roomfit.objective.problem import Prediction
 from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
-from roomfit.uncertainty.gaussian import band_answer
+from roomfit.uncertainty.gaussian import band_estimate
 from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (
     SamplingSettings,
@@ -203,7 +203,7 @@ def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_told():
     assert reported
     assert all(0.0 <= x <= 1.0 for x in reported)
 
-    answer = band_answer(problem.parameters, fit, np.ones(2), "energy")
+    answer = band_estimate(problem.parameters, fit, np.ones(2), "energy")
     kept = sampled(problem.parameters, one, answer, np.ones(2))
     np.testing.assert_array_equal(kept.lower95, answer.lower95)
     assert kept.sampling is one
@@ -216,7 +216,7 @@ def test_an_answer_by_samples_has_their_quantiles():
     law = log_posterior(problem, fit)
     quick = SamplingSettings(inner_steps=(5, 20))
     found = sample(law, surrogate(law, fit), np.random.default_rng(7), quick)
-    answer = band_answer(problem.parameters, fit, np.array([1.0, 3.0]), "energy")
+    answer = band_estimate(problem.parameters, fit, np.array([1.0, 3.0]), "energy")
     better = sampled(problem.parameters, found, answer, np.array([1.0, 3.0]))
     draws = 1.0 / (1.0 + np.exp(-found.draws[:, :2]))
     np.testing.assert_allclose(better.lower95, np.quantile(draws, 0.025, axis=0))

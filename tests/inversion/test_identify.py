@@ -20,7 +20,7 @@ from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import absorption_csv, result_content
-from roomfit.results import Answer
+from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
 from small_campaign import (
@@ -36,15 +36,15 @@ CARPET = "[materials.carpet]"
 PARAMETERS = {"EDT_s", "T20_s", "T30_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms"}
 
 
-def answer_to(folder: Path, *changes: tuple[str, str]) -> Answer:
+def answer_to(folder: Path, *changes: tuple[str, str]) -> Result:
     return identify(**load_campaign(write_campaign(folder, *changes)))
 
 
-def codes(answer: Answer) -> set[str]:
+def codes(answer: Result) -> set[str]:
     return {finding.code for finding in answer.findings}
 
 
-def assert_same_absorption(answer: Answer, other: Answer, tolerance: float) -> None:
+def assert_same_absorption(answer: Result, other: Result, tolerance: float) -> None:
     assert answer.materials == other.materials
     np.testing.assert_allclose(answer.absorption, other.absorption, rtol=0, atol=tolerance)
 
@@ -56,7 +56,7 @@ def few_rays(monkeypatch):
 
 
 @pytest.fixture(scope="module")
-def plain(tmp_path_factory) -> Answer:
+def plain(tmp_path_factory) -> Result:
     """The answer to the campaign as it stands."""
     return answer_to(tmp_path_factory.mktemp("plain"))
 

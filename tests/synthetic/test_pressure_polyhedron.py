@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from images_reference import their_images
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import volume_m3
 from roomfit.io.campaign import read_campaign
@@ -32,7 +33,6 @@ from simulated_rooms.polyhedral_rooms import (
     room_of,
     slanted_cells,
 )
-from test_beams import their_images
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])
 LENGTHS = (5.0, 4.0, 3.0)

@@ -21,7 +21,7 @@ from roomfit.findings import Code
 from roomfit.inversion.bands import from_random_starts, starts_findings
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
 from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
-from roomfit.uncertainty.gaussian import absorption_intervals, band_answer
+from roomfit.uncertainty.gaussian import absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
@@ -124,7 +124,7 @@ def test_profiles_replace_gaussian_intervals_where_they_are_skew_and_are_named()
     rng = np.random.default_rng(1)
     problem = decay_case(rng, np.array([0.02, 0.5]))
     fit = fitted(problem)
-    gauss = band_answer(problem.parameters, fit, np.array([10.0, 20.0]), "energy")
+    gauss = band_estimate(problem.parameters, fit, np.array([10.0, 20.0]), "energy")
     better = profiled(problem, fit, gauss)
     assert set(better.kinds) <= {"gaussian", "profile"}
     assert "profile" in better.kinds
@@ -169,7 +169,7 @@ def test_random_starts_that_agree_change_nothing():
 def test_a_second_fit_from_the_exchanged_absorptions_is_as_likely():
     problem = exchangeable_case()
     fit = fitted(problem)
-    answer = band_answer(problem.parameters, fit, np.ones(2), "energy")
+    answer = band_estimate(problem.parameters, fit, np.ones(2), "energy")
     refined = Refinement("gaussian", np.ones(2), 1, (np.array([1, 0]),))(problem, fit, answer)
     (trial,) = refined.mirrors
     np.testing.assert_allclose(trial.absorption, answer.absorption[::-1], atol=0.02)

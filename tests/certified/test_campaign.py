@@ -41,7 +41,7 @@ CHANGES = (
 
 
 @pytest.fixture(scope="module")
-def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer, list[Any]]:
+def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Result, list[Any]]:
     """The small campaign certified in one band, with its problem."""
     problems: list[Any] = []
 
@@ -56,7 +56,7 @@ def certified(tmp_path_factory: pytest.TempPathFactory) -> tuple[roomfit.Answer,
     return answer, problems
 
 
-def test_a_campaign_is_certified(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+def test_a_campaign_is_certified(certified: tuple[roomfit.Result, list[Any]]) -> None:
     """The answer is the certified minimiser, within a fifth of its interval."""
     answer, _ = certified
     assert answer.method == "certified"
@@ -71,7 +71,7 @@ def test_a_campaign_is_certified(certified: tuple[roomfit.Answer, list[Any]]) ->
     assert proof.lower_bound <= answer.cost <= proof.value + proof.delta
 
 
-def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Result, list[Any]]) -> None:
     """Its rows merged and smeared, against residuals and priors by the fit's own prediction."""
     (problem,) = certified[1]
     fit = fit_band(problem, gauss_newton, gauss_newton)
@@ -94,7 +94,7 @@ def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Answer, li
         np.testing.assert_allclose(free_vector(problem, place), vector, atol=1e-8)
 
 
-def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Answer, list[Any]]) -> None:
+def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Result, list[Any]]) -> None:
     """Louder rays have louder noise; image sources alone have none, and the least delta is left."""
     (problem,) = certified[1]
     fit = fit_band(problem, gauss_newton, gauss_newton)
@@ -112,7 +112,7 @@ def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Answer, list[A
 
 
 def test_a_certificate_stands_in_the_result_file(
-    certified: tuple[roomfit.Answer, list[Any]], tmp_path: Path
+    certified: tuple[roomfit.Result, list[Any]], tmp_path: Path
 ) -> None:
     """Every key of the contract, and numbers that JSON can hold."""
     answer, _ = certified
@@ -149,7 +149,7 @@ def test_auto_proves_what_is_affordable(tmp_path: Path) -> None:
 
 
 def test_nobody_waits_for_a_proof_of_many_unknowns(
-    certified: tuple[roomfit.Answer, list[Any]],
+    certified: tuple[roomfit.Result, list[Any]],
 ) -> None:
     """More unknowns than three, or another kind of data: no proof, and no search."""
     (problem,) = certified[1]
@@ -168,7 +168,7 @@ def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Pat
 
 
 def test_what_is_too_large_or_no_energy_is_refused(
-    certified: tuple[roomfit.Answer, list[Any]],
+    certified: tuple[roomfit.Result, list[Any]],
 ) -> None:
     """Rows above the limit; a problem of another kind."""
     (problem,) = certified[1]
@@ -183,7 +183,7 @@ def test_what_is_too_large_or_no_energy_is_refused(
 
 
 def test_open_searches_and_several_answers_are_findings(
-    certified: tuple[roomfit.Answer, list[Any]],
+    certified: tuple[roomfit.Result, list[Any]],
 ) -> None:
     """One code each, with the band; nothing where all is proven."""
     (proof,) = certified[0].certificates

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from coherent_cases import small_geometry, small_problem, with_data
+from coherent_cases import estimate_of, small_geometry, small_problem, with_data
 from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import widened_by_neighbours
 from roomfit.objective.coherent import with_coherence
@@ -21,10 +21,8 @@ from roomfit.objective.parameters import (
     whole_covariance,
 )
 from roomfit.objective.problem import InflatedVariance, Prediction
-from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
-from roomfit.uncertainty.gaussian import BandAnswer
 
 N_OWN, N_SHARED = 2, 3
 
@@ -169,19 +167,14 @@ def test_softened_data_have_larger_variances_and_nothing_else() -> None:
     np.testing.assert_array_equal(soft.predict(vector).expected, problem.predict(vector).expected)
 
 
-def _answer(absorption: list[float], half_width: float) -> BandAnswer:
-    a = np.array(absorption)
-    sure = np.ones(a.size, dtype=np.bool_)
-    return BandAnswer(
-        *(a, a - half_width, a + half_width, sure, np.log(a / (1 - a)), 0.01 * np.eye(a.size)),
-        *((float(a.mean()), 0.1, 0.4), 1.0, 1.0, 1, Ending.CONVERGED, "coherent"),
-    )
-
-
 def test_absorption_that_jumps_between_bands_has_wider_intervals() -> None:
     """A material alike in all bands keeps its interval; one that jumps loses identifiability."""
     areas = np.array([1.0, 1.0])
-    bands = [_answer([0.3, 0.1], 0.02), _answer([0.3, 0.2], 0.02), _answer([0.3, 0.95], 0.02)]
+    bands = [
+        estimate_of([0.3, 0.1], 0.02),
+        estimate_of([0.3, 0.2], 0.02),
+        estimate_of([0.3, 0.95], 0.02),
+    ]
     wide = widened_by_neighbours(bands, areas)
     middle = wide[1]
     assert middle is not None
@@ -194,8 +187,8 @@ def test_absorption_that_jumps_between_bands_has_wider_intervals() -> None:
 
 def test_a_material_that_is_held_stays_held() -> None:
     """No interval grows about a given absorption."""
-    held = replace(_answer([0.3, 0.1], 0.02), lower95=np.array([0.3, 0.1]))
+    held = replace(estimate_of([0.3, 0.1], 0.02), lower95=np.array([0.3, 0.1]))
     held = replace(held, upper95=held.lower95)
-    wide = widened_by_neighbours([held, _answer([0.6, 0.7], 0.02)], np.ones(2))[0]
+    wide = widened_by_neighbours([held, estimate_of([0.6, 0.7], 0.02)], np.ones(2))[0]
     assert wide is not None
     np.testing.assert_array_equal(wide.lower95, wide.upper95)

@@ -63,7 +63,7 @@ from roomfit.synthetic.boxes import (
 )
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths
-from roomfit.uncertainty.gaussian import BandAnswer
+from roomfit.uncertainty.gaussian import BandEstimate
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import ABSORPTION, LENGTHS_M, SMALL, SOURCE_M, write_wav
 
@@ -159,7 +159,7 @@ def case_of(folder: Path, specified: str, *, directional: bool) -> Case:
 
 def coherent_answer(
     case: Case,
-) -> tuple[CoherentFit, tuple[BandAnswer | None, ...], tuple[FittedDirectivity, ...]]:
+) -> tuple[CoherentFit, tuple[BandEstimate | None, ...], tuple[FittedDirectivity, ...]]:
     """Return the fit of pressures and energies, its answers, and the directivities."""
     task, unknown = case.task, unknown_directivities(case.asked, case.scene)
     coherent = CoherentTask(
@@ -184,7 +184,7 @@ def coherent_answer(
 
 def energy_answer(
     case: Case,
-) -> tuple[tuple[BandAnswer, ...], tuple[FittedDirectivity, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[BandEstimate, ...], tuple[FittedDirectivity, ...], tuple[Finding, ...]]:
     """Return the fit of energies alone, the directivities, and the doubts."""
     task, unknown = case.task, unknown_directivities(case.asked, case.scene)
     suspects = omnidirectional(measured(case.asked, case.scene))
@@ -202,7 +202,7 @@ def energy_answer(
     return answers, found, source_findings(suspects, doubts)
 
 
-def covered(answers: Sequence[BandAnswer | None]) -> np.ndarray:
+def covered(answers: Sequence[BandEstimate | None]) -> np.ndarray:
     """Return whether intervals of walls, carpet and tiles cover the true value, (n_bands, 3)."""
     true = np.array(list(ABSORPTION.values()))
     return np.array([(a.lower95 <= true) & (true <= a.upper95) for a in answers if a])

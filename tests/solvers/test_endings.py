@@ -20,7 +20,7 @@ from roomfit.solvers.least_squares import (
 )
 from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.gaussian import band_answer
+from roomfit.uncertainty.gaussian import band_estimate
 from roomfit.uncertainty.intervals import Refinement
 
 USES = {
@@ -139,7 +139,7 @@ def test_mirror_images_and_profiles_add_their_evaluations_to_the_answer() -> Non
     problem = Counting(0.2 * case.matrix, case.observed, case.sd, case.parameters)
     Counting.made = 0
     fit = fit_band(problem, gauss_newton, few_gauss_newton_steps)
-    answer = band_answer(problem.parameters, fit, np.ones(3), "energy")
+    answer = band_estimate(problem.parameters, fit, np.ones(3), "energy")
     refine = Refinement("profile", np.ones(3), 1, exchanges=(np.array([1, 0, 2]),))
     refined = refine(problem, fit, answer)
     assert refined.profiles
