@@ -1,12 +1,12 @@
-"""Whether 95 % intervals hold the truth, over rooms that the model did not make.
+"""Coverage of 95 % intervals, over rooms that other models simulated.
 
     python benchmarks/calibration.py [--boxes N] [--polyhedra N] [--first SEED]
 
 Boxes of another program, pyroomacoustics (`other_boxes.py` says how), and convex rooms of our own
-simulator of pressures (`polyhedra.py`), with positions told 1 cm wrong and noise. Every room is
-written as a campaign and identified as anybody's. Each share has its own 95 % interval, in which
-values of one room count as less than independent ones. Null models: the prior's mean, and one
-absorption for all walls, from the decay. A second table tells intervals apart by how they were
+simulator of pressures (`polyhedra.py`), with positions specified 1 cm wrong and noise. Every room
+is written as a campaign and identified as anybody's. Each share has its own 95 % interval, in which
+values of one room count as less than independent ones. Baselines: the prior's mean, and one
+absorption for all walls, from the decay. A second table groups intervals by how they were
 made and by what was found: the spread of errors over what the intervals say is 1 where these are
 right, less where they are too wide.
 """
@@ -41,7 +41,7 @@ SHAPES: tuple[Shape, ...] = ("slanted", "paper")
 
 @dataclass(frozen=True)
 class Room:
-    """One answer and its truth, (n_materials, n_bands)."""
+    """One answer and the true absorption, (n_materials, n_bands)."""
 
     answer: Result
     true: np.ndarray
@@ -50,9 +50,9 @@ class Room:
 def box(seed: int) -> Room:
     """Identify a box of another program."""
     with tempfile.TemporaryDirectory() as folder:
-        made = write_other_box(seed, Path(folder))
-        answer = identify(**load_campaign(made.campaign))
-    return Room(answer, made.absorption_at(answer.bands.centres_hz))
+        synthetic = write_other_box(seed, Path(folder))
+        answer = identify(**load_campaign(synthetic.campaign))
+    return Room(answer, synthetic.absorption_at(answer.bands.centres_hz))
 
 
 def polyhedron(seed: int) -> Room:
@@ -60,11 +60,11 @@ def polyhedron(seed: int) -> Room:
     rng = np.random.default_rng([seed, 17])
     plan = polyhedron_plan(SHAPES[seed % len(SHAPES)], rng)
     with tempfile.TemporaryDirectory() as folder:
-        made = write_measured_polyhedron(plan, Path(folder), rng)
-        answer = identify(**load_campaign(made.campaign))
-    rows = [made.materials.index(name) for name in answer.materials]
-    columns = [int(np.argmin(np.abs(made.centres_hz - f))) for f in answer.bands.centres_hz]
-    return Room(answer, made.absorption[np.ix_(rows, columns)])
+        synthetic = write_measured_polyhedron(plan, Path(folder), rng)
+        answer = identify(**load_campaign(synthetic.campaign))
+    rows = [synthetic.materials.index(name) for name in answer.materials]
+    columns = [int(np.argmin(np.abs(synthetic.centres_hz - f))) for f in answer.bands.centres_hz]
+    return Room(answer, synthetic.absorption[np.ix_(rows, columns)])
 
 
 def pooled(rooms: list[Room]) -> CoverageSample:
@@ -94,7 +94,7 @@ def pooled(rooms: list[Room]) -> CoverageSample:
 
 
 def show(rooms: list[Room]) -> None:
-    """Print the pooled table, and intervals told apart."""
+    """Print the pooled table, and intervals by group."""
     found = pooled(rooms)
     rows = coverage_rows(found)
     print(f"{len(rooms)} rooms (uniform: the area mean of each answer)")
@@ -125,8 +125,8 @@ def _show_parts(found: CoverageSample, rooms: list[Room]) -> None:
         counted = found.has_interval & part
         if not counted.any():
             continue
-        held = (found.lower95 <= found.true) & (found.true <= found.upper95)
-        share = grouped_proportion(held, counted)
+        covered = (found.lower95 <= found.true) & (found.true <= found.upper95)
+        share = grouped_proportion(covered, counted)
         z = scaled_errors(replace(found, has_interval=counted))
         width = np.median((found.upper95 - found.lower95)[counted])
         error = np.median(np.abs(found.absorption - found.true)[counted])
@@ -155,12 +155,12 @@ def main() -> None:
             continue
         done.append(room)
         a = room.answer
-        held = (a.lower95 <= room.true) & (room.true <= a.upper95)
+        covered = (a.lower95 <= room.true) & (room.true <= a.upper95)
         codes = sorted({f.code for f in a.findings if f.severity != "info"})
         print(
             f"{make.__name__} {seed}: |error| {np.median(np.abs(a.absorption - room.true)):.4f}, "
-            f"{held.mean():.2f} hold, {a.identifiable.mean():.2f} identifiable, "
-            f"{np.count_nonzero(a.identifiable & ~held)} wrong, phi",
+            f"{covered.mean():.2f} hold, {a.identifiable.mean():.2f} identifiable, "
+            f"{np.count_nonzero(a.identifiable & ~covered)} wrong, phi",
             *(f"{p:.1f}" for p in a.chi2_reduced),
             *codes,
             flush=True,

@@ -8,11 +8,11 @@ The paper's room with its seven surfaces apart; nothing is known of them beforeh
 promised: the mean width of the 95 % intervals after the chosen pairs of source and receiver, beside
 200 random designs from the same candidates under the same rules. Then what is: responses of the
 chosen pairs, and of some random designs, are simulated as pressures that are followed from cell to
-cell (`roomfit.synthetic.polyhedra`), with the truth of
-`roomfit.suh2001.room`, places off by --position-error, a loudspeaker that is uneven by
---loudspeaker-db from octave to octave, and noise; and identified as anybody's. Each design is
-measured --noises times, with other errors of places, levels and noise. --promise leaves the second
-part out; --pictures draws the first design.
+cell (`roomfit.synthetic.polyhedra`), with the absorption of `roomfit.suh2001.room`, positions off
+by --position-error, a loudspeaker that is uneven by --loudspeaker-db from octave to octave, and
+noise; and identified as anybody's. Each design is measured --noises times, with other errors of
+positions, levels and noise. --promise leaves the second part out; --pictures draws the first
+design.
 """
 
 from __future__ import annotations
@@ -73,31 +73,31 @@ def measured(
     """Return mean width, mean and median error, coverage, phi and seconds of one campaign."""
     scene = found.scene
     ends = [(scene.sources[s], scene.receivers[r]) for s, r in scene.pairs[list(pairs)]]
-    truth = np.tile(np.array(DIVISIONS[7].true_absorption)[:, None], (1, N_OCTAVES))
+    absorption = np.tile(np.array(DIVISIONS[7].true_absorption)[:, None], (1, N_OCTAVES))
     plan = PolyhedronPlan(
         paper_cells(),
-        truth,
+        absorption,
         {s.name: tuple(s.position_m.tolist()) for s, _ in ends},
         {r.name: tuple(r.position_m.tolist()) for _, r in ends},
         DURATION_S,
         tuple((s.name, r.name) for s, r in ends),
     )
     with tempfile.TemporaryDirectory() as folder:
-        made = write_measured_polyhedron(
+        synthetic = write_measured_polyhedron(
             plan,
             Path(folder),
             np.random.default_rng([seed, 11]),
             position_error_m=position_error_m,
             loudspeaker_db=loudspeaker_db,
         )
-        answer = identify(**load_campaign(made.campaign))
-    rows = [made.materials.index(name) for name in answer.materials]
-    true = made.absorption[rows][:, : len(answer.bands)]
+        answer = identify(**load_campaign(synthetic.campaign))
+    rows = [synthetic.materials.index(name) for name in answer.materials]
+    true = synthetic.absorption[rows][:, : len(answer.bands)]
     error = np.abs(answer.absorption - true)
     width = answer.upper95 - answer.lower95
-    held = (answer.lower95 <= true) & (true <= answer.upper95)
+    covered = (answer.lower95 <= true) & (true <= answer.upper95)
     return (
-        float(width.mean()), float(error.mean()), float(np.median(error)), float(held.mean()),
+        float(width.mean()), float(error.mean()), float(np.median(error)), float(covered.mean()),
         float(answer.chi2_reduced.mean()), answer.seconds,
     )  # fmt: skip
 

@@ -1,4 +1,4 @@
-"""How often a predicted interval holds what is measured, in a box made by other means.
+"""How often a predicted interval holds what is measured, in a box simulated independently.
 
     python benchmarks/prediction.py [SEED]
 
@@ -58,11 +58,11 @@ to_hz = 1000
 def write_campaign(folder: Path, seed: int) -> Path:
     """Simulate up to 24 receivers, those too near to the source left out."""
     rng = np.random.default_rng(seed)
-    places = 0.5 + rng.random((24, 3)) * (np.array(LENGTHS_M) - 1.0)
-    places = places[np.linalg.norm(places - SOURCE_M, axis=1) > 1.0]
+    positions = 0.5 + rng.random((24, 3)) * (np.array(LENGTHS_M) - 1.0)
+    positions = positions[np.linalg.norm(positions - SOURCE_M, axis=1) > 1.0]
     bands, air = bands_between("octave", 250, 2000), Air()
     owners = ("walls", "walls", "walls", "walls", "carpet", "tiles")
-    truth = SyntheticBox(
+    box = SyntheticBox(
         LENGTHS_M,
         bands.centres_hz,
         np.array([[ABSORPTION[n]] * len(bands) for n in owners]),
@@ -70,13 +70,13 @@ def write_campaign(folder: Path, seed: int) -> Path:
         speed_of_sound_m_s(air),
     )
     text = ROOM + "".join(f"[materials.{name}]\nscattering = 0.0\n" for name in ABSORPTION)
-    for i, place in enumerate(places):
+    for i, position in enumerate(positions):
         pressure = pressure_response(
-            truth, np.array(SOURCE_M), place, 0.7, RATE_HZ, np.zeros(len(bands))
+            box, np.array(SOURCE_M), position, 0.7, RATE_HZ, np.zeros(len(bands))
         )
         noisy = add_noise(pressure, -60, rng).astype(np.float32)
         soundfile.write(folder / f"R{i}.wav", noisy, RATE_HZ, subtype="FLOAT")
-        text += f"[receivers.R{i}]\nposition = {place.tolist()}\n[[measurements]]\n"
+        text += f"[receivers.R{i}]\nposition = {position.tolist()}\n[[measurements]]\n"
         text += f'source = "LS1"\nreceiver = "R{i}"\nfile = "R{i}.wav"\n'
         text += f'use = "{"fit" if i < 4 else "validate"}"\n'
     path = folder / "campaign.toml"
@@ -86,8 +86,8 @@ def write_campaign(folder: Path, seed: int) -> Path:
 
 def formatted(title: str, pairs: list[PredictedPair]) -> str:
     """Return by band how many intervals hold, and the mean and the spread of the misses."""
-    lines = [title, "parameter     held       mean of (measured - predicted) / sd, its spread"]
-    held = []
+    lines = [title, "parameter     covered     mean of (measured - predicted) / sd, its spread"]
+    covered = []
     for name in NAMES:
         m, value, low, high = (
             np.array([getattr(p.parameters[name], what) for p in pairs])
@@ -95,13 +95,13 @@ def formatted(title: str, pairs: list[PredictedPair]) -> str:
         )
         inside = (low <= m) & (m <= high)
         z = (m - value) / ((high - low) / 3.92)
-        held.append(inside)
+        covered.append(inside)
         cells = "   ".join(
             f"{inside[:, j].mean():.2f} {z[:, j].mean():+5.1f} {z[:, j].std():4.1f}"
             for j in range(m.shape[1])
         )
         lines.append(f"{name:<12}  {cells}")
-    lines.append(f"all: {np.sum(held)} of {np.size(held)}")
+    lines.append(f"all: {np.sum(covered)} of {np.size(covered)}")
     return "\n".join(lines)
 
 

@@ -1,4 +1,4 @@
-"""`roomfit coverage`: truths that are drawn, sound that is made, and what is counted."""
+"""`roomfit coverage`: rooms that are drawn, recordings that are simulated, what is counted."""
 
 from __future__ import annotations
 
@@ -135,9 +135,9 @@ def logit(a):
 def test_draws_have_the_spread_that_the_campaign_states(tmp_path):
     """400 draws: a mean is off by 4 standard errors once in 16,000, for 10 numbers each."""
     plan, rng = planned(tmp_path), np.random.default_rng(5)
-    truths = [draw_synthetic_room(plan, rng) for _ in range(400)]
+    rooms = [draw_synthetic_room(plan, rng) for _ in range(400)]
     names = list(plan.room.materials)
-    a = np.array([t.absorption for t in truths])
+    a = np.array([t.absorption for t in rooms])
     ceiling = logit(a[:, names.index("ceiling"), 1])
     sd = 0.1 / (0.6 * 0.4)
     assert abs(ceiling.mean() - logit(0.6)) < 4.0 * sd / np.sqrt(400)
@@ -147,10 +147,10 @@ def test_draws_have_the_spread_that_the_campaign_states(tmp_path):
     # from one octave to the next, and two
     assert abs(np.corrcoef(broad[:, 0], broad[:, 1])[0, 1] - 0.95) < 0.025
     assert abs(np.corrcoef(broad[:, 0], broad[:, 2])[0, 1] - 0.95**2) < 0.05
-    moved = np.array([t.receivers[0].position_m for t in truths])
+    moved = np.array([t.receivers[0].position_m for t in rooms])
     np.testing.assert_allclose(moved.mean(axis=0), [3.3, 2.6, 1.5], atol=4e-2 / np.sqrt(400))
     np.testing.assert_allclose(moved.std(axis=0), 0.01, rtol=4.0 / np.sqrt(800))
-    c = np.log([t.speed_of_sound_m_s for t in truths])
+    c = np.log([t.speed_of_sound_m_s for t in rooms])
     assert abs(c.std() / (0.5 / 293.15) - 1.0) < 4.0 / np.sqrt(800)
 
 
@@ -158,15 +158,15 @@ def test_what_is_known_tied_or_bounded_stays_so(tmp_path):
     plan, rng = planned(tmp_path), np.random.default_rng(6)
     names = list(plan.room.materials)
     for _ in range(20):
-        truth = draw_synthetic_room(plan, rng)
-        a = dict(zip(names, truth.absorption, strict=True))
+        synthetic = draw_synthetic_room(plan, rng)
+        a = dict(zip(names, synthetic.absorption, strict=True))
         np.testing.assert_array_equal(a["floor"], 0.3)
         np.testing.assert_array_equal(a["north"], a["south"])
         assert np.all((a["plaster"] > 0.05) & (a["plaster"] < 0.5))
-        np.testing.assert_array_equal(truth.level_db[1], 0.0)  # told to be absolute
-        assert np.all(truth.level_db[0] != 0.0)
-        assert not truth.scattering.any()
-        assert not truth.delays_s.any()
+        np.testing.assert_array_equal(synthetic.level_db[1], 0.0)  # specified as absolute
+        assert np.all(synthetic.level_db[0] != 0.0)
+        assert not synthetic.scattering.any()
+        assert not synthetic.delays_s.any()
 
 
 def test_draws_about_an_answer_have_its_covariance(tmp_path):
@@ -249,22 +249,22 @@ def test_a_changed_recording_makes_another_calibration(tmp_path):
 # How it sounds.
 
 
-def test_three_roads_to_the_sound_of_a_box_agree(tmp_path):
+def test_three_simulators_of_a_box_agree(tmp_path):
     """The lattice, the mirrored room, and the fit's own images: same pressures.
 
     The last two round arrival times to other fractions of a sample: 1/16 and 1/8, an error of
     some per cent of the peak at most.
     """
     plan = planned(tmp_path)
-    truth = draw_synthetic_room(plan, np.random.default_rng(8))
+    synthetic = draw_synthetic_room(plan, np.random.default_rng(8))
     pairs = (("LS1", "MP1"), ("LS1", "MP2"))
-    assert synthesis_of(plan, truth) == BOX
+    assert synthesis_of(plan, synthetic) == BOX
     rng = np.random.default_rng(1)
-    box = synthetic_sound(replace(plan, length_s=0.06), truth, pairs, 16_000.0, rng)
+    box = synthetic_sound(replace(plan, length_s=0.06), synthetic, pairs, 16_000.0, rng)
     unboxed = replace(plan, length_s=0.06, room=replace(plan.room, shoebox_m=None))
-    assert synthesis_of(unboxed, truth) == CONVEX
-    convex = synthetic_sound(unboxed, truth, pairs, 16_000.0, rng)
-    traced = traced_pressures(plan, truth, pairs, 0.06, 16_000.0, rng)
+    assert synthesis_of(unboxed, synthetic) == CONVEX
+    convex = synthetic_sound(unboxed, synthetic, pairs, 16_000.0, rng)
+    traced = traced_pressures(plan, synthetic, pairs, 0.06, 16_000.0, rng)
     for pair in pairs:
         expected = box.pressure[pair]
         np.testing.assert_allclose(
@@ -288,17 +288,17 @@ def test_a_convex_room_becomes_one_cell_and_others_none(tmp_path):
         assert len(found.faces) < len(room.mesh.triangles)
 
 
-def test_walls_that_scatter_and_odd_rooms_take_other_roads(tmp_path):
+def test_walls_that_scatter_and_odd_rooms_are_simulated_otherwise(tmp_path):
     text = CAMPAIGN.replace("scattering = 0.0", "scattering = 0.2")
     plan = planned(tmp_path, text)
-    truth = draw_synthetic_room(plan, np.random.default_rng(9))
-    assert synthesis_of(plan, truth) == "images and scattered noise of a box"
+    synthetic = draw_synthetic_room(plan, np.random.default_rng(9))
+    assert synthesis_of(plan, synthetic) == "images and scattered noise of a box"
     unboxed = replace(plan, room=replace(plan.room, shoebox_m=None))
-    assert synthesis_of(unboxed, truth) == TRACED
+    assert synthesis_of(unboxed, synthetic) == TRACED
 
 
 def test_a_recording_is_late_and_its_noise_lies_where_it_was_asked():
-    """A click between samples: its centre of energy is the delay; noise as far below it as told.
+    """A click between samples: its centre of energy is the delay; noise as far below as specified.
 
     At half the sampling rate a fraction of a sample has no meaning, which costs 4 microseconds. An
     octave of noise of 1 s holds 700 independent values or more: its level scatters by 0.2 dB.
@@ -335,21 +335,21 @@ def test_shares_of_third_octaves_add_to_one():
     np.testing.assert_allclose(at_centres, np.eye(len(grid)), atol=5e-3)
 
 
-def test_a_made_table_tells_what_the_sound_is(tmp_path):
+def test_a_synthetic_table_has_the_parameters_of_the_response(tmp_path):
     """Direct sound and an exponential tail of noise: G by hand, EDT the tail's; read back."""
     plan, rng = planned(tmp_path), np.random.default_rng(11)
-    truth = draw_synthetic_room(plan, rng)
-    step = truth.receivers[0].position_m - truth.sources[0].position_m
+    synthetic = draw_synthetic_room(plan, rng)
+    step = synthetic.receivers[0].position_m - synthetic.sources[0].position_m
     distance = float(np.linalg.norm(step))
     rate, t60 = synthetic_rate_hz(plan.campaign.bands), 0.5
-    first = distance / truth.speed_of_sound_m_s * rate
+    first = distance / synthetic.speed_of_sound_m_s * rate
     n = np.arange(round(1.2 * rate))
     tail = np.where(n > first, 10.0 ** (-3.0 * (n - first) / rate / t60), 0.0)
     pressure = 1e-3 * tail * rng.standard_normal(n.size)
     spread = np.full(2, np.nan)
     pair = TabulatedPair("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
     plan = replace(plan, tabulated=(pair,))
-    text = synthetic_table(plan, truth, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
+    text = synthetic_table(plan, synthetic, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
     file = tmp_path / "table.csv"
     file.write_text(text)
     (values,), _ = read_parameters(file)
@@ -385,7 +385,7 @@ def test_values_that_repeat_one_another_count_once():
     assert often.high == pytest.approx(once.high, abs=0.01)
 
 
-def made(rng: np.random.Generator, stretch: float, n: int = 400) -> CoverageSample:
+def sample_of(rng: np.random.Generator, stretch: float, n: int = 400) -> CoverageSample:
     """Return answers whose logit errors are Gaussian, intervals `stretch` times too wide."""
     bands, sd = bands_between("octave", 500, 1000), 0.4
     true = rng.normal(-1.0, 1.0, (n, 3, 2))
@@ -395,7 +395,7 @@ def made(rng: np.random.Generator, stretch: float, n: int = 400) -> CoverageSamp
     has_interval = np.ones(true.shape, dtype=bool)
     has_interval[:, 2] = False
     return CoverageSample(
-        ("a", "b", "held"), bands, a, x, lo, hi, hi - lo < 0.2, has_interval,
+        ("a", "b", "fixed"), bands, a, x, lo, hi, hi - lo < 0.2, has_interval,
         np.full((3, 2), 0.27), np.full((n, 2), 0.3), np.ones((n, 2)),
     )  # fmt: skip
 
@@ -403,7 +403,7 @@ def made(rng: np.random.Generator, stretch: float, n: int = 400) -> CoverageSamp
 @pytest.mark.parametrize(("stretch", "expected"), [(1.0, 0.95), (0.5, 0.673), (1.5, 0.9967)])
 def test_coverage_is_that_of_the_gaussian_it_was_made_with(stretch, expected):
     """1600 values: 4 standard errors are 2.2 % at 95 % and 4.7 % at 67 %."""
-    found = made(np.random.default_rng(21), stretch)
+    found = sample_of(np.random.default_rng(21), stretch)
     together = coverage_rows(found)[-1]
     assert together.holds.of == 1600
     error = 4.0 * np.sqrt(expected * (1.0 - expected) / 1600)
@@ -450,7 +450,7 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     }
     # another campaign must not be mixed in
     campaign_file(tmp_path, CAMPAIGN.replace("4.6, 3.7", "4.7, 3.7"))
-    with pytest.raises(InputError, match="belongs to another calibration"):
+    with pytest.raises(InputError, match="belongs to another estimate of coverage"):
         estimate_coverage(read_campaign(file), tmp_path / "a", asked)
 
 
@@ -464,7 +464,7 @@ def test_tables_alone_are_calibrated_too(tmp_path):
     head, tail = CAMPAIGN.split("[[measurements]]", 1)
     text = head + '[[measurements]]\nparameters = "values.csv"\n[identify]'
     text += tail.split("[identify]")[1].replace("to_hz = 2000", "to_hz = 1000")
-    # walls hard enough to ring beyond the made files would leave no decay times
+    # walls hard enough to ring beyond the synthetic recordings would leave no decay times
     text = text.replace("[materials.south]", "[materials.south]\nbounds = [0.2, 0.6]")
     campaign = read_campaign(campaign_file(tmp_path, text))
     result = estimate_coverage(campaign, tmp_path / "out", CoverageSettings(replicates=2))
@@ -475,8 +475,8 @@ def test_tables_alone_are_calibrated_too(tmp_path):
     assert together.holds.count >= 4
 
 
-def test_refused_replicates_are_counted_and_told_without_their_folder():
-    found = made(np.random.default_rng(1), 1.0, n=3)
+def test_refused_replicates_are_counted_and_reported_without_their_folder():
+    found = sample_of(np.random.default_rng(1), 1.0, n=3)
     why = "the decay is cut short\n  where   /gone/0001.wav\n  found   12 dB\n  needed  15 dB"
     for refused, said in (
         ((why,), "1 replicate was refused; the first: the decay is cut short (12 dB)"),
@@ -487,7 +487,7 @@ def test_refused_replicates_are_counted_and_told_without_their_folder():
 
 
 def test_an_estimate_of_coverage_shows_itself(monkeypatch):
-    found = made(np.random.default_rng(1), 1.0, n=20)
+    found = sample_of(np.random.default_rng(1), 1.0, n=20)
     result = CoverageResult(20, 20, (), {BOX: 20}, {}, found, "prior")
     together = coverage_rows(found)[-1]
     share = f"{100 * together.holds.value:.0f} ("
@@ -501,7 +501,7 @@ def test_an_estimate_of_coverage_shows_itself(monkeypatch):
     assert rows[-1][2] == together.holds.value
 
 
-def test_a_damaged_replicate_is_told_and_not_counted(tmp_path):
+def test_a_damaged_replicate_is_refused_and_not_counted(tmp_path):
     path = replicate_path(tmp_path, 3)
     path.parent.mkdir()
     for content in ("{", "[]", '{"format": "roomfit-replicate", "digest": "d"}'):
@@ -519,8 +519,8 @@ def test_findings_of_a_replicate_come_back_as_codes_and_unknown_ones_are_refused
     back = read_replicate(tmp_path, 3, "d").found.findings
     assert [type(code) for code in back] == [Code, Code]
     assert back == codes
-    path.write_text(path.read_text().replace("band-not-fitted", "band-not-told"))
-    with pytest.raises(InputError, match=r"unknown code[\s\S]*0003\.json[\s\S]*band-not-told"):
+    path.write_text(path.read_text().replace("band-not-fitted", "band-not-known"))
+    with pytest.raises(InputError, match=r"unknown code[\s\S]*0003\.json[\s\S]*band-not-known"):
         read_replicate(tmp_path, 3, "d")
 
 
@@ -569,7 +569,7 @@ def test_a_room_of_slanted_walls_is_simulated_by_the_command(tmp_path, monkeypat
     asked = ("coverage", file, "--out", out, "--replicates", "1", "--snr-db", "50")
     assert run_command(monkeypatch, *asked) == 0
     first = capsys.readouterr().out
-    assert f"1 of 1 replicates; made by {CONVEX} (1)" in first
+    assert f"1 of 1 replicates; simulated by {CONVEX} (1)" in first
     written = replicate_path(out, 0).stat().st_mtime_ns
     reported = json.loads((out / "calibration.json").read_text())
     assert reported["made_by"] == {CONVEX: 1}

@@ -125,13 +125,13 @@ def test_geometry_of_one_pair_is_integrated_out_as_in_one_large_fit(seed):
         np.testing.assert_allclose(
             np.linalg.inv(information + 1e-6 * np.eye(first)), covariance[own, own], rtol=1e-6
         )
-    # nine pairs more like this one tell nine times as much of what all share, and no less of places
+    # nine pairs more like this one inform nine times as much on what all share, not on positions
     summed = sum(about_geometry(information, first) for information in found)
     more = by_all_pairs(summed, shared, 9) - summed
     assert np.all(more[~shared] == 0.0) and np.all(more[:, ~shared] == 0.0)
     alone = np.linalg.inv(np.linalg.inv(summed + np.diag(~shared * 1.0))[np.ix_(shared, shared)])
     np.testing.assert_allclose(more[np.ix_(shared, shared)], 9.0 * alone, rtol=1e-6)
-    # what a band tells of the geometry is no more than with its absorptions known
+    # what a band informs on the geometry is no more than with its absorptions known
     gap = found[0][first:, first:] - about_geometry(found[0], first)
     assert np.linalg.eigvalsh(gap)[0] >= -1e-9
 
@@ -165,8 +165,8 @@ def test_the_order_puts_first_what_helps_most():
     assert alone[0] == min(alone)
 
 
-def test_a_pair_that_is_held_already_moves_the_choice():
-    """Two pairs tell of the first wall and one of the second: what is held decides."""
+def test_a_pair_that_was_measured_already_moves_the_choice():
+    """Two pairs inform on the first wall and one on the second: the measured one decides."""
     strong, weak = np.diag([9.0, 0.0, 0.0, 1.0]), np.diag([0.0, 4.0, 0.0, 1.0])
     matrices = np.tile(np.stack([strong, strong, weak])[:, None, None], (1, 1, 1, 1, 1))
     known = Unknowns(
@@ -186,21 +186,21 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
     at = rng.uniform(0.0, 6.0, (30, 3))
     known, found = unknowns(rng), pairs(rng, gain.tolist())
     rules = Rules(gain, compatible_positions(at, 1.5), np.arange(30) >= 2, most_sources=2)
-    held = (0, 1)
+    fixed = (0, 1)
     designs = [
-        choose(known, found, rules, 4, c, held, rng=fresh())
+        choose(known, found, rules, 4, c, fixed, rng=fresh())
         for c in ("determinant", "mean", "worst")
     ]
-    designs += [random_design(rules, 4, rng, held) for _ in range(20)]
+    designs += [random_design(rules, 4, rng, fixed) for _ in range(20)]
     for design in designs:
-        assert len(set(design)) == len(design) and not set(design) & set(held)
+        assert len(set(design)) == len(design) and not set(design) & set(fixed)
         assert np.unique(gain[list(design)]).size <= 2
-        for a, b in itertools.combinations([*held, *design], 2):
-            if b not in held:
+        for a, b in itertools.combinations([*fixed, *design], 2):
+            if b not in fixed:
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
-    assert not allowed(rules, [5], held)[5]
+    assert not allowed(rules, [5], fixed)[5]
     with pytest.raises(InputError, match="leave no position"):
-        choose(known, found, replace(rules, most_sources=1), 25, "mean", held, rng=fresh())
+        choose(known, found, replace(rules, most_sources=1), 25, "mean", fixed, rng=fresh())
 
 
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
@@ -217,32 +217,32 @@ def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_no
                  np.zeros(0), np.zeros(0))  # fmt: skip
 
 
-# Places.
+# Positions.
 
 
-def test_places_are_in_the_room_and_clear_of_its_walls():
+def test_positions_are_in_the_room_and_clear_of_its_walls():
     """In the gabled room of the paper, by its planes, which the search does not use."""
     room = paper_scene().room
-    places = spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
-    x, y, z = places.T
-    assert places.shape == (100, 3)
+    positions = spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+    x, y, z = positions.T
+    assert positions.shape == (100, 3)
     assert x.min() >= 1.0 and x.max() <= 14.64 and y.min() >= 1.0 and y.max() <= 9.70
     for slope, top, at in ((1.32 / 8.70, 2.88, x), (0.51 / 6.94, 3.69, 15.64 - x)):
         assert np.all((top + slope * at - z) / np.hypot(1.0, slope) >= 1.0 - 1e-6)
     # evenly spread: no eighth of the plan is empty, and both halves of the height are used
     assert np.histogram2d(x, y, [np.linspace(1, 14.64, 5), np.linspace(1, 9.7, 3)])[0].min() >= 4
     np.testing.assert_array_equal(
-        places, spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
+        positions, spread_positions(room, region_of(room, (1.0, 3.2), 1.0), 100, 1)
     )
 
 
 def test_a_grid_is_centred_and_evenly_spaced():
     room, _ = roomfit.read_room(roomfit.RoomSpec(shoebox=(6.0, 5.0, 3.0)))
     region = Region(np.array([0.0, 0.0, 1.5]), np.array([6.0, 5.0, 1.5]), 1.0)
-    places = grid_positions(room, region, 1.0)
-    assert len(places) == 5 * 4
-    np.testing.assert_allclose(np.unique(places[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
-    np.testing.assert_allclose(np.unique(places[:, 1]), [1.0, 2.0, 3.0, 4.0])
+    positions = grid_positions(room, region, 1.0)
+    assert len(positions) == 5 * 4
+    np.testing.assert_allclose(np.unique(positions[:, 0]), [1.0, 2.0, 3.0, 4.0, 5.0])
+    np.testing.assert_allclose(np.unique(positions[:, 1]), [1.0, 2.0, 3.0, 4.0])
     with pytest.raises(InputError, match="too little space"):
         grid_positions(room, replace(region, wall_distance_m=2.0), 1.0)
     with pytest.raises(InputError, match="too little space"):
@@ -300,8 +300,8 @@ def test_a_design_keeps_its_rules_in_a_room(small):
     _, campaign, found = small
     scene = found.scene
     assert found.n_fixed == 2 and len(found.chosen) == 3 and np.all(found.chosen >= 2)
-    held = [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs[:2]]
-    assert held == [("LS1", "MP1"), ("LS1", "MP2")]
+    fixed = [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs[:2]]
+    assert fixed == [("LS1", "MP1"), ("LS1", "MP2")]
     ends = [
         (scene.sources[s].position_m, scene.receivers[r].position_m)
         for s, r in scene.pairs[found.chosen]
@@ -457,21 +457,21 @@ def test_after_a_fit_the_next_measurement_shrinks_the_widest_interval(
 
 @pytest.mark.slow
 def test_what_is_promised_is_about_what_a_fit_reports(tmp_path):
-    """Two pairs held, by the model; then measured and fitted: mean widths agree within a third.
+    """Two measured pairs, by the model; then measured and fitted: mean widths agree within a third.
 
     The promise is made at the true absorption, under the same rules of noise.
     """
     path = write_campaign(tmp_path, ENERGY)
-    truth = (("walls", 0.15), ("carpet", 0.4), ("tiles", 0.3))
+    true_absorption = (("walls", 0.15), ("carpet", 0.4), ("tiles", 0.3))
     answer = roomfit.identify(**roomfit.load_campaign(path))
     design = "\n[design]\nnew_sources = 1\nreceiver_distance_m = 0.3\ndraws = 1\n"
     priors = "".join(
         f"[materials.{name}]\nscattering = 0.0\nprior = {{mean = {a}, sd = 0.19}}\n"
-        for name, a in truth
+        for name, a in true_absorption
     )
     text = path.read_text()
     start, end = text.index("[materials.walls]"), text.index("[sources.LS1]")
-    campaign_file = tmp_path / "told.toml"
+    campaign_file = tmp_path / "specified.toml"
     campaign_file.write_text(text[:start] + priors + text[end:] + design)
     campaign = roomfit.read_campaign(campaign_file, to_fit=False)
     found = designed(campaign, n_candidates=2, number=1, n_random=0)

@@ -45,7 +45,7 @@ NAMES = tuple(ABSORPTION)
 
 
 def posterior(sd: float = 0.05, bands: Bands = BANDS, names=NAMES) -> AbsorptionPosterior:
-    """Return a posterior at the truth, materials independent."""
+    """Return a posterior at the true absorption, materials independent."""
     a = np.array([[ABSORPTION.get(n, 0.3)] * len(bands) for n in names])
     width = 1.96 * sd
     low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * width))) for s in (-1, 1))
@@ -87,7 +87,7 @@ def test_draws_have_the_mean_and_covariance_they_were_drawn_from():
     np.testing.assert_allclose(np.cov(draws.T), covariance[0], rtol=0.08)
 
 
-def test_a_held_material_keeps_its_absorption_and_tied_ones_move_as_one():
+def test_a_fixed_material_keeps_its_absorption_and_tied_ones_move_as_one():
     covariance = np.array([[[0.0, 0.0, 0.0], [0.0, 0.09, 0.09], [0.0, 0.09, 0.09]]])
     a = np.array([[0.0], [0.3], [0.3]])
     posterior = AbsorptionPosterior(("h", "x", "y"), Bands("octave", [500.0]), a, a, a, covariance)
@@ -105,7 +105,7 @@ def test_intervals_give_back_the_spread_they_were_made_of():
     np.testing.assert_allclose(found, sd, rtol=1e-5)
 
 
-def test_an_interval_of_0_to_1_is_the_broad_prior_and_one_of_no_width_is_held():
+def test_an_interval_of_0_to_1_is_the_broad_prior_and_one_of_no_width_is_fixed():
     a = np.array([[0.2], [0.2], [0.2]])
     found = covariance_from_intervals(
         a, np.array([[0.0], [0.2], [0.0]]), np.array([[1.0], [0.2], [0.4]])
@@ -160,15 +160,15 @@ def test_every_source_meets_every_receiver_measured_or_not(campaign, tmp_path):
 def test_the_spread_is_the_slope_times_the_spread_of_the_absorption(campaign):
     """Slopes by predicting twice; 64 mirrored draws know a spread to 13 % (one sd): three sd."""
     sd = 0.02
-    held = posterior(sd)
-    one = np.zeros_like(held.logit_covariance)
+    known = posterior(sd)
+    one = np.zeros_like(known.logit_covariance)
     one[:, 0, 0] = sd**2
-    found = predict_campaign(campaign, replace(held, logit_covariance=one), n_draws=64)
+    found = predict_campaign(campaign, replace(known, logit_covariance=one), n_draws=64)
     at = {}
     for sign in (-1, 1):
-        moved = held.absorption.copy()
+        moved = known.absorption.copy()
         moved[0] = 1.0 / (1.0 + np.exp(-(logit(moved[0]) + sign * sd)))
-        still = replace(held, absorption=moved, logit_covariance=0.0 * one)
+        still = replace(known, absorption=moved, logit_covariance=0.0 * one)
         at[sign] = predict_campaign(campaign, still, n_draws=2)
     for name in ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms", "G_dB"):
         slope = np.abs(values(at[1], name) - values(at[-1], name)) / 2.0
@@ -185,12 +185,12 @@ def test_an_interval_is_at_least_as_wide_as_what_it_is_made_of(predicted):
 
 
 def test_a_changed_material_is_predicted_as_if_it_had_been_found_so(campaign):
-    held = posterior(0.0)
-    other = held.absorption.copy()
+    known = posterior(0.0)
+    other = known.absorption.copy()
     other[1], other[2] = 0.5 * other[1], (0.6, 0.7)
-    direct = predict_campaign(campaign, replace(held, absorption=other), n_draws=2)
+    direct = predict_campaign(campaign, replace(known, absorption=other), n_draws=2)
     changes = [read_change("carpet=x0.5"), read_change("tiles=0.6, 0.7")]
-    found = predict_campaign(campaign, held, changes, n_draws=2)
+    found = predict_campaign(campaign, known, changes, n_draws=2)
     np.testing.assert_array_equal(found.absorption, other)
     for name in ("T20_s", "C80_dB", "G_dB"):
         np.testing.assert_allclose(values(found, name), values(direct, name), rtol=1e-12)
@@ -243,7 +243,7 @@ def test_a_change_that_cannot_be_made_is_refused(campaign, text, words):
         predict_campaign(campaign, posterior(), [read_change(text)], n_draws=2)
 
 
-def test_a_factor_beyond_all_absorption_is_clipped_and_told(campaign):
+def test_a_factor_beyond_all_absorption_is_clipped_with_a_finding(campaign):
     found = predict_campaign(campaign, posterior(), [read_change("carpet=x4")], n_draws=2)
     np.testing.assert_array_equal(found.absorption[1], 1.0)
     assert Code.ABSORPTION_CLIPPED in {f.code for f in found.findings}
@@ -267,7 +267,7 @@ def test_another_room_takes_its_materials_by_name_and_names_the_missing(campaign
     np.testing.assert_allclose(values(found, "T20_s"), values(whole, "T20_s"), rtol=1e-12)
 
 
-def test_bands_without_absorption_are_left_out_and_told(campaign):
+def test_bands_without_absorption_are_left_out_with_a_finding(campaign):
     known = posterior(bands=bands_between("octave", 1000, 4000))
     found = predict_campaign(campaign, known, n_draws=2)
     assert found.bands.centres_hz.tolist() == [1000.0]
@@ -478,7 +478,9 @@ def test_a_pair_measured_twice_alike_raises_no_doubt(campaign, tmp_path):
         (lambda p: p * np.exp(-3.0 * np.arange(p.size) / RATE_HZ), "T20"),
     ],
 )
-def test_a_pair_measured_twice_with_other_results_is_told(campaign, tmp_path, change, words):
+def test_a_pair_measured_twice_with_other_results_raises_a_finding(
+    campaign, tmp_path, change, words
+):
     (finding,) = duplicate_findings(measured_twice(campaign, tmp_path, change))
     assert finding.code == Code.REPEATED_RESPONSES_DIFFER
     assert "LS1 to MP1" in finding.sentence
