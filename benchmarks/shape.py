@@ -100,12 +100,16 @@ def _nodes(tree: ast.AST, *, lazily: bool) -> Iterator[ast.AST]:
 
 
 def core(found: list[Module]) -> list[Module]:
-    """Return the modules that `roomfit.identify` cannot do without: what it imports, and so on."""
+    """Return the modules that `roomfit.identify` cannot do without: what it imports, and so on.
+
+    What is imported inside functions does not count: the certificate, where one is asked for, and
+    how a result prints and draws itself.
+    """
     names = frozenset(m.name for m in found)
     by_name = {m.name: m for m in found}
     waiting, observed = [FRONT], {FRONT}
     while waiting:
-        for name in imported(by_name[waiting.pop()], names) - {""}:
+        for name in imported(by_name[waiting.pop()], names, lazily=False) - {""}:
             if name not in observed and name in by_name:
                 observed.add(name)
                 waiting.append(name)

@@ -237,6 +237,7 @@ file = "a.wav"
 def test_numbers_that_the_pages_tell_are_those_of_the_code():
     fields = EnergyProblem.__dataclass_fields__
     settings = Settings()
+    default_s = settings.default_scattering
     middle = np.log(DEFAULT_MEAN / (1.0 - DEFAULT_MEAN))
     reach = 1.96 * DEFAULT_LOGIT_SD
     low, high = (1.0 / (1.0 + np.exp(-x)) for x in (middle - reach, middle + reach))
@@ -246,14 +247,14 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
             f"the interval is no wider than {WIDEST_IDENTIFIABLE:g}",
         ],
         "findings.md": [
-            f"explains the responses best, and {settings.default_scattering:g} where there are only room",
+            f"explains the responses best, and {default_s:g} where there are only room",
             f"More than {100 * LEAK_LIMIT:g} % of hits escape",
             f"`phi` exceeds {LARGEST_CHI2_REDUCED:g}",
             f"; {100 * DEFAULT_POSITION_SD_M:g} cm a coordinate was assumed",
             f"by more than {1e3 * TOO_WARPED_FROM_M:g} mm",
         ],
         "campaign-file.md": [
-            f"({settings.default_scattering:g} where there are only room parameters), with a finding",
+            f"({default_s:g} where there are only room parameters), with a finding",
             f"Left out: {DEFAULT_POSITION_SD_M:g}",
             f"lies between {low:.2f} and {high:.2f}",
         ],

@@ -9,6 +9,13 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from small_campaign import (
+    ABSORPTION,
+    RATE_HZ,
+    small_responses,
+    write_campaign,
+    write_wav,
+)
 
 import roomfit.io.campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
@@ -23,13 +30,6 @@ from roomfit.io.results import absorption_csv, result_content
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
-from small_campaign import (
-    ABSORPTION,
-    RATE_HZ,
-    small_responses,
-    write_campaign,
-    write_wav,
-)
 
 SECOND_FILE = 'file = "LS1_MP2.wav"'
 CARPET = "[materials.carpet]"
@@ -92,7 +92,7 @@ def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path):
     pressure = small_responses()["MP2"]
     write_wav(tmp_path / "LS1_MP2.wav", pressure * np.exp(-np.arange(pressure.size) / 400.0))
     second = identify(**identify_arguments(campaign))
-    for name in ("absorption", "lower95", "upper95", "phi"):
+    for name in ("absorption", "lower95", "upper95", "chi2_reduced"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     measured = [a.pairs[1].parameters["EDT_s"] for a in (first, second)]
     np.testing.assert_array_equal(measured[0].predicted, measured[1].predicted)
@@ -249,7 +249,7 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     assert result["bands_hz"] == [500, 1000]
     assert set(result) == {
         *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
-        *("findings", "fit", "geometry", "posterior", "provenance"),
+        *("findings", "fit", "geometry", "posterior", "settings", "provenance"),
     }
     for material in result["materials"].values():
         for lower, value, upper in zip(

@@ -170,8 +170,14 @@ def prepared_bands(
         rows = [i for i, m in enumerate(fitted) if m in files[b]]
         geometry = replace(whole, columns=whole.columns[rows])
         coherent = coherent_problem(
-            *(bands, b, own.problem, float(attenuation[b]), paths_at(paths, weights, b)),
-            *(binned, geometry, task.settings.end_s),
+            bands,
+            b,
+            own.problem,
+            float(attenuation[b]),
+            paths_at(paths, weights, b),
+            binned,
+            geometry,
+            task.settings.end_s,
         )
         out.append(
             CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
@@ -213,7 +219,12 @@ def _energies_alone(
 ) -> list[_Energies | None]:
     """Fit the energies of every band by themselves, in the windows that pressures need."""
     problems = band_problems(
-        *(task.scene, task.bands, task.priors, task.measured, binned, task.start),
+        task.scene,
+        task.bands,
+        task.priors,
+        task.measured,
+        binned,
+        task.start,
         periods=_WINDOW_PERIODS,
     )
     out: list[_Energies | None] = []
@@ -245,11 +256,9 @@ def _under_cavity_priors(
     if task.directivity_parameters is None:
         return energies
     directivities = directivities_under_cavity_priors(
-        *(
-            task.directivity_parameters,
-            task.bands,
-            [None if e is None else e.directed for e in energies],
-        ),
+        task.directivity_parameters,
+        task.bands,
+        [None if e is None else e.directed for e in energies],
         [None if e is None else e.fit for e in energies],
     )
     out: list[_Energies | None] = []
