@@ -100,3 +100,15 @@ def test_identifiers_are_in_the_words_of_the_field() -> None:
         for fault in private_words(path.read_text(encoding="utf-8"))
     ]
     assert not found, "\n".join(found)
+
+
+# Words of our own that no docstring, comment or message may use either.
+BANNED_PROSE = ("told", "untold", "heard", "hows", "spoiled", "looser", "begun", "beforehand")
+
+
+@pytest.mark.parametrize("file", sorted(SOURCE.rglob("*.py")), ids=lambda f: f.stem)
+def test_no_sentence_uses_a_word_of_our_own(file: Path) -> None:
+    """Docstrings, comments and messages are in the language of the field's journals."""
+    text = file.read_text(encoding="utf-8")
+    found = re.findall(rf"\b({'|'.join(BANNED_PROSE)})\b", text, flags=re.IGNORECASE)
+    assert found == []

@@ -588,28 +588,17 @@ def code_of(text: object, where: str) -> Code:
 @dataclass(frozen=True, slots=True, eq=False)
 class Finding:
     """Something that a user must know before trusting a number.
-
-    Attributes
-    ----------
-    code : Code
-        For programs, with its severity and whether it voids identifiability.
-    sentence : str
-        One or two sentences for a person, with the place and the numbers.
-    evidence : mapping
-        The numbers behind the sentence, ready for JSON.
-    graded : severity, optional
-        Given where its size decides and the code has two severities.
-
     Raises
     ------
     InputError
         The code does not have the severity that was given.
     """
 
-    code: Code
-    sentence: str
+    code: Code  # for programs, with its severity and whether it voids identifiability
+    sentence: str  # one or two sentences for a person, with the place and the numbers
+    # the numbers behind the sentence, ready for JSON
     evidence: Mapping[str, Any] = field(default_factory=dict)
-    graded: Severity | None = None
+    graded: Severity | None = None  # given where its size decides and the code has two severities
 
     def __post_init__(self) -> None:
         if self.graded is not None and self.graded not in self.code.severities:

@@ -43,7 +43,7 @@ from roomfit.uncertainty.gaussian import (
 )
 
 N_STARTS = 3
-# Log-likelihoods with priors that differ by less do not decide between two places.
+# Log-likelihoods with priors that differ by less do not decide between two minima.
 ALIKE = 2.0
 # Of a standard deviation: first rounds end within a hundredth of where they lead.
 _SAME_PLACE = 0.2

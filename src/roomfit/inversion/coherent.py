@@ -1,17 +1,11 @@
-"""Every band of a campaign fitted with partly coherent image sources, the geometry along with it.
+"""Every band fitted with partly coherent image sources, the geometry along with it.
 
-Bands go from low to high: a low band is coherent in spite of centimetres of error and tells where
-everything stands, so that the next one may be coherent, too. Then every band is fitted once more
-under what all the others have found.
-
-What a fit of all bands begins with: loudspeakers' colour taken out, images at the right places.
-
-Both ask for a first answer. Energies give one that suffices for the colour of all but the lowest
-frequencies; pressures of the lowest bands give a better one, and tell where everything stands.
-
-What the data say of places and delays that the campaign holds: fitted for comparison.
-
-What every band needs before it is fitted: energies, spoiled files, and its coherent problem.
+Energies are fitted first; they suffice to find outliers and to equalise the magnitude responses of
+the sources in all but the lowest bands. Then bands are fitted by pressures from low to high: a low
+band is coherent in spite of centimetres of position error and determines positions well enough for
+the next one to be coherent, too. Where they move, image sources are found anew. Last, every band is
+fitted once more under what all the others determine of the geometry. What is fixed is fitted as
+well, for comparison only.
 """
 
 from __future__ import annotations
@@ -131,7 +125,7 @@ def prepared_bands(
     binned: BinnedPaths,
     origin: FloatArray | None,
 ) -> tuple[tuple[CoherentBand | None, ...], tuple[Finding, ...]]:
-    """Fit the energies of every band, find spoiled files, and make the coherent problems."""
+    """Fit the energies of every band, find outliers, and make the coherent problems."""
     scene, bands = task.scene, task.bands
     files = [files_of_band(task, b) for b in range(len(bands))]
     energies = _energies_alone(task, paths, binned, files)
@@ -285,7 +279,7 @@ def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ..
 
 
 def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
-    """Return a guess with the absorption of those bands that pressures have told already.
+    """Return a guess with the absorption of the bands that pressures have determined so far.
 
     Parameters
     ----------
@@ -299,33 +293,23 @@ def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None])
     return out
 
 
-# Bands up to here tell positions to a few millimetres, in spite of images that are not seen.
+# Bands up to here determine positions within a few millimetres, in spite of hidden images.
 _RETRACE_BELOW_HZ = 1000.0
-# Bands up to here are those of which a loudspeaker's colour is not told by a first guess of walls.
+# Bands up to here are those in which a first guess of the walls does not determine the magnitude
+# response of a loudspeaker.
 _RETRACE_ENERGIES_BELOW_HZ = 250.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SequentialState:
-    """A task, its paths, and its bands made ready.
+    """A task, its paths, and its bands made ready."""
 
-    Attributes
-    ----------
-    task : CoherentTask
-        With the measurements as loudspeakers without colour would have given them.
-    paths : Paths
-    weights : float array, shape (n_bands, n_paths), or None
-    binned : BinnedPaths
-    origin : float array or None
-        Free numbers of the geometry for which the paths were traced; None for what was told.
-    bands : tuple of CoherentBand or None, one a band
-    findings : tuple of Finding
-    """
-
+    # with the measurements as sources of a flat magnitude response would have given them
     task: CoherentTask
     paths: Paths
-    weights: FloatArray | None
+    weights: FloatArray | None  # (n_bands, n_paths)
     binned: BinnedPaths
+    # free numbers of the geometry for which the paths were traced; None for those specified
     origin: FloatArray | None
     bands: tuple[CoherentBand | None, ...]
     findings: tuple[Finding, ...]
@@ -416,7 +400,7 @@ def _moved(
 def fixed_parameter_checks(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
 ) -> tuple[Finding, ...]:
-    """Return findings where the data are far likelier with what the campaign holds set free.
+    """Return findings where the data are far likelier when what is fixed is fitted.
 
     Parameters
     ----------
@@ -456,7 +440,7 @@ def _gain(
 
 
 def _n_unknowns(state: SequentialState) -> int:
-    """Return how many places, times and delays are fitted."""
+    """Return how many coordinates, times and delays are fitted."""
     geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
     if geometry is None:
         return 0
@@ -524,7 +508,7 @@ def fit_coherent(
 def _band_comparisons(
     state: SequentialState, fits: Sequence[CoherentBandFit | None]
 ) -> list[BandComparison]:
-    """Return what pressures explain, band by band, for the search of spoiled files."""
+    """Return what pressures explain, band by band, for the search of outliers."""
     return [
         BandComparison(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
         for i, (band, fit) in enumerate(zip(state.bands, fits, strict=True))

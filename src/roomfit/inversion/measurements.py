@@ -112,8 +112,8 @@ def unreached_findings(paths: Paths, fitted: Sequence[str]) -> tuple[Finding, ..
     return (
         Finding(
             Code.MATERIAL_NOT_REACHED,
-            f"No path between the measured pairs strikes {', '.join(names)}: its absorption cannot "
-            "be told, and what was known beforehand is all that is reported.",
+            f"No path between the measured pairs strikes {', '.join(names)}: its absorption "
+            "cannot be determined, and its prior is all that is reported.",
             {"materials": list(names)},
         ),
     )

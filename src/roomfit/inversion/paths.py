@@ -1,4 +1,4 @@
-"""The paths of a measurement: traced, or found again, with the scattering that the data prefer."""
+"""The paths of all measured pairs, with the scattering that is specified or that the data prefer."""
 
 from __future__ import annotations
 
@@ -34,34 +34,18 @@ Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracedPaths:
-    """Paths, the same in fine bins, the scattering they were traced with, and every doubt.
-
-    Attributes
-    ----------
-    paths : Paths
-    binned : BinnedPaths
-    duration_s : float
-        How long sound was followed.
-    factors : float array, shape (n_bands, n_paths), or None
-        On the weight of every path in every band.
-    scattering : float array, shape (n_materials, n_bands)
-    far_images : bool
-        Whether image sources of every order reach far enough to be added as pressures.
-    fit_until_s : float
-        No window of a partly coherent fit ends later.
-    again : callable or None
-        Gives paths, factors and bins with the image sources found anew where sources and receivers
-        have moved; None where all images stay, as in a box, or too few are known.
-    findings : tuple of Finding
-    """
+    """Paths, the same in fine bins, the scattering they were traced with, and every doubt."""
 
     paths: Paths
     binned: BinnedPaths
-    duration_s: float
-    factors: FloatArray | None
-    scattering: FloatArray
+    duration_s: float  # how long sound was followed
+    factors: FloatArray | None  # (n_bands, n_paths), on the weight of every path in every band
+    scattering: FloatArray  # (n_materials, n_bands)
+    # whether image sources of every order reach far enough to be added as pressures
     far_images: bool
-    fit_until_s: float
+    fit_until_s: float  # no window of a partly coherent fit ends later
+    # gives paths, factors and bins with the image sources found anew where sources and receivers
+    # have moved; None where all images stay, as in a box, or too few are known
     again: Retrace | None
     findings: tuple[Finding, ...]
 

@@ -1,6 +1,7 @@
-"""Bands fitted one after the other, each under what the others say of the geometry.
+"""Bands fitted one after the other, each under what the others determine of the geometry.
 
-Rounds of a partly coherent fit: as places become known, paths become coherent.
+A partly coherent fit goes in rounds: the better positions are known, the more of a response is
+coherent.
 """
 
 from __future__ import annotations
@@ -33,23 +34,14 @@ ProblemOf = Callable[[FloatArray | None], BandProblem]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentBandFit:
-    """The last round's fit.
-
-    Attributes
-    ----------
-    fit : BandFit
-    log_likelihood : float
-        Of all data, none counted less than once: compares models of the same data.
-    found : Marginal or None
-        What this band and those before say of the geometry; None where nothing of it is fitted.
-    problem : BandProblem
-        With the coherence of the last round.
-    """
+    """The last round's fit."""
 
     fit: BandFit
+    # of all data, none counted less than once: compares models of the same data
     log_likelihood: float
+    # what this band and those before say of the geometry; None where nothing of it is fitted
     found: Marginal | None
-    problem: BandProblem
+    problem: BandProblem  # with the coherence of the last round
 
     @property
     def parameters(self) -> Parameters:
@@ -123,30 +115,18 @@ PartFactory = Callable[[Parameters], BandProblem]
 
 @dataclass(frozen=True, slots=True)
 class CoherentOptions:
-    """What a fit may vary.
+    """What a fit may vary."""
 
-    Attributes
-    ----------
-    positions : {"fit", "fixed"}
-        Whether places, speed of sound and latencies move within their spread.
-    delays : bool
-        Whether walls may delay what they reflect.
-    model : {"auto", "coherent", "energy"}
-        "auto" leaves it to the likelihood of each band.
-    end_s : float
-        Until when pressures add, after emission; from there on energies do.
-    late_end_s : float
-        Where the last window ends at the latest; without a limit it ends where the decay drowns.
-    speed_sd : float
-        Relative standard deviation of the speed of sound beforehand.
-    """
-
+    # whether positions, speed of sound and latencies move within their standard deviation
     positions: Literal["fit", "fixed"] = "fit"
-    delays: bool = True
+    delays: bool = True  # whether walls may delay what they reflect
+    # "auto" leaves it to the likelihood of each band
     model: Literal["auto", "coherent", "energy"] = "auto"
+    # until when pressures add, after emission; from there on energies do
     end_s: float = FIT_END_S
+    # where the last window ends at the latest; without a limit it ends where the decay drowns
     late_end_s: float = np.inf
-    speed_sd: float = SPEED_SD
+    speed_sd: float = SPEED_SD  # prior relative standard deviation of the speed of sound
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -192,7 +172,7 @@ def joined(problem: BandProblem, factor: FloatArray, parts: Sequence[PartFactory
 def forward_pass(
     prepared: tuple[CoherentBand | None, ...], settings: CoherentOptions, progress: Progress | None
 ) -> tuple[list[CoherentBandFit | None], list[tuple[float, float, float]]]:
-    """Fit the bands from low to high, each under what the lower ones say of the geometry."""
+    """Fit the bands from low to high, each under what the lower ones determine of the geometry."""
     fits: list[CoherentBandFit | None] = []
     noises: list[tuple[float, float, float]] = []
     known: Marginal | None = None

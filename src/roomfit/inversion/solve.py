@@ -1,7 +1,4 @@
-"""Data and paths of every band put together and solved, with responses, room parameters or both.
-
-Intervals of energies alone that know what windows share: the noise of the rays, and air.
-"""
+"""The absorption of every band estimated: by energies, or by pressures where they explain more."""
 
 from __future__ import annotations
 
@@ -54,7 +51,7 @@ from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance,
 
 
 def shared_error_covariance(task: EnergyTask) -> SharedCovariance:
-    """Return what makes a band's fit as sure as the errors that its windows share permit.
+    """Return what adds to a band's fit the covariance of the errors that its windows share.
 
     Room parameters without responses stay as they are.
 
@@ -91,7 +88,7 @@ class BandFits:
 
 
 def relative_speed_sd(air: Air, settings: Settings) -> float:
-    """Return the relative standard deviation of the speed of sound beforehand.
+    """Return the prior relative standard deviation of the speed of sound.
 
     The speed grows as the root of the absolute temperature.
     """

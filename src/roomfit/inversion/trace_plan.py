@@ -1,7 +1,4 @@
-"""How finely to trace a campaign: enough for the answer, no more than memory allows.
-
-A trace that a killed run does not lose.
-"""
+"""How finely to trace, as fine as the result needs and memory allows; and a trace that is kept."""
 
 from __future__ import annotations
 
@@ -65,24 +62,14 @@ _LEAST_COHERENT_S = 0.03
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TracePlan:
-    """Settings, scattering, and what was assumed in choosing them.
-
-    Attributes
-    ----------
-    settings : TraceSettings
-    scattering : Scattering
-    findings : tuple of Finding
-    far_images : bool
-        Whether image sources of every order reach far enough to be added as pressures.
-    fit_until_s : float
-        No window of a partly coherent fit ends later.
-    """
+    """Settings, scattering, and what was assumed in choosing them."""
 
     settings: TraceSettings
     scattering: Scattering
     findings: tuple[Finding, ...]
+    # whether image sources of every order reach far enough to be added as pressures
     far_images: bool = False
-    fit_until_s: float = np.inf
+    fit_until_s: float = np.inf  # no window of a partly coherent fit ends later
 
 
 def plan_trace(
@@ -114,7 +101,7 @@ def plan_trace(
     coherent : bool
         Whether early reflections are to be added as pressures.
     images_until_s : float, optional
-        How long image sources of every order can be had, where another plan of the scene told it.
+        How long image sources of every order can be enumerated, known from another plan.
     """
     findings = []
     unspecified = [k.name for k in priors if k.scattering is None]

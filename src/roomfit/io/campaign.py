@@ -79,7 +79,7 @@ class Spectrum(Table):
 
 
 class Prior(Table):
-    """What is known of an absorption beforehand: mean and standard deviation of alpha."""
+    """Prior of an absorption coefficient: its mean and standard deviation."""
 
     mean: PerBand
     sd: float | list[float]
@@ -453,23 +453,14 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MeasuredFile:
-    """One measured response: where it lies, whose pair it is, and how it is to be used.
-
-    Attributes
-    ----------
-    source, receiver : str
-    response : ResponseSpec
-    level : {"per-source", "per-file", "absolute"}
-    use : {"fit", "validate"}
-    latency_sd_s : float or None
-        How uncertain the moment of emission is; None: unspecified.
-    """
+    """One measured response: where it lies, whose pair it is, and how it is to be used."""
 
     source: str
     receiver: str
     response: ResponseSpec
     level: Level
     use: Use
+    # how uncertain the moment of emission is; None: unspecified
     latency_sd_s: float | None = None
 
 

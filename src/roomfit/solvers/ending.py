@@ -38,7 +38,7 @@ class Ending(Enum):
     OUT_OF_ROUNDS = (
         "rounds-used-up",
         False,
-        "The answer still moved after as many rounds of renewed weights or corrections as are "
+        "The answer still moved after as many rounds of updated weights or corrections as are "
         "allowed: look for outliers, or fix parameters that the data do not determine.",
     )
     OUT_OF_EVALUATIONS = (

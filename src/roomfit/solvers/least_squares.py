@@ -1,6 +1,6 @@
 """Reweighted least squares of one band's data, whose variance depends on the answer.
 
-Weights are taken at the present answer, the weighted squares are solved, and the weights renewed
+Weights are taken at the present answer, the weighted squares are solved, and the weights updated
 until the answer agrees with the last one. What solves the squares is an argument: damped
 Gauss-Newton steps, or the searches of Suh's paper. Also: what one band's fit says to the next.
 """
@@ -60,7 +60,7 @@ def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> Minimum:
 
 
 def few_gauss_newton_steps(residuals: ResidualFunction, start: FloatArray) -> Minimum:
-    """Take at most 15 steps of `gauss_newton` towards squares whose weights will be renewed."""
+    """Take at most 15 steps of `gauss_newton` towards squares whose weights will be updated."""
     return levenberg_marquardt(residuals, start, _FEW_GAUSS_NEWTON)
 
 
@@ -128,7 +128,7 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
     return np.concatenate(parts)
 
 
-# Of renewed weights; from this round on they go only half of the way, since two answers may each
+# Of updated weights; from this round on they go only half of the way, since two answers may each
 # lead to the other's.
 _MOST_ROUNDS, _HALF_WAY_FROM = 12, 5
 # Of the standard deviation: two rounds whose answers differ by less agree.
@@ -156,7 +156,7 @@ class BandFit:
 
     @property
     def converged(self) -> bool:
-        """Whether the answer no longer moves when the weights are renewed."""
+        """Whether the answer no longer moves when the weights are updated."""
         return self.ending.converged
 
 
@@ -211,14 +211,14 @@ def score_band(
 ) -> BandFit:
     """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
 
-    Weights are kept for a few steps, then renewed; the damping goes on from round to round.
-    Converged where the first step after weights were renewed is already short.
+    Weights are kept for a few steps, then updated; the damping goes on from round to round.
+    Converged where the first step after weights were updated is already short.
 
     Parameters
     ----------
     start : float array, shape (n_free,)
     rounds : int
-        How often the weights are renewed at most.
+        How often the weights are updated at most.
     steps : int
         Steps between two renewals at most.
     """

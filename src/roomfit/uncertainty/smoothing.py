@@ -35,7 +35,7 @@ def smooth_over_bands(
     """Combine Gaussian answers of separate bands under a prior that ties the bands together.
 
     Each band was answered by itself, under a prior of its own. Its data are what it adds
-    that prior. Beforehand, each material's logit absorption now walks from band to band: what it is
+    that prior. A priori, each material's logit absorption now walks from band to band: what it is
     off its prior's mean keeps the prior's standard deviation in every band, and changes over an
     octave by `sd_per_octave`. The result is the posterior of all data and that one prior, which
     thus counts once; six answers under the same guess, put together as they are, would count it six
