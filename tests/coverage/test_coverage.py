@@ -13,7 +13,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from scipy.stats import binomtest
-from small_campaign import run_command, small_responses, write_campaign, write_wav
 
 import roomfit.coverage.simulate
 import roomfit.io.campaign
@@ -67,6 +66,7 @@ from roomfit.settings import Settings
 from roomfit.synthetic.boxes import add_noise, octave_shares
 from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
 from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
+from small_campaign import run_command, small_responses, write_campaign, write_wav
 
 CAMPAIGN = """
 [room]

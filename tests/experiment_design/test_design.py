@@ -13,7 +13,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from small_campaign import run_command, write_campaign
 
 import roomfit
 from roomfit.errors import InputError
@@ -42,6 +41,7 @@ from roomfit.findings import Code
 from roomfit.io.campaign import Campaign
 from roomfit.suh2001.room import paper_scene
 from roomfit.uncertainty.posterior import AbsorptionPosterior
+from small_campaign import run_command, write_campaign
 
 N_DRAWS, N_BANDS, N = 2, 2, 3
 

@@ -9,13 +9,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from small_campaign import (
-    ABSORPTION,
-    RATE_HZ,
-    small_responses,
-    write_campaign,
-    write_wav,
-)
 
 import roomfit.io.campaign
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
@@ -30,6 +23,13 @@ from roomfit.io.results import absorption_csv, result_content
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, pressure_response
+from small_campaign import (
+    ABSORPTION,
+    RATE_HZ,
+    small_responses,
+    write_campaign,
+    write_wav,
+)
 
 SECOND_FILE = 'file = "LS1_MP2.wav"'
 CARPET = "[materials.carpet]"

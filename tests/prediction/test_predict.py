@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav
 
 from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
@@ -39,6 +38,7 @@ from roomfit.uncertainty.posterior import (
     draw_absorption,
     plain_logit_covariance,
 )
+from small_campaign import ABSORPTION, RATE_HZ, run_command, write_campaign, write_wav
 
 BANDS = bands_between("octave", 500, 1000)
 NAMES = tuple(ABSORPTION)

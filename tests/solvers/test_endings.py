@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from posterior_cases import Linear, linear_case
 
+from posterior_cases import Linear, linear_case
 from roomfit.impedance import fit as impedance_fit
 from roomfit.objective.problem import Prediction
 from roomfit.solvers import least_squares

@@ -6,6 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy.optimize import brentq, least_squares
+from scipy.stats import binom
+
 from posterior_cases import (
     Posynomial,
     absorption_block,
@@ -13,9 +16,6 @@ from posterior_cases import (
     exchangeable_case,
     linear_case,
 )
-from scipy.optimize import brentq, least_squares
-from scipy.stats import binom
-
 from roomfit.bands import Bands
 from roomfit.findings import Code
 from roomfit.inversion.bands import from_random_starts, starts_findings

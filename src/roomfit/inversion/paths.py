@@ -1,4 +1,4 @@
-"""The paths of all measured pairs, with the scattering that is specified or that the data prefer."""
+"""The paths of all measured pairs, with the scattering that is specified or that data prefer."""
 
 from __future__ import annotations
 
