@@ -32,8 +32,8 @@ from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.compare import compared_values
 from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
+from roomfit.io.inputs import read_measurements
 from roomfit.io.iso3382 import read_parameters
-from roomfit.io.measurements import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import (

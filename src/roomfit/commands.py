@@ -33,8 +33,7 @@ from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import Campaign, input_files, read_campaign
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
-from roomfit.io.inputs import identify_arguments
-from roomfit.io.materials import material_priors
+from roomfit.io.inputs import identify_arguments, material_priors
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec

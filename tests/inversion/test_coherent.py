@@ -15,8 +15,7 @@ from roomfit.inversion.measurements import observe
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_priors
-from roomfit.io.measurements import read_measurements
+from roomfit.io.inputs import material_priors, read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.measurement import Measurement

@@ -40,9 +40,12 @@ from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.inputs import load_campaign
-from roomfit.io.materials import material_priors, source_directivities
-from roomfit.io.measurements import read_measurements
+from roomfit.io.inputs import (
+    load_campaign,
+    material_priors,
+    read_measurements,
+    source_directivities,
+)
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering

@@ -12,7 +12,7 @@ from roomfit.bands import bands_between
 from roomfit.inversion.equalise import equalise_sources
 from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
-from roomfit.io.measurements import read_measurements
+from roomfit.io.inputs import read_measurements
 from roomfit.io.rooms import read_room
 from roomfit.materials.priors import uniform_scattering
 from roomfit.measurement import Measurement

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
-from roomfit.io.materials import material_priors
+from roomfit.io.inputs import material_priors
 from roomfit.materials.catalogue import catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 

@@ -18,9 +18,13 @@ from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
-from roomfit.io.inputs import campaign_room, campaign_scene
-from roomfit.io.materials import material_priors, source_directivities
-from roomfit.io.measurements import read_measurements
+from roomfit.io.inputs import (
+    campaign_room,
+    campaign_scene,
+    material_priors,
+    read_measurements,
+    source_directivities,
+)
 from roomfit.io.results import read_result
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior

@@ -12,9 +12,13 @@ from roomfit.bands import Bands
 from roomfit.errors import located
 from roomfit.experiment_design.candidates import DesignOptions
 from roomfit.io.campaign import Campaign
-from roomfit.io.inputs import campaign_room, campaign_scene
-from roomfit.io.materials import material_priors, source_directivities
-from roomfit.io.measurements import read_measurements
+from roomfit.io.inputs import (
+    campaign_room,
+    campaign_scene,
+    material_priors,
+    read_measurements,
+    source_directivities,
+)
 from roomfit.materials.priors import MaterialPrior, in_bands
 from roomfit.prediction.campaign import common_bands, room_posterior
 from roomfit.response.directivity import Directivity, UnknownDirectivity

@@ -35,7 +35,7 @@ from roomfit.io.campaign import (
     input_files,
     read_campaign,
 )
-from roomfit.io.measurements import read_file
+from roomfit.io.inputs import read_file
 from roomfit.io.rooms import read_room
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.scene import Room, Scene, distances_m, position_findings

@@ -1,4 +1,4 @@
-"""A campaign file as the arguments of the functions that answer questions."""
+"""What a campaign file names, read, as the arguments of the functions that answer questions."""
 
 from __future__ import annotations
 
@@ -9,16 +9,194 @@ from typing import TypedDict
 import numpy as np
 
 from roomfit.bands import Bands
-from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.materials import material_priors, source_directivities
-from roomfit.io.measurements import read_measurements
+from roomfit.errors import InputError, located
+from roomfit.io.campaign import (
+    Campaign,
+    MaterialTable,
+    MeasuredFile,
+    Spectrum,
+    read_campaign,
+)
+from roomfit.io.campaign import (
+    Directivity as FirstOrderTable,
+)
+from roomfit.io.campaign import (
+    MeasuredDirectivity as MeasuredTable,
+)
+from roomfit.io.directivity import read_directivity
+from roomfit.io.iso3382 import read_parameters
+from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.catalogue import material_prior
+from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Measurement
-from roomfit.response.directivity import Directivity, UnknownDirectivity
+from roomfit.response.directivity import Directivity, UnknownDirectivity, aimed
 from roomfit.scene import Room, Scene
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.typing import FloatArray
+
+
+def source_directivities(
+    campaign: Campaign, bands: Bands
+) -> dict[str, Directivity | UnknownDirectivity]:
+    """Return the directivity of every source that is not omnidirectional.
+
+    Raises
+    ------
+    InputError
+        An aim without length, or a file that cannot be read.
+    """
+    found = {}
+    for name, table in campaign.directivities.items():
+        with located(f"{campaign.path}, sources.{name}.directivity"):
+            directivity = _directivity(campaign, table, bands)
+        if directivity is not None:
+            found[name] = directivity
+    return found
+
+
+def _directivity(
+    campaign: Campaign, table: str | FirstOrderTable | MeasuredTable, bands: Bands
+) -> Directivity | UnknownDirectivity | None:
+    folder = campaign.path.parent
+    if table == "omni":
+        return None
+    if table == "fit":
+        return UnknownDirectivity()
+    if isinstance(table, str):
+        return read_directivity(folder / table, bands)
+    if isinstance(table, FirstOrderTable):
+        known = aimed(table.aim, table.b)
+        return UnknownDirectivity(known.b, table.b_sd) if table.b_sd > 0.0 else known
+    return read_directivity(folder / table.file, bands, table.aim, table.up)
+
+
+def material_priors(campaign: Campaign, materials: tuple[str, ...]) -> tuple[MaterialPrior, ...]:
+    """Return what the campaign says of each of the room's materials, in their order.
+
+    Raises
+    ------
+    InputError
+        The campaign describes a material that the room does not have; or lists that do not have
+        one value per fitted band; or a prior outside its bounds.
+    """
+    with located(str(campaign.path)):
+        return complete_priors(
+            materials,
+            [
+                _material_prior(table, name, campaign.bands)
+                for name, table in campaign.materials.items()
+            ],
+            campaign.bands,
+        )
+
+
+def _material_prior(table: MaterialTable, name: str, bands: Bands) -> MaterialPrior:
+    prior = table.prior
+    scattering = table.scattering
+    return material_prior(
+        name,
+        bands,
+        absorption=table.absorption,
+        prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
+        bounds=table.bounds,
+        scattering=(
+            _at_bands(scattering, bands, f"materials.{name}.scattering")
+            if isinstance(scattering, Spectrum)
+            else scattering
+        ),
+        same_absorption_as=table.same_absorption_as,
+        delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+    )
+
+
+def _at_bands(table: Spectrum, bands: Bands, where: str) -> FloatArray:
+    """Return coefficients at the bands, interpolated over the logarithm of the frequency."""
+    if len(table.centres_hz) != len(table.values):
+        raise InputError(
+            "scattering has not as many values as centres",
+            where=where,
+            found=f"{len(table.values)} values and {len(table.centres_hz)} centres",
+        )
+    order = np.argsort(table.centres_hz)
+    at = np.log(np.array(table.centres_hz)[order])
+    return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(table.values)[order]))
+
+
+def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues, ...]:
+    """Return everything that a campaign file names as measured, responses first.
+
+    Raises
+    ------
+    InputError
+        A file is missing, broken or empty; a table names a source or a receiver that the campaign
+        does not define; or the campaign names spectra, which hold no absorption in bands.
+    StoreError
+        The disk refuses.
+    """
+    if campaign.spectra:
+        raise InputError(
+            "damped spectra hold impedances, not absorption in bands",
+            where=str(campaign.path),
+            found=str(campaign.spectra[0].path.name),
+            needed="impulse responses (file) or room parameters",
+            hint="roomfit impedance reads this campaign",
+        )
+    return (*map(read_file, campaign.measurements), *_read_tables(campaign))
+
+
+def read_file(file: MeasuredFile) -> Measurement:
+    """Read one impulse response that a campaign names, with what is doubtful about it.
+
+    Raises
+    ------
+    InputError, StoreError
+        See `roomfit.io.responses.read_response`.
+    """
+    spec = file.response
+    response, findings = read_response(spec)
+    chosen = (spec.channel, spec.variable, spec.measurement, spec.receiver_index)
+    part = ", ".join(str(c) for c in chosen if c is not None)
+    return Measurement(
+        file.source,
+        file.receiver,
+        response.pressure,
+        response.sampling_rate_hz,
+        latency_s=response.time_zero_s,
+        time_zero=spec.time_zero,
+        latency_sd_s=file.latency_sd_s,
+        level=file.level,
+        use=file.use,
+        name=spec.path.name,
+        where=f"{spec.path}[{part}]" if part else str(spec.path),
+        findings=findings,
+    )
+
+
+def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
+    found: list[MeasuredValues] = []
+    for table in campaign.tables:
+        values, findings = read_parameters(table.path, table.source, table.receiver)
+        for i, own in enumerate(values):
+            _check_names(campaign, own, str(table.path))
+            found.append(replace(own, use=table.use, findings=findings if i == 0 else ()))
+    return found
+
+
+def _check_names(campaign: Campaign, found: MeasuredValues, where: str) -> None:
+    for kind, name, known in (
+        ("source", found.source, [s.name for s in campaign.sources]),
+        ("receiver", found.receiver, [r.name for r in campaign.receivers]),
+    ):
+        if name not in known:
+            raise InputError(
+                f"a table of room parameters names a {kind} that the campaign does not define",
+                where=where,
+                found=repr(name),
+                needed=f"one of {', '.join(known)}",
+                hint=f"add [{kind}s.{name}], or choose rows with source and receiver",
+            )
 
 
 class IdentifyArguments(TypedDict):
