@@ -118,67 +118,6 @@ class CoherentTask:
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
 
 
-def prepared_bands(
-    task: CoherentTask,
-    paths: Paths,
-    weights: FloatArray | None,
-    binned: BinnedPaths,
-    origin: FloatArray | None,
-) -> tuple[tuple[CoherentBand | None, ...], tuple[Finding, ...]]:
-    """Fit the energies of every band, find outliers, and make the coherent problems."""
-    scene, bands = task.scene, task.bands
-    files = [files_of_band(task, b) for b in range(len(bands))]
-    energies = _energies_alone(task, paths, binned, files)
-    comparisons = [
-        BandComparison(e.problem, e.fit, own, e.factor)
-        for e, own in zip(energies, files, strict=True)
-        if e is not None
-    ]
-    # what pressures say of a file later knows more
-    outliers = {**outlier_files(comparisons, LEAST_BY_ENERGIES), **task.outliers}
-    if outliers:
-        energies = [
-            e
-            if e is None
-            else _fitted(replace(e, factor=variance_inflation(e.problem, own, outliers)))
-            for e, own in zip(energies, files, strict=True)
-        ]
-    energies = _under_cavity_priors(task, energies)
-    attenuation = attenuation_per_m(scene.air, bands)
-    # every band has the same unknowns of geometry, in whichever files it hears
-    fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
-    whole = campaign_geometry(
-        scene,
-        task.priors,
-        fitted,
-        positions=task.settings.positions == "fit",
-        delays=task.settings.delays,
-        speed_sd=task.settings.speed_sd,
-    )
-    whole = replace(whole, origin=origin)
-    out: list[CoherentBand | None] = []
-    for b, own in enumerate(energies):
-        if own is None:
-            out.append(None)
-            continue
-        rows = [i for i, m in enumerate(fitted) if m in files[b]]
-        geometry = replace(whole, columns=whole.columns[rows])
-        coherent = coherent_problem(
-            bands,
-            b,
-            own.problem,
-            float(attenuation[b]),
-            paths_at(paths, weights, b),
-            binned,
-            geometry,
-            task.settings.end_s,
-        )
-        out.append(
-            CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
-        )
-    return tuple(out), outlier_findings(task.measured, outliers)
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Energies:
     """The energies of one band and their fit."""
@@ -206,18 +145,16 @@ def sources_of_band(task: CoherentTask, band: int) -> tuple[int, ...]:
 
 
 def _energies_alone(
-    task: CoherentTask,
-    paths: Paths,
-    binned: BinnedPaths,
-    files: Sequence[tuple[MeasuredPair, ...]],
+    state: SequentialState, files: Sequence[tuple[MeasuredPair, ...]]
 ) -> list[_Energies | None]:
     """Fit the energies of every band by themselves, in the windows that pressures need."""
+    task = state.task
     problems = band_problems(
         task.scene,
         task.bands,
         task.priors,
         task.measured,
-        binned,
+        state.binned,
         task.start,
         periods=_WINDOW_PERIODS,
     )
@@ -229,7 +166,7 @@ def _energies_alone(
         directivity = None
         if task.directivity_parameters is not None:
             directivity = directed_band(
-                task.directivity_parameters, task.scene, paths, problem, observed
+                task.directivity_parameters, task.scene, state.paths, problem, observed
             )
             problem = with_unknown(problem, directivity.unknown)
         factor = np.ones(problem.measured().size)
@@ -355,11 +292,63 @@ def initialise(
 
 
 def rebuild(state: SequentialState) -> SequentialState:
-    """Return the same task and paths with bands made anew."""
-    bands, findings = prepared_bands(
-        state.task, state.paths, state.weights, state.binned, state.origin
+    """Return the same task and paths with bands made anew.
+
+    The energies of every band are fitted, outliers found, and the coherent problems made.
+    """
+    task = state.task
+    scene, bands = task.scene, task.bands
+    files = [files_of_band(task, b) for b in range(len(bands))]
+    energies = _energies_alone(state, files)
+    comparisons = [
+        BandComparison(e.problem, e.fit, own, e.factor)
+        for e, own in zip(energies, files, strict=True)
+        if e is not None
+    ]
+    # what pressures say of a file later knows more
+    outliers = {**outlier_files(comparisons, LEAST_BY_ENERGIES), **task.outliers}
+    if outliers:
+        energies = [
+            e
+            if e is None
+            else _fitted(replace(e, factor=variance_inflation(e.problem, own, outliers)))
+            for e, own in zip(energies, files, strict=True)
+        ]
+    energies = _under_cavity_priors(task, energies)
+    attenuation = attenuation_per_m(scene.air, bands)
+    # every band has the same unknowns of geometry, in whichever files it hears
+    fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
+    whole = campaign_geometry(
+        scene,
+        task.priors,
+        fitted,
+        positions=task.settings.positions == "fit",
+        delays=task.settings.delays,
+        speed_sd=task.settings.speed_sd,
     )
-    return replace(state, bands=bands, findings=findings)
+    whole = replace(whole, origin=state.origin)
+    out: list[CoherentBand | None] = []
+    for b, own in enumerate(energies):
+        if own is None:
+            out.append(None)
+            continue
+        rows = [i for i, m in enumerate(fitted) if m in files[b]]
+        geometry = replace(whole, columns=whole.columns[rows])
+        coherent = coherent_problem(
+            bands,
+            b,
+            own.problem,
+            float(attenuation[b]),
+            paths_at(state.paths, state.weights, b),
+            state.binned,
+            geometry,
+            task.settings.end_s,
+        )
+        out.append(
+            CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
+        )
+    findings = outlier_findings(task.measured, outliers)
+    return replace(state, bands=tuple(out), findings=findings)
 
 
 def _even(
