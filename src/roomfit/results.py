@@ -85,7 +85,7 @@ class Result:
     mean_absorption: FloatArray
     chi2_reduced: FloatArray  # (n_bands,); above 2 the model does not fit
     cost: float  # sum over bands of half the squared weighted residuals, priors included
-    evaluations: int
+    evaluations: int  # of every fit, trial, profile and sample: how often data were predicted
     converged: BoolArray  # (n_bands,)
     pairs: tuple[ComparedPair, ...]
     findings: tuple[Finding, ...]

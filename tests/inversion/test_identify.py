@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 import roomfit.io.campaign
+import roomfit.objective.energy
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.cache import json_text
@@ -233,6 +234,20 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
     assert (found.lower95[1], found.upper95[1]) == (0.0, 1.0)
     assert found.upper95[0] - found.lower95[0] < 0.05
     assert found.identifiable.tolist() == [True, False]
+
+
+def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypatch):
+    """In trials of scattering, first fits, rounds and profiles: a response alone is predicted."""
+    original, calls = roomfit.objective.energy.predict_windows, []
+
+    def counting(problem, vector):
+        calls.append(problem)
+        return original(problem, vector)
+
+    for module in ("energy", "coherent"):
+        monkeypatch.setattr(f"roomfit.objective.{module}.predict_windows", counting)
+    answer = identify(**load_campaign(write_campaign(tmp_path, ("scattering = 0.0", ""))))
+    assert answer.evaluations == len(calls) > 100
 
 
 def test_result_and_table_keep_the_contract(tmp_path, few_rays):

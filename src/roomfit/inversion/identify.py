@@ -42,6 +42,7 @@ from roomfit.objective.observation import (
     prior_only_band_findings,
     unspecified_position_findings,
 )
+from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
 from roomfit.scene import Scene, material_areas_m2
@@ -114,19 +115,20 @@ def identify(
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
     start = _eyring_start(measured)
-    traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
-    pressures = is_coherent(measured.responses, settings) and (
-        traced.far_images or settings.model == "coherent"
-    )
-    fits = (estimate_pressures if pressures else estimate_energies)(
-        measured,
-        priors,
-        traced,
-        start,
-        settings,
-        _refinement(measured, priors, settings),
-        part(progress, 0.45, 0.98),
-    )
+    with counted_evaluations() as made:
+        traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
+        pressures = is_coherent(measured.responses, settings) and (
+            traced.far_images or settings.model == "coherent"
+        )
+        fits = (estimate_pressures if pressures else estimate_energies)(
+            measured,
+            priors,
+            traced,
+            start,
+            settings,
+            _refinement(measured, priors, settings),
+            part(progress, 0.45, 0.98),
+        )
     if fits.directivities:
         traced = redirected(measured, traced, fits.directivities)
     estimates = fits.answers
@@ -138,7 +140,7 @@ def identify(
     fits = replace(fits, answers=estimates)
     findings = _findings(measured, priors, traced, fits)
     result = combine(measured, priors, traced, fits, findings, settings)
-    return replace(result, seconds=time.perf_counter() - began)
+    return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
 
 
 def _findings(
@@ -234,7 +236,7 @@ def combine(
         ).T,
         chi2_reduced=np.array([b.chi2_reduced for b in found]),
         cost=float(sum(b.cost for b in found)),
-        evaluations=sum(b.evaluations for b in found),
+        evaluations=sum(b.evaluations for b in found),  # until all are counted
         converged=np.array([b.converged for b in found]),
         pairs=compare_all(measured, traced.binned, absorption),
         findings=(*findings, *mirrors, *inseparable),

@@ -11,7 +11,7 @@ from scipy.sparse import csr_array
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.parameters import Parameters, fitted_columns, physical_values
-from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.objective.problem import Prediction, count_evaluation, gamma_log_likelihood
 from roomfit.objective.windows import in_windows
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
 from roomfit.typing import BoolArray, FloatArray
@@ -138,6 +138,7 @@ def first_windows(observed: Observation, end_s: float) -> Observation:
 
 def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
     """Return what the model expects in every window for a vector of free parameters."""
+    count_evaluation()
     values, slopes = physical_values(problem.parameters, vector)
     coefficients = values["absorption"][:, None]
     attenuation = np.array([problem.attenuation_per_m])

@@ -7,6 +7,9 @@ weight to data than their noise model does.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -25,6 +28,30 @@ class Prediction:
     expected: FloatArray  # (n_data,), what the model expects to be measured, noise included
     signal: FloatArray  # (n_data,), the same without noise
     jacobian: FloatArray  # (n_data, n_free), derivative of `expected` by the free vector
+
+
+# How many predictions were made since `counted_evaluations` was entered; in a context of its own,
+# because fits are made in trials, rounds, profiles and samples of many functions, and a count that
+# passes through the signatures of all of them forgets some.
+_MADE: ContextVar[list[int]] = ContextVar("evaluations")
+
+
+@contextmanager
+def counted_evaluations() -> Iterator[list[int]]:
+    """Give a list whose only entry counts the evaluations of data terms made within the block."""
+    made = [0]
+    token = _MADE.set(made)
+    try:
+        yield made
+    finally:
+        _MADE.reset(token)
+
+
+def count_evaluation() -> None:
+    """Count one evaluation of one kind of data of a band, where anyone counts."""
+    made = _MADE.get(None)
+    if made is not None:
+        made[0] += 1
 
 
 class BandProblem(Protocol):

@@ -17,7 +17,7 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import squared_image_rows
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters, fitted_columns, physical_values, start_vector
-from roomfit.objective.problem import Prediction
+from roomfit.objective.problem import Prediction, count_evaluation
 from roomfit.objective.windows import (
     Spreading,
     band_spreading,
@@ -88,6 +88,7 @@ class RoomValuesProblem:
 
     def predict(self, vector: FloatArray) -> Prediction:
         """Return the values that the paths predict, with exact derivatives."""
+        count_evaluation()
         values, slopes = physical_values(self.parameters, vector)
         found, by_absorption = [], []
         for i in range(len(self.observations)):
