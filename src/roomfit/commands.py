@@ -306,7 +306,7 @@ def _table(answer: Result, true_absorption: FloatArray) -> str:
     width = max(len(n) for n in answer.materials)
     cell = f"{'true':>5} {'found':>5} {'95 %':>9} "
     lines = [
-        "Absorption: true, found and its 95 % interval; ! = the interval misses the truth, "
+        "Absorption: true, found and its 95 % interval; ! = the true value lies outside, "
         "? = not identifiable",
         f"{'Hz':<{width}}  " + " ".join(f"{f:^22g}" for f in answer.bands.centres_hz),
         f"{'':<{width}}  " + " ".join(f"{cell:<22}" for _ in answer.bands.centres_hz),
@@ -331,8 +331,8 @@ def _summary(answer: Result, true_absorption: FloatArray) -> str:
     lines = [
         f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
         f"largest {error.max():.3f}",
-        f"null model, one absorption for all walls: median error {np.median(uniform):.3f}",
-        f"intervals hold the truth in {covered.sum()} of {covered.size} cases "
+        f"baseline, one absorption for all walls: median error {np.median(uniform):.3f}",
+        f"coverage: the interval contains the true value in {covered.sum()} of {covered.size} cases "
         f"({100 * covered.mean():.0f} %)",
         f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~covered).sum()} "
         "outside their interval",

@@ -1,4 +1,4 @@
-"""How often intervals hold the true value, and how surely that is known."""
+"""Coverage of intervals, with its own confidence interval."""
 
 from __future__ import annotations
 

@@ -41,7 +41,7 @@ def compared_values(
     predicted : sequence of float arrays, shape (n_names, n_bands)
         Of the same pairs.
     fitted : sequence of MeasuredValues
-        Whose mean, the pair itself left out, is the null model.
+        Whose mean, the pair itself left out, is the baseline.
     """
     tables = []
     for m, row in zip(measured, predicted, strict=True):
