@@ -332,7 +332,7 @@ def _summary(answer: Result, true_absorption: FloatArray) -> str:
         f"median error {np.median(error):.3f}, 90 % of errors below {np.quantile(error, 0.9):.3f}, "
         f"largest {error.max():.3f}",
         f"baseline, one absorption for all walls: median error {np.median(uniform):.3f}",
-        f"coverage: the interval contains the true value in {covered.sum()} of {covered.size} cases "
+        f"coverage: the interval contains the truth in {covered.sum()} of {covered.size} cases "
         f"({100 * covered.mean():.0f} %)",
         f"called identifiable: {sure.sum()} of {sure.size}, of which {(sure & ~covered).sum()} "
         "outside their interval",
