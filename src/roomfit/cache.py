@@ -456,7 +456,13 @@ class Cached(Generic[T]):
 
 
 def cache_of(output: Path, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> Cache:
-    """Return the cache that belongs to an output folder: a hidden folder within it."""
+    """Return the cache that belongs to an output folder: a hidden folder within it.
+
+    Examples
+    --------
+    >>> cache_of(Path("out")).folder.name
+    '.roomfit-cache'
+    """
     return Cache(Path(output) / CACHE_FOLDER, limit_bytes)
 
 

@@ -57,6 +57,13 @@ def check_room(spec: RoomSpec) -> RoomCheck:
     ------
     InputError
         The room cannot be read at all, or a key of `spec.materials` matches nothing.
+
+    Examples
+    --------
+    >>> from roomfit.io.rooms.model import RoomSpec
+    >>> check = check_room(RoomSpec(shoebox=(6.0, 5.0, 3.0)))
+    >>> check.traceable, round(check.mean_free_path_m, 2)
+    (True, 2.86)
     """
     mesh, findings = read_mesh(spec)
     return check_mesh(mesh, spec.materials, findings)

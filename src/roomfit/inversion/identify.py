@@ -105,6 +105,19 @@ def identify(
     Notes
     -----
     The model is that of docs/how-it-works.md; its references stand with each part.
+
+    Examples
+    --------
+    A plastered box whose reverberation time was measured, and nothing else.
+
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> bool(0.1 < result.absorption[0, 0] < 0.25)
+    True
     """
     began = time.perf_counter()
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands

@@ -541,6 +541,29 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     ------
     InputError
         See `read_campaign_table`.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [[measurements]]
+    ... parameters = "measured.csv"
+    ... '''
+    >>> table = "source,receiver,parameter,500,1000\\nS,R,T30,0.9,0.8\\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     _ = file.with_name("measured.csv").write_text(table)
+    ...     campaign = read_campaign(file)
+    >>> [point.name for point in campaign.receivers], campaign.settings.method
+    (['R'], 'auto')
     """
     path = Path(path)
     table = read_campaign_table(path, to_fit=to_fit)

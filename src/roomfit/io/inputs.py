@@ -223,6 +223,27 @@ def load_campaign(path: Path | str) -> IdentifyArguments:
     Examples
     --------
     ``roomfit.identify(**roomfit.load_campaign("campaign.toml"))`` is what the command line does.
+
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [[measurements]]
+    ... parameters = "measured.csv"
+    ... '''
+    >>> table = "source,receiver,parameter,500,1000\\nS,R,T30,0.9,0.8\\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     _ = file.with_name("measured.csv").write_text(table)
+    ...     arguments = load_campaign(file)
+    >>> arguments["measurements"][0].values["T30_s"]
+    array([0.9, 0.8])
     """
     return identify_arguments(read_campaign(Path(path)))
 

@@ -76,6 +76,16 @@ def read_parameters(
     InputError
         No such file, a line that is not understood, a value that no room has, values that
         contradict each other, or no line of the asked pair.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "measured.csv"
+    ...     _ = file.write_text("source,receiver,parameter,500,1000\\nS,R,T30,0.9,0.8\\n")
+    ...     (values,), findings = read_parameters(file)
+    >>> values.source, values.values["T30_s"]
+    ('S', array([0.9, 0.8]))
     """
     path = Path(path)
     lines = [

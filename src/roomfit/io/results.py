@@ -37,6 +37,19 @@ def read_result(path: Path) -> AbsorptionPosterior:
     ------
     InputError
         There is no such file, it is neither of the two, or its numbers are out of range.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "absorption.csv"
+    ...     _ = file.write_text(
+    ...         "material,band_hz,absorption,lower95,upper95,identifiable\\n"
+    ...         "carpet,500,0.3,0.25,0.36,true\\n"
+    ...     )
+    ...     found = read_result(file)
+    >>> found.materials, found.absorption
+    (('carpet',), array([[0.3]]))
     """
     path = Path(path)
     table = read_material_table(path)

@@ -256,7 +256,13 @@ class Scattering:
 
 
 def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scattering:
-    """Return the same scattering coefficient for every material."""
+    """Return the same scattering coefficient for every material.
+
+    Examples
+    --------
+    >>> uniform_scattering(("floor", "walls"), 0.2).coefficients
+    array([0.2, 0.2])
+    """
     return Scattering(materials, [coefficient] * len(materials))  # type: ignore[arg-type]
 
 

@@ -51,6 +51,13 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     InputError
         The room cannot be read, or has a fault that forbids tracing it: the first one is raised,
         `roomfit check` lists them all.
+
+    Examples
+    --------
+    >>> from roomfit.io.rooms.model import RoomSpec
+    >>> room, findings = read_room(RoomSpec(shoebox=(6.0, 5.0, 3.0), materials={"floor": "carpet"}))
+    >>> room.materials[4], len(findings)
+    ('carpet', 0)
     """
     mesh, findings = read_mesh(spec)
     findings = (*findings, *material_findings(mesh, spec.materials), *examine(mesh).findings)
