@@ -302,6 +302,7 @@ def kept(out: Path, kind: str) -> list[Path]:
     return sorted((out / CACHE_FOLDER).glob(f"{kind}-*.npz"))
 
 
+@pytest.mark.slow
 def test_a_killed_run_continues_and_ends_with_the_same_bits(tmp_path):
     out, whole = tmp_path / "out", tmp_path / "whole"
     command = prediction_command(tmp_path / "campaign", out)
@@ -326,6 +327,7 @@ def test_a_killed_run_continues_and_ends_with_the_same_bits(tmp_path):
     assert not (whole / CACHE_FOLDER).exists()
 
 
+@pytest.mark.slow
 def test_two_runs_in_one_folder_do_not_break_each_other(tmp_path):
     out = tmp_path / "out"
     command = prediction_command(tmp_path / "campaign", out)

@@ -421,6 +421,7 @@ def test_coverage_is_that_of_the_gaussian_it_was_made_with(stretch, expected):
 # The command.
 
 
+@pytest.mark.slow
 def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     file = campaign_file(tmp_path)
     asked = CoverageSettings(replicates=2, snr_db=50.0)

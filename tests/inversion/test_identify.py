@@ -104,6 +104,7 @@ def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path):
     np.testing.assert_array_equal(measured[0].null, fitted)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("level", ["per-source", "per-file"])
 def test_a_louder_recording_gives_the_same_absorption(tmp_path, level):
     """All files 20 dB up: an unknown gain takes it; one file alone: only a gain per file does."""
@@ -118,6 +119,7 @@ def test_a_louder_recording_gives_the_same_absorption(tmp_path, level):
     assert_same_absorption(before, identify(**identify_arguments(campaign)), 1e-4)
 
 
+@pytest.mark.slow
 def test_an_absolute_level_is_taken_at_its_word(tmp_path, plain):
     """The files hold pressure with a direct sound of 1/(4 pi r): knowing it costs nothing.
 
@@ -173,6 +175,7 @@ def test_an_absorption_that_is_given_stays_exactly(tmp_path):
     np.testing.assert_allclose(answer.absorption[walls], ABSORPTION["walls"], atol=0.06)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("code", [Code.SCATTERING_UNDERESTIMATED, Code.WALL_POSITION_MISMATCH])
 def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
     tmp_path, few_rays, monkeypatch, code
@@ -415,6 +418,7 @@ def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_
     assert np.any(more > 1.01 * less)
 
 
+@pytest.mark.slow
 def test_smoothness_over_bands_keeps_what_is_held_and_tied(tmp_path, few_rays):
     """Absorption held at 0 and 1 stays; tied materials stay equal; nothing is lost on the way."""
     reported = [

@@ -285,6 +285,7 @@ def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
     assert sorted(p for p in tmp_path.rglob("*") if p.is_file()) == before
 
 
+@pytest.mark.slow
 def test_a_receiver_sphere_that_cuts_a_wall_is_shrunk_with_a_finding(tmp_path):
     """20 cm from the wall a sphere of 50 cm does not fit; scattering walls call for rays."""
     from roomfit.inversion.identify import identify

@@ -353,6 +353,7 @@ def test_thinned_rows_keep_the_early_paths_and_nearly_all_energy(campaign):
 # ---------------------------------------------------------------- files and command
 
 
+@pytest.mark.slow
 def test_the_command_predicts_from_the_files_of_a_fit(tmp_path, monkeypatch, capsys):
     campaign = write_campaign(tmp_path / "campaign")
     fit, out = tmp_path / "fit", tmp_path / "out"

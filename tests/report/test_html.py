@@ -321,6 +321,7 @@ def test_a_drawing_is_the_same_each_time_and_tells_no_date(case):
     assert once != svg(absorption_figure(answer), "c", "b")
 
 
+@pytest.mark.slow
 def test_forty_pairs_in_third_octaves_stay_below_two_and_a_half_megabytes():
     names = [f"material {i}" for i in range(3)]
     scene = scene_of(names, [f"S{i}" for i in range(4)], [f"R{i}" for i in range(10)])

@@ -92,6 +92,7 @@ def test_table_2_comes_out(problems: dict[str, PaperProblem]) -> None:
     np.testing.assert_allclose(table.ours[small], table.paper[small], atol=0.004)
 
 
+@pytest.mark.slow
 def test_each_case_has_one_minimum_on_the_grid_and_in_truth(
     problems: dict[str, PaperProblem],
 ) -> None:

@@ -121,6 +121,7 @@ def test_held_materials_stay_exactly_where_they_are():
     assert room.lower95 == pytest.approx(0.7)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth_as_often_as_they_say():
     """Rooms of five materials of which one decay is known within 3 or 10 %.
 
