@@ -10,6 +10,8 @@ from roomfit.errors import InputError
 Method = Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"]
 Model = Literal["auto", "energy", "coherent"]
 Positions = Literal["auto", "fit", "fixed"]
+# The paper's searches cannot follow many unknowns beside absorption; a certificate has no bounds.
+LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares", "posterior")
 
 
 @dataclass(frozen=True, slots=True)

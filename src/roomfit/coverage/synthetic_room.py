@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from roomfit._checks import read_only
-from roomfit.air import speed_of_sound_m_s
+from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
@@ -28,7 +28,6 @@ from roomfit.io.inputs import (
 from roomfit.io.results import read_result
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.coherent import SPEED_SD
 from roomfit.objective.directivity import DEFAULT_B_SD
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.objective.room_parameters import values_at
@@ -275,8 +274,11 @@ def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> Synthet
     delays = np.abs(rng.standard_normal(len(sds))) * np.array(sds)
     sources, receivers = _positions(plan, rng)
     temperature_sd_c = plan.campaign.settings.temperature_sd_c
-    kelvin = 273.15 + plan.campaign.air.temperature_c
-    speed_sd = SPEED_SD if temperature_sd_c is None else 0.5 * temperature_sd_c / kelvin
+    speed_sd = (
+        plan.campaign.settings.speed_of_sound_sd
+        if temperature_sd_c is None
+        else relative_speed_sd(plan.campaign.air, temperature_sd_c)
+    )
     c = speed_of_sound_m_s(plan.campaign.air) * float(np.exp(speed_sd * rng.standard_normal()))
     b = {s.name: _b(plan, s.name, rng) for s in plan.campaign.sources}
     known = {name: value for name, value in b.items() if value is not None}

@@ -23,7 +23,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m, is_inside
 from roomfit.geometry.mesh import refuse, volume_m3
 from roomfit.inversion.scattering import band_factors, specified_scattering
-from roomfit.inversion.solve import relative_speed_sd
+from roomfit.inversion.solve import prior_speed_sd
 from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
 from roomfit.measurement import Level
 from roomfit.prediction.decay import scene_decay_s
@@ -485,7 +485,7 @@ def _expected_measurement(
         options.position_sd_m,
         settings.reflection_delays,
         settings.positions != "fixed",
-        relative_speed_sd(air, settings),
+        prior_speed_sd(air, settings),
     )
 
 

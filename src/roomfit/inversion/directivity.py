@@ -41,7 +41,7 @@ from roomfit.objective.problem import BandProblem, InflatedVariance, JointProble
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.scene import Scene
-from roomfit.settings import Settings
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.solvers.least_squares import (
     BandFit,
     few_gauss_newton_steps,
@@ -383,9 +383,6 @@ def _directed_band(
     return directed_band(parameters, task.scene, task.paths, problem, observed)
 
 
-_METHODS = ("auto", "least-squares", "posterior")
-
-
 def directivity_parameters(
     measurements: Measurements, settings: Settings
 ) -> DirectivityParameters | None:
@@ -426,7 +423,7 @@ def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
 
 def _check_fittable(measurements: Measurements, settings: Settings, sources: Sequence[str]) -> None:
     where = f"sources.{sources[0]}.directivity"
-    if settings.method not in _METHODS:
+    if settings.method not in LEAST_SQUARES_METHODS:
         raise InputError(
             "directivity is fitted by least squares only",
             where=where,

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 
-from roomfit.air import Air
+from roomfit.air import Air, relative_speed_sd
 from roomfit.findings import Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import (
@@ -87,15 +87,11 @@ class BandFits:
     directivities: tuple[FittedDirectivity, ...] = ()
 
 
-def relative_speed_sd(air: Air, settings: Settings) -> float:
-    """Return the prior relative standard deviation of the speed of sound.
-
-    The speed grows as the root of the absolute temperature.
-    """
-    temperature_sd_c = settings.temperature_sd_c
-    if temperature_sd_c is None:
+def prior_speed_sd(air: Air, settings: Settings) -> float:
+    """Return the prior relative standard deviation of the speed of sound, 1e-6 at least."""
+    if settings.temperature_sd_c is None:
         return settings.speed_of_sound_sd
-    return max(0.5 * temperature_sd_c / (273.15 + air.temperature_c), 1e-6)
+    return max(relative_speed_sd(air, settings.temperature_sd_c), 1e-6)
 
 
 def estimate_energies(
@@ -171,7 +167,7 @@ def estimate_pressures(
             model="coherent" if settings.model == "coherent" else "auto",
             end_s=settings.coherent_until_s,
             late_end_s=traced.fit_until_s,
-            speed_sd=relative_speed_sd(scene.air, settings),
+            speed_sd=prior_speed_sd(scene.air, settings),
         ),
         tuple(() if v is None else (_sharing(v),) for v in values),
         unknown,

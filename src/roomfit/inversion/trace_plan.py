@@ -14,7 +14,7 @@ from roomfit.geometry.mesh import volume_m3
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.measurement import MeasuredPair
 from roomfit.scene import Scene
-from roomfit.settings import Settings
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
 from roomfit.tracing.paths import Paths, Reflections, TraceSettings
 from roomfit.tracing.rays import RayStatistics
@@ -181,9 +181,6 @@ def _images_until_s(scene: Scene, duration_s: float, settings: Settings) -> floa
     return longest_s if longest_s >= _LEAST_COHERENT_S else 0.0
 
 
-_COHERENT_METHODS = ("auto", "least-squares", "posterior")
-
-
 def is_coherent(measured: Sequence[MeasuredPair], settings: Settings) -> bool:
     """Whether responses are to be fitted with image sources as coherent as their times are known.
 
@@ -194,4 +191,4 @@ def is_coherent(measured: Sequence[MeasuredPair], settings: Settings) -> bool:
 
 def fits_pressures(settings: Settings) -> bool:
     """Whether model and method let pressures be added, if there are responses."""
-    return settings.model != "energy" and settings.method in _COHERENT_METHODS
+    return settings.model != "energy" and settings.method in LEAST_SQUARES_METHODS
