@@ -44,9 +44,10 @@ from roomfit.materials.priors import (
     unknown_material,
 )
 from roomfit.measurement import Measurement
-from roomfit.objective.observation import band_problems
-from roomfit.objective.problem import BandProblem, JointProblem
-from roomfit.objective.room_parameters import predicted_values, value_problems
+from roomfit.objective.directivity import energy_objective
+from roomfit.objective.observation import energy_terms
+from roomfit.objective.problem import Objective
+from roomfit.objective.room_parameters import predicted_values, value_terms, values_alone
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.settings import Settings
@@ -199,20 +200,14 @@ def fitted(
     case: Case, binned: BinnedPaths, values: list[MeasuredValues]
 ) -> tuple[BandEstimate, ...]:
     """Return what these values say of the walls."""
-    problems = value_problems(
-        case.scene,
-        BANDS,
-        case.priors,
-        values,
-        binned,
-        start(case),
-        names=case.names,
-    )
-    error = case.model_error_jnd
-    return solved(case, tuple(p and replace(p, model_error_jnd=error) for p in problems))
+    terms = value_terms(case.scene, BANDS, values, binned, names=case.names)
+    error, begin = case.model_error_jnd, start(case)
+    changed = [t and replace(t, model_error_jnd=error) for t in terms]
+    alone = (values_alone(t, case.priors, b, begin) for b, t in enumerate(changed))
+    return solved(case, tuple(alone))
 
 
-def solved(case: Case, problems: tuple[BandProblem | None, ...]) -> tuple[BandEstimate, ...]:
+def solved(case: Case, problems: tuple[Objective | None, ...]) -> tuple[BandEstimate, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
     fitted = fit_bands(problems, case.priors, areas, Settings())
@@ -310,14 +305,13 @@ def with_response(case: Case, binned: BinnedPaths, folder: Path) -> tuple[BandEs
         responses = [m for m in read if isinstance(m, Measurement)]
         measured, _ = observe(case.scene, responses, BANDS)
     begin = start(case)
-    energies = tuple(band_problems(case.scene, BANDS, case.priors, measured, binned, begin))
-    shared = [None if p is None else p.parameters for p in energies]
-    values = value_problems(
-        case.scene, BANDS, case.priors, case.values, binned, begin, parameters=shared
-    )
+    energies = energy_terms(case.scene, BANDS, case.priors, measured, binned, begin)
+    values = value_terms(case.scene, BANDS, case.values, binned)
     joint = tuple(
-        JointProblem((e, v)) if e is not None and v is not None else v
-        for e, v in zip(energies, values, strict=True)
+        values_alone(v, case.priors, b, begin)
+        if e is None or v is None
+        else energy_objective(*e, None, v)
+        for b, (e, v) in enumerate(zip(energies, values, strict=True))
     )
     return solved(case, joint)
 

@@ -23,7 +23,7 @@ from roomfit.geometry.check import LEAK_LIMIT
 from roomfit.io import campaign as schema
 from roomfit.io.inputs import material_priors
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import demo_plan, write_measured_box
@@ -235,7 +235,7 @@ file = "a.wav"
 
 
 def test_numbers_that_the_pages_tell_are_those_of_the_code():
-    fields = EnergyProblem.__dataclass_fields__
+    fields = EnergyTerm.__dataclass_fields__
     settings = Settings()
     default_s = settings.default_scattering
     middle = np.log(DEFAULT_MEAN / (1.0 - DEFAULT_MEAN))

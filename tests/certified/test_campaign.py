@@ -25,9 +25,8 @@ from roomfit.certified.question import energy_global_problem, free_vector
 from roomfit.certified.search import tools_for
 from roomfit.findings import Code
 from roomfit.io.inputs import identify_arguments
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import physical_values, prior_residuals
-from roomfit.objective.problem import JointProblem
 from roomfit.report.text import certificate_text
 from roomfit.solvers.certificate import Certificate, certificate_findings
 from roomfit.solvers.least_squares import fit_band, gauss_newton
@@ -75,7 +74,8 @@ def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Result, li
     """Its rows merged and smeared, against residuals and priors by the fit's own prediction."""
     (problem,) = certified[1]
     fit = fit_band(problem, gauss_newton, gauss_newton)
-    global_problem = energy_global_problem(problem, fit.vector)
+    (energies,), parameters = problem.terms, problem.parameters
+    global_problem = energy_global_problem(energies, parameters, fit.vector)
     tools = tools_for(global_problem)
     spread = problem.variance(fit.vector) * problem.correlation_length()
     rng = np.random.default_rng(3)
@@ -91,23 +91,27 @@ def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Result, li
             expected, rel=1e-9
         )
         place = np.concatenate((values["absorption"][:2], values["gain"]))
-        np.testing.assert_allclose(free_vector(problem, place), vector, atol=1e-8)
+        np.testing.assert_allclose(free_vector(parameters, place), vector, atol=1e-8)
 
 
 def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Result, list[Any]]) -> None:
     """Louder rays have louder noise; image sources alone have none, and the least delta is left."""
     (problem,) = certified[1]
+    (energies,) = problem.terms
     fit = fit_band(problem, gauss_newton, gauss_newton)
     precision = 0.5 / (problem.variance(fit.vector) * problem.correlation_length())
     louder = tuple(
         replace(rows, weight_per_m2=np.where(rows.batch >= 0, 30.0, 1.0) * rows.weight_per_m2)
-        for rows in problem.rows
+        for rows in energies.rows
     )
-    noisy = replace(problem, rows=louder)
-    before = tracing_delta(problem, fit.vector, precision)
-    after = tracing_delta(noisy, fit.vector, precision)
-    silent = tuple(replace(rows, n_batches=0) for rows in problem.rows)
-    assert tracing_delta(replace(problem, rows=silent), fit.vector, precision) == 0.02
+    noisy = replace(energies, rows=louder)
+    before = tracing_delta(energies, problem.parameters, fit.vector, precision)
+    after = tracing_delta(noisy, problem.parameters, fit.vector, precision)
+    silent = tuple(replace(rows, n_batches=0) for rows in energies.rows)
+    assert (
+        tracing_delta(replace(energies, rows=silent), problem.parameters, fit.vector, precision)
+        == 0.02
+    )
     assert after > before >= 0.02
 
 
@@ -156,7 +160,7 @@ def test_nobody_waits_for_a_proof_of_many_unknowns(
     fit = fit_band(problem, gauss_newton, gauss_newton)
     assert affordable_certificate(problem, fit.vector) is not None
     assert affordable_certificate(problem, np.zeros(4)) is None
-    assert affordable_certificate(JointProblem((problem,)), fit.vector) is None
+    assert affordable_certificate(replace(problem, terms=problem.terms * 2), fit.vector) is None
 
 
 def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Path) -> None:
@@ -175,11 +179,12 @@ def test_what_is_too_large_or_no_energy_is_refused(
     with pytest.raises(roomfit.InputError, match="too many rows"):
         certified_fit(problem, CertifyLimits(max_rows=5))
     with pytest.raises(roomfit.InputError, match="only energies"):
-        certified_fit(object())  # type: ignore[arg-type]
+        certified_fit(replace(problem, terms=problem.terms * 2))
     with pytest.raises(roomfit.InputError, match="stand in the rows"):
         fit = fit_band(problem, gauss_newton, gauss_newton)
-        energy_global_problem(replace(problem, attenuation_per_m=0.01), fit.vector)
-    assert isinstance(problem, EnergyProblem)
+        energies = replace(problem.terms[0], attenuation_per_m=0.01)
+        energy_global_problem(energies, problem.parameters, fit.vector)
+    assert isinstance(problem.terms[0], EnergyTerm)
 
 
 def test_open_searches_and_several_answers_are_findings(

@@ -18,15 +18,16 @@ from roomfit.inversion.coherent import (
 )
 from roomfit.inversion.systematics import widened_by_neighbours
 from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.coherent import CoherentProblem, coherent_problem
+from roomfit.objective.coherent import CoherentTerm, coherent_term
 from roomfit.objective.energy import (
-    EnergyProblem,
+    EnergyTerm,
     Observation,
     fine_edges_s,
     in_air,
     squared_image_rows,
 )
-from roomfit.objective.parameters import Block, Geometry, Parameters
+from roomfit.objective.parameters import Block, Geometry, Parameters, geometry_block
+from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band
 from roomfit.scene import Point, Room, Scene, material_areas_m2
@@ -60,15 +61,15 @@ def small_scene() -> Scene:
     )
 
 
-def small_problem(centre_hz: float = CENTRE_HZ, paths: Paths | None = None) -> CoherentProblem:
-    """Return the problem without any coherence, its data all one."""
+def small_term(centre_hz: float = CENTRE_HZ, paths: Paths | None = None) -> CoherentTerm:
+    """Return windows without any coherence, their data all one."""
     scene = small_scene()
     bands = Bands("octave", np.array([centre_hz]))
     if paths is None:
         paths = trace_images(scene, 100, END_S, uniform_scattering(MATERIALS, 0.0))
     binned = bin_paths(scene, bands, paths, END_S)
-    energies = energy_problem(bands, scene, in_band(binned, centre_hz))
-    return coherent_problem(bands, 0, energies, 0.0, paths, binned, small_geometry())
+    energies = energy_term(bands, scene, in_band(binned, centre_hz))
+    return coherent_term(bands, 0, energies, 0.0, paths, binned, small_geometry())
 
 
 def small_paths() -> tuple[Scene, Paths]:
@@ -86,7 +87,7 @@ def small_geometry() -> Geometry:
     return Geometry(labels, sd, np.ones(sd.size, dtype=np.bool_), SPEED_M_S, columns)
 
 
-def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyProblem:
+def energy_term(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyTerm:
     """Return the energies of both observations, one gain for both."""
     bank = FilterBank(bands)
     bandwidth = float(statistical_bandwidth_hz(bank)[0])
@@ -106,6 +107,16 @@ def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyPro
                 *(csr_array(shares.shape), 0.0, 0),
             )
         )
+    term = EnergyTerm(
+        *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows),
+        *(tuple(squared_image_rows(r) for r in binned.rows), tuple(observations)),
+        *(0.0, 0.0),
+    )
+    return in_air(term)
+
+
+def objective_of(term: EnergyTerm | CoherentTerm) -> Objective:
+    """Return the objective of such windows: three absorptions, a gain and their geometry."""
     held = np.ones(3, dtype=np.bool_)
     absorption = Block(
         *("absorption", MATERIALS, "logit", np.array([0.2, 0.4, 0.1]), held),
@@ -115,23 +126,19 @@ def energy_problem(bands: Bands, scene: Scene, binned: BinnedPaths) -> EnergyPro
         *("gain", ("S",), "log", np.array([2.0]), np.ones(1, dtype=np.bool_)),
         *(np.zeros(1), np.full(1, np.inf), np.zeros(1), np.ones(1)),
     )
-    problem = EnergyProblem(
-        *(float(bands.centres_hz[0]), bandwidth, 0.0, binned.rows),
-        *(tuple(squared_image_rows(r) for r in binned.rows), tuple(observations)),
-        *(Parameters((absorption, gain)), 0.0, 0.0),
-    )
-    return in_air(problem)
+    geometry = (geometry_block(term.geometry),) if isinstance(term, CoherentTerm) else ()
+    return Objective(Parameters((absorption, gain, *geometry)), (term,))
 
 
-def with_data(problem: CoherentProblem, data: np.ndarray) -> CoherentProblem:
-    """Return the problem with other measured energies, observations end to end."""
+def with_data(term: CoherentTerm, data: np.ndarray) -> CoherentTerm:
+    """Return the windows with other measured energies, observations end to end."""
     observed = []
     first = 0
-    for o in problem.energies.observations:
+    for o in term.energies.observations:
         n = o.energy.size
         observed.append(replace(o, energy=data[first : first + n]))
         first += n
-    return replace(problem, energies=replace(problem.energies, observations=tuple(observed)))
+    return replace(term, energies=replace(term.energies, observations=tuple(observed)))
 
 
 def estimates_of(fit: CoherentFit) -> tuple[BandEstimate | None, ...]:

@@ -26,11 +26,9 @@ from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import CoherentFit, CoherentTask, fit_coherent
 from roomfit.inversion.directivity import (
     DirectivityScore,
-    EnergyTask,
     band_directivities,
     directed_energies,
     directivity_parameters,
-    energy_problems,
     omnidirectional,
     score_sources,
     source_findings,
@@ -39,6 +37,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import Measurements, collect_measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
+from roomfit.inversion.solve import energy_objectives
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import (
     load_campaign,
@@ -48,7 +47,7 @@ from roomfit.io.inputs import (
 )
 from roomfit.io.results import read_result
 from roomfit.io.rooms import read_room
-from roomfit.materials.priors import uniform_scattering
+from roomfit.materials.priors import MaterialPrior, uniform_scattering
 from roomfit.objective.directivity import DirectivityParameters, FittedDirectivity
 from roomfit.prediction.campaign import room_posterior
 from roomfit.report.html_tables import source_tables
@@ -129,13 +128,18 @@ class Case:
     paths: Paths
 
     @property
-    def task(self) -> EnergyTask:
+    def arguments(
+        self,
+    ) -> tuple[Measurements, tuple[MaterialPrior, ...], TracedPaths, np.ndarray]:
         """What its energies are made from."""
-        asked, scene = self.asked, self.scene
-        return EnergyTask(
-            *(scene, asked.bands, material_priors(asked, scene.room.materials)),
-            *(measured(asked, scene).responses, self.paths),
-            *(bin_paths(scene, asked.bands, self.paths, END_S), np.full(len(asked.bands), 0.2)),
+        bands, materials = self.asked.bands, self.scene.room.materials
+        binned = bin_paths(self.scene, bands, self.paths, END_S)
+        still = np.zeros((len(materials), len(bands)))
+        return (
+            measured(self.asked, self.scene),
+            material_priors(self.asked, materials),
+            TracedPaths(self.paths, binned, END_S, None, still, True, END_S, None, ()),
+            np.full(len(bands), 0.2),
         )
 
 
@@ -164,23 +168,21 @@ def coherent_answer(
     case: Case,
 ) -> tuple[CoherentFit, tuple[BandEstimate | None, ...], tuple[FittedDirectivity, ...]]:
     """Return the fit of pressures and energies, its answers, and the directivities."""
-    task, unknown = case.task, unknown_directivities(case.asked, case.scene)
+    observed, priors, traced, start = case.arguments
+    unknown = unknown_directivities(case.asked, case.scene)
     coherent = CoherentTask(
-        task.scene,
-        task.bands,
-        task.priors,
-        task.measured,
-        task.start,
+        case.scene,
+        case.asked.bands,
+        priors,
+        observed.responses,
+        start,
         CoherentOptions(end_s=END_S, late_end_s=END_S),
-        ((),) * len(task.bands),
+        (None,) * len(case.asked.bands),
         unknown,
-        omnidirectional(measured(case.asked, case.scene)) if unknown is None else None,
+        omnidirectional(observed) if unknown is None else None,
     )
-    still = np.zeros((len(task.priors), len(task.bands)))
-    fit = fit_coherent(
-        coherent, TracedPaths(task.paths, task.binned, END_S, None, still, True, END_S, None, ())
-    )
-    directed = tuple(None if b is None else b.directed for b in fit.state.bands)
+    fit = fit_coherent(coherent, traced)
+    directed = tuple(None if b is None else b.directivity for b in fit.state.bands)
     answers = estimates_of(fit)
     return fit, answers, band_directivities(unknown, directed, answers)
 
@@ -189,16 +191,18 @@ def energy_answer(
     case: Case,
 ) -> tuple[tuple[BandEstimate, ...], tuple[FittedDirectivity, ...], tuple[Finding, ...]]:
     """Return the fit of energies alone, the directivities, and the doubts."""
-    task, unknown = case.task, unknown_directivities(case.asked, case.scene)
-    suspects = omnidirectional(measured(case.asked, case.scene))
-    directivities = directed_energies(task, unknown)
+    observed, priors, traced, start = case.arguments
+    unknown = unknown_directivities(case.asked, case.scene)
+    suspects = omnidirectional(observed)
+    directivities = directed_energies(observed, priors, traced, start, unknown)
     doubts: dict[int, DirectivityScore] = {}
+    watch = None if suspects is None else score_sources(observed, case.paths, suspects, doubts)
     fitted = fit_bands(
-        energy_problems(task, directivities),
-        task.priors,
-        material_areas_m2(task.scene.room),
+        energy_objectives(observed, priors, traced, start, directivities),
+        priors,
+        material_areas_m2(case.scene.room),
         Settings(),
-        watch=None if suspects is None else score_sources(task, suspects, doubts),
+        watch=watch,
     )
     answers = tuple(band.estimate for band in fitted)
     found = band_directivities(unknown, directivities, answers)

@@ -241,14 +241,13 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
 
 def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypatch):
     """In trials of scattering, first fits, rounds and profiles: a response alone is predicted."""
-    original, calls = roomfit.objective.energy.predict_windows, []
+    original, calls = roomfit.objective.energy.EnergyTerm.predict, []
 
-    def counting(problem, vector):
-        calls.append(problem)
-        return original(problem, vector)
+    def counting(term, values):
+        calls.append(term)
+        return original(term, values)
 
-    for module in ("energy", "coherent"):
-        monkeypatch.setattr(f"roomfit.objective.{module}.predict_windows", counting)
+    monkeypatch.setattr("roomfit.objective.energy.EnergyTerm.predict", counting)
     answer = identify(**load_campaign(write_campaign(tmp_path, ("scattering = 0.0", ""))))
     assert answer.evaluations == len(calls) > 100
 

@@ -35,7 +35,7 @@ def found(mean: np.ndarray, variance: float = 0.04):
     n = mean.size
     geometry = SimpleNamespace(fitted=np.ones(n, dtype=bool), sd=np.full(n, 0.01))
     marginal = SimpleNamespace(mean=mean, information=np.eye(n) / variance)
-    band = SimpleNamespace(problem=SimpleNamespace(geometry=geometry))
+    band = SimpleNamespace(coherent=SimpleNamespace(geometry=geometry))
     return [band], [SimpleNamespace(found=marginal)]
 
 

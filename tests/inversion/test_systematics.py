@@ -7,15 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import SPEED_M_S, small_problem, small_scene, with_data
+from coherent_cases import SPEED_M_S, objective_of, small_scene, small_term, with_data
 from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.inversion.systematics import air_error, lost_coherence
-from roomfit.objective.coherent import CoherentProblem, fully_coherent
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.coherent import CoherentTerm, fully_coherent
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import start_vector
-from roomfit.objective.problem import BandProblem
 from roomfit.signals.filters import FilterBank, frequency_response, window_energies
 from roomfit.signals.response import ImpulseResponse
 from roomfit.solvers.least_squares import BandFit, score_band
@@ -26,10 +25,11 @@ from roomfit.uncertainty.gaussian import add_covariance, answer_steps
 CENTRE_HZ = 1000.0
 
 
-def energies() -> EnergyProblem:
+def energies() -> EnergyTerm:
     """Return the energies of a small box with the data that its start expects."""
-    problem = replace(small_problem(CENTRE_HZ).energies, model_error=0.1)
-    expected = problem.predict(start_vector(problem.parameters)).expected
+    problem = replace(small_term(CENTRE_HZ).energies, model_error=0.1)
+    whole = objective_of(problem)
+    expected = whole.predict(start_vector(whole.parameters)).expected
     observed, first = [], 0
     for o in problem.observations:
         observed.append(replace(o, energy=expected[first : first + o.energy.size]))
@@ -37,13 +37,14 @@ def energies() -> EnergyProblem:
     return replace(problem, observations=tuple(observed))
 
 
-def _with_data(problem: EnergyProblem, factor: FloatArray) -> EnergyProblem:
+def _with_data(problem: EnergyTerm, factor: FloatArray) -> EnergyTerm:
     sizes = np.cumsum([o.energy.size for o in problem.observations])[:-1]
     parts = zip(problem.observations, np.split(factor, sizes), strict=True)
     return replace(problem, observations=tuple(replace(o, energy=o.energy * f) for o, f in parts))
 
 
-def _converged(problem: BandProblem) -> BandFit:
+def _converged(term: EnergyTerm) -> BandFit:
+    problem = objective_of(term)
     return score_band(problem, start_vector(problem.parameters), rounds=12)
 
 
@@ -57,7 +58,7 @@ def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
     fit = _converged(plain)
     time_s = np.concatenate([0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in plain.observations])
     error = -0.01 * time_s / 0.02
-    (predicted,) = answer_steps(plain, fit, (plain.measured() * error)[:, None]).T
+    (predicted,) = answer_steps(objective_of(plain), fit, (plain.measured() * error)[:, None]).T
     up, down = (_converged(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
     observed = 0.5 * (up - down)
     # weights that follow the answer are neglected: a few percent of the step
@@ -92,25 +93,25 @@ def test_the_error_of_the_air_covers_its_mean_over_a_band(kind: str) -> None:
         assert np.all(-error[late] >= off[late]) and np.all(-error[late] <= 3.0 * off[late])
 
 
-def _band(problem: CoherentProblem) -> tuple[CoherentBand, BandFit]:
+def _band(term: CoherentTerm) -> tuple[CoherentBand, BandFit]:
     """Return a band and a fit that ended at its start."""
+    problem = objective_of(term)
     vector = start_vector(problem.parameters)
-    expected = problem.predict(vector).expected
-    own = with_data(problem, expected)
-    fit = score_band(own, vector, rounds=1, steps=0)
-    return CoherentBand(own.energies, fit, np.ones(expected.size), own, ()), fit
+    own = with_data(term, problem.predict(vector).expected)
+    fit = score_band(objective_of(own), vector, rounds=1, steps=0)
+    return CoherentBand(objective_of(own.energies), fit, own), fit
 
 
 def test_nothing_is_lost_where_all_is_coherent() -> None:
     """A band whose arrival times are known has no error of that kind."""
-    band, fit = _band(fully_coherent(small_problem(CENTRE_HZ)))
+    band, fit = _band(fully_coherent(small_term(CENTRE_HZ)))
     np.testing.assert_allclose(lost_coherence(band, fit), 0.0, atol=1e-9)
 
 
 def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_energies() -> None:
     """Against the pressures of an own list of images, filtered, in slots of 40 ms."""
     scene = small_scene()
-    band, fit = _band(small_problem(CENTRE_HZ))
+    band, fit = _band(small_term(CENTRE_HZ))
     octaves = bands_between("octave", 500, 2000)
     walls = np.array([0.2, 0.2, 0.2, 0.2, 0.4, 0.1])
     truth = SyntheticBox(
@@ -118,7 +119,7 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
     )
     own = FilterBank(Bands("octave", np.array([CENTRE_HZ])))
     pressures, rate_hz = [], 24_000.0
-    for (_, r), observed in zip(scene.pairs, band.energies.observations, strict=True):
+    for (_, r), observed in zip(scene.pairs, band.coherent.energies.observations, strict=True):
         ends = scene.sources[0].position_m, scene.receivers[r].position_m
         samples = pressure_response(truth, *ends, 0.1, rate_hz, np.zeros(3))
         response = ImpulseResponse(samples, rate_hz)
@@ -127,7 +128,7 @@ def test_lost_coherence_is_what_pressures_of_images_lack_or_have_beyond_their_en
     # the gain at the start; a path's energy at 1 m is 1 / (4 pi), its pressure as well
     whole = 2.0 * 4.0 * np.pi * np.concatenate(pressures)
     middle = np.concatenate(
-        [0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in band.energies.observations]
+        [0.5 * (o.edges_s[1:] + o.edges_s[:-1]) for o in band.coherent.energies.observations]
     )
     for low, high in ((0.0, 0.04), (0.04, 0.08)):
         slot = (middle >= low) & (middle < high)

@@ -7,11 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import END_S, MATERIALS, energy_problem, small_problem, small_scene
+from coherent_cases import END_S, MATERIALS, energy_term, objective_of, small_scene, small_term
 from roomfit.bands import Bands
 from roomfit.inversion.systematics import batch_spread, with_tracing_noise
 from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.energy import EnergyProblem, tracing_variance
+from roomfit.objective.energy import EnergyTerm, tracing_variance
 from roomfit.objective.parameters import start_vector
 from roomfit.response.binned import bin_paths, in_band
 from roomfit.solvers.least_squares import score_band
@@ -23,20 +23,21 @@ CENTRE_HZ = 1000.0
 N_RAYS, N_TRACES = 6400, 40
 
 
-def energies(n_rays: int, seed: int) -> EnergyProblem:
+def energies(n_rays: int, seed: int) -> EnergyTerm:
     """Return the energies of a box whose walls scatter by 0.4, from so many rays."""
     settings = TraceSettings(END_S, n_rays=n_rays, image_order=1, seed=seed)
     scene, bands = small_scene(), Bands("octave", np.array([CENTRE_HZ]))
     paths = trace(scene, settings, uniform_scattering(MATERIALS, 0.4)).paths
     binned = in_band(bin_paths(scene, bands, paths, END_S), CENTRE_HZ)
-    return replace(energy_problem(bands, scene, binned), model_error=0.2)
+    return replace(energy_term(bands, scene, binned), model_error=0.2)
 
 
 @pytest.fixture(scope="module")
 def data() -> FloatArray:
     """Return what a fine trace expects at the start of the fits."""
     fine = energies(100_000, 1000)
-    return fine.predict(start_vector(fine.parameters)).expected
+    whole = objective_of(fine)
+    return whole.predict(start_vector(whole.parameters)).expected
 
 
 def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -44,9 +45,10 @@ def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
     coarse = energies(N_RAYS, seed)
     halves = np.split(data, 2)
     observed = zip(coarse.observations, halves, strict=True)
-    problem = replace(coarse, observations=tuple(replace(o, energy=e) for o, e in observed))
+    term = replace(coarse, observations=tuple(replace(o, energy=e) for o, e in observed))
+    problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
-    wider = with_tracing_noise(problem, problem, (0, 0), fit)
+    wider = with_tracing_noise(problem, term, (0, 0), fit)
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
     return fit.vector, np.diag(more) * max(fit.chi2_reduced, 1.0)
 
@@ -67,15 +69,16 @@ def test_batches_predict_how_far_another_trace_moves_the_answer(data: FloatArray
 def test_columns_add_up_to_the_variance_of_every_window() -> None:
     """And receivers of one source share columns, of two sources none."""
     problem = energies(N_RAYS, 3)
-    vector = start_vector(problem.parameters)
+    parameters = objective_of(problem).parameters
+    vector = start_vector(parameters)
     gain, alone = 2.0, problem.observations[0].energy.size
-    absorption = problem.parameters.blocks[0].start[:, None]
+    absorption = parameters.blocks[0].start[:, None]
     expected = [
         gain**2 * tracing_variance(rows, observed, absorption, np.zeros(1))
         for rows, observed in zip(problem.rows, problem.observations, strict=True)
     ]
-    shared = batch_spread(problem, problem.parameters, vector, (0, 0))
-    apart = batch_spread(problem, problem.parameters, vector, (4, 2))
+    shared = batch_spread(problem, parameters, vector, (0, 0))
+    apart = batch_spread(problem, parameters, vector, (4, 2))
     for columns in (shared, apart):
         np.testing.assert_allclose((columns**2).sum(axis=1), np.concatenate(expected), rtol=1e-9)
     assert np.any(np.abs(shared[:alone] @ shared[alone:].T) > 0.0)
@@ -84,6 +87,7 @@ def test_columns_add_up_to_the_variance_of_every_window() -> None:
 
 def test_without_rays_nothing_is_widened() -> None:
     """Image sources have no noise."""
-    problem = small_problem(CENTRE_HZ).energies
+    term = small_term(CENTRE_HZ).energies
+    problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
-    assert with_tracing_noise(problem, problem, (0, 0), fit) is fit
+    assert with_tracing_noise(problem, term, (0, 0), fit) is fit

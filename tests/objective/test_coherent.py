@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
-from coherent_cases import estimate_of, small_geometry, small_problem, with_data
+from coherent_cases import estimate_of, objective_of, small_geometry, small_term, with_data
 from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import widened_by_neighbours
 from roomfit.objective.coherent import with_coherence
@@ -20,7 +20,7 @@ from roomfit.objective.parameters import (
     start_vector,
     whole_covariance,
 )
-from roomfit.objective.problem import InflatedVariance, Prediction
+from roomfit.objective.problem import Prediction
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
 
@@ -144,11 +144,12 @@ def test_a_joint_prior_costs_its_mahalanobis_distance() -> None:
 
 def test_the_geometry_is_found_from_exact_data() -> None:
     """Absorption and places of noise-free windows come back from a start beside them."""
-    problem = with_coherence(small_problem(), 0.09 * whole_covariance(small_geometry()))
+    term = with_coherence(small_term(), 0.09 * whole_covariance(small_geometry()))
+    problem = objective_of(term)
     truth = start_vector(problem.parameters)
     truth[:3] += np.array([0.4, -0.5, 0.3])
     truth[4:] = 0.2 * np.random.default_rng(2).standard_normal(truth.size - 4)
-    problem = with_data(problem, problem.predict(truth).expected)
+    problem = objective_of(with_data(term, problem.predict(truth).expected))
     fit = score_band(problem, start_vector(problem.parameters), rounds=12)
     # what the prior draws towards itself is far inside the stated deviation
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
@@ -159,9 +160,9 @@ def test_the_geometry_is_found_from_exact_data() -> None:
 
 def test_softened_data_have_larger_variances_and_nothing_else() -> None:
     """Factor by factor."""
-    problem = small_problem()
+    problem = objective_of(small_term())
     factor = np.linspace(1.0, 3.0, problem.measured().size)
-    soft = InflatedVariance(problem, factor)
+    soft = replace(problem, inflation=factor)
     vector = start_vector(problem.parameters)
     np.testing.assert_allclose(soft.variance(vector), factor * problem.variance(vector))
     np.testing.assert_array_equal(soft.predict(vector).expected, problem.predict(vector).expected)

@@ -12,14 +12,15 @@ from coherent_cases import (
     CENTRE_HZ,
     END_S,
     MATERIALS,
+    objective_of,
     small_geometry,
-    small_problem,
     small_scene,
+    small_term,
 )
 from roomfit.bands import Bands
 from roomfit.materials.priors import uniform_scattering
-from roomfit.objective.coherent import CoherentProblem, with_coherence
-from roomfit.objective.energy import first_windows, predict_windows, window_variance
+from roomfit.objective.coherent import CoherentTerm, with_coherence
+from roomfit.objective.energy import first_windows
 from roomfit.objective.parameters import start_vector
 from roomfit.objective.windows import in_windows, window_edges_s
 from roomfit.response.binned import bin_paths, in_band
@@ -32,24 +33,24 @@ CUT_S = 0.03
 
 
 @pytest.fixture(scope="module")
-def whole() -> CoherentProblem:
-    """Return the small problem, pressures in every window."""
-    return with_coherence(small_problem(CENTRE_HZ), 1e-4 * np.eye(small_geometry().sd.size))
+def whole() -> CoherentTerm:
+    """Return the small room, pressures in every window."""
+    return with_coherence(small_term(CENTRE_HZ), 1e-4 * np.eye(small_geometry().sd.size))
 
 
 @pytest.fixture(scope="module")
-def cut(whole: CoherentProblem) -> CoherentProblem:
+def cut(whole: CoherentTerm) -> CoherentTerm:
     """Return the same with pressures only in windows that end by CUT_S."""
     observed = tuple(first_windows(o, CUT_S) for o in whole.energies.observations)
     return replace(whole, early=observed)
 
 
-def _late(problem: CoherentProblem) -> np.ndarray:
-    each = zip(problem.energies.observations, problem.early, strict=True)
+def _late(term: CoherentTerm) -> np.ndarray:
+    each = zip(term.energies.observations, term.early, strict=True)
     return np.concatenate([np.arange(o.energy.size) >= e.energy.size for o, e in each])
 
 
-def test_first_windows_end_by_the_time_asked_for(whole: CoherentProblem) -> None:
+def test_first_windows_end_by_the_time_asked_for(whole: CoherentTerm) -> None:
     """All that end by then, with their pieces, and one at least."""
     observed = whole.energies.observations[0]
     early = first_windows(observed, CUT_S)
@@ -61,11 +62,12 @@ def test_first_windows_end_by_the_time_asked_for(whole: CoherentProblem) -> None
 
 
 def test_early_windows_do_not_see_where_pressures_end(
-    whole: CoherentProblem, cut: CoherentProblem
+    whole: CoherentTerm, cut: CoherentTerm
 ) -> None:
     """Expectation, derivative and variance of the early windows are those of the whole problem."""
-    vector, early = start_vector(whole.parameters), ~_late(cut)
-    ours, all_of_it = cut.predict(vector), whole.predict(vector)
+    some, every, early = objective_of(cut), objective_of(whole), ~_late(cut)
+    vector = start_vector(every.parameters)
+    ours, all_of_it = some.predict(vector), every.predict(vector)
     assert 0 < early.sum() < early.size
     np.testing.assert_allclose(ours.expected[early], all_of_it.expected[early], rtol=1e-12)
     scale = np.abs(all_of_it.jacobian).max()
@@ -73,23 +75,22 @@ def test_early_windows_do_not_see_where_pressures_end(
         ours.jacobian[early], all_of_it.jacobian[early], rtol=0, atol=1e-12 * scale
     )
     np.testing.assert_allclose(
-        cut.variance(vector)[early], whole.variance(vector)[early], rtol=1e-12
+        some.variance(vector)[early], every.variance(vector)[early], rtol=1e-12
     )
 
 
-def test_late_windows_are_those_of_energies(whole: CoherentProblem, cut: CoherentProblem) -> None:
+def test_late_windows_are_those_of_energies(whole: CoherentTerm, cut: CoherentTerm) -> None:
     """Beyond the cut all that depends on phase is gone, and without the cut it is not."""
-    vector, late = start_vector(cut.parameters), _late(cut)
-    n = start_vector(cut.energies.parameters).size
-    expected = predict_windows(cut.energies, vector[:n])
-    ours = cut.predict(vector)
+    some, energies, late = objective_of(cut), objective_of(cut.energies), _late(cut)
+    vector = start_vector(some.parameters)
+    n = start_vector(energies.parameters).size
+    expected = energies.predict(vector[:n])
+    ours = some.predict(vector)
     np.testing.assert_array_equal(ours.expected[late], expected.expected[late])
     np.testing.assert_array_equal(ours.jacobian[late, :n], expected.jacobian[late])
     assert not ours.jacobian[late, n:].any()
-    np.testing.assert_array_equal(
-        cut.variance(vector)[late], window_variance(cut.energies, vector[:n])[late]
-    )
-    with_phase = whole.predict(vector).expected[late]
+    np.testing.assert_array_equal(some.variance(vector)[late], energies.variance(vector[:n])[late])
+    with_phase = objective_of(whole).predict(vector).expected[late]
     assert np.abs(with_phase / expected.expected[late] - 1.0).max() > 0.05
 
 

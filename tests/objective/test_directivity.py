@@ -7,18 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import small_geometry, small_paths, small_problem
+from coherent_cases import objective_of, small_geometry, small_paths, small_term
 from roomfit.inversion.directivity import band_information, cavity_priors, moved_start
-from roomfit.objective.coherent import CoherentProblem, with_coherence
+from roomfit.objective.coherent import CoherentTerm, with_coherence
 from roomfit.objective.directivity import (
-    DirectedProblem,
+    BandDirectivities,
     UnknownDirectivities,
     directed,
     directivity_block,
-    with_unknown,
 )
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
+from roomfit.objective.problem import Objective
 from roomfit.response.directivity import FirstOrder, amplitude_and_slope, directivity_factors
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
@@ -32,27 +32,27 @@ def unknown_source() -> UnknownDirectivities:
     return UnknownDirectivities(("S",), np.array([0.1, 0.0, -0.1]), root)
 
 
-def directed_case(*, coherent: bool) -> DirectedProblem:
+def directed_case(*, coherent: bool) -> Objective:
     """Return the small room with its one source's directivity unknown."""
-    whole = small_problem()
+    windows: EnergyTerm | CoherentTerm = small_term()
     unknown = unknown_source()
-    energies = with_unknown(whole.energies, unknown)
     _, paths = small_paths()
-    departure = tuple(paths.departure[rows.path] for rows in energies.rows)
-    problem: EnergyProblem | CoherentProblem = energies
+    departure = tuple(paths.departure[rows.path] for rows in windows.energies.rows)
     if coherent:
-        geometry = whole.parameters.blocks[-1]
-        parameters = Parameters((*energies.parameters.blocks, geometry))
-        problem = replace(whole, energies=energies, parameters=parameters)
-        problem = with_coherence(problem, 0.09 * whole_covariance(small_geometry()))
-    return directed(problem, unknown, np.zeros(2, dtype=np.int64), departure)
+        windows = with_coherence(windows, 0.09 * whole_covariance(small_geometry()))
+    else:
+        windows = windows.energies
+    absorption, gain, *geometry = objective_of(windows).parameters.blocks
+    blocks = (absorption, gain, directivity_block(unknown), *geometry)
+    directivity = BandDirectivities(unknown, np.zeros(2, dtype=np.int64), departure)
+    return Objective(Parameters(blocks), (directed(windows, directivity),))
 
 
-def at_b(case: DirectedProblem, b: np.ndarray) -> np.ndarray:
+def at_b(case: Objective, b: np.ndarray) -> np.ndarray:
     """Return a vector at which the source has a given b."""
     vector = start_vector(case.parameters)
     first = position_of(case.parameters, "directivity")
-    vector[first : first + 3] = np.linalg.solve(case.unknown.root, b - case.unknown.mean)
+    vector[first : first + 3] = np.linalg.solve(unknown_source().root, b - unknown_source().mean)
     rest = vector[first + 3 :]
     rest[:] = 0.3 * np.random.default_rng(4).standard_normal(rest.size)
     return vector
@@ -86,7 +86,7 @@ def test_the_whole_jacobian_is_that_of_finite_differences(coherent: bool, b: np.
 def test_the_case_has_pressures_of_both_signs() -> None:
     """At |b| = 1.4 what is sent backwards is turned over; the sign is what the slopes rely on."""
     case = directed_case(coherent=True)
-    amplitude, _ = amplitude_and_slope(2.0 * B, case.coherent_departure)
+    amplitude, _ = amplitude_and_slope(2.0 * B, case.terms[0].coherent_departure)
     assert amplitude.min() < -0.1
     assert amplitude.max() > 0.5
 
@@ -102,10 +102,10 @@ def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
     scene, paths = small_paths()
     factors = directivity_factors(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
     weighted = replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
-    whole = small_problem(paths=weighted)
-    plain: EnergyProblem | CoherentProblem = whole.energies
+    whole = small_term(paths=weighted)
+    plain = objective_of(whole.energies)
     if coherent:
-        plain = with_coherence(whole, 0.09 * whole_covariance(small_geometry()))
+        plain = objective_of(with_coherence(whole, 0.09 * whole_covariance(small_geometry())))
     vector = at_b(case, b)
     first = position_of(case.parameters, "directivity")
     without = np.delete(vector, np.arange(first, first + 3))
@@ -120,11 +120,15 @@ def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
 def test_an_unknown_source_elsewhere_changes_nothing() -> None:
     """Observations of known sources keep their prediction and have no slope."""
     case = directed_case(coherent=True)
-    other = replace(case, source=np.array([-1, -1]))
+    (term,) = case.terms
+    elsewhere = replace(term.directivity, source=np.array([-1, -1]))
+    other = replace(case, terms=(replace(term, directivity=elsewhere),))
     vector = at_b(case, B)
     first = position_of(case.parameters, "directivity")
     found = other.predict(vector)
-    np.testing.assert_array_equal(found.expected, case.problem.predict(vector).expected)
+    np.testing.assert_array_equal(
+        found.expected, replace(case, terms=(term.windows,)).predict(vector).expected
+    )
     np.testing.assert_array_equal(found.jacobian[:, first : first + 3], 0.0)
 
 

@@ -19,13 +19,14 @@ from roomfit.io.iso3382 import read_parameters
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.materials.priors import Scattering, unknown_material
-from roomfit.objective.parameters import start_vector
-from roomfit.objective.problem import JointProblem
+from roomfit.objective.parameters import Parameters, start_vector
+from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import (
-    RoomValuesProblem,
+    ValuesTerm,
     predicted_values,
     value_covariances,
-    value_problems,
+    value_terms,
+    values_alone,
 )
 from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
 from roomfit.response.binned import bin_paths
@@ -121,7 +122,10 @@ def test_smearing_and_its_transpose_agree():
     assert spread_energy(spreading, lone).sum() == pytest.approx(1.0, abs=1e-9)
 
 
-def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
+START = {"absorption": np.full(3, 0.3)}
+
+
+def exponential_problem(T: float, centre_hz: float) -> ValuesTerm:
     """Return a problem whose rays alone make an exponential decay from the onset on."""
     scene, bands, binned = small_room(np.array([centre_hz]))
     n = 5000
@@ -141,8 +145,7 @@ def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
     measured = MeasuredValues(
         "S", "R1", bands.centres_hz, {"T20_s": np.array([T]), "T30_s": np.array([T])}, {}
     )
-    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
-    (problem,) = value_problems(scene, bands, priors, [measured], binned, np.full(1, 0.3))
+    (problem,) = value_terms(scene, bands, [measured], binned)
     assert problem is not None
     problem = replace(problem, model_error_jnd=0.0)
     bank = FilterBank(bands)
@@ -161,7 +164,7 @@ def exponential_problem(T: float, centre_hz: float) -> RoomValuesProblem:
 def test_interference_scatters_decay_times_as_the_standard_says(T):
     """ISO 3382-2 (from Davy): s(T30) = .55 T (B T)^-1/2, s(T20) = .88 T (B T)^-1/2."""
     problem = exponential_problem(T, 1000.0)
-    (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+    (covariance,) = value_covariances(problem, START["absorption"])
     b = float(statistical_bandwidth_hz(FilterBank(ONE_BAND))[0])
     t20, t30 = np.sqrt(np.diag(covariance)) / (T / np.sqrt(b * T))
     # the standard's factors are themselves rounded, and hold for a line through the level
@@ -169,7 +172,7 @@ def test_interference_scatters_decay_times_as_the_standard_says(T):
     assert t30 == pytest.approx(0.55, rel=0.06)
     # T20 is read from a part of what T30 is read from
     assert 0.3 < covariance[0, 1] / np.sqrt(covariance[0, 0] * covariance[1, 1]) < 0.95
-    assert np.all(problem.correlation_length() > 1.1)
+    assert np.all(problem.correlation_length(START) > 1.1)
 
 
 def test_the_scatter_of_values_is_that_of_random_echoes():
@@ -185,7 +188,7 @@ def test_the_scatter_of_values_is_that_of_random_echoes():
         energy = mean * rng.gamma(shape, 1.0 / shape, mean.size)
         curve = echogram_decay_curve(ONE_BAND, energy[None], edges, 0.0)
         found.append(value_gradients(curve, 0, ("T20_s", "T30_s"))[0])
-    (covariance,) = value_covariances(problem, start_vector(problem.parameters))
+    (covariance,) = value_covariances(problem, START["absorption"])
     # 600 trials know a standard deviation within 2.9 %: four of them, and the bandwidth's rounding
     np.testing.assert_allclose(np.std(found, axis=0), np.sqrt(np.diag(covariance)), rtol=0.13)
 
@@ -218,14 +221,8 @@ def test_derivatives_by_absorption_are_those_of_finite_differences():
     truth = np.array([[0.2], [0.3], [0.4]])
     values = predicted_values(scene, bands, binned, truth)
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
-    (problem,) = value_problems(
-        scene,
-        bands,
-        priors,
-        measured_from(scene, bands, values, VALUE_NAMES),
-        binned,
-        np.full(1, 0.25),
-    )
+    (term,) = value_terms(scene, bands, measured_from(scene, bands, values, VALUE_NAMES), binned)
+    problem = values_alone(term, priors, 0, np.full(1, 0.25))
     assert problem is not None
     vector = start_vector(problem.parameters)
     here = problem.predict(vector)
@@ -245,9 +242,10 @@ def test_absorption_is_found_again_from_values_alone():
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     measured = measured_from(scene, bands, values, names)
     # a model held for right, so that the prior has no say
-    (problem,) = value_problems(scene, bands, priors, measured, binned, np.full(1, 0.25))
-    assert problem is not None
-    problems = [replace(problem, model_error_jnd=0.0)]
+    (term,) = value_terms(scene, bands, measured, binned)
+    assert term is not None
+    term = replace(term, model_error_jnd=0.0)
+    problems = [values_alone(term, priors, 0, np.full(1, 0.25))]
     (band,) = fit_bands(problems, priors, np.ones(3), Settings())
     answer = band.estimate
 
@@ -268,15 +266,12 @@ def test_values_join_other_data_of_the_same_unknowns():
     values = predicted_values(scene, bands, binned, np.full((3, 1), 0.3))
     measured = measured_from(scene, bands, values, VALUE_NAMES)
     priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
-    start = np.full(1, 0.2)
-    (whole,) = value_problems(scene, bands, priors, measured, binned, start)
+    (term,) = value_terms(scene, bands, measured, binned)
+    whole = values_alone(term, priors, 0, np.full(1, 0.2))
     assert whole is not None
-    shared = [whole.parameters]
-    parts = [
-        value_problems(scene, bands, priors, half, binned, start, parameters=shared)[0]
-        for half in (measured[:2], measured[2:])
-    ]
-    joint = JointProblem(tuple(p for p in parts if p is not None))
+    halves = (measured[:2], measured[2:])
+    parts = tuple(value_terms(scene, bands, half, binned)[0] for half in halves)
+    joint = Objective(whole.parameters, parts)
     vector = start_vector(whole.parameters)
 
     np.testing.assert_array_equal(joint.measured(), whole.measured())
@@ -288,7 +283,8 @@ def test_the_likelihood_is_gaussian_with_its_constants():
     """Against scipy's normal law."""
     from scipy.stats import norm
 
-    problem = exponential_problem(1.0, 1000.0)
+    term = exponential_problem(1.0, 1000.0)
+    problem = Objective(Parameters(()), (term,))
     expected, variance = np.array([1.1, 0.9]), np.array([0.01, 0.04])
     np.testing.assert_allclose(
         problem.log_likelihood(expected, variance),
@@ -382,17 +378,15 @@ def test_values_that_go_badly_together_raise_a_doubt(tmp_path):
 def test_pairs_the_scene_lacks_are_refused():
     """Named, with those that it has."""
     scene, bands, binned = small_room(np.array([1000.0]))
-    priors = tuple(unknown_material(m, 1) for m in scene.room.materials)
     wrong = MeasuredValues("S", "R9", bands.centres_hz, {"T20_s": np.ones(1)}, {})
     with pytest.raises(InputError, match=r"lacks(.|\n)*S to R9"):
-        value_problems(scene, bands, priors, [wrong], binned, np.full(1, 0.2))
+        value_terms(scene, bands, [wrong], binned)
 
 
 def test_a_band_without_values_has_no_problem():
     """Other centres than those of the table: nothing to fit."""
     scene, bands, binned = small_room(np.array([1000.0, 2000.0]))
-    priors = tuple(unknown_material(m, 2) for m in scene.room.materials)
     values = MeasuredValues("S", "R1", np.array([2000.0]), {"T20_s": np.array([0.4])}, {})
-    problems = value_problems(scene, bands, priors, [values], binned, np.full(2, 0.2))
+    problems = value_terms(scene, bands, [values], binned)
     assert problems[0] is None
     assert problems[1] is not None

@@ -7,10 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from coherent_cases import small_geometry, small_problem
+from coherent_cases import objective_of, small_geometry, small_term
 from roomfit.bands import Bands
 from roomfit.objective.coherent import with_coherence
-from roomfit.objective.energy import predict_windows, window_variance
 from roomfit.objective.parameters import start_vector, whole_covariance
 from roomfit.response.coherent import ImagePaths, Times, band_grid, coherent_response
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
@@ -86,7 +85,7 @@ def test_energies_without_derivatives_are_the_same_and_pieces_add_up_to_windows(
 
 def test_every_column_of_the_jacobian_is_the_slope_of_the_prediction() -> None:
     """Central differences by every absorption, gain, coordinate, ln c, latency and delay."""
-    problem = with_coherence(small_problem(), 0.04 * whole_covariance(small_geometry()))
+    problem = objective_of(with_coherence(small_term(), 0.04 * whole_covariance(small_geometry())))
     rng = np.random.default_rng(1)
     vector = start_vector(problem.parameters)
     vector[4:] = 0.3 * rng.standard_normal(vector.size - 4)
@@ -104,15 +103,15 @@ def test_every_column_of_the_jacobian_is_the_slope_of_the_prediction() -> None:
 
 def test_without_coherence_it_is_the_energy_reader() -> None:
     """Prediction, derivative and variance, to rounding."""
-    problem = small_problem()
+    problem, energies = objective_of(small_term()), objective_of(small_term().energies)
     vector = start_vector(problem.parameters)
     vector[:3] += 0.3
     found = problem.predict(vector)
-    plain = predict_windows(problem.energies, vector[:4])
+    plain = energies.predict(vector[:4])
     np.testing.assert_allclose(found.expected, plain.expected, rtol=1e-12)
     np.testing.assert_allclose(found.jacobian[:, :4], plain.jacobian, rtol=1e-12)
     assert not found.jacobian[:, 4:].any()
-    variance = window_variance(problem.energies, vector[:4])
+    variance = energies.variance(vector[:4])
     np.testing.assert_allclose(problem.variance(vector), variance, rtol=1e-9)
 
 
@@ -125,23 +124,24 @@ def test_random_places_have_the_energies_on_average_and_the_variance_stated() ->
     """
     rng = np.random.default_rng(5)
     geometry = small_geometry()
-    bare = small_problem()
+    bare = small_term()
     # places alone move, by 2 cm: a tenth of a radian to a radian at 250 Hz and both ends
     moved = np.zeros(geometry.sd.size)
     moved[:9] = 2.0
-    law = with_coherence(bare, np.diag(moved**2))
+    law = objective_of(with_coherence(bare, np.diag(moved**2)))
     exact = with_coherence(bare, np.zeros((moved.size, moved.size)))
     exact = replace(
         exact,
         coherent=replace(exact.coherent, coherence=np.ones(exact.coherent.weight.size)),
         images=replace(exact.images, coherence=np.ones(exact.images.weight.size)),
     )
-    vector = start_vector(bare.parameters)
+    fixed = objective_of(exact)
+    vector = start_vector(fixed.parameters)
     draws = []
     for _ in range(400):
         at = vector.copy()
         at[4:] = moved * rng.standard_normal(moved.size)
-        draws.append(exact.predict(at).expected)
+        draws.append(fixed.predict(at).expected)
     mean, variance = np.mean(draws, axis=0), np.var(draws, axis=0, ddof=1)
     expected = law.predict(vector).expected
     error = np.sqrt(variance / 400)
@@ -153,5 +153,5 @@ def test_random_places_have_the_energies_on_average_and_the_variance_stated() ->
 
 def test_what_is_unknown_by_a_wavelength_adds_no_coherence() -> None:
     """With a metre of uncertainty only energies are left."""
-    problem = with_coherence(small_problem(), 1e4 * np.eye(small_geometry().sd.size))
+    problem = with_coherence(small_term(), 1e4 * np.eye(small_geometry().sd.size))
     assert problem.coherent.weight.size == 0

@@ -28,9 +28,9 @@ from roomfit.certified.search import (
     tools_for,
 )
 from roomfit.errors import InputError
-from roomfit.objective.energy import EnergyProblem, tracing_variance
-from roomfit.objective.parameters import physical_values
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.energy import EnergyTerm, only_energies, tracing_variance
+from roomfit.objective.parameters import Parameters, physical_values
+from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate, Cluster, Status
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit, Solver, fit_band, gauss_newton
@@ -192,7 +192,7 @@ _AFFORDABLE_DELTA = 0.25
 
 
 def certified_fit(
-    problem: BandProblem,
+    objective: Objective,
     limits: CertifyLimits | None = None,
     *,
     progress: Progress | None = None,
@@ -208,38 +208,40 @@ def certified_fit(
         The band holds other data than energies, or more rows than the limits allow.
     """
     limits = CertifyLimits() if limits is None else limits
-    if not isinstance(problem, EnergyProblem):
+    energies, parameters = only_energies(objective), objective.parameters
+    if energies is None:
         raise InputError(
             "only energies can be certified",
             found="room parameters, or pressures that are added",
             needed='impulse responses alone, method = "certified" and model = "energy" or "auto"',
             hint='use method = "least-squares"',
         )
-    fit = fit_band(problem, gauss_newton, gauss_newton)
+    fit = fit_band(objective, gauss_newton, gauss_newton)
     if not fit.vector.size:
         return fit, None
     for number in range(_ROUNDS):
-        global_problem = energy_global_problem(problem, fit.vector)
+        global_problem = energy_global_problem(energies, parameters, fit.vector)
         if len(global_problem.weight) > limits.max_rows:
             raise InputError(
                 "too many rows for a certificate",
-                found=f"{len(global_problem.weight)} at {problem.centre_hz:g} Hz",
+                found=f"{len(global_problem.weight)} at {energies.centre_hz:g} Hz",
                 needed=f"at most {limits.max_rows}",
                 hint='fewer materials, fewer pairs, or method = "least-squares"',
             )
-        settings = _settings(limits, tracing_delta(problem, fit.vector, global_problem.precision))
+        delta = tracing_delta(energies, parameters, fit.vector, global_problem.precision)
+        settings = _settings(limits, delta)
         certificate = certify(global_problem, settings)
         if progress is not None:
             progress((number + 1) / _ROUNDS)
         if fit.cost <= certificate.value + 1e-3 + 0.01 * settings.delta:
             break
-        place, before = free_vector(problem, certificate.clusters[0].minimiser), fit.evaluations
-        fit = fit_band(problem, _staying_at(place), gauss_newton)
+        place, before = free_vector(parameters, certificate.clusters[0].minimiser), fit.evaluations
+        fit = fit_band(objective, _staying_at(place), gauss_newton)
         fit = replace(fit, evaluations=before + fit.evaluations)
     return fit, certificate
 
 
-def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+def affordable_certificate(objective: Objective, vector: FloatArray) -> Certificate | None:
     """Return what is proven of a band's energies near a fit, where that takes two seconds at most.
 
     None where other data are fitted, more than three numbers are unknown, there are too many rows,
@@ -251,12 +253,14 @@ def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certific
         The fit; its weights are kept.
     """
     few = 0 < vector.size <= _AFFORDABLE_UNKNOWNS
-    if not (few and isinstance(problem, EnergyProblem) and is_certifiable(problem)):
+    energies, parameters = only_energies(objective), objective.parameters
+    if not few or energies is None or not is_certifiable(energies, parameters):
         return None
-    global_problem = energy_global_problem(problem, vector)
+    global_problem = energy_global_problem(energies, parameters, vector)
     if len(global_problem.weight) > AFFORDABLE.max_rows:
         return None
-    delta = max(tracing_delta(problem, vector, global_problem.precision), _AFFORDABLE_DELTA)
+    delta = tracing_delta(energies, parameters, vector, global_problem.precision)
+    delta = max(delta, _AFFORDABLE_DELTA)
     certificate = certify(global_problem, _settings(AFFORDABLE, delta))
     return certificate if certificate.status == "certified" else None
 
@@ -275,7 +279,9 @@ def _staying_at(place: FloatArray) -> Solver:
     return stay
 
 
-def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatArray) -> float:
+def tracing_delta(
+    energies: EnergyTerm, parameters: Parameters, vector: FloatArray, precision: FloatArray
+) -> float:
     """Return how much of a cost may be due to the rays: less cannot be distinguished.
 
     Other rays change window energies by errors e of variance v, and the cost ``sum c (r + e)**2``
@@ -292,15 +298,15 @@ def tracing_delta(problem: EnergyProblem, vector: FloatArray, precision: FloatAr
     float
         Not below 0.02, a 25th of what one standard deviation costs.
     """
-    values, _ = physical_values(problem.parameters, vector)
+    values, _ = physical_values(parameters, vector)
     gains = np.append(values["gain"], 1.0)
     variance = np.concatenate(
         [
             gains[observed.gain] ** 2
             * tracing_variance(rows, observed, values["absorption"][:, None], np.zeros(1))
-            for rows, observed in zip(problem.rows, problem.observations, strict=True)
+            for rows, observed in zip(energies.rows, energies.observations, strict=True)
         ]
     )
-    off = problem.predict(vector).expected - problem.measured()
+    off = energies.predict(values)[0] - energies.measured()
     linear = float(np.sqrt(np.sum((2.0 * precision * off) ** 2 * variance)))
     return max(float(np.sum(precision * variance)) + 2.0 * linear, _LEAST_DELTA)

@@ -10,8 +10,8 @@ from scipy.sparse import csr_array
 
 from roomfit._checks import bool_array, float_array
 from roomfit.errors import InputError
-from roomfit.objective.energy import EnergyProblem, Observation
-from roomfit.objective.parameters import Block, leaders, physical_values, to_free
+from roomfit.objective.energy import EnergyTerm, Observation
+from roomfit.objective.parameters import Block, Parameters, leaders, physical_values, to_free
 from roomfit.response.energy import EnergyRows, window_of_rows
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -124,15 +124,16 @@ def _check_bounds(global_problem: GlobalProblem) -> None:
 LOG_REACH = 3.0
 
 
-def is_certifiable(problem: EnergyProblem) -> bool:
-    """Whether `energy_global_problem` accepts it: nothing unknown but absorption and gains."""
-    parameters = problem.parameters
+def is_certifiable(energies: EnergyTerm, parameters: Parameters) -> bool:
+    """Whether `energy_global_problem` accepts them: unknown are absorption and gains alone."""
     names = {b.name for b in parameters.blocks}
     alone = names == {"absorption", "gain"} and parameters.joint is None
-    return alone and problem.attenuation_per_m == 0.0
+    return alone and energies.attenuation_per_m == 0.0
 
 
-def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalProblem:
+def energy_global_problem(
+    energies: EnergyTerm, parameters: Parameters, vector: FloatArray
+) -> GlobalProblem:
     """Return half the weighted squares of a band's window energies, and half those of its priors.
 
     The weights are those of the answer `vector`: the cost that a fit's last round has
@@ -140,8 +141,9 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
 
     Parameters
     ----------
-    problem : EnergyProblem
+    energies : EnergyTerm
         Air in its rows (`in_air`).
+    parameters : Parameters
     vector : float array, shape (n_free,)
 
     Raises
@@ -149,26 +151,26 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
     InputError
         Energies are not all that is unknown or known: other blocks, a joint prior, air apart.
     """
-    blocks = {b.name: b for b in problem.parameters.blocks}
-    if set(blocks) != {"absorption", "gain"} or problem.parameters.joint is not None:
+    blocks = {b.name: b for b in parameters.blocks}
+    if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
         raise InputError(
             "only energies under absorption and gains can be certified",
             found=", ".join(blocks),
             hint='fit with method = "certified" and model = "energy"',
         )
-    if problem.attenuation_per_m != 0.0:
+    if energies.attenuation_per_m != 0.0:
         raise InputError("the air's loss must stand in the rows", hint="use `in_air`")
     absorption, gain = blocks["absorption"], blocks["gain"]
-    values, _ = physical_values(problem.parameters, vector)
+    values, _ = physical_values(parameters, vector)
     own = np.flatnonzero(absorption.fitted)
     free_gains = np.flatnonzero(gain.fitted)
     parts = [
         _window_rows(rows, observed, absorption, gain, values["gain"])
-        for rows, observed in zip(problem.rows, problem.observations, strict=True)
+        for rows, observed in zip(energies.rows, energies.observations, strict=True)
     ]
     counts = np.concatenate([p[0] for p in parts])
     centre = np.log(gain.start[free_gains])
-    spread = problem.variance(vector) * problem.correlation_length()
+    spread = energies.variance(values) * energies.correlation_length(values)
     prior = np.zeros((own.size + free_gains.size, 4))
     prior[: own.size, 0] = 0.5 / absorption.prior_sd[own] ** 2
     prior[: own.size, 1] = absorption.prior_mean[own]
@@ -186,7 +188,7 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
         np.concatenate(([0], np.cumsum(counts))),
         np.concatenate([p[1] for p in parts]),
         np.concatenate([p[2] for p in parts]),
-        problem.measured(),
+        energies.measured(),
         0.5 / spread,
         np.concatenate((darkest, centre - LOG_REACH)),
         np.concatenate((np.log1p(-absorption.lower[own]), centre + LOG_REACH)),
@@ -194,18 +196,18 @@ def energy_global_problem(problem: EnergyProblem, vector: FloatArray) -> GlobalP
     )
 
 
-def free_vector(problem: EnergyProblem, place: FloatArray) -> FloatArray:
+def free_vector(parameters: Parameters, place: FloatArray) -> FloatArray:
     """Return the free vector of a minimiser as certificates give it: absorptions, then gains."""
     values = {}
     position = 0
     for name in ("absorption", "gain"):
-        block = next(b for b in problem.parameters.blocks if b.name == name)
+        block = next(b for b in parameters.blocks if b.name == name)
         physical = block.start.copy()
         n = int(np.count_nonzero(block.fitted))
         physical[block.fitted] = place[position : position + n]
         position += n
         values[name] = to_free(block, physical)[block.fitted]
-    return np.concatenate([values[b.name] for b in problem.parameters.blocks])
+    return np.concatenate([values[b.name] for b in parameters.blocks])
 
 
 def _window_rows(

@@ -23,19 +23,29 @@ from roomfit.measurement import LATENCY_SD_S
 from roomfit.objective.coherent import (
     DELAY_SD_S,
     SPEED_SD,
-    CoherentProblem,
-    coherent_problem,
+    CoherentTerm,
+    coherent_term,
     with_coherence,
 )
 from roomfit.objective.energy import (
-    EnergyProblem,
+    EnergyTerm,
     Observation,
     fine_edges_s,
     in_air,
     squared_image_rows,
 )
 from roomfit.objective.observation import absorption_block
-from roomfit.objective.parameters import Block, Geometry, Parameters, start_vector, whole_covariance
+from roomfit.objective.parameters import (
+    GEOMETRY,
+    Block,
+    Geometry,
+    Parameters,
+    geometry_block,
+    position_of,
+    start_vector,
+    whole_covariance,
+)
+from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
 from roomfit.response.energy import EnergyRows, first_rows, weigh
@@ -81,7 +91,7 @@ def band_filters(bands: Bands, attenuation_per_m: FloatArray) -> tuple[BandFilte
     return tuple(found)
 
 
-def expected_problem(
+def expected_term(
     own: BandFilter,
     coarse: BinnedPaths,
     direct_s: float,
@@ -90,12 +100,12 @@ def expected_problem(
     timing_sd_s: float,
     *,
     periods: float,
-) -> EnergyProblem:
-    """Return the energy problem of one pair that has not been measured yet.
+) -> EnergyTerm:
+    """Return the windows of one pair that has not been measured yet.
 
     Its noise stands where the expected decay, at the absorption the block starts with, has fallen
     by `decay_range_db`. The "measured" energy is that noise: only the variance of predictions is
-    asked of the problem, not how well they fit.
+    asked of them, not how well they fit.
 
     Parameters
     ----------
@@ -132,14 +142,13 @@ def expected_problem(
     )
     rows = first_rows(rows, bin_centres_s.size)
     return in_air(
-        EnergyProblem(
+        EnergyTerm(
             own.centre_hz,
             own.bandwidth_hz,
             own.attenuation_per_m,
             (rows,),
             (squared_image_rows(rows),),
             (observed,),
-            Parameters((absorption, _unit_gain())),
         )
     )
 
@@ -297,29 +306,29 @@ def information_of_pairs(
         paths = replace(paths, n_pairs=1, pair=np.zeros_like(paths.pair))
         factors = None if traced.factors is None else traced.factors[:, own]
         alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
-        problems = _problems(
+        objectives = _objectives(
             alone,
             DesignTrace(paths, factors, traced.duration_s),
             filters,
             expected,
             typical,
         )
-        times = _information_on_times(problems, expected, typical)
-        coherent = [_coherent(problem, times) for problem in problems]
+        times = _information_on_times(objectives, expected, typical)
+        coherent = [_coherent(objective, times) for objective in objectives]
         found.append(np.stack([_at_draw(coherent, expected, draw, times) for draw in draws]))
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
 
 
-def _problems(
+def _objectives(
     alone: Scene,
     traced: DesignTrace,
     filters: tuple[BandFilter, ...],
     expected: ExpectedMeasurement,
     typical: FloatArray,
-) -> list[EnergyProblem | CoherentProblem]:
-    """Return the problem of every band for the only pair of a scene."""
+) -> list[Objective]:
+    """Return the objective of every band for the only pair of a scene."""
     c = speed_of_sound_m_s(alone.air)
     direct_s = float(distances_m(alone)[0] / c)
     timing_sd_s = float(np.sqrt(2.0) * expected.position_sd_m / c)
@@ -327,40 +336,45 @@ def _problems(
     image = np.flatnonzero(traced.paths.batch < 0)
     images = select(traced.paths, image)
     weights = None if traced.factors is None else traced.factors[:, image]
-    problems: list[EnergyProblem | CoherentProblem] = []
+    objectives = []
     for f in filters:
-        energies = expected_problem(
+        absorption = replace(
+            absorption_block(expected.priors, f.band, 0.2), start=typical[:, f.band]
+        )
+        parameters = Parameters((absorption, _unit_gain()))
+        energies = expected_term(
             f,
             in_band(binned, f.centre_hz),
             direct_s,
-            replace(absorption_block(expected.priors, f.band, 0.2), start=typical[:, f.band]),
+            absorption,
             expected.decay_range_db,
             timing_sd_s,
             periods=_PRESSURE_PERIODS if expected.coherent else _ENERGY_PERIODS,
         )
         if not expected.coherent:
-            problems.append(energies)
+            objectives.append(Objective(parameters, (energies,)))
             continue
         energies = replace(
             energies, model_error=_PRESSURE_MODEL_ERROR, ringing_error=_PRESSURE_RINGING_ERROR
         )
-        problems.append(
-            coherent_problem(
-                expected.bands,
-                f.band,
-                energies,
-                f.attenuation_per_m,
-                paths_at(images, weights, f.band),
-                binned,
-                _pair_geometry(expected, c),
-                FIT_END_S,
-            )
+        geometry = _pair_geometry(expected, c)
+        term = coherent_term(
+            expected.bands,
+            f.band,
+            energies,
+            f.attenuation_per_m,
+            paths_at(images, weights, f.band),
+            binned,
+            geometry,
+            FIT_END_S,
         )
-    return problems
+        parameters = Parameters((*parameters.blocks, geometry_block(geometry)))
+        objectives.append(Objective(parameters, (term,)))
+    return objectives
 
 
 def _at_draw(
-    problems: list[EnergyProblem | CoherentProblem],
+    objectives: list[Objective],
     expected: ExpectedMeasurement,
     absorption: FloatArray,
     covariance: FloatArray | None,
@@ -372,12 +386,12 @@ def _at_draw(
 
     Parameters
     ----------
-    problems : list of problems, one a band
+    objectives : list of Objective, one a band
         As coherent as arrival times will be known.
     covariance : float array, or None
         Of the fitted arrival times, from `_information_on_times`.
     """
-    found = [_fisher(p, absorption[:, band]) for band, p in enumerate(problems)]
+    found = [_fisher(p, absorption[:, band]) for band, p in enumerate(objectives)]
     if covariance is None:
         return np.stack(found)
     first = found[0].shape[0] - len(covariance)
@@ -385,7 +399,7 @@ def _at_draw(
 
 
 def _information_on_times(
-    problems: list[EnergyProblem | CoherentProblem],
+    objectives: list[Objective],
     expected: ExpectedMeasurement,
     absorption: FloatArray,
 ) -> FloatArray | None:
@@ -395,12 +409,12 @@ def _information_on_times(
     times known. On the speed of sound and the walls' delays the other pairs inform as much as
     this one. None where energies are compared.
     """
-    if isinstance(problems[0], EnergyProblem):
+    if not isinstance(objectives[0].terms[0], CoherentTerm):
         return None
-    first = len(start_vector(Parameters(problems[0].parameters.blocks[:2])))
+    first = position_of(objectives[0].parameters, GEOMETRY)
     covariance: FloatArray | None = None
-    for band, problem in enumerate(problems):
-        information = _fisher(_coherent(problem, covariance), absorption[:, band])
+    for band, objective in enumerate(objectives):
+        information = _fisher(_coherent(objective, covariance), absorption[:, band])
         from_pairs = by_all_pairs(
             about_geometry(information, first),
             _shared(expected),
@@ -412,25 +426,26 @@ def _information_on_times(
     return covariance
 
 
-def _coherent(
-    problem: EnergyProblem | CoherentProblem, covariance: FloatArray | None
-) -> EnergyProblem | CoherentProblem:
-    """Return a band's problem as coherent as a covariance of arrival times allows."""
-    if isinstance(problem, EnergyProblem):
-        return problem
-    return with_coherence(problem, whole_covariance(problem.geometry, covariance))
+def _coherent(objective: Objective, covariance: FloatArray | None) -> Objective:
+    """Return a band's objective as coherent as a covariance of arrival times allows."""
+    (term,) = objective.terms
+    if not isinstance(term, CoherentTerm):
+        return objective
+    coherent = with_coherence(term, whole_covariance(term.geometry, covariance))
+    return replace(objective, terms=(coherent,))
 
 
-def _fisher(problem: EnergyProblem | CoherentProblem, absorption: FloatArray) -> FloatArray:
+def _fisher(objective: Objective, absorption: FloatArray) -> FloatArray:
     """Return the Fisher information of a band's data about its free numbers, without priors.
 
     At an absorption, shape (n_materials,), and at a gain of 1.
     """
-    own, *others = problem.parameters.blocks
-    problem = replace(problem, parameters=Parameters((replace(own, start=absorption), *others)))
-    vector = start_vector(problem.parameters)
-    jacobian = problem.predict(vector).jacobian
-    spread = problem.correlation_length() * problem.variance(vector)
+    own, *others = objective.parameters.blocks
+    parameters = Parameters((replace(own, start=absorption), *others))
+    objective = replace(objective, parameters=parameters)
+    vector = start_vector(parameters)
+    jacobian = objective.predict(vector).jacobian
+    spread = objective.correlation_length() * objective.variance(vector)
     return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.energy import only_energies
 from roomfit.objective.parameters import (
     Parameters,
     physical_values,
@@ -18,7 +18,7 @@ from roomfit.objective.parameters import (
     prior_residuals,
     start_vector,
 )
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.problem import Objective
 from roomfit.settings import Settings
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.least_squares import (
@@ -31,7 +31,6 @@ from roomfit.solvers.least_squares import (
     gauss_newton,
     simplex_solver,
 )
-from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import (
     FittedBand,
@@ -50,7 +49,7 @@ _SAME_PLACE = 0.2
 
 
 def from_random_starts(
-    problem: BandProblem, fit: BandFit, rng: np.random.Generator, number: int = N_STARTS
+    objective: Objective, fit: BandFit, rng: np.random.Generator, number: int = N_STARTS
 ) -> tuple[BandFit, Starts]:
     """Return the likeliest of a fit and of others from random starts, and whether they agree.
 
@@ -59,28 +58,28 @@ def from_random_starts(
 
     Parameters
     ----------
-    problem : BandProblem
+    objective : Objective
     fit : BandFit
     rng : numpy Generator
     number : int
     """
-    usual = first_round(problem, gauss_newton, start_vector(problem.parameters))
+    usual = first_round(objective, start_vector(objective.parameters))
     evaluations = fit.evaluations + usual.evaluations
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     fits = [fit]
     for _ in range(number):
-        other = first_round(problem, gauss_newton, _random_start(problem, fit, rng))
+        other = first_round(objective, _random_start(objective, fit, rng))
         alike = bool(np.all(np.abs(other.x - usual.x) <= _SAME_PLACE * sd))
-        fits.append(fit if alike else _from(problem, other.x))
+        fits.append(fit if alike else fit_band(objective, start=other.x))
         evaluations += other.evaluations + (0 if alike else fits[-1].evaluations)
-    worth = [_log_posterior(problem, f) for f in fits]
+    worth = [_log_posterior(objective, f) for f in fits]
     best = int(np.argmax(worth))
     # rounding and rounds of weights are no better answer
     best = best if worth[best] > worth[0] + 0.05 else 0
     found = absorption_intervals(
-        problem.parameters, fits[best].vector, fits[best].information, fits[best].chi2_reduced
+        objective.parameters, fits[best].vector, fits[best].information, fits[best].chi2_reduced
     )
-    absorptions = [physical_values(problem.parameters, f.vector)[0]["absorption"] for f in fits]
+    absorptions = [physical_values(objective.parameters, f.vector)[0]["absorption"] for f in fits]
     within = [bool(np.all((p >= found.lower95) & (p <= found.upper95))) for p in absorptions]
     losses = [worth[best] - w for w in worth]
     others = [i for i in range(len(fits)) if not within[i] and losses[i] < ALIKE]
@@ -123,91 +122,80 @@ def starts_findings(
     )
 
 
-def _from(problem: BandProblem, start: FloatArray) -> BandFit:
-    def there(residuals: ResidualFunction, _start: FloatArray) -> Minimum:
-        return gauss_newton(residuals, start)
-
-    return fit_band(problem, there, few_gauss_newton_steps)
-
-
-def _random_start(problem: BandProblem, fit: BandFit, rng: np.random.Generator) -> FloatArray:
-    start, first = np.array(fit.vector), position_of(problem.parameters, "absorption")
-    block = next(b for b in problem.parameters.blocks if b.name == "absorption")
+def _random_start(objective: Objective, fit: BandFit, rng: np.random.Generator) -> FloatArray:
+    start, first = np.array(fit.vector), position_of(objective.parameters, "absorption")
+    block = next(b for b in objective.parameters.blocks if b.name == "absorption")
     share = rng.uniform(0.02, 0.98, int(np.count_nonzero(block.fitted)))
     start[first : first + share.size] = np.log(share) - np.log1p(-share)
     return start
 
 
-def _log_posterior(problem: BandProblem, fit: BandFit) -> float:
-    prior, _ = prior_residuals(problem.parameters, fit.vector)
+def _log_posterior(objective: Objective, fit: BandFit) -> float:
+    prior, _ = prior_residuals(objective.parameters, fit.vector)
     return fit.log_likelihood - 0.5 * float(prior @ prior)
 
 
-"""Problem, its fit and the Gaussian answer to a better answer."""
-"""Number of a band, its problem and its fit to the same fit, less sure."""
-
-
 def fit_bands(
-    problems: Iterable[BandProblem | None],
+    objectives: Iterable[Objective | None],
     priors: tuple[MaterialPrior, ...],
     areas_m2: FloatArray,
     settings: Settings,
     progress: Progress | None = None,
     *,
-    watch: Callable[[int, BandProblem, BandFit], None] | None = None,
+    watch: Callable[[int, Objective, BandFit], None] | None = None,
     shared_covariance: SharedCovariance | None = None,
 ) -> Iterator[FittedBand]:
-    """Fit one band after the other, each when it is asked for; without a problem, take the prior.
+    """Fit one band after the other, each when it is asked for; without data, take the prior.
 
     Parameters
     ----------
-    problems : iterable of BandProblem or None
+    objectives : iterable of Objective or None
         Taken one at a time, so that they may be made when they are needed.
     settings : Settings
         Method and seed. "auto" is least squares, with a proof where one is affordable. The
         paper's two methods search with the same squares; after annealing's first round the simplex
         refines. "certified" is least squares with a proof.
     watch : callable, optional
-        Called with every band that was fitted, its problem and its fit.
+        Called with every band that was fitted, its objective and its fit.
     shared_covariance : callable, optional
         Makes intervals allow for errors that a fit cannot see.
     """
     method, seed = settings.method, settings.seed
     n_bands = priors[0].prior_logit_mean.size
-    for band, problem in enumerate(problems):
-        if problem is None:
+    for band, objective in enumerate(objectives):
+        if objective is None:
             yield FittedBand(prior_only_band(priors, band, areas_m2))
             continue
         done = part(progress, band / n_bands, (band + 1) / n_bands)
         starts: Starts | None = None
         proof: Certificate | None = None
-        model = "energy" if problem.is_gamma().any() else "values"
+        model = "energy" if objective.is_gamma().any() else "values"
         if method == "certified":
             from roomfit.certified.certificate import certified_fit  # heavy: kernels of its own
 
-            fit, proof = certified_fit(problem, progress=done)
+            fit, proof = certified_fit(objective, progress=done)
             model = "energy"
         else:
-            solver, refiner = _solvers(problem.parameters, method, np.random.default_rng(seed))
-            fit = fit_band(problem, solver, refiner, progress=done)
-            if method == "auto" and isinstance(problem, EnergyProblem) and fit.vector.size:
+            solver, refiner = _solvers(objective.parameters, method, np.random.default_rng(seed))
+            fit = fit_band(objective, solver, refiner, progress=done)
+            if method == "auto" and fit.vector.size and only_energies(objective) is not None:
                 fit, starts = from_random_starts(
-                    problem, fit, np.random.default_rng(seed), settings.n_random_starts
+                    objective, fit, np.random.default_rng(seed), settings.n_random_starts
                 )
             if watch is not None:
-                watch(band, problem, fit)
+                watch(band, objective, fit)
         if method == "auto":
-            proof = affordable_certificate(problem, fit.vector)
-        noisy = fit if shared_covariance is None else shared_covariance(band, problem, fit)
-        own = band_estimate(problem.parameters, noisy, areas_m2, model)
-        yield FittedBand(replace(own, starts=starts, certificate=proof), problem, fit)
+            proof = affordable_certificate(objective, fit.vector)
+        noisy = fit if shared_covariance is None else shared_covariance(band, objective, fit)
+        own = band_estimate(objective.parameters, noisy, areas_m2, model)
+        yield FittedBand(replace(own, starts=starts, certificate=proof), objective, fit)
 
 
-def affordable_certificate(problem: BandProblem, vector: FloatArray) -> Certificate | None:
+def affordable_certificate(objective: Objective, vector: FloatArray) -> Certificate | None:
     """Return what is proven of a band's energies near a fit, where that takes a moment."""
     from roomfit.certified.certificate import affordable_certificate as certificate  # heavy
 
-    return certificate(problem, vector)
+    return certificate(objective, vector)
 
 
 def _solvers(

@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import cast
 
 import numpy as np
 
@@ -37,21 +38,19 @@ from roomfit.inversion.geometry_checks import (
 from roomfit.inversion.outliers import (
     LEAST_BY_ENERGIES,
     LEAST_BY_PRESSURES,
-    BandComparison,
+    file_misfits,
     outlier_files,
     outlier_findings,
     variance_inflation,
 )
-from roomfit.inversion.paths import Retrace, TracedPaths
+from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
-    PartFactory,
-    band_likelihoods,
     forward_pass,
-    joined,
     leave_one_out_pass,
+    log_likelihoods,
 )
 from roomfit.inversion.systematics import (
     air_error,
@@ -62,9 +61,10 @@ from roomfit.inversion.systematics import (
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.coherent import (
+    CoherentTerm,
     FittedGeometry,
     campaign_geometry,
-    coherent_problem,
+    coherent_term,
     cut_at,
     fitted_geometry,
     moved_scene,
@@ -72,23 +72,18 @@ from roomfit.objective.coherent import (
 from roomfit.objective.directivity import (
     BandDirectivities,
     DirectivityParameters,
+    directed,
     directed_band,
-    with_directivity_unknown,
-    with_unknown,
+    energy_objective,
+    with_directivities,
 )
-from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import band_problems, has_data_in_band
-from roomfit.objective.parameters import physical_values
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.observation import energy_terms, fitted_in_band
+from roomfit.objective.parameters import Geometry, physical_values
+from roomfit.objective.problem import Objective
+from roomfit.objective.room_parameters import ValuesTerm
 from roomfit.response.binned import BinnedPaths, paths_at
 from roomfit.scene import Scene, material_areas_m2
-from roomfit.solvers.least_squares import (
-    BandFit,
-    few_gauss_newton_steps,
-    fit_band,
-    gauss_newton,
-    score_band,
-)
+from roomfit.solvers.least_squares import fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, add_covariance, band_estimate
@@ -101,6 +96,7 @@ _WINDOW_PERIODS = 0.75
 class CoherentTask:
     """What stays the same while paths are traced anew.
 
+    `values` has the room parameters of each band that are fitted with its windows.
     `directivity_parameters` are the sources whose directivity is fitted, `tested_sources` those
     that are taken for omnidirectional. `outliers` says how many times worse than others pressures
     explain a file.
@@ -112,122 +108,10 @@ class CoherentTask:
     measured: tuple[MeasuredPair, ...]
     start: FloatArray
     settings: CoherentOptions
-    parts: Sequence[tuple[PartFactory, ...]]
+    values: tuple[ValuesTerm | None, ...]
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Energies:
-    """The energies of one band and their fit."""
-
-    problem: EnergyProblem
-    factor: FloatArray
-    parts: tuple[PartFactory, ...]
-    directed: BandDirectivities | None
-    fit: BandFit
-
-    def whole(self) -> BandProblem:
-        return joined(
-            with_directivity_unknown(self.problem, self.directed), self.factor, self.parts
-        )
-
-
-def files_of_band(task: CoherentTask, band: int) -> tuple[MeasuredPair, ...]:
-    """Return the measurements of a band's observations, in their order."""
-    return tuple(m for m in task.measured if has_data_in_band(m, band))
-
-
-def sources_of_band(task: CoherentTask, band: int) -> tuple[int, ...]:
-    """Return the source of each of a band's observations."""
-    return tuple(int(task.scene.pairs[m.pair][0]) for m in files_of_band(task, band))
-
-
-def _energies_alone(
-    state: SequentialState, files: Sequence[tuple[MeasuredPair, ...]]
-) -> list[_Energies | None]:
-    """Fit the energies of every band by themselves, in the windows that pressures need."""
-    task = state.task
-    problems = band_problems(
-        task.scene,
-        task.bands,
-        task.priors,
-        task.measured,
-        state.binned,
-        task.start,
-        periods=_WINDOW_PERIODS,
-    )
-    out: list[_Energies | None] = []
-    for problem, parts, observed in zip(problems, task.parts, files, strict=True):
-        if problem is None:
-            out.append(None)
-            continue
-        directivity = None
-        if task.directivity_parameters is not None:
-            directivity = directed_band(
-                task.directivity_parameters, task.scene, state.paths, problem, observed
-            )
-            problem = with_unknown(problem, directivity.unknown)
-        factor = np.ones(problem.measured().size)
-        whole = joined(with_directivity_unknown(problem, directivity), factor, parts)
-        fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
-        out.append(_Energies(problem, factor, parts, directivity, fit))
-    return out
-
-
-def _fitted(own: _Energies) -> _Energies:
-    return replace(own, fit=fit_band(own.whole(), gauss_newton, few_gauss_newton_steps))
-
-
-def _under_cavity_priors(
-    task: CoherentTask, energies: list[_Energies | None]
-) -> list[_Energies | None]:
-    """Fit the energies again under what other bands say of the directivity, where it is unknown."""
-    if task.directivity_parameters is None:
-        return energies
-    directivities = directivities_under_cavity_priors(
-        task.directivity_parameters,
-        task.bands,
-        [None if e is None else e.directed for e in energies],
-        [None if e is None else e.fit for e in energies],
-    )
-    out: list[_Energies | None] = []
-    for own, directivity in zip(energies, directivities, strict=True):
-        if own is None or own.directed is None or directivity is None:
-            out.append(own)
-            continue
-        start = moved_start(own.fit, own.directed.unknown, directivity.unknown)
-        problem = with_unknown(own.problem, directivity.unknown)
-        own = replace(own, problem=problem, directed=directivity)
-        out.append(replace(own, fit=score_band(own.whole(), start)))
-    return out
-
-
-def first_absorption(task: CoherentTask, prepared: tuple[CoherentBand | None, ...]) -> FloatArray:
-    """Return absorption by energies alone, or else the start, shape (n_materials, n_bands)."""
-    out = np.tile(task.start, (len(task.priors), 1))
-    for i, band in enumerate(prepared):
-        if band is not None:
-            parameters = band.energies.parameters
-            values, _ = physical_values(parameters, band.energy_fit.vector)
-            out[:, i] = values["absorption"]
-    return out
-
-
-def absorption_so_far(guess: FloatArray, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
-    """Return a guess with the absorption of the bands that pressures have determined so far.
-
-    Parameters
-    ----------
-    guess : float array, shape (n_materials, n_bands)
-    fits : sequence of CoherentBandFit or None, one a band
-    """
-    out = guess.copy()
-    for i, fit in enumerate(fits):
-        if fit is not None:
-            out[:, i] = physical_values(fit.parameters, fit.fit.vector)[0]["absorption"]
-    return out
 
 
 # Bands up to here determine positions within a few millimetres, in spite of hidden images.
@@ -248,43 +132,44 @@ class SequentialState:
     binned: BinnedPaths
     # free numbers of the geometry for which the paths were traced; None for those specified
     origin: FloatArray | None
-    bands: tuple[CoherentBand | None, ...]
-    findings: tuple[Finding, ...]
+    bands: tuple[CoherentBand | None, ...] = ()
+    findings: tuple[Finding, ...] = ()
+
+    @property
+    def geometry(self) -> Geometry | None:
+        """The unknowns of arrival times, the same in all bands; None without data."""
+        return next((b.coherent.geometry for b in self.bands if b is not None), None)
 
 
-def initialise(
-    task: CoherentTask,
-    paths: Paths,
-    weights: FloatArray | None,
-    binned: BinnedPaths,
-    retrace: Retrace | None,
-) -> SequentialState:
-    """Return the bands ready to be fitted.
-
-    Parameters
-    ----------
-    paths, weights, binned
-        As for `fit_coherent`.
-    retrace : callable or None
-        Traces a scene with other positions.
-    """
-    state = rebuild(SequentialState(task, paths, weights, binned, None, (), ()))
-    settings, measured = task.settings, task.measured
+def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
+    """Return the bands ready to be fitted, paths found anew where positions must have moved."""
+    settings, measured, retrace = task.settings, task.measured, traced.again
+    binned = cut_at(traced.binned, settings.late_end_s)
+    state = rebuild(SequentialState(task, traced.paths, traced.factors, binned, None))
     if settings.model == "energy":
         return state
     coloured = False
     if task.directivity_parameters is None:
-        even = _even(state, measured, first_absorption(task, state.bands), SCHROEDER_FACTOR)
+        even = _even(state, measured, absorption_so_far(state), SCHROEDER_FACTOR)
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
             state = rebuild(replace(state, task=replace(task, measured=even)))
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured):
         return state
-    fits = _first_fits(state, _RETRACE_BELOW_HZ if moves else _RETRACE_ENERGIES_BELOW_HZ)
-    guess = absorption_so_far(first_absorption(state.task, state.bands), fits)
-    if retrace is not None and moves:
-        state = _moved(state, fits, retrace)
+    highest_hz = _RETRACE_BELOW_HZ if moves else _RETRACE_ENERGIES_BELOW_HZ
+    low = [
+        band if f <= highest_hz else None
+        for band, f in zip(state.bands, task.bands.centres_hz, strict=True)
+    ]
+    fits = forward_pass(low, settings, None)
+    guess = absorption_so_far(state, fits)
+    known = [f.found for f in fits if f is not None and f.found is not None]
+    if retrace is not None and moves and known and state.geometry is not None:
+        place, origin = moved_scene(task.scene, state.geometry, known[-1].mean)
+        paths, weights, binned = retrace(place)
+        binned = cut_at(binned, settings.late_end_s)
+        state = replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
@@ -294,27 +179,39 @@ def initialise(
 def rebuild(state: SequentialState) -> SequentialState:
     """Return the same task and paths with bands made anew.
 
-    The energies of every band are fitted, outliers found, and the coherent problems made.
+    The energies of every band are fitted by themselves, in the windows that pressures need, and
+    outliers are found.
     """
     task = state.task
-    scene, bands = task.scene, task.bands
-    files = [files_of_band(task, b) for b in range(len(bands))]
-    energies = _energies_alone(state, files)
-    comparisons = [
-        BandComparison(e.problem, e.fit, own, e.factor)
-        for e, own in zip(energies, files, strict=True)
-        if e is not None
+    bands = [
+        None if made is None else CoherentBand(made[0], fit_band(made[0]), *made[1:])
+        for made in _terms(state)
+    ]
+    misfits = [
+        file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
+        for b, own in enumerate(bands)
+        if own is not None
     ]
     # what pressures say of a file later knows more
-    outliers = {**outlier_files(comparisons, LEAST_BY_ENERGIES), **task.outliers}
+    outliers = {**outlier_files(misfits, LEAST_BY_ENERGIES), **task.outliers}
     if outliers:
-        energies = [
-            e
-            if e is None
-            else _fitted(replace(e, factor=variance_inflation(e.problem, own, outliers)))
-            for e, own in zip(energies, files, strict=True)
-        ]
-    energies = _under_cavity_priors(task, energies)
+        for b, own in enumerate(bands):
+            if own is not None:
+                files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
+                factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
+                energies = replace(own.energies, inflation=factor)
+                bands[b] = replace(own, energies=energies, energy_fit=fit_band(energies))
+    if task.directivity_parameters is not None:
+        bands = _under_cavity_priors(task, bands)
+    return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
+
+
+def _terms(
+    state: SequentialState,
+) -> Iterator[tuple[Objective, CoherentTerm, BandDirectivities | None] | None]:
+    """Make what each band is fitted with, None where it has too few windows."""
+    task = state.task
+    scene, bands = task.scene, task.bands
     attenuation = attenuation_per_m(scene.air, bands)
     # every band has the same unknowns of geometry, in whichever files it hears
     fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
@@ -327,28 +224,82 @@ def rebuild(state: SequentialState) -> SequentialState:
         speed_sd=task.settings.speed_sd,
     )
     whole = replace(whole, origin=state.origin)
-    out: list[CoherentBand | None] = []
-    for b, own in enumerate(energies):
+    made = energy_terms(
+        scene,
+        bands,
+        task.priors,
+        task.measured,
+        state.binned,
+        task.start,
+        periods=_WINDOW_PERIODS,
+    )
+    for b, own in enumerate(made):
         if own is None:
-            out.append(None)
+            yield None
             continue
-        rows = [i for i, m in enumerate(fitted) if m in files[b]]
-        geometry = replace(whole, columns=whole.columns[rows])
-        coherent = coherent_problem(
+        windows, parameters = own
+        files = fitted_in_band(task.measured, b)
+        directivity = None
+        if task.directivity_parameters is not None:
+            directivity = directed_band(
+                task.directivity_parameters, scene, state.paths, windows, files
+            )
+        energies = energy_objective(windows, parameters, directivity, task.values[b])
+        coherent = coherent_term(
             bands,
             b,
-            own.problem,
+            windows,
             float(attenuation[b]),
             paths_at(state.paths, state.weights, b),
             state.binned,
-            geometry,
+            replace(whole, columns=whole.columns[[m in files for m in fitted]]),
             task.settings.end_s,
         )
-        out.append(
-            CoherentBand(own.problem, own.fit, own.factor, coherent, own.parts, own.directed)
+        yield energies, coherent, directivity
+
+
+def _under_cavity_priors(
+    task: CoherentTask, bands: Sequence[CoherentBand | None]
+) -> list[CoherentBand | None]:
+    """Fit the energies again under what other bands say of the directivity."""
+    directivities = directivities_under_cavity_priors(
+        cast(DirectivityParameters, task.directivity_parameters),
+        task.bands,
+        [None if own is None else own.directivity for own in bands],
+        [None if own is None else own.energy_fit for own in bands],
+    )
+    out: list[CoherentBand | None] = []
+    for own, directivity in zip(bands, directivities, strict=True):
+        if own is None or own.directivity is None or directivity is None:
+            out.append(own)
+            continue
+        start = moved_start(own.energy_fit, own.directivity.unknown, directivity.unknown)
+        energies = replace(
+            own.energies,
+            parameters=with_directivities(own.energies.parameters, directivity.unknown),
+            terms=(directed(own.coherent.energies, directivity), *own.energies.terms[1:]),
         )
-    findings = outlier_findings(task.measured, outliers)
-    return replace(state, bands=tuple(out), findings=findings)
+        fit = score_band(energies, start)
+        out.append(CoherentBand(energies, fit, own.coherent, directivity))
+    return out
+
+
+def absorption_so_far(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None] = ()
+) -> FloatArray:
+    """Return absorption by pressures where fitted, else by energies, else the start.
+
+    Shape (n_materials, n_bands).
+    """
+    out = np.tile(state.task.start, (len(state.task.priors), 1))
+    for i, band in enumerate(state.bands):
+        if band is not None:
+            parameters, vector = band.energies.parameters, band.energy_fit.vector
+            out[:, i] = physical_values(parameters, vector)[0]["absorption"]
+    for i, fit in enumerate(fits):
+        if fit is not None:
+            out[:, i] = physical_values(fit.objective.parameters, fit.fit.vector)[0]["absorption"]
+    return out
 
 
 def _even(
@@ -361,29 +312,6 @@ def _even(
     return equalise_sources(
         task.scene, task.bands, measured, state.paths, absorption, schroeder_factor=schroeder_factor
     )
-
-
-def _first_fits(state: SequentialState, highest_hz: float) -> list[CoherentBandFit | None]:
-    """Return fits of the bands up to a frequency, None for the others."""
-    low = tuple(
-        band if f <= highest_hz else None
-        for band, f in zip(state.bands, state.task.bands.centres_hz, strict=True)
-    )
-    return forward_pass(low, state.task.settings, None)[0]
-
-
-def _moved(
-    state: SequentialState, fits: Sequence[CoherentBandFit | None], retrace: Retrace
-) -> SequentialState:
-    """Return paths traced at the positions that the lower bands tell."""
-    known = [f.found for f in fits if f is not None and f.found is not None]
-    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
-    if not known or geometry is None:
-        return state
-    place, origin = moved_scene(state.task.scene, geometry, known[-1].mean)
-    paths, weights, binned = retrace(place)
-    binned = cut_at(binned, state.task.settings.late_end_s)
-    return replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
 
 
 def fixed_parameter_checks(
@@ -402,38 +330,30 @@ def fixed_parameter_checks(
         return ()
     findings: tuple[Finding, ...] = ()
     if not settings.delays:
-        freed, _ = _freed(state, replace(settings, delays=True))
-        findings = delay_findings(_gain(fits, freed))
+        gain, _ = _gain_of_freeing(state, fits, replace(settings, delays=True))
+        findings = delay_findings(gain)
     if settings.positions == "fixed":
-        freed, freer = _freed(state, replace(settings, positions="fit"))
-        n = _n_unknowns(freer) - _n_unknowns(state)
+        gain, n = _gain_of_freeing(state, fits, replace(settings, positions="fit"))
         n_windows = sum(f.fit.expected.size for f in fits if f is not None)
-        findings = (*findings, *position_consistency_findings(_gain(fits, freed), n, n_windows))
+        findings = (*findings, *position_consistency_findings(gain, n, n_windows))
     return findings
 
 
-def _freed(
-    state: SequentialState, settings: CoherentOptions
-) -> tuple[Sequence[CoherentBandFit | None], SequentialState]:
-    """Return the fits of all bands with more unknowns, and the bands that were fitted."""
+def _gain_of_freeing(
+    state: SequentialState,
+    fits: Sequence[CoherentBandFit | None],
+    settings: CoherentOptions,
+) -> tuple[float, int]:
+    """Return by how much the data are likelier, over all bands, and by how many more unknowns."""
     freer = rebuild(replace(state, task=replace(state.task, settings=settings)))
-    return forward_pass(freer.bands, settings, None)[0], freer
-
-
-def _gain(
-    fixed: Sequence[CoherentBandFit | None], freed: Sequence[CoherentBandFit | None]
-) -> float:
-    """Return by how much the data are likelier, over all bands."""
-    pairs = zip(fixed, freed, strict=True)
-    return sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
-
-
-def _n_unknowns(state: SequentialState) -> int:
-    """Return how many coordinates, times and delays are fitted."""
-    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
-    if geometry is None:
-        return 0
-    return int(np.count_nonzero(geometry.fitted & (geometry.sd > 0.0)))
+    freed = forward_pass(freer.bands, settings, None)
+    pairs = zip(fits, freed, strict=True)
+    gain = sum(b.log_likelihood - a.log_likelihood for a, b in pairs if a and b)
+    before, after = (
+        0 if g is None else int(np.count_nonzero(g.fitted & (g.sd > 0.0)))
+        for g in (state.geometry, freer.geometry)
+    )
+    return gain, after - before
 
 
 # Log-likelihoods nearer than this do not decide between two models.
@@ -468,53 +388,50 @@ def fit_coherent(
         Of all pairs: image sources, the further the better, and rays for what they leave.
     """
     settings = task.settings
-    state = initialise(
-        task,
-        traced.paths,
-        traced.factors,
-        cut_at(traced.binned, settings.late_end_s),
-        traced.again,
-    )
-    fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
-    outliers = outlier_files(_band_comparisons(state, fits), LEAST_BY_PRESSURES)
+    state = initialise(task, traced)
+    fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
+    misfits = [
+        file_misfits(
+            fitted_in_band(task.measured, b),
+            own.coherent.energies,
+            fit.fit,
+            fit.objective.inflation,
+        )
+        for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True))
+        if own is not None and fit is not None
+    ]
+    outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
         state = rebuild(replace(state, task=replace(state.task, outliers=outliers)))
-        fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
         state = rebuild(replace(state, task=replace(state.task, scene=place), origin=origin))
-        fits, chosen_noise = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
+        fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
-    fits, final = leave_one_out_pass(state.bands, fits, chosen_noise, settings)
-    geometry = next((b.problem.geometry for b in state.bands if b is not None), None)
+    fits, final = leave_one_out_pass(state.bands, fits, settings)
+    geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
-    return CoherentFit(state, tuple(fits), band_likelihoods(state.bands, fits), estimate, findings)
-
-
-def _band_comparisons(
-    state: SequentialState, fits: Sequence[CoherentBandFit | None]
-) -> list[BandComparison]:
-    """Return what pressures explain, band by band, for the search of outliers."""
-    return [
-        BandComparison(band.energies, fit.fit, files_of_band(state.task, i), band.factor)
-        for i, (band, fit) in enumerate(zip(state.bands, fits, strict=True))
-        if band is not None and fit is not None
-    ]
+    likelihoods: FloatArray = np.full((len(fits), 2), np.nan)
+    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
+        if own is not None and fit is not None:
+            likelihoods[b] = log_likelihoods(own, fit)
+    return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
 
 
 def _source_findings(state: SequentialState) -> tuple[Finding, ...]:
     """Return a finding where a source taken for omnidirectional is none."""
     task, doubts = state.task, {}
-    for i, band in enumerate(state.bands):
-        if band is not None and task.tested_sources is not None:
-            observed = files_of_band(task, i)
+    for b, own in enumerate(state.bands):
+        if own is not None and task.tested_sources is not None:
+            files = fitted_in_band(task.measured, b)
             directivity = directed_band(
-                task.tested_sources, task.scene, state.paths, band.energies, observed
+                task.tested_sources, task.scene, state.paths, own.coherent.energies, files
             )
-            doubts[i] = directivity_score(band.energies, band.energy_fit, directivity, band.factor)
+            doubts[b] = directivity_score(own.energies, own.energy_fit, directivity)
     return source_findings(task.tested_sources, doubts)
 
 
@@ -530,14 +447,19 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         if band is None or found is None:
             yield None
             continue
-        sources = sources_of_band(task, number)
-        noisy = with_tracing_noise(found.problem, band.energies, sources, found.fit)
-        air = air_error(task.scene.air, task.bands, number, band.energies)
-        steps = shared_steps(found.problem, found.fit, band.energies, air, band)
+        objective, windows = found.objective, band.coherent.energies
+        noisy = with_tracing_noise(objective, windows, _sources(task, number), found.fit)
+        air = air_error(task.scene.air, task.bands, number, windows)
+        steps = shared_steps(objective, found.fit, windows, air, band)
         noisy = add_covariance(noisy, steps)
-        own = band_estimate(found.parameters, noisy, areas_m2, "coherent")
+        own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
-        yield FittedBand(own) if beaten else FittedBand(own, found.problem, found.fit)
+        yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
+
+
+def _sources(task: CoherentTask, band: int) -> tuple[int, ...]:
+    """Return the source of each of a band's observations."""
+    return tuple(int(task.scene.pairs[m.pair][0]) for m in fitted_in_band(task.measured, band))
 
 
 def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
@@ -554,43 +476,37 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     if not any(wanted):
         yield from [None] * len(wanted)
         return
-    problems = band_problems(
+    made = energy_terms(
         task.scene, task.bands, task.priors, task.measured, state.binned, task.start
     )
-    bands = zip(
-        (p if wants else None for p, wants in zip(problems, wanted, strict=True)),
-        state.bands,
-        task.parts,
-        strict=True,
-    )
-    for number, (problem, band, own) in enumerate(bands):
-        if problem is None:
+    for number, (own, band) in enumerate(zip(made, state.bands, strict=True)):
+        if own is None or not wanted[number]:
             yield None
             continue
-        factor = np.ones(problem.measured().size)
-        if band is not None:
-            # as for the finer windows: one factor an observation
-            fine = [o.energy.size for o in band.energies.observations]
-            first = np.cumsum([0, *fine[:-1]])
-            sizes = [o.energy.size for o in problem.observations]
-            factor = np.repeat(band.factor[first], sizes)
-        directivity = None if band is None else band.directed
+        windows, parameters = own
+        files = fitted_in_band(task.measured, number)
+        directivity = None if band is None else band.directivity
         if directivity is not None and task.directivity_parameters is not None:
             # other windows may hear other rows
-            observed = files_of_band(task, number)
             rows = directed_band(
-                task.directivity_parameters, task.scene, state.paths, problem, observed
+                task.directivity_parameters, task.scene, state.paths, windows, files
             )
             directivity = replace(rows, unknown=directivity.unknown)
-            problem = with_unknown(problem, directivity.unknown)
-        whole = joined(with_directivity_unknown(problem, directivity), factor, own)
-        own_fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
-        noisy = with_tracing_noise(whole, problem, sources_of_band(task, number), own_fit)
-        air = air_error(task.scene.air, task.bands, number, problem)
-        steps = shared_steps(whole, own_fit, problem, air)
-        noisy = add_covariance(noisy, steps)
-        answer = band_estimate(problem.parameters, noisy, areas_m2, "energy")
-        yield FittedBand(answer, whole, own_fit)
+        objective = energy_objective(windows, parameters, directivity, task.values[number])
+        if band is not None and band.energies.inflation is not None:
+            # as for the finer windows: one factor an observation
+            fine = [o.energy.size for o in band.coherent.energies.observations]
+            factors = band.energies.inflation[np.cumsum([0, *fine[:-1]])]
+            outliers = dict(zip(files, factors.tolist(), strict=True))
+            n_data = objective.measured().size
+            factor = variance_inflation(windows, files, outliers, n_data)
+            objective = replace(objective, inflation=factor)
+        own_fit = fit_band(objective)
+        noisy = with_tracing_noise(objective, windows, _sources(task, number), own_fit)
+        air = air_error(task.scene.air, task.bands, number, windows)
+        noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, air))
+        answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
+        yield FittedBand(answer, objective, own_fit)
 
 
 def decided(
@@ -609,16 +525,13 @@ def decided(
     ]
     if task.settings.model != "auto":
         return tuple(chosen)
-    return tuple(_certified(*each) for each in zip(chosen, fit.state.bands, strict=True))
-
-
-def _certified(answer: BandEstimate | None, band: CoherentBand | None) -> BandEstimate | None:
-    """Return an estimate with what is proven of its energies alone, where that is affordable."""
-    # a proof would be of other costs where variances are inflated, or data of other kinds joined
-    if answer is None or band is None or band.parts or np.any(band.factor != 1.0):
-        return answer
-    proof = affordable_certificate(band.energies, band.energy_fit.vector)
-    return replace(answer, certificate=proof)
+    out: list[BandEstimate | None] = []
+    for answer, band in zip(chosen, fit.state.bands, strict=True):
+        if answer is not None and band is not None:
+            proof = affordable_certificate(band.energies, band.energy_fit.vector)
+            answer = replace(answer, certificate=proof)
+        out.append(answer)
+    return tuple(out)
 
 
 def _needs_energy_fit(

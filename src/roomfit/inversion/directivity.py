@@ -8,9 +8,9 @@ for omnidirectional is tested by how much the likelihood would rise if b were fr
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import TypeAlias, cast
 
 import numpy as np
 
@@ -18,8 +18,8 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
+from roomfit.inversion.paths import TracedPaths
 from roomfit.materials.priors import MaterialPrior
-from roomfit.measurement import MeasuredPair
 from roomfit.objective.directivity import (
     CORRELATION_PER_OCTAVE,
     DEFAULT_B_SD,
@@ -29,24 +29,19 @@ from roomfit.objective.directivity import (
     UnknownDirectivities,
     directed_band,
     directivity_prior,
+    energy_objective,
     vectors_of,
     with_cavity_prior,
-    with_directivity_unknown,
-    with_unknown,
 )
-from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import band_problems, has_data_in_band
+from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import marginal_information
-from roomfit.objective.problem import BandProblem, InflatedVariance, JointProblem
-from roomfit.response.binned import BinnedPaths
+from roomfit.objective.problem import Objective
 from roomfit.response.directivity import UnknownDirectivity
-from roomfit.scene import Scene
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.solvers.least_squares import (
     BandFit,
-    few_gauss_newton_steps,
     fit_band,
-    gauss_newton,
     score_band,
 )
 from roomfit.tracing.paths import Paths
@@ -71,10 +66,7 @@ Rise of the log-likelihood if a source has a b of its own, the prior of b counte
 
 
 def directivity_score(
-    problem: EnergyProblem,
-    fit: BandFit,
-    directivity: BandDirectivities,
-    factor: FloatArray | None = None,
+    energies: Objective, fit: BandFit, directivity: BandDirectivities
 ) -> DirectivityScore:
     """Return the evidence of a fitted band against each of its sources being omnidirectional.
 
@@ -85,23 +77,23 @@ def directivity_score(
 
     Parameters
     ----------
-    problem : EnergyProblem
-        Without directivity.
+    energies : Objective
+        Its first term the windows as energies, without directivity; other data are left out.
     fit : BandFit
-        Of this problem; data of room parameters fitted with it follow those of its windows.
+        Of this objective.
     directivity : BandDirectivities
         Of its sources.
-    factor : float array, shape (n_windows,), optional
-        By which the variances were inflated in the fit.
 
     References
     ----------
     .. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
            Proc. Camb. Phil. Soc. 44, 50-57 (1948).
     """
-    inflation = np.ones(problem.measured().size) if factor is None else factor
-    free = InflatedVariance(_with_directivity(problem, directivity), inflation)
-    gains, steps = _second_order_gains(free, fit)
+    windows, inflation = cast(EnergyTerm, energies.terms[0]), energies.inflation
+    inflation = None if inflation is None else inflation[: windows.measured().size]
+    plain = Objective(energies.parameters, (windows,), inflation)
+    free = energy_objective(windows, energies.parameters, directivity, None)
+    gains, steps = _second_order_gains(replace(free, inflation=inflation), fit)
     for s, name in enumerate(directivity.unknown.sources):
         if gains[s] > _BY_CHANCE:
             own = slice(3 * s, 3 * s + 3)
@@ -111,17 +103,13 @@ def directivity_score(
             alone = replace(
                 directivity, unknown=unknown, source=np.where(directivity.source == s, 0, -1)
             )
-            plain = InflatedVariance(problem, inflation)
-            free = InflatedVariance(_with_directivity(problem, alone), inflation)
+            free = energy_objective(windows, energies.parameters, alone, None)
+            free = replace(free, inflation=inflation)
             gains[s], steps[s] = _full_gain(free, plain, fit, steps[s])
     return gains, vectors_of(directivity.unknown, steps.ravel())
 
 
-def _with_directivity(problem: EnergyProblem, directivity: BandDirectivities) -> BandProblem:
-    return with_directivity_unknown(with_unknown(problem, directivity.unknown), directivity)
-
-
-def _second_order_gains(free: InflatedVariance, fit: BandFit) -> tuple[FloatArray, FloatArray]:
+def _second_order_gains(free: Objective, fit: BandFit) -> tuple[FloatArray, FloatArray]:
     """Return half the squared score of each b over its variance, (n,), and a step of it, (n, 3).
 
     Each source by itself, as if the others were omnidirectional.
@@ -147,7 +135,7 @@ def _second_order_gains(free: InflatedVariance, fit: BandFit) -> tuple[FloatArra
 
 
 def _full_gain(
-    free: InflatedVariance, plain: InflatedVariance, fit: BandFit, step: FloatArray
+    free: Objective, plain: Objective, fit: BandFit, step: FloatArray
 ) -> tuple[float, FloatArray]:
     """Return by how much the log-likelihood rises if b is fitted, and its free numbers."""
     alone = fit if fit.measured.size == plain.measured().size else score_band(plain, fit.vector)
@@ -313,74 +301,52 @@ def band_directivities(
     )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EnergyTask:
-    """What window energies of all bands are made from."""
-
-    scene: Scene
-    bands: Bands
-    priors: tuple[MaterialPrior, ...]
-    measured: tuple[MeasuredPair, ...]
-    paths: Paths
-    binned: BinnedPaths
-    start: FloatArray  # (n_bands,), absorption of all materials where fits start
-
-
 def directed_energies(
-    task: EnergyTask, parameters: DirectivityParameters | None
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+    parameters: DirectivityParameters | None,
 ) -> tuple[BandDirectivities | None, ...]:
-    """Return the unknown directivities of each band with the prior that all other bands leave."""
+    """Return the unknown directivities of each band with the prior that all other bands leave.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Absorption of all materials where fits start.
+    """
+    scene, bands, responses = measured.scene, measured.bands, measured.responses
     if parameters is None:
-        return (None,) * len(task.bands)
+        return (None,) * len(bands)
     directivities: list[BandDirectivities | None] = []
     fits: list[BandFit | None] = []
-    for band, problem in enumerate(_problems(task)):
+    made = energy_terms(scene, bands, priors, responses, traced.binned, start)
+    for band, own in enumerate(made):
         directivity, fit = None, None
-        if problem is not None:
-            directivity = _directed_band(task, parameters, problem, band)
-            whole = _with_directivity(problem, directivity)
-            fit = fit_band(whole, gauss_newton, few_gauss_newton_steps)
+        if own is not None:
+            files = fitted_in_band(responses, band)
+            directivity = directed_band(parameters, scene, traced.paths, own[0], files)
+            fit = fit_band(energy_objective(*own, directivity, None))
         directivities.append(directivity)
         fits.append(fit)
-    return directivities_under_cavity_priors(parameters, task.bands, directivities, fits)
-
-
-def energy_problems(
-    task: EnergyTask, directivities: tuple[BandDirectivities | None, ...]
-) -> Iterator[BandProblem | None]:
-    """Make the problem of one band after the other, with the directivities that are unknown."""
-    for problem, directivity in zip(_problems(task), directivities, strict=True):
-        if problem is None or directivity is None:
-            yield problem
-        else:
-            yield _with_directivity(problem, directivity)
+    return directivities_under_cavity_priors(parameters, bands, directivities, fits)
 
 
 def score_sources(
-    task: EnergyTask, tested_sources: DirectivityParameters, scores: dict[int, DirectivityScore]
-) -> Callable[[int, BandProblem, BandFit], None]:
+    measured: Measurements,
+    paths: Paths,
+    tested_sources: DirectivityParameters,
+    scores: dict[int, DirectivityScore],
+) -> Callable[[int, Objective, BandFit], None]:
     """Return what enters every fitted band's evidence against its sources into `scores`."""
 
-    def watch(band: int, problem: BandProblem, fit: BandFit) -> None:
-        first = problem.parts[0] if isinstance(problem, JointProblem) else problem
-        if isinstance(first, EnergyProblem):
-            directivity = _directed_band(task, tested_sources, first, band)
-            scores[band] = directivity_score(first, fit, directivity)
+    def watch(band: int, objective: Objective, fit: BandFit) -> None:
+        windows, files = objective.terms[0], fitted_in_band(measured.responses, band)
+        if isinstance(windows, EnergyTerm):
+            directivity = directed_band(tested_sources, measured.scene, paths, windows, files)
+            scores[band] = directivity_score(objective, fit, directivity)
 
     return watch
-
-
-def _problems(task: EnergyTask) -> Iterator[EnergyProblem | None]:
-    return band_problems(
-        task.scene, task.bands, task.priors, task.measured, task.binned, task.start
-    )
-
-
-def _directed_band(
-    task: EnergyTask, parameters: DirectivityParameters, problem: EnergyProblem, band: int
-) -> BandDirectivities:
-    observed = tuple(m for m in task.measured if has_data_in_band(m, band))
-    return directed_band(parameters, task.scene, task.paths, problem, observed)
 
 
 def directivity_parameters(

@@ -128,7 +128,7 @@ def estimate_position_sd_scale(
     found = [f.found for f in fits if f is not None and f.found is not None]
     if band is None or not found:
         return 1.0
-    geometry, last = band.problem.geometry, found[-1]
+    geometry, last = band.coherent.geometry, found[-1]
     moving = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
     is_position = moving < _n_position_coordinates(scene)
     n = int(np.count_nonzero(is_position))

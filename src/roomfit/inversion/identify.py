@@ -17,6 +17,7 @@ from roomfit.eyring import eyring_absorption
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
+from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.measurements import Measurements, collect_measurements, median_decay_s
 from roomfit.inversion.model_checks import (
@@ -32,7 +33,12 @@ from roomfit.inversion.model_checks import (
     schroeder_findings,
 )
 from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
-from roomfit.inversion.solve import BandFits, estimate_energies, estimate_pressures
+from roomfit.inversion.solve import (
+    BandFits,
+    coherent_answers,
+    coherent_task,
+    estimate_energies,
+)
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.inversion.trace_plan import is_coherent
 from roomfit.materials.priors import MaterialPrior, are_specified, complete_priors, prior_logits
@@ -133,15 +139,14 @@ def identify(
         pressures = is_coherent(measured.responses, settings) and (
             traced.far_images or settings.model == "coherent"
         )
-        fits = (estimate_pressures if pressures else estimate_energies)(
-            measured,
-            priors,
-            traced,
-            start,
-            settings,
-            _refinement(measured, priors, settings),
-            part(progress, 0.45, 0.98),
-        )
+        refine = _refinement(measured, priors, settings)
+        if pressures:
+            task = coherent_task(measured, priors, traced, start, settings)
+            coherent = fit_coherent(task, traced, part(progress, 0.45, 0.85))
+            fits = coherent_answers(coherent, settings, refine, part(progress, 0.85, 0.98))
+        else:
+            done = part(progress, 0.45, 0.98)
+            fits = estimate_energies(measured, priors, traced, start, settings, refine, done)
     if fits.directivities:
         traced = redirected(measured, traced, fits.directivities)
     estimates = fits.answers

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from roomfit.findings import Code, Finding
 from roomfit.measurement import MeasuredPair
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.energy import EnergyTerm
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
@@ -23,28 +22,43 @@ LEAST_BY_PRESSURES = 1.0
 _FEWEST = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BandComparison:
-    """The fit of one band to the windows of its measurements."""
-
-    problem: EnergyProblem  # with the observations
-    fit: BandFit  # its first data are the windows of these
-    files: tuple[MeasuredPair, ...]  # of the observations, in their order
-    factor: FloatArray  # (n_windows,), by which variances were inflated already
-
-
-def outlier_files(
-    bands: Sequence[BandComparison], least_misfit: float
+def file_misfits(
+    files: Sequence[MeasuredPair],
+    windows: EnergyTerm,
+    fit: BandFit,
+    inflation: FloatArray | None,
 ) -> dict[MeasuredPair, float]:
-    """Return the outliers, each with the ratio of its misfit to that of the others.
-
-    The misfit is the mean squared weighted residual; an outlier's is far above the median of all
-    measurements, in the median band. Of fewer than three measurements none can be distinguished.
+    """Return the mean squared weighted residual of each measurement of a band, as measured.
 
     Parameters
     ----------
-    bands : sequence of BandComparison
-        Those that were fitted.
+    files : sequence of MeasuredPair
+        Of the observations, in their order.
+    windows : EnergyTerm
+        The first data of the fit.
+    fit : BandFit
+    inflation : float array, shape (n_data,), or None
+        By which variances were inflated already.
+    """
+    ends = np.cumsum([0, *(o.energy.size for o in windows.observations)])
+    squares = (fit.measured - fit.expected) ** 2 / fit.variance
+    squares = squares if inflation is None else squares * inflation
+    misfits = np.add.reduceat(squares[: ends[-1]], ends[:-1]) / np.diff(ends)
+    return dict(zip(files, misfits.tolist(), strict=True))
+
+
+def outlier_files(
+    bands: Sequence[Mapping[MeasuredPair, float]], least_misfit: float
+) -> dict[MeasuredPair, float]:
+    """Return the outliers, each with the ratio of its misfit to that of the others.
+
+    An outlier's misfit is far above the median of all measurements, in the median band. Of fewer
+    than three measurements none can be distinguished.
+
+    Parameters
+    ----------
+    bands : sequence of mappings
+        The `file_misfits` of those that were fitted.
     least_misfit : float
         A measurement with a smaller misfit counts as good in that band.
 
@@ -54,23 +68,30 @@ def outlier_files(
         By measurement, which is the same only as itself.
     """
     ratios: dict[MeasuredPair, list[float]] = {}
-    for band in bands:
-        if len(band.files) < _FEWEST:
+    for misfits in bands:
+        if len(misfits) < _FEWEST:
             continue
-        misfits = _misfits(band)
-        for m, misfit in zip(band.files, misfits, strict=True):
-            ratio = float(misfit / np.median(misfits)) if misfit > least_misfit else 1.0
+        middle = np.median(list(misfits.values()))
+        for m, misfit in misfits.items():
+            ratio = float(misfit / middle) if misfit > least_misfit else 1.0
             ratios.setdefault(m, []).append(ratio)
     medians = {i: float(np.median(each)) for i, each in ratios.items()}
     return {i: ratio for i, ratio in medians.items() if ratio > _TIMES_OTHERS}
 
 
 def variance_inflation(
-    problem: EnergyProblem, files: Sequence[MeasuredPair], outliers: Mapping[MeasuredPair, float]
-) -> FloatArray:
-    """Return the factor that inflates the variance of each window, shape (n_windows,)."""
-    sizes = [o.energy.size for o in problem.observations]
-    return np.repeat(np.array([outliers.get(m, 1.0) for m in files]), sizes)
+    windows: EnergyTerm,
+    files: Sequence[MeasuredPair],
+    outliers: Mapping[MeasuredPair, float],
+    n_data: int,
+) -> FloatArray | None:
+    """Return the factor on the variance of each datum, windows first; None where all are 1."""
+    if not any(m in outliers for m in files):
+        return None
+    factor: FloatArray = np.ones(n_data)
+    sizes = [o.energy.size for o in windows.observations]
+    factor[: sum(sizes)] = np.repeat([outliers.get(m, 1.0) for m in files], sizes)
+    return factor
 
 
 def outlier_findings(
@@ -78,15 +99,6 @@ def outlier_findings(
 ) -> tuple[Finding, ...]:
     """Return a finding for each outlier, in the order of the measurements."""
     return tuple(_finding(m, outliers[m]) for m in measured if m in outliers)
-
-
-def _misfits(band: BandComparison) -> FloatArray:
-    """Return the mean squared weighted residual of each observation, shape (n_observations,)."""
-    n = band.factor.size
-    squares = ((band.fit.measured - band.fit.expected) ** 2 / band.fit.variance)[:n]
-    squares = squares * band.factor
-    ends = np.cumsum([0, *(o.energy.size for o in band.problem.observations)])
-    return np.asarray(np.add.reduceat(squares, ends[:-1]) / np.diff(ends))
 
 
 def _finding(m: MeasuredPair, ratio: float) -> Finding:

@@ -19,7 +19,8 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
-from roomfit.objective.observation import band_problems
+from roomfit.objective.observation import energy_terms
+from roomfit.objective.problem import Objective
 from roomfit.response.binned import BinnedPaths, bin_paths
 from roomfit.response.directivity import Directivities, directivity_factors, known_directivities
 from roomfit.response.scattering import (
@@ -31,7 +32,7 @@ from roomfit.response.scattering import (
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
-from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.solvers.least_squares import fit_band
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
@@ -384,11 +385,12 @@ def _energy_fit(
         columns, column_of_band = np.unique(coefficients, axis=1, return_inverse=True)
         for number, column in enumerate(columns.T):
             binned = retracer.at(Scattering(scene.room.materials, column))
-            problems = band_problems(scene, own, known, tuple(responses), binned, start[chosen])
-            for band, problem in enumerate(problems):
-                if problem is not None and column_of_band.reshape(-1)[band] == number:
-                    found = fit_band(problem, gauss_newton, few_gauss_newton_steps)
-                    out[band] = found.log_likelihood
+            made = energy_terms(scene, own, known, tuple(responses), binned, start[chosen])
+            for band, found in enumerate(made):
+                if found is not None and column_of_band.reshape(-1)[band] == number:
+                    windows, parameters = found
+                    fitted = fit_band(Objective(parameters, (windows,)))
+                    out[band] = fitted.log_likelihood
         return out
 
     default = np.full(len(priors), settings.default_scattering)

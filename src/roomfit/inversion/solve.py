@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass
 
 from roomfit.air import Air, relative_speed_sd
 from roomfit.findings import Finding
 from roomfit.inversion.bands import fit_bands
 from roomfit.inversion.coherent import (
+    CoherentFit,
     CoherentTask,
     coherent_estimates,
     decided,
     energy_estimates,
-    fit_coherent,
 )
 from roomfit.inversion.directivity import (
     DirectivityScore,
-    EnergyTask,
     band_directivities,
     directed_energies,
     directivity_parameters,
-    energy_problems,
     omnidirectional,
     score_sources,
     source_findings,
@@ -37,41 +35,21 @@ from roomfit.inversion.systematics import (
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import FittedGeometry
-from roomfit.objective.directivity import DirectedProblem, FittedDirectivity
-from roomfit.objective.energy import EnergyProblem
-from roomfit.objective.observation import has_data_in_band
-from roomfit.objective.parameters import Parameters
-from roomfit.objective.problem import BandProblem, JointProblem
-from roomfit.objective.room_parameters import RoomValuesProblem, value_problems
+from roomfit.objective.directivity import (
+    BandDirectivities,
+    DirectedTerm,
+    FittedDirectivity,
+    energy_objective,
+)
+from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.observation import energy_terms, fitted_in_band
+from roomfit.objective.problem import Objective
+from roomfit.objective.room_parameters import ValuesTerm, value_terms, values_alone
 from roomfit.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance, add_covariance
-
-
-def shared_error_covariance(task: EnergyTask) -> SharedCovariance:
-    """Return what adds to a band's fit the covariance of the errors that its windows share.
-
-    Room parameters without responses stay as they are.
-
-    Parameters
-    ----------
-    task : EnergyTask
-    """
-
-    def add_shared_errors(band: int, problem: BandProblem, fit: BandFit) -> BandFit:
-        first = problem.parts[0] if isinstance(problem, JointProblem) else problem
-        energies = first.problem if isinstance(first, DirectedProblem) else first
-        if not isinstance(energies, EnergyProblem) or not fit.vector.size:
-            return fit
-        observed = [m for m in task.measured if has_data_in_band(m, band)]
-        sources = [int(task.scene.pairs[m.pair][0]) for m in observed]
-        noisy = with_tracing_noise(problem, energies, sources, fit)
-        air = air_error(task.scene.air, task.bands, band, energies)
-        return add_covariance(noisy, shared_steps(problem, fit, energies, air))
-
-    return add_shared_errors
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +63,27 @@ class BandFits:
     geometry: FittedGeometry | None = None
     findings: tuple[Finding, ...] = ()
     directivities: tuple[FittedDirectivity, ...] = ()
+
+
+def shared_error_covariance(measured: Measurements) -> SharedCovariance:
+    """Return what adds to a band's fit the covariance of the errors that its windows share.
+
+    Room parameters without responses stay as they are.
+    """
+    scene, bands = measured.scene, measured.bands
+
+    def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
+        first = objective.terms[0]
+        windows = first.energies if isinstance(first, DirectedTerm) else first
+        if not isinstance(windows, EnergyTerm) or not fit.vector.size:
+            return fit
+        files = fitted_in_band(measured.responses, band)
+        sources = [int(scene.pairs[m.pair][0]) for m in files]
+        noisy = with_tracing_noise(objective, windows, sources, fit)
+        air = air_error(scene.air, bands, band, windows)
+        return add_covariance(noisy, shared_steps(objective, fit, windows, air))
+
+    return add_shared_errors
 
 
 def prior_speed_sd(air: Air, settings: Settings) -> float:
@@ -117,46 +116,54 @@ def estimate_energies(
     InputError
         A directivity is to be fitted where it cannot.
     """
-    scene, bands = measured.scene, measured.bands
     unknown = directivity_parameters(measured, settings)
     tested = omnidirectional(measured) if unknown is None else None
-    task = EnergyTask(scene, bands, priors, measured.responses, traced.paths, traced.binned, start)
-    directivities = directed_energies(task, unknown)
+    directivities = directed_energies(measured, priors, traced, start, unknown)
     scores: dict[int, DirectivityScore] = {}
     fitted = fit_bands(
-        _joined(
-            energy_problems(task, directivities), _value_problems(measured, priors, traced, start)
-        ),
+        energy_objectives(measured, priors, traced, start, directivities),
         priors,
-        material_areas_m2(scene.room),
+        material_areas_m2(measured.scene.room),
         settings,
         progress,
-        watch=None if tested is None else score_sources(task, tested, scores),
-        shared_covariance=shared_error_covariance(task),
+        watch=None if tested is None else score_sources(measured, traced.paths, tested, scores),
+        shared_covariance=shared_error_covariance(measured),
     )
     estimates = tuple(refine(band, None) for band in fitted)
     found = band_directivities(unknown, directivities, estimates)
     return BandFits(estimates, None, source_findings(tested, scores), found)
 
 
-def estimate_pressures(
+def energy_objectives(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    start: FloatArray,
+    directivities: tuple[BandDirectivities | None, ...],
+) -> Iterator[Objective | None]:
+    """Make one objective after the other from window energies, room parameters, or both."""
+    values = _value_terms(measured, traced)
+    made = energy_terms(
+        measured.scene, measured.bands, priors, measured.responses, traced.binned, start
+    )
+    for band, own in enumerate(made):
+        if own is None:
+            yield values_alone(values[band], priors, band, start)
+        else:
+            yield energy_objective(*own, directivities[band], values[band])
+
+
+def coherent_task(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
     traced: TracedPaths,
     start: FloatArray,
     settings: Settings,
-    refine: Refine,
-    progress: Progress | None,
-) -> BandFits:
-    """Estimate the absorption of every band by partly coherent image sources where they explain it.
-
-    The parameters are those of `estimate_energies`.
-    """
-    scene = measured.scene
+) -> CoherentTask:
+    """Return what is to be fitted by partly coherent image sources; see `estimate_energies`."""
     unknown = directivity_parameters(measured, settings)
-    values = _value_problems(measured, priors, traced, start)
-    task = CoherentTask(
-        scene,
+    return CoherentTask(
+        measured.scene,
         measured.bands,
         priors,
         measured.responses,
@@ -167,57 +174,42 @@ def estimate_pressures(
             model="coherent" if settings.model == "coherent" else "auto",
             end_s=settings.coherent_until_s,
             late_end_s=traced.fit_until_s,
-            speed_sd=prior_speed_sd(scene.air, settings),
+            speed_sd=prior_speed_sd(measured.scene.air, settings),
         ),
-        tuple(() if v is None else (_sharing(v),) for v in values),
+        _value_terms(measured, traced),
         unknown,
         omnidirectional(measured) if unknown is None else None,
     )
-    fit = fit_coherent(task, traced, part(progress, 0.0, 0.75))
-    n = len(fit.fits)
+
+
+def coherent_answers(
+    fit: CoherentFit, settings: Settings, refine: Refine, progress: Progress | None
+) -> BandFits:
+    """Return each band's estimate by partly coherent image sources where they explain it."""
+    task, n = fit.state.task, len(fit.fits)
     coherent: list[BandEstimate | None] = []
     for i, band in enumerate(coherent_estimates(fit)):
-        done = part(progress, 0.75 + 0.2 * i / n, 0.75 + 0.2 * (i + 1) / n)
+        done = part(progress, 0.8 * i / n, 0.8 * (i + 1) / n)
         coherent.append(None if band is None else refine(band, done))
-    areas_m2 = material_areas_m2(scene.room)
+    areas_m2 = material_areas_m2(task.scene.room)
     energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
     chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
     # where no response has data, room parameters or the prior
-    alone = [None if e is not None else v for e, v in zip(chosen, values, strict=True)]
-    rest = fit_bands(alone, priors, areas_m2, settings, part(progress, 0.95, 1.0))
+    alone = [
+        None if e is not None else values_alone(task.values[band], task.priors, band, task.start)
+        for band, e in enumerate(chosen)
+    ]
+    rest = fit_bands(alone, task.priors, areas_m2, settings, part(progress, 0.8, 1.0))
     estimates = tuple(
         refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)
     )
-    directed = tuple(None if b is None else b.directed for b in fit.state.bands)
-    found = band_directivities(unknown, directed, estimates)
+    directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
+    found = band_directivities(task.directivity_parameters, directivities, estimates)
     return BandFits(estimates, fit.geometry, fit.findings, found)
 
 
-def _value_problems(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    traced: TracedPaths,
-    start: FloatArray,
-) -> tuple[RoomValuesProblem | None, ...]:
+def _value_terms(measured: Measurements, traced: TracedPaths) -> tuple[ValuesTerm | None, ...]:
     scene, bands = measured.scene, measured.bands
     if not measured.values:
         return (None,) * len(bands)
-    return value_problems(scene, bands, priors, measured.values, traced.binned, start)
-
-
-def _sharing(values: RoomValuesProblem) -> Callable[[Parameters], BandProblem]:
-    """Return what makes the same room parameters depend on another problem's unknowns."""
-    return lambda parameters: replace(values, parameters=parameters)
-
-
-def _joined(
-    windows: Iterator[BandProblem | None], values: tuple[RoomValuesProblem | None, ...]
-) -> Iterator[BandProblem | None]:
-    """Make one problem after the other from window energies, room parameters, or both."""
-    for from_windows, from_values in zip(windows, values, strict=True):
-        if from_windows is None or from_values is None:
-            yield from_windows or from_values
-        else:
-            yield JointProblem(
-                (from_windows, replace(from_values, parameters=from_windows.parameters))
-            )
+    return value_terms(scene, bands, measured.values, traced.binned)

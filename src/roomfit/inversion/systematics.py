@@ -18,10 +18,10 @@ from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
 from roomfit.objective.coherent import fully_coherent
-from roomfit.objective.directivity import with_directivity_unknown
-from roomfit.objective.energy import EnergyProblem
+from roomfit.objective.directivity import directed
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, physical_values
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
 from roomfit.response.energy import batch_energies
 from roomfit.solvers.least_squares import BandFit
@@ -130,9 +130,9 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
 
 
 def shared_steps(
-    problem: BandProblem,
+    objective: Objective,
     fit: BandFit,
-    energies: EnergyProblem,
+    energies: EnergyTerm,
     air: FloatArray,
     coherent: CoherentBand | None = None,
 ) -> FloatArray:
@@ -143,10 +143,10 @@ def shared_steps(
 
     Parameters
     ----------
-    problem : BandProblem
+    objective : Objective
         What was fitted; the windows of `energies` are its first data.
     fit : BandFit
-    energies : EnergyProblem
+    energies : EnergyTerm
     air : float array, shape (n_windows,)
         See `air_error`; at a gain of 1.
     coherent : CoherentBand, optional
@@ -157,10 +157,10 @@ def shared_steps(
     columns = [signal * air]
     if coherent is not None:
         columns.append(signal * lost_coherence(coherent, fit))
-    return answer_steps(problem, fit, np.stack(columns, axis=1))
+    return answer_steps(objective, fit, np.stack(columns, axis=1))
 
 
-def air_error(air: Air, bands: Bands, band: int, energies: EnergyProblem) -> FloatArray:
+def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatArray:
     """Return the relative error of each window by air that attenuates unevenly within a band.
 
     The model has the attenuation at the band's centre. Its mean over the band differs from that as
@@ -194,18 +194,14 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     float array, shape (n_windows,)
         0 where everything is coherent.
     """
-    energies = band.energies
+    energies = band.coherent.energies
     noise = np.concatenate([o.noise for o in energies.observations])
-    whole = with_directivity_unknown(fully_coherent(band.problem), band.directed)
+    windows = directed(fully_coherent(band.coherent), band.directivity)
+    whole = Objective(band.parameters, (windows,))
     expected = fit.expected[: noise.size]
     more, signal = whole.predict(fit.vector).expected - expected, expected - noise
     weight = signal / fit.variance[: noise.size]
-    early = np.concatenate(
-        [
-            np.arange(observed.energy.size) < first.energy.size
-            for observed, first in zip(energies.observations, band.problem.early, strict=True)
-        ]
-    )
+    early = np.isin(np.arange(noise.size), band.coherent.early_windows())
     slot = np.floor(_middle_s(energies) / _SLOT_S).astype(np.int64)
     weight = np.where(early, weight, 0.0)
     top = np.bincount(slot, weight * more, slot.max() + 1)
@@ -215,14 +211,14 @@ def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:
     return np.asarray(change[np.minimum(slot, informative[-1])])
 
 
-def _middle_s(energies: EnergyProblem) -> FloatArray:
+def _middle_s(energies: EnergyTerm) -> FloatArray:
     """Return the middle of every window, all observations end to end, shape (n_windows,)."""
     edges = [o.edges_s for o in energies.observations]
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))
 
 
 def with_tracing_noise(
-    problem: BandProblem, energies: EnergyProblem, sources: Sequence[int], fit: BandFit
+    objective: Objective, energies: EnergyTerm, sources: Sequence[int], fit: BandFit
 ) -> BandFit:
     """Return a fit whose information allows for the Monte-Carlo noise that windows share.
 
@@ -231,9 +227,9 @@ def with_tracing_noise(
 
     Parameters
     ----------
-    problem : BandProblem
+    objective : Objective
         What was fitted; the windows of `energies` are its first data.
-    energies : EnergyProblem
+    energies : EnergyTerm
     sources : sequence of int
         Source of each observation: rays of one reach all of its receivers.
     fit : BandFit
@@ -243,14 +239,14 @@ def with_tracing_noise(
     .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
            section 3: the delete-one variance of an estimate, here linearised.
     """
-    spread = batch_spread(energies, problem.parameters, fit.vector, sources)
+    spread = batch_spread(energies, objective.parameters, fit.vector, sources)
     if not spread.size:
         return fit
-    return add_covariance(fit, answer_steps(problem, fit, spread))
+    return add_covariance(fit, answer_steps(objective, fit, spread))
 
 
 def batch_spread(
-    energies: EnergyProblem, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
+    energies: EnergyTerm, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
 ) -> FloatArray:
     """Return vectors whose outer products sum to the covariance of the traced energies.
 

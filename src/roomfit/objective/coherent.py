@@ -7,7 +7,7 @@ known.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise
+from typing import ClassVar
 
 import numpy as np
 
@@ -16,13 +16,12 @@ from roomfit.bands import Bands
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, MeasuredPair
 from roomfit.objective.energy import (
-    EnergyProblem,
+    EnergyTerm,
     Observation,
     Weighed,
     first_windows,
     noise_and_model_variance,
     observation_variance,
-    predict_windows,
     weighed,
 )
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
@@ -30,15 +29,10 @@ from roomfit.objective.parameters import (
     GEOMETRY,
     Geometry,
     Marginal,
-    Parameters,
-    fitted_columns,
-    geometry_block,
     local_roots,
-    physical_values,
-    position_of,
     times_of,
 )
-from roomfit.objective.problem import Prediction, gamma_log_likelihood
+from roomfit.objective.problem import Rows, Values
 from roomfit.objective.windows import in_windows
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
@@ -56,7 +50,7 @@ from roomfit.response.energy import first_rows
 from roomfit.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.tracing.paths import Paths
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.typing import FloatArray, IntArray
 
 # A path less coherent than this is left to the energies.
 _LEAST_COHERENCE = 1e-3
@@ -70,18 +64,18 @@ WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class CoherentProblem:
-    """One band: absorption, gains and geometry under which partly coherent paths explain it.
+class CoherentTerm:
+    """Windows of one band, explained by partly coherent paths: absorption, gains and geometry.
 
     The expected energy of a window is what `energies` expects of all paths, less the coherent part
     gamma e of the image paths, plus the energy of their coherent pressure.
     """
 
-    energies: EnergyProblem  # all paths, as energies; its parameters are not used
+    is_gamma: ClassVar[bool] = True
+    energies: EnergyTerm  # all paths, as energies
     # the first windows of every observation, in which pressures add; later ones hold so many
     # reflections of so uncertain times that their energies add
     early: tuple[Observation, ...]
-    parameters: Parameters  # blocks "absorption", "gain" and "geometry"
     geometry: Geometry
     images: ImagePaths  # all image paths of the observations with the coherence of each
     coherent: ImagePaths  # those of them that are coherent at all
@@ -92,52 +86,116 @@ class CoherentProblem:
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
-        return self.energies.measured()
+        return np.concatenate([o.energy for o in self.energies.observations])
 
-    def predict(self, vector: FloatArray) -> Prediction:
-        """Return what the model expects in every window."""
-        values, slopes = physical_values(self.parameters, vector)
-        n_leading = position_of(self.parameters, GEOMETRY)
-        leading = Parameters(tuple(b for b in self.parameters.blocks if b.name != GEOMETRY))
-        # all paths as energies, with the unknowns that these have
-        plain = predict_windows(replace(self.energies, parameters=leading), vector[:n_leading])
-        extra, by_absorption, by_times = _correction(self, values)
+    def predict(self, values: Values) -> Rows:
+        """Return what the model expects in every window, by absorption, gains and geometry."""
+        expected, signal, derivatives = self.energies.predict(values)
+        absorption = values["absorption"]
+        response = coherent_response(
+            self.coherent,
+            absorption,
+            times_of(self.geometry, values[GEOMETRY]),
+            self.grid,
+            tuple(o.edges_s for o in self.early),
+        )
+        less, less_by_log = self._as_energies(absorption)
+        # d ln(1 - a) = -da / (1 - a)
+        by_absorption = -(response.by_log_reflected - less_by_log)
+        by_absorption /= np.maximum(1.0 - absorption, 1e-12)
+        by_geometry = np.zeros((less.size, self.geometry.sd.size))
+        windows, first = self.early_windows(), 0
+        for o, observed in enumerate(self.early):
+            own = np.arange(first, first + observed.energy.size)
+            columns = self.geometry.columns[o]
+            np.add.at(by_geometry, (own[:, None], columns[None, :]), response.by_times[own])
+            first += observed.energy.size
         gains = np.append(values["gain"], 1.0)
-        gain = gains[_gain_of_window(self)]
-        columns = np.zeros((extra.size, values["gain"].size))
-        for k in range(columns.shape[1]):
-            columns[_gain_of_window(self) == k, k] = 1.0
-        jacobians = {
-            "absorption": gain[:, None] * by_absorption * slopes["absorption"],
-            "gain": columns * extra[:, None] * slopes["gain"],
-            GEOMETRY: gain[:, None] * by_times * slopes[GEOMETRY],
-        }
-        jacobian = fitted_columns(self.parameters, jacobians)
-        jacobian[:, :n_leading] += plain.jacobian
-        added = gain * extra
-        return Prediction(plain.expected + added, plain.signal + added, jacobian)
+        gain_of_window = np.repeat(
+            [o.gain for o in self.early], [o.energy.size for o in self.early]
+        )
+        gain, extra = gains[gain_of_window], response.energy - less
+        expected[windows] += gain * extra
+        signal[windows] += gain * extra
+        derivatives["absorption"][windows] += gain[:, None] * by_absorption
+        derivatives["gain"][windows] += (
+            gain_of_window[:, None] == np.arange(values["gain"].size)
+        ) * extra[:, None]
+        derivatives[GEOMETRY] = np.zeros((expected.size, self.geometry.sd.size))
+        derivatives[GEOMETRY][windows] = gain[:, None] * by_geometry * self.geometry.sd
+        return expected, signal, derivatives
 
-    def variance(self, vector: FloatArray) -> FloatArray:
-        """Return how far every window may scatter; see `coherent_variance`."""
-        return coherent_variance(self, vector)
+    def _as_energies(self, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Return the energies of what is coherent in each early window, and by ln(1 - a)."""
+        energy = image_energies(self.coherent, absorption) * self.coherent.coherence
+        energies, by_hits = [], []
+        for o, observed in enumerate(self.early):
+            own = slice(self.coherent.offsets[o], self.coherent.offsets[o + 1])
+            n_bins = observed.spreading.shape[1]
+            total, hits = np.zeros(n_bins), np.zeros((absorption.size, n_bins))
+            binned_energies(
+                self.coherent_bins[own], self.coherent.hits[own], energy[own], total, hits
+            )
+            energies.append(observed.spreading @ total)
+            by_hits.append(in_windows(observed.spreading, hits))
+        return np.concatenate(energies), np.concatenate(by_hits)
 
-    def correlation_length(self) -> FloatArray:
+    def variance(self, values: Values) -> FloatArray:
+        """Return the variance of every measured window energy about its expectation.
+
+        With Y the energy per time of the coherent pressure and P that of what is not, the random
+        part interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated
+        over the window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what single arrivals
+        cannot do, since a single arrival has its energy whatever its phase. Without coherence, and
+        in late windows, this is the variance of the energies.
+
+        Returns
+        -------
+        float array, shape (n_windows,)
+        """
+        gains = np.append(values["gain"], 1.0)
+        paths = weighed(self.energies, values["absorption"])
+        # the energy of the coherent pressure in the pieces of the windows
+        intensity = coherent_response(
+            self.coherent,
+            values["absorption"],
+            times_of(self.geometry, values[GEOMETRY]),
+            self.grid,
+            tuple(o.fine_edges_s for o in self.early),
+            derivative=False,
+        ).energy
+        ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in self.early)])
+        energy = image_energies(self.images, values["absorption"])
+        variances = []
+        for o, (early, observed) in enumerate(
+            zip(self.early, self.energies.observations, strict=True)
+        ):
+            gain = float(gains[observed.gain])
+            coherent = intensity[ends[o] : ends[o + 1]]
+            own = _early_variance(self, o, paths[o], energy, coherent, gain)
+            if early.energy.size < observed.energy.size:
+                late = observation_variance(self.energies, o, paths[o], gain)
+                own = np.concatenate((own, late[own.size :]))
+            variances.append(own)
+        return np.concatenate(variances)
+
+    def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
-    def is_gamma(self) -> BoolArray:
-        """Return True for every window."""
-        return self.energies.is_gamma()
-
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log density of every window's energy."""
-        return gamma_log_likelihood(self.measured(), expected, variance)
+    def early_windows(self) -> IntArray:
+        """Return where the early windows stand among all."""
+        first, found = 0, []
+        for early, observed in zip(self.early, self.energies.observations, strict=True):
+            found.append(np.arange(first, first + early.energy.size))
+            first += observed.energy.size
+        return np.concatenate(found)
 
 
 def with_coherence(
-    problem: CoherentProblem, covariance: FloatArray, phase_sd: float = 0.0
-) -> CoherentProblem:
-    """Return the problem with each path as coherent as its arrival time is known.
+    term: CoherentTerm, covariance: FloatArray, phase_sd: float = 0.0
+) -> CoherentTerm:
+    """Return the windows with each path as coherent as its arrival time is known.
 
     ``gamma = exp(-w^2 var(t) - phase_sd^2 n)`` with w of the band's centre, n hits, and var(t) of
     the geometry's covariance, of positions to half a millimetre and of a share of 1e-4 of the time.
@@ -149,130 +207,37 @@ def with_coherence(
     phase_sd : float
         Standard deviation of the phase that a reflection adds at random, rad.
     """
-    images, c = problem.images, problem.geometry.speed_m_s
+    images, c = term.images, term.geometry.speed_m_s
     length = np.linalg.norm(images.image_to_receiver_m, axis=1)
     toward = images.image_to_receiver_m / length[:, None]
     departure = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
     spread = np.empty(length.size)
-    roots = local_roots(problem.geometry, covariance)
+    roots = local_roots(term.geometry, covariance)
     spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
-    phase = (2.0 * np.pi * problem.centre_hz) ** 2 * spread
+    phase = (2.0 * np.pi * term.centre_hz) ** 2 * spread
     phase += phase_sd**2 * images.hits.sum(axis=1)
-    return _with_gamma(problem, np.exp(-phase))
+    return _with_gamma(term, np.exp(-phase))
 
 
-def fully_coherent(problem: CoherentProblem) -> CoherentProblem:
-    """Return the problem with every path as coherent as if its arrival time were known."""
-    return _with_gamma(problem, np.ones(problem.bins.size))
+def fully_coherent(term: CoherentTerm) -> CoherentTerm:
+    """Return the windows with every path as coherent as if its arrival time were known."""
+    return _with_gamma(term, np.ones(term.bins.size))
 
 
-def _with_gamma(problem: CoherentProblem, gamma: FloatArray) -> CoherentProblem:
-    keep = (gamma > _LEAST_COHERENCE) & (problem.bins >= 0)
-    images = replace(problem.images, coherence=np.where(keep, gamma, 0.0))
+def _with_gamma(term: CoherentTerm, gamma: FloatArray) -> CoherentTerm:
+    keep = (gamma > _LEAST_COHERENCE) & (term.bins >= 0)
+    images = replace(term.images, coherence=np.where(keep, gamma, 0.0))
     return replace(
-        problem,
+        term,
         images=images,
         coherent=chosen_paths(images, keep),
-        coherent_bins=problem.bins[keep],
+        coherent_bins=term.bins[keep],
     )
-
-
-def _correction(
-    problem: CoherentProblem, values: dict[str, FloatArray]
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return what coherence adds to each window at a gain of 1, by absorption and geometry."""
-    absorption = values["absorption"]
-    response = coherent_response(
-        problem.coherent,
-        absorption,
-        times_of(problem.geometry, values[GEOMETRY]),
-        problem.grid,
-        tuple(o.edges_s for o in problem.early),
-    )
-    n_materials = absorption.size
-    energy = image_energies(problem.coherent, absorption) * problem.coherent.coherence
-    less, less_by_hits = [], []
-    for o, observed in enumerate(problem.early):
-        own = slice(problem.coherent.offsets[o], problem.coherent.offsets[o + 1])
-        n_bins = observed.spreading.shape[1]
-        total, by_hits = np.zeros(n_bins), np.zeros((n_materials, n_bins))
-        binned_energies(
-            problem.coherent_bins[own],
-            problem.coherent.hits[own],
-            energy[own],
-            total,
-            by_hits,
-        )
-        less.append(observed.spreading @ total)
-        less_by_hits.append(in_windows(observed.spreading, by_hits))
-    by_log = response.by_log_reflected - np.concatenate(less_by_hits)
-    # d ln(1 - a) = -da / (1 - a)
-    by_absorption = -by_log / np.maximum(1.0 - absorption, 1e-12)
-    by_times = np.zeros((by_log.shape[0], problem.geometry.sd.size))
-    for o, windows in enumerate(_windows(problem.early)):
-        np.add.at(
-            by_times,
-            (windows[:, None], problem.geometry.columns[o][None, :]),
-            response.by_times[windows],
-        )
-    return (
-        _with_late_zeros(problem, response.energy - np.concatenate(less)),
-        _with_late_zeros(problem, by_absorption),
-        _with_late_zeros(problem, by_times * problem.geometry.sd),
-    )
-
-
-def _with_late_zeros(problem: CoherentProblem, early: FloatArray) -> FloatArray:
-    """Return values of early windows among zeros for the late ones, first axis windows."""
-    out: FloatArray = np.zeros((problem.measured().size, *early.shape[1:]))
-    out[_early_windows(problem)] = early
-    return out
-
-
-def coherent_variance(problem: CoherentProblem, vector: FloatArray) -> FloatArray:
-    """Return the variance of every measured window energy about its expectation.
-
-    With Y the energy per time of the coherent pressure and P that of what is not, the random part
-    interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated over the
-    window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what single arrivals cannot do,
-    since a single arrival has its energy whatever its phase. Without coherence, and in late
-    windows, this is the variance of `roomfit.objective.energy.window_variance`.
-
-    Returns
-    -------
-    float array, shape (n_windows,)
-    """
-    values, _ = physical_values(problem.parameters, vector)
-    gains = np.append(values["gain"], 1.0)
-    paths = weighed(problem.energies, values["absorption"])
-    # the energy of the coherent pressure in the pieces of the windows
-    intensity = coherent_response(
-        problem.coherent,
-        values["absorption"],
-        times_of(problem.geometry, values[GEOMETRY]),
-        problem.grid,
-        tuple(o.fine_edges_s for o in problem.early),
-        derivative=False,
-    ).energy
-    ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in problem.early)])
-    energy = image_energies(problem.images, values["absorption"])
-    variances = []
-    for o, (early, observed) in enumerate(
-        zip(problem.early, problem.energies.observations, strict=True)
-    ):
-        gain = float(gains[observed.gain])
-        coherent = intensity[ends[o] : ends[o + 1]]
-        own = _early_variance(problem, o, paths[o], energy, coherent, gain)
-        if early.energy.size < observed.energy.size:
-            late = observation_variance(problem.energies, o, paths[o], gain)
-            own = np.concatenate((own, late[own.size :]))
-        variances.append(own)
-    return np.concatenate(variances)
 
 
 def _early_variance(
-    problem: CoherentProblem,
+    term: CoherentTerm,
     observation: int,
     paths: Weighed,
     energy: FloatArray,
@@ -281,13 +246,13 @@ def _early_variance(
 ) -> FloatArray:
     """Return the variance of an observation's early windows.
 
-    `energy` is that of all `problem.images`, `coherent` that of the coherent pressure in each of
+    `energy` is that of all `term.images`, `coherent` that of the coherent pressure in each of
     the windows' pieces.
     """
-    observed, images = problem.early[observation], problem.images
+    observed, images = term.early[observation], term.images
     own = slice(images.offsets[observation], images.offsets[observation + 1])
-    inside = problem.bins[own] >= 0
-    bins, e, g = (x[own][inside] for x in (problem.bins, energy, images.coherence))
+    inside = term.bins[own] >= 0
+    bins, e, g = (x[own][inside] for x in (term.bins, energy, images.coherence))
     n_bins = observed.spreading.shape[1]
     random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
     single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
@@ -295,32 +260,14 @@ def _early_variance(
     spread = observed.fine_spreading @ random
     pieces = spread**2 + 2.0 * spread * coherent - observed.fine_spreading.power(2) @ single
     pieces = np.maximum(pieces, 0.0)
-    pieces /= problem.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
+    pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
     timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ late)
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
-    rest = noise_and_model_variance(problem.energies, observed, signal)
+    rest = noise_and_model_variance(term.energies, observed, signal)
     return np.asarray(gain**2 * (interference + timing + tracing) + rest)
-
-
-def _windows(observed: tuple[Observation, ...]) -> list[IntArray]:
-    """Return which windows belong to each observation."""
-    ends = np.cumsum([0, *(o.energy.size for o in observed)])
-    return [np.arange(low, high) for low, high in pairwise(ends)]
-
-
-def _early_windows(problem: CoherentProblem) -> IntArray:
-    """Return where the early windows stand among all."""
-    every = _windows(problem.energies.observations)
-    own = [w[: o.energy.size] for w, o in zip(every, problem.early, strict=True)]
-    return np.concatenate(own)
-
-
-def _gain_of_window(problem: CoherentProblem) -> IntArray:
-    observed = problem.energies.observations
-    return np.repeat([o.gain for o in observed], [o.energy.size for o in observed])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -418,21 +365,21 @@ def campaign_geometry(
     return Geometry(tuple(labels), sds, free, speed_of_sound_m_s(scene.air), np.array(columns))
 
 
-def coherent_problem(
+def coherent_term(
     bands: Bands,
     band: int,
-    energies: EnergyProblem,
+    energies: EnergyTerm,
     attenuation_per_m: float,
     paths: Paths,
     binned: BinnedPaths,
     geometry: Geometry,
     end_s: float = np.inf,
-) -> CoherentProblem:
-    """Return the partly coherent problem of a band from its energy problem, not coherent yet.
+) -> CoherentTerm:
+    """Return the partly coherent windows of a band from the same as energies, not coherent yet.
 
     Parameters
     ----------
-    energies : EnergyProblem
+    energies : EnergyTerm
         Of the same paths and observations; its attenuation may be in its rows already.
     attenuation_per_m : float
         Energy attenuation of the air in the band.
@@ -454,12 +401,10 @@ def coherent_problem(
     bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
     n_bins = [o.spreading.shape[1] for o in observed]
     bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
-    parameters = Parameters((*energies.parameters.blocks, geometry_block(geometry)))
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
-    return CoherentProblem(
+    return CoherentTerm(
         energies,
         observed,
-        parameters,
         geometry,
         replace(images, coherence=np.zeros(travel.size)),
         nothing,

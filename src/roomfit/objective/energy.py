@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 from scipy.sparse import csr_array
 
 from roomfit._checks import float_array
 from roomfit.errors import InputError
-from roomfit.objective.parameters import Parameters, fitted_columns, physical_values
-from roomfit.objective.problem import Prediction, count_evaluation, gamma_log_likelihood
+from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import FloatArray
 
 _RINGING_S = 2e-3
 
@@ -61,20 +60,19 @@ class Observation:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class EnergyProblem:
-    """One band: find absorption and gains under which the paths explain every window.
+class EnergyTerm:
+    """Windows of one band, explained by energies of paths that add: absorption and gains.
 
     Rows, hits and windows stand open, for methods that need more than a function to call.
     """
 
+    is_gamma: ClassVar[bool] = True
     centre_hz: float
     bandwidth_hz: float  # statistical bandwidth of the band filter
     attenuation_per_m: float  # energy attenuation of the air
     rows: tuple[EnergyRows, ...]  # paths of each observation's pair in fine time bins
     squared_image_rows: tuple[EnergyRows, ...]  # what `squared_image_rows` makes of each of them
     observations: tuple[Observation, ...]
-    # blocks "absorption" (one entry a material) and "gain" (one an unknown level)
-    parameters: Parameters
     # relative standard deviation that the model may be wrong by in any window
     model_error: float = 0.2
     # share of the energy of each window that may come up to a few milliseconds late, because a real
@@ -85,37 +83,77 @@ class EnergyProblem:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
         return np.concatenate([o.energy for o in self.observations])
 
-    def predict(self, vector: FloatArray) -> Prediction:
-        """Return what the model expects in every window; see `predict_windows`."""
-        return predict_windows(self, vector)
+    def predict(self, values: Values) -> Rows:
+        """Return what the model expects in every window, by absorption and gains."""
+        count_evaluation()
+        coefficients = values["absorption"][:, None]
+        attenuation = np.array([self.attenuation_per_m])
+        gains = np.append(values["gain"], 1.0)  # index -1: absolute level
+        signals, noises, by_absorption, by_gain = [], [], [], []
+        for rows, observation in zip(self.rows, self.observations, strict=True):
+            response = weigh(rows, coefficients, attenuation)
+            gain = gains[observation.gain]
+            signal = gain * (observation.spreading @ response.energy[0])
+            signals.append(signal)
+            noises.append(observation.noise)
+            derivative = cast(FloatArray, response.derivative)
+            by_absorption.append(gain * in_windows(observation.spreading, derivative[:, 0, :]))
+            columns = np.zeros((signal.size, values["gain"].size))
+            if observation.gain >= 0:
+                columns[:, observation.gain] = signal / gain
+            by_gain.append(columns)
+        signal = np.concatenate(signals)
+        derivatives = {
+            "absorption": np.concatenate(by_absorption),
+            "gain": np.concatenate(by_gain),
+        }
+        return signal + np.concatenate(noises), signal, derivatives
 
-    def variance(self, vector: FloatArray) -> FloatArray:
-        """Return how far every window may scatter; see `window_variance`."""
-        return window_variance(self, vector)
+    def variance(self, values: Values) -> FloatArray:
+        """Return the variance of every measured window energy about its expectation.
 
-    def correlation_length(self) -> FloatArray:
+        Reflections interfere, however finely one traces: the energy of a band of bandwidth B has
+        the variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies
+        spread by the filter and Q that of the squares of each single one, so that a single
+        reflection carries no such noise. It may still fall on either side of a window's edge where
+        positions are a centimetre wrong. To this come background noise, its beat with the signal,
+        the trace's own Monte-Carlo noise (from independent batches) and the error of the model.
+
+        Returns
+        -------
+        float array, shape (n_windows,)
+        """
+        gains = np.append(values["gain"], 1.0)
+        paths = weighed(self, values["absorption"])
+        return np.concatenate(
+            [
+                observation_variance(self, o, paths[o], float(gains[observed.gain]))
+                for o, observed in enumerate(self.observations)
+            ]
+        )
+
+    def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
 
-    def is_gamma(self) -> BoolArray:
-        """Return True for every window."""
-        return np.ones(self.measured().size, dtype=np.bool_)
 
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log density of every window's energy."""
-        return gamma_log_likelihood(self.measured(), expected, variance)
+def only_energies(objective: Objective) -> EnergyTerm | None:
+    """Return the windows of an objective that has no other data and its own variances, or None."""
+    first, *others = objective.terms
+    alone = not others and objective.inflation is None
+    return first if alone and isinstance(first, EnergyTerm) else None
 
 
-def in_air(problem: EnergyProblem) -> EnergyProblem:
-    """Return the same problem with the air's loss put into the rows' weights for good.
+def in_air(term: EnergyTerm) -> EnergyTerm:
+    """Return the same term with the air's loss put into the rows' weights for good.
 
     Saves an exponential a row and evaluation; costs the memory of the weights in this band.
     """
-    m = problem.attenuation_per_m
+    m = term.attenuation_per_m
     return replace(
-        problem,
-        rows=tuple(rows_in_air(rows, m) for rows in problem.rows),
-        squared_image_rows=tuple(rows_in_air(rows, m) for rows in problem.squared_image_rows),
+        term,
+        rows=tuple(rows_in_air(rows, m) for rows in term.rows),
+        squared_image_rows=tuple(rows_in_air(rows, m) for rows in term.squared_image_rows),
         attenuation_per_m=0.0,
     )
 
@@ -136,62 +174,6 @@ def first_windows(observed: Observation, end_s: float) -> Observation:
     )
 
 
-def predict_windows(problem: EnergyProblem, vector: FloatArray) -> Prediction:
-    """Return what the model expects in every window for a vector of free parameters."""
-    count_evaluation()
-    values, slopes = physical_values(problem.parameters, vector)
-    coefficients = values["absorption"][:, None]
-    attenuation = np.array([problem.attenuation_per_m])
-    gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-    signals, noises, by_absorption, by_gain = [], [], [], []
-    for rows, observation in zip(problem.rows, problem.observations, strict=True):
-        response = weigh(rows, coefficients, attenuation)
-        gain = gains[observation.gain]
-        signal = gain * (observation.spreading @ response.energy[0])
-        signals.append(signal)
-        noises.append(observation.noise)
-        derivative = cast(FloatArray, response.derivative)
-        by_absorption.append(gain * in_windows(observation.spreading, derivative[:, 0, :]))
-        columns = np.zeros((signal.size, values["gain"].size))
-        if observation.gain >= 0:
-            columns[:, observation.gain] = signal / gain
-        by_gain.append(columns)
-    jacobians = {
-        "absorption": np.concatenate(by_absorption) * slopes["absorption"],
-        "gain": np.concatenate(by_gain) * slopes["gain"],
-    }
-    signal = np.concatenate(signals)
-    return Prediction(
-        signal + np.concatenate(noises), signal, fitted_columns(problem.parameters, jacobians)
-    )
-
-
-def window_variance(problem: EnergyProblem, vector: FloatArray) -> FloatArray:
-    """Return the variance of every measured window energy about its expectation.
-
-    Reflections interfere, however finely one traces: the energy of a band of bandwidth B has the
-    variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies spread by
-    the filter and Q that of the squares of each single one, so that a single reflection carries no
-    such noise. It may still fall on either side of a window's edge where positions are a centimetre
-    wrong. To this come background noise, its beat with the signal, the trace's own Monte-Carlo
-    noise (from independent batches) and the error of the model.
-
-    Returns
-    -------
-    float array, shape (n_windows,)
-    """
-    values, _ = physical_values(problem.parameters, vector)
-    gains = np.append(values["gain"], 1.0)
-    return np.concatenate(
-        [
-            observation_variance(problem, o, w, float(gains[observed.gain]))
-            for o, (w, observed) in enumerate(
-                zip(weighed(problem, values["absorption"]), problem.observations, strict=True)
-            )
-        ]
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class Weighed:
     """What the paths of one observation bring for a gain of 1."""
@@ -202,7 +184,7 @@ class Weighed:
     tracing: FloatArray  # (n_windows,), monte-Carlo variance of each window's energy
 
 
-def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ...]:
+def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     """Return what the variance of each observation is made of, absorption (n_materials,)."""
     coefficients = absorption[:, None]
     attenuation = np.array([problem.attenuation_per_m])
@@ -219,9 +201,9 @@ def weighed(problem: EnergyProblem, absorption: FloatArray) -> tuple[Weighed, ..
 
 
 def observation_variance(
-    problem: EnergyProblem, observation: int, paths: Weighed, gain: float
+    problem: EnergyTerm, observation: int, paths: Weighed, gain: float
 ) -> FloatArray:
-    """Return `window_variance` of one observation, shape (n_windows,)."""
+    """Return `EnergyTerm.variance` of one observation, shape (n_windows,)."""
     observed = problem.observations[observation]
     timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
     interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
@@ -230,7 +212,7 @@ def observation_variance(
 
 
 def noise_and_model_variance(
-    problem: EnergyProblem, observed: Observation, signal: FloatArray
+    problem: EnergyTerm, observed: Observation, signal: FloatArray
 ) -> FloatArray:
     """Return the variance of each window by background noise and by the errors of the model.
 

@@ -14,7 +14,7 @@ from roomfit.findings import Code, Finding
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
-    EnergyProblem,
+    EnergyTerm,
     Observation,
     fine_edges_s,
     in_air,
@@ -47,7 +47,7 @@ _CLEAR_OF_NOISE = 2.5
 _ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
 
 
-def band_problems(
+def energy_terms(
     scene: Scene,
     bands: Bands,
     priors: tuple[MaterialPrior, ...],
@@ -56,11 +56,13 @@ def band_problems(
     start: FloatArray,
     *,
     periods: float = 1.5,
-) -> Iterator[EnergyProblem | None]:
-    """Make the problem of one band after the other, over the measurements that are to be fitted.
+) -> Iterator[tuple[EnergyTerm, Parameters] | None]:
+    """Make the windows of one band after the other, with their unknowns.
+
+    Over the measurements that are to be fitted.
 
     None stands for a band in which fewer windows rise above the noise than there are unknowns.
-    Problems of large jobs are large: take what is needed of one before asking for the next.
+    Terms of large jobs are large: take what is needed of one before asking for the next.
 
     Parameters
     ----------
@@ -77,7 +79,7 @@ def band_problems(
     attenuation = attenuation_per_m(scene.air, bands)
     kernel = spreading_kernel(FilterBank(bands))
     for band in range(len(bands)):
-        fitted = tuple(m for m in measured if has_data_in_band(m, band))
+        fitted = fitted_in_band(measured, band)
         coarse = in_band(binned, float(bands.centres_hz[band]))
         labels = [_gain_label(m) for m in fitted]  # "" where the level is absolute
         gain_labels = tuple(dict.fromkeys(label for label in labels if label))
@@ -104,16 +106,15 @@ def band_problems(
             for m, observed in zip(fitted, observations, strict=True)
         )
         gain = _gain_block(gain_labels, observations, rows, absorption, float(attenuation[band]))
-        problem = EnergyProblem(
+        term = EnergyTerm(
             float(bands.centres_hz[band]),
             float(statistical_bandwidth_hz(bank)[0]),
             float(attenuation[band]),
             rows,
             tuple(squared_image_rows(r) for r in rows),
             observations,
-            Parameters((absorption, gain)),
         )
-        yield in_air(problem)
+        yield in_air(term), Parameters((absorption, gain))
 
 
 def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Finding, ...]:
@@ -153,8 +154,13 @@ def has_data_in_band(m: MeasuredPair, band: int) -> bool:
     return m.measurement.use == "fit" and bool(m.noise.tail_time_constant_s[band] > 0.0)
 
 
+def fitted_in_band(measured: Sequence[MeasuredPair], band: int) -> tuple[MeasuredPair, ...]:
+    """Return the measurements of a band's observations, in their order."""
+    return tuple(m for m in measured if has_data_in_band(m, band))
+
+
 def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple[Finding, ...]:
-    """Return which measurements `band_problems` leaves out of which bands."""
+    """Return which measurements `energy_terms` leaves out of which bands."""
     findings = []
     for m in measured:
         has_data = [has_data_in_band(m, band) for band in range(len(bands))]

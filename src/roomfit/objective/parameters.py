@@ -158,7 +158,7 @@ def physical_values(
     position = 0
     for block in parameters.blocks:
         n = int(np.count_nonzero(block.fitted))
-        free = to_free(block, block.start)
+        free = np.zeros(block.fitted.size)
         free[block.fitted] = vector[position : position + n]
         position += n
         found, slope = to_physical(block, free)

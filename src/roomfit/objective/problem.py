@@ -1,33 +1,131 @@
-"""What every fit of one band needs to know of its data, whatever kind of data they are.
+"""The objective of one band: its data terms, and the unknowns that all of them share.
 
-Window energies, partly coherent windows and ISO 3382 values each predict themselves from one vector
-of free parameters. A joint problem lays several of them end to end; an inflated variance gives less
-weight to data than their noise model does.
+A term is one kind of data, as window energies or ISO 3382 values, and predicts itself from physical
+values. The objective turns one vector of free numbers into these values, lays the rows of its
+terms end to end, and puts their derivatives into the columns of the vector.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
+from typing import ClassVar, Protocol, TypeAlias
 
 import numpy as np
 from scipy.special import gammaln
 
-from roomfit.errors import InputError
-from roomfit.objective.parameters import Parameters
+from roomfit._checks import read_only
+from roomfit.objective.parameters import (
+    Parameters,
+    fitted_columns,
+    physical_values,
+    start_vector,
+)
 from roomfit.typing import BoolArray, FloatArray
+
+Values: TypeAlias = Mapping[str, FloatArray]
+"""Physical values of each block of unknowns by its name, fixed ones included."""
+
+Rows: TypeAlias = tuple[FloatArray, FloatArray, dict[str, FloatArray]]
+"""Expected data, (n,), the same without noise, (n,), and the derivative of the expected data by the
+physical values of each block that they depend on, (n, n_values)."""
+
+
+class DataTerm(Protocol):
+    """One kind of data of a band, which takes the values it knows of and leaves the others."""
+
+    # energies, never negative and spread over decades, follow Gamma laws; all else normal laws
+    is_gamma: ClassVar[bool]
+
+    def measured(self) -> FloatArray:
+        """Return the data, shape (n_data,)."""
+        ...
+
+    def predict(self, values: Values) -> Rows:
+        """Return what values make the model expect, and count the evaluation."""
+        ...
+
+    def variance(self, values: Values) -> FloatArray:
+        """Return the variance of each datum about its expectation, shape (n_data,)."""
+        ...
+
+    def correlation_length(self, start: Values) -> FloatArray:
+        """Return how many neighbours share the information of each datum, shape (n_data,)."""
+        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Prediction:
-    """Expected data, all observations end to end, with derivatives."""
+    """Expected data, all terms end to end, with derivatives."""
 
     expected: FloatArray  # (n_data,), what the model expects to be measured, noise included
     signal: FloatArray  # (n_data,), the same without noise
     jacobian: FloatArray  # (n_data, n_free), derivative of `expected` by the free vector
+
+
+@dataclass(frozen=True, eq=False)
+class Objective:
+    """Data of one band, one kind after the other, that a vector of free numbers explains."""
+
+    parameters: Parameters  # blocks of unknowns, one of them "absorption", one entry a material
+    terms: tuple[DataTerm, ...]  # at least one
+    inflation: FloatArray | None = None  # (n_data,), factor on each variance, 1 or more
+
+    def measured(self) -> FloatArray:
+        """Return the data, shape (n_data,)."""
+        return np.concatenate([term.measured() for term in self.terms])
+
+    def predict(self, vector: FloatArray) -> Prediction:
+        """Return what a free vector makes the model expect."""
+        values, slopes = physical_values(self.parameters, vector)
+        expected, signal, jacobian = [], [], []
+        for term in self.terms:
+            mean, quiet, derivatives = term.predict(values)
+            by_free = {name: by * slopes[name] for name, by in derivatives.items()}
+            expected.append(mean)
+            signal.append(quiet)
+            jacobian.append(fitted_columns(self.parameters, by_free))
+        return Prediction(
+            np.concatenate(expected), np.concatenate(signal), np.concatenate(jacobian)
+        )
+
+    def variance(self, vector: FloatArray) -> FloatArray:
+        """Return the variance of each datum about its expectation, shape (n_data,)."""
+        values, _ = physical_values(self.parameters, vector)
+        own = np.concatenate([term.variance(values) for term in self.terms])
+        return own if self.inflation is None else self.inflation * own
+
+    def correlation_length(self) -> FloatArray:
+        """Return how many neighbours share the information of each datum, shape (n_data,)."""
+        return self._correlation_length
+
+    @cached_property
+    def _correlation_length(self) -> FloatArray:
+        start, _ = physical_values(self.parameters, start_vector(self.parameters))
+        return read_only(np.concatenate([t.correlation_length(start) for t in self.terms]))
+
+    def is_gamma(self) -> BoolArray:
+        """Return which data follow Gamma laws, shape (n_data,)."""
+        return np.repeat([t.is_gamma for t in self.terms], [t.measured().size for t in self.terms])
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        """Return the log density of each datum with every constant, shape (n_data,).
+
+        For choosing between models, whose variances differ: squares alone cannot compare them.
+        """
+        ends = np.cumsum([term.measured().size for term in self.terms])[:-1]
+        split = zip(self.terms, np.split(expected, ends), np.split(variance, ends), strict=True)
+        return np.concatenate(
+            [
+                (gamma_log_likelihood if term.is_gamma else normal_log_likelihood)(
+                    term.measured(), mean, spread
+                )
+                for term, mean, spread in split
+            ]
+        )
 
 
 # How many predictions were made since `counted_evaluations` was entered; in a context of its own,
@@ -54,91 +152,12 @@ def count_evaluation() -> None:
         made[0] += 1
 
 
-class BandProblem(Protocol):
-    """Data of one band that a vector of free parameters explains.
-
-    Attributes
-    ----------
-    parameters : Parameters
-        Blocks of unknowns, one of them "absorption" with one entry a material.
-    """
-
-    @property
-    def parameters(self) -> Parameters: ...
-
-    def measured(self) -> FloatArray:
-        """Return the data, shape (n_data,)."""
-        ...
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        """Return what a free vector makes the model expect."""
-        ...
-
-    def variance(self, vector: FloatArray) -> FloatArray:
-        """Return the variance of each datum about its expectation, shape (n_data,)."""
-        ...
-
-    def correlation_length(self) -> FloatArray:
-        """Return how many neighbours share the information of each datum, shape (n_data,)."""
-        ...
-
-    def is_gamma(self) -> BoolArray:
-        """Return which data are energies, never negative and spread over decades, (n_data,)."""
-        ...
-
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log density of each datum with every constant, shape (n_data,).
-
-        For choosing between models, whose variances differ: squares alone cannot compare them.
-        """
-        ...
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class JointProblem:
-    """Several kinds of data of one band with the same unknowns, one after the other."""
-
-    parts: tuple[BandProblem, ...]  # at least one; all have one and the same `parameters`
-
-    def __post_init__(self) -> None:
-        if any(p.parameters is not self.parts[0].parameters for p in self.parts):
-            raise InputError("the parts of a joint problem have different unknowns")
-
-    @property
-    def parameters(self) -> Parameters:
-        """The unknowns of every part."""
-        return self.parts[0].parameters
-
-    def measured(self) -> FloatArray:
-        """Return the data of all parts, shape (n_data,)."""
-        return np.concatenate([p.measured() for p in self.parts])
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        """Return the predictions of all parts."""
-        found = [p.predict(vector) for p in self.parts]
-        return Prediction(
-            np.concatenate([f.expected for f in found]),
-            np.concatenate([f.signal for f in found]),
-            np.concatenate([f.jacobian for f in found]),
-        )
-
-    def variance(self, vector: FloatArray) -> FloatArray:
-        """Return the variances of all parts, shape (n_data,)."""
-        return np.concatenate([p.variance(vector) for p in self.parts])
-
-    def correlation_length(self) -> FloatArray:
-        """Return every part's count of neighbours, shape (n_data,)."""
-        return np.concatenate([p.correlation_length() for p in self.parts])
-
-    def is_gamma(self) -> BoolArray:
-        """Return which data of any part are energies, shape (n_data,)."""
-        return np.concatenate([p.is_gamma() for p in self.parts])
-
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log density of each datum of all parts, shape (n_data,)."""
-        ends = np.cumsum([p.measured().size for p in self.parts])[:-1]
-        split = zip(self.parts, np.split(expected, ends), np.split(variance, ends), strict=True)
-        return np.concatenate([p.log_likelihood(e, v) for p, e, v in split])
+def normal_log_likelihood(
+    measured: FloatArray, expected: FloatArray, variance: FloatArray
+) -> FloatArray:
+    """Return the log density of data that follow normal laws, shape (n,)."""
+    squares = (measured - expected) ** 2 / variance
+    return np.asarray(-0.5 * (squares + np.log(2.0 * np.pi * variance)))
 
 
 def gamma_log_likelihood(
@@ -169,40 +188,3 @@ def gamma_log_likelihood(
     return np.asarray(
         (shape - 1.0) * np.log(floored / scale) - floored / scale - gammaln(shape) - np.log(scale)
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class InflatedVariance:
-    """The same problem with variances enlarged."""
-
-    problem: BandProblem
-    factor: FloatArray  # (n_data,), by which each variance is multiplied, 1 or more
-
-    @property
-    def parameters(self) -> Parameters:
-        """The unknowns of the problem."""
-        return self.problem.parameters
-
-    def measured(self) -> FloatArray:
-        """Return the data, shape (n_data,)."""
-        return self.problem.measured()
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        """Return what a free vector makes the model expect."""
-        return self.problem.predict(vector)
-
-    def variance(self, vector: FloatArray) -> FloatArray:
-        """Return the enlarged variances, shape (n_data,)."""
-        return self.factor * self.problem.variance(vector)
-
-    def correlation_length(self) -> FloatArray:
-        """Return how many neighbours share the information of each datum, shape (n_data,)."""
-        return self.problem.correlation_length()
-
-    def is_gamma(self) -> BoolArray:
-        """Return which data are energies, shape (n_data,)."""
-        return self.problem.is_gamma()
-
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log density of each datum, shape (n_data,)."""
-        return self.problem.log_likelihood(expected, variance)

@@ -4,20 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
-from typing import cast
+from typing import ClassVar, cast
 
 import numpy as np
 
-from roomfit._checks import read_only
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.energy import squared_image_rows
 from roomfit.objective.observation import absorption_block
-from roomfit.objective.parameters import Parameters, fitted_columns, physical_values, start_vector
-from roomfit.objective.problem import Prediction, count_evaluation
+from roomfit.objective.parameters import Parameters
+from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import (
     Spreading,
     band_spreading,
@@ -31,7 +29,7 @@ from roomfit.scene import Scene, distances_m
 from roomfit.signals.decay import echogram_decay_curve, jnd_of
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import FloatArray
 
 # What is wrong about the decay, or about the early part, is wrong in all values read from it.
 _FAMILY = {"EDT_s": 0, "T20_s": 0, "T30_s": 0, "G_dB": 2}
@@ -53,10 +51,11 @@ class ValueObservation:
     spread: FloatArray
 
 
-@dataclass(frozen=True, eq=False)
-class RoomValuesProblem:
-    """One band: find the absorption under which the paths have the measured room parameters."""
+@dataclass(frozen=True, slots=True, eq=False)
+class ValuesTerm:
+    """Room parameters of one band, explained by paths: absorption, no unknown gain or delay."""
 
+    is_gamma: ClassVar[bool] = False
     bands: Bands  # the one band
     bandwidth_hz: float  # statistical bandwidth of its filter
     attenuation_per_m: float  # energy attenuation of the air
@@ -67,8 +66,6 @@ class RoomValuesProblem:
     squared_image_rows: tuple[EnergyRows, ...]
     observations: tuple[ValueObservation, ...]
     spreading: Spreading
-    # only the block "absorption" acts: room parameters know no unknown gain or delay
-    parameters: Parameters
     # standard deviation by which the model may be wrong, in just noticeable differences
     model_error_jnd: float = MODEL_ERROR_JND
 
@@ -86,10 +83,9 @@ class RoomValuesProblem:
         """Return the measured values, pair after pair, shape (n_values,)."""
         return np.concatenate([o.measured for o in self.observations])
 
-    def predict(self, vector: FloatArray) -> Prediction:
+    def predict(self, values: Values) -> Rows:
         """Return the values that the paths predict, with exact derivatives."""
         count_evaluation()
-        values, slopes = physical_values(self.parameters, vector)
         found, by_absorption = [], []
         for i in range(len(self.observations)):
             response = weigh(
@@ -100,41 +96,27 @@ class RoomValuesProblem:
             found.append(predicted)
             by_absorption.append(before_spreading(self.spreading, gradients) @ derivative.T)
         signal = np.concatenate(found)
-        jacobians = {name: np.zeros((signal.size, v.size)) for name, v in values.items()}
-        jacobians["absorption"] = np.concatenate(by_absorption) * slopes["absorption"]
-        return Prediction(signal, signal, fitted_columns(self.parameters, jacobians))
+        return signal, signal, {"absorption": np.concatenate(by_absorption)}
 
-    def variance(self, vector: FloatArray) -> FloatArray:
+    def variance(self, values: Values) -> FloatArray:
         """Return the variance of every value about its prediction, shape (n_values,)."""
-        return np.concatenate([np.diag(c) for c in value_covariances(self, vector)])
+        covariances = value_covariances(self, values["absorption"])
+        return np.concatenate([np.diag(c) for c in covariances])
 
-    def correlation_length(self) -> FloatArray:
+    def correlation_length(self, start: Values) -> FloatArray:
         """Return how many values of the same pair share their information, shape (n_values,).
 
         T20 and T30 are read from one decay: the sum of the squared correlations of each value with
         all values of its pair, 1 where it stands alone. From where the fit starts.
         """
-        return self._correlation_length
-
-    @cached_property
-    def _correlation_length(self) -> FloatArray:
         counts = []
-        for covariance in value_covariances(self, start_vector(self.parameters)):
+        for covariance in value_covariances(self, start["absorption"]):
             sd = np.sqrt(np.diag(covariance))
             counts.append(np.sum((covariance / np.outer(sd, sd)) ** 2, axis=1))
-        return read_only(np.concatenate(counts))
-
-    def is_gamma(self) -> BoolArray:
-        """Return False for every value."""
-        return np.zeros(self.measured().size, dtype=np.bool_)
-
-    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
-        """Return the log of each value's Gaussian density, shape (n_values,)."""
-        squares = (self.measured() - expected) ** 2 / variance
-        return np.asarray(-0.5 * (squares + np.log(2.0 * np.pi * variance)))
+        return np.concatenate(counts)
 
 
-def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[FloatArray, ...]:
+def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatArray, ...]:
     """Return the covariance of the values of each pair about their prediction.
 
     Four parts: the stated spread; reflections that interfere; the number of rays; and the error of
@@ -157,75 +139,68 @@ def value_covariances(problem: RoomValuesProblem, vector: FloatArray) -> tuple[F
     .. [1] J. L. Davy, I. P. Dunn, P. Dubout, "The variance of decay rates in reverberation rooms",
            Acustica 43, 12-25 (1979).
     """
-    values, _ = physical_values(problem.parameters, vector)
     covariances = []
-    for i, observed in enumerate(problem.observations):
+    for i, observed in enumerate(term.observations):
         energy = weigh(
-            problem.rows[i],
-            values["absorption"][:, None],
-            np.array([problem.attenuation_per_m]),
+            term.rows[i],
+            absorption[:, None],
+            np.array([term.attenuation_per_m]),
             derivative=False,
         ).energy
-        predicted, gradients, spread_over_time = _values(problem, i, energy)
+        predicted, gradients, spread_over_time = _values(term, i, energy)
         spread = np.diag(observed.spread**2)
-        interference = _interference(problem, i, values["absorption"], gradients, spread_over_time)
-        tracing = _tracing(problem, i, values["absorption"], gradients)
-        covariances.append(spread + interference + tracing + _model(problem, observed, predicted))
+        interference = _interference(term, i, absorption, gradients, spread_over_time)
+        tracing = _tracing(term, i, absorption, gradients)
+        covariances.append(spread + interference + tracing + _model(term, observed, predicted))
     return tuple(covariances)
 
 
 def _values(
-    problem: RoomValuesProblem, i: int, energy: FloatArray
+    term: ValuesTerm, i: int, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return predicted values, derivatives by spread energies, and these energies."""
-    observed = problem.observations[i]
-    spread_over_time = spread_energy(problem.spreading, energy)
-    curve = echogram_decay_curve(
-        problem.bands, spread_over_time, problem.edges_s, observed.direct_s
-    )
+    observed = term.observations[i]
+    spread_over_time = spread_energy(term.spreading, energy)
+    curve = echogram_decay_curve(term.bands, spread_over_time, term.edges_s, observed.direct_s)
     return *value_gradients(curve, 0, observed.names), spread_over_time[0]
 
 
 def _interference(
-    problem: RoomValuesProblem,
+    term: ValuesTerm,
     i: int,
     absorption: FloatArray,
     gradients: FloatArray,
     spread_over_time: FloatArray,
 ) -> FloatArray:
-    attenuation = np.array([problem.attenuation_per_m])
+    attenuation = np.array([term.attenuation_per_m])
     single = weigh(
-        problem.squared_image_rows[i], absorption[:, None], attenuation, derivative=False
+        term.squared_image_rows[i], absorption[:, None], attenuation, derivative=False
     ).energy[0]
     overlapping = np.maximum(
-        spread_over_time**2 - spread_squared_energy(problem.spreading, single), 0.0
+        spread_over_time**2 - spread_squared_energy(term.spreading, single), 0.0
     )
-    variance = overlapping / (problem.bandwidth_hz * np.diff(problem.edges_s))
+    variance = overlapping / (term.bandwidth_hz * np.diff(term.edges_s))
     return np.asarray((gradients * variance) @ gradients.T)
 
 
-def _tracing(
-    problem: RoomValuesProblem, i: int, absorption: FloatArray, gradients: FloatArray
-) -> FloatArray:
+def _tracing(term: ValuesTerm, i: int, absorption: FloatArray, gradients: FloatArray) -> FloatArray:
     """Return the Monte-Carlo covariance, from independent batches of rays."""
-    rows = problem.rows[i]
+    rows = term.rows[i]
     n = gradients.shape[0]
     if rows.n_batches < 2:
         return np.zeros((n, n))
-    batches = batch_energies(rows, absorption[:, None], np.array([problem.attenuation_per_m]))
-    parts = batches[:, 0, :] @ before_spreading(problem.spreading, gradients).T
+    batches = batch_energies(rows, absorption[:, None], np.array([term.attenuation_per_m]))
+    parts = batches[:, 0, :] @ before_spreading(term.spreading, gradients).T
     return np.asarray(len(parts) * np.cov(parts.T, ddof=1).reshape(n, n))
 
 
-def _model(
-    problem: RoomValuesProblem, observed: ValueObservation, predicted: FloatArray
-) -> FloatArray:
+def _model(term: ValuesTerm, observed: ValueObservation, predicted: FloatArray) -> FloatArray:
     # the larger of both, so that a trial far off does not pass for a precise one
     units = [
         float(jnd_of(name, np.maximum(m, p)))
         for name, m, p in zip(observed.names, observed.measured, predicted, strict=True)
     ]
-    sd = problem.model_error_jnd * np.array(units)
+    sd = term.model_error_jnd * np.array(units)
     family = np.array([_FAMILY.get(name, _EARLY_TO_LATE) for name in observed.names])
     return np.asarray(np.outer(sd, sd) * (family[:, None] == family[None, :]))
 
@@ -235,18 +210,15 @@ def _model(
 _BINS_AS_ONE = 5
 
 
-def value_problems(
+def value_terms(
     scene: Scene,
     bands: Bands,
-    priors: tuple[MaterialPrior, ...],
     measured: Sequence[MeasuredValues],
     binned: BinnedPaths,
-    start: FloatArray,
     *,
-    parameters: Sequence[Parameters | None] | None = None,
     names: Sequence[ValueName] = VALUE_NAMES,
-) -> tuple[RoomValuesProblem | None, ...]:
-    """Return the problem of every band, over all given values; None where a band has none.
+) -> tuple[ValuesTerm | None, ...]:
+    """Return the term of every band, over all given values; None where a band has none.
 
     Parameters
     ----------
@@ -254,11 +226,6 @@ def value_problems(
         Those to be fitted, each of a pair of the scene, with the centres of `bands` among its own.
     binned : BinnedPaths
         Traced so long that the slowest band falls by 35 dB, where T30 is to be fitted.
-    start : float array, shape (n_bands,)
-        Uniform absorption to start from.
-    parameters : sequence of Parameters, optional
-        Those of another problem of each band, to be joined with. Where it is None or left out, the
-        absorptions alone.
     names : sequence of str
         Which parameters to fit.
 
@@ -271,7 +238,7 @@ def value_problems(
     coarse = coarser(binned, _BINS_AS_ONE)
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
-    problems: list[RoomValuesProblem | None] = []
+    terms: list[ValuesTerm | None] = []
     for band, centre_hz in enumerate(bands.centres_hz):
         observed = [
             _observation(pair, float(direct_s[pair]), m, float(centre_hz), names)
@@ -279,17 +246,15 @@ def value_problems(
         ]
         observations = tuple(o for o in observed if o.names)
         if not observations:
-            problems.append(None)
+            terms.append(None)
             continue
-        shared = None if parameters is None else parameters[band]
-        own = Parameters((absorption_block(priors, band, float(start[band])),))
         one = Bands(bands.kind, bands.centres_hz[band : band + 1])
         bank = FilterBank(one)
         m = float(attenuation[band])
         fine_rows = rows_at(coarse, centre_hz)
         rows = {o.pair: rows_in_air(fine_rows[o.pair], m) for o in observations}
-        problems.append(
-            RoomValuesProblem(
+        terms.append(
+            ValuesTerm(
                 one,
                 float(statistical_bandwidth_hz(bank)[0]),
                 0.0,
@@ -298,10 +263,25 @@ def value_problems(
                 tuple(squared_image_rows(rows[o.pair]) for o in observations),
                 observations,
                 bin_spreading(bank, coarse),
-                own if shared is None else shared,
             )
         )
-    return tuple(problems)
+    return tuple(terms)
+
+
+def values_alone(
+    values: ValuesTerm | None, priors: tuple[MaterialPrior, ...], band: int, start: FloatArray
+) -> Objective | None:
+    """Return the objective of a band's room parameters by themselves, None without any.
+
+    Parameters
+    ----------
+    start : float array, shape (n_bands,)
+        Uniform absorption to start from.
+    """
+    if values is None:
+        return None
+    absorption = absorption_block(priors, band, float(start[band]))
+    return Objective(Parameters((absorption,)), (values,))
 
 
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:

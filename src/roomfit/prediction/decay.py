@@ -17,8 +17,7 @@ from roomfit.inversion.compare import predicted_curve
 from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.trace_plan import cached_trace, plan_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
-from roomfit.objective.parameters import start_vector
-from roomfit.objective.room_parameters import predicted_values, value_covariances, value_problems
+from roomfit.objective.room_parameters import predicted_values, value_covariances, value_terms
 from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
 from roomfit.response.directivity import Directivity, known_directivities
 from roomfit.response.energy import grouped_rows, thinned_rows
@@ -268,22 +267,10 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
             dict(zip(VALUE_NAMES, expected, strict=True)),
             {},
         )
-        (problem,) = value_problems(
-            alone,
-            one,
-            tuple(
-                replace(unknown_material(name, 1), known=row)
-                for name, row in zip(alone.room.materials, chosen, strict=True)
-            ),
-            (as_measured,),
-            own,
-            np.array([0.5]),
-        )
-        if problem is None or problem.observations[0].names != VALUE_NAMES:
+        (term,) = value_terms(alone, one, (as_measured,), own)
+        if term is None or term.observations[0].names != VALUE_NAMES:
             sd[:, band] = np.nan
             continue
-        (covariance,) = value_covariances(
-            replace(problem, model_error_jnd=0.0), start_vector(problem.parameters)
-        )
+        (covariance,) = value_covariances(replace(term, model_error_jnd=0.0), chosen[:, 0])
         sd[:, band] = np.sqrt(np.diag(covariance))
     return sd

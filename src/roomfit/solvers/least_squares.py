@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import TypeAlias
 
 import numpy as np
@@ -23,7 +24,7 @@ from roomfit.objective.parameters import (
     start_vector,
     to_free,
 )
-from roomfit.objective.problem import BandProblem, Prediction
+from roomfit.objective.problem import Objective
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.levenberg_marquardt import (
     MarquardtSettings,
@@ -43,7 +44,6 @@ _FIRST_EDGE = 0.1
 # Few unknowns and many residuals: normal equations cost a tenth of the singular values that
 # scipy's solver takes. The gain is a thousandth of what one standard deviation would cost.
 _GAUSS_NEWTON = MarquardtSettings(length_sd=0.01, gain=0.5e-3)
-_FEW_GAUSS_NEWTON = replace(_GAUSS_NEWTON, max_trials=15)
 _SCORING = MarquardtSettings(
     raised=10.0,
     least_damping=1e-6,
@@ -54,14 +54,13 @@ _SCORING = MarquardtSettings(
 )
 
 
-def gauss_newton(residuals: ResidualFunction, start: FloatArray) -> Minimum:
-    """Return the minimum that damped Gauss-Newton steps lead to, to a hundredth of its sd."""
-    return levenberg_marquardt(residuals, start, _GAUSS_NEWTON)
+gauss_newton: Solver = partial(levenberg_marquardt, settings=_GAUSS_NEWTON)
+"""Damped Gauss-Newton steps, to a hundredth of a standard deviation."""
 
-
-def few_gauss_newton_steps(residuals: ResidualFunction, start: FloatArray) -> Minimum:
-    """Take at most 15 steps of `gauss_newton` towards squares whose weights will be updated."""
-    return levenberg_marquardt(residuals, start, _FEW_GAUSS_NEWTON)
+few_gauss_newton_steps: Solver = partial(
+    levenberg_marquardt, settings=replace(_GAUSS_NEWTON, max_trials=15)
+)
+"""At most 15 of these steps, towards squares whose weights will be updated."""
 
 
 def simplex_solver(parameters: Parameters) -> Solver:
@@ -161,10 +160,11 @@ class BandFit:
 
 
 def fit_band(
-    problem: BandProblem,
-    solver: Solver,
-    refiner: Solver,
+    objective: Objective,
+    solver: Solver = gauss_newton,
+    refiner: Solver = few_gauss_newton_steps,
     *,
+    start: FloatArray | None = None,
     progress: Progress | None = None,
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
@@ -179,19 +179,24 @@ def fit_band(
     ----------
     solver, refiner : Solver
         Minimise the first round's squares, and those of the rounds that follow.
+    start : float array, shape (n_free,), optional
+        Where the first round begins; left out: where the parameters do.
 
     References
     ----------
     .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
     """
-    counter = _Counter(problem)
-    vector = solver(_first_squares(counter), start_vector(problem.parameters)).x
-    variance, ending = problem.variance(vector), Ending.OUT_OF_ROUNDS
+    residuals = _Residuals(objective)
+    first = start_vector(objective.parameters) if start is None else start
+    residuals.compare_logarithms()
+    vector = solver(residuals, first).x
+    variance, ending = objective.variance(vector), Ending.OUT_OF_ROUNDS
     for number in range(_MOST_ROUNDS):
-        previous, spread = vector, counter.neighbours * variance
-        found = refiner(_weighted_squares(counter, spread), vector)
+        previous = vector
+        residuals.weigh(variance)
+        found = refiner(residuals, vector)
         vector = found.x
-        sd = np.sqrt(np.diag(np.linalg.inv(_information(counter, spread, vector))))
+        sd = np.sqrt(np.diag(np.linalg.inv(residuals.information(vector))))
         if progress is not None:
             progress((number + 1) / _MOST_ROUNDS)
         if np.all(np.abs(vector - previous) <= _AGREEMENT_SD * sd):
@@ -199,15 +204,15 @@ def fit_band(
             is_stuck = found.ending is Ending.OUT_OF_DAMPING
             ending = found.ending if is_stuck else Ending.CONVERGED
             break
-        new = problem.variance(vector)
+        new = objective.variance(vector)
         variance = np.sqrt(variance * new) if number >= _HALF_WAY_FROM else new
     if progress is not None:
         progress(1.0)
-    return _band_fit(counter, vector, ending)
+    return residuals.fit(vector, ending)
 
 
 def score_band(
-    problem: BandProblem, start: FloatArray, *, rounds: int = 4, steps: int = 3
+    objective: Objective, start: FloatArray, *, rounds: int = 4, steps: int = 3
 ) -> BandFit:
     """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
 
@@ -222,12 +227,11 @@ def score_band(
     steps : int
         Steps between two renewals at most.
     """
-    counter = _Counter(problem)
-    vector = np.array(start)
+    residuals, vector = _Residuals(objective), np.array(start)
     settings, ending = replace(_SCORING, max_steps=steps), Ending.OUT_OF_ROUNDS
     for _ in range(rounds):
-        squares = _weighted_squares(counter, counter.neighbours * problem.variance(vector))
-        found = levenberg_marquardt(squares, vector, settings)
+        residuals.weigh(objective.variance(vector))
+        found = levenberg_marquardt(residuals, vector, settings)
         vector = found.x
         is_short = found.ending is Ending.CONVERGED and found.steps == 1
         is_stuck = found.ending in (Ending.NO_MORE_PROGRESS, Ending.OUT_OF_DAMPING)
@@ -235,113 +239,102 @@ def score_band(
             ending = found.ending
             break
         settings = replace(settings, damping=_SCORING.damping if is_stuck else found.damping)
-    return _band_fit(counter, vector, ending)
+    return residuals.fit(vector, ending)
 
 
-def _band_fit(counter: _Counter, vector: FloatArray, ending: Ending) -> BandFit:
-    """Return a fit that ended at a vector, with the weights of that vector."""
-    problem, measured = counter.problem, counter.measured
-    variance, prediction = problem.variance(vector), counter.predict(vector)
-    spread = counter.neighbours * variance
-    prior, _ = prior_residuals(problem.parameters, vector)
-    information = _information(counter, spread, vector)
-    squares = (measured - prediction.expected) ** 2
-    log_likelihood = problem.log_likelihood(prediction.expected, variance)
-    return BandFit(
-        vector,
-        float(0.5 * (np.sum(squares / spread) + prior @ prior)),
-        float(np.sum(squares / variance)) / _freedom(prediction, spread, information),
-        information,
-        prediction.expected,
-        variance,
-        measured,
-        float(np.sum(log_likelihood / counter.neighbours)),
-        counter.evaluations,
-        ending,
-    )
-
-
-def first_round(problem: BandProblem, solver: Solver, start: FloatArray) -> Minimum:
+def first_round(objective: Objective, start: FloatArray) -> Minimum:
     """Return where the first round of `fit_band` ends from another start.
 
     Enough to know whether another start leads elsewhere, for a fraction of a whole fit.
     """
-    counter = _Counter(problem)
-    found = solver(_first_squares(counter), start)
-    return found._replace(evaluations=counter.evaluations)
+    residuals = _Residuals(objective)
+    residuals.compare_logarithms()
+    found = gauss_newton(residuals, start)
+    return found._replace(evaluations=residuals.evaluations)
 
 
-class _Counter:
-    """Remembers the last prediction, so that residuals and Jacobian cost one weighing."""
+class _Residuals:
+    """Residuals of data and prior, each over its standard deviation, and their derivative.
 
-    def __init__(self, problem: BandProblem) -> None:
-        self.problem = problem
-        self.measured = problem.measured()
-        self.neighbours = problem.correlation_length()
-        self.evaluations = 0
-        self._last: tuple[FloatArray, Prediction] | None = None
-
-    def predict(self, vector: FloatArray) -> Prediction:
-        if self._last is None or not np.array_equal(vector, self._last[0]):
-            self._last = (np.array(vector), self.problem.predict(vector))
-            self.evaluations += 1
-        return self._last[1]
-
-
-def _first_squares(counter: _Counter) -> ResidualFunction:
-    """Compare energies by their logarithms, everything else as it is.
-
-    The mean of the log of a Gamma variate lies below the log of its mean, by digamma.
+    Remembers the last prediction, so that all that is asked at one point costs one.
     """
-    problem, measured = counter.problem, counter.measured
-    start = start_vector(problem.parameters)
-    logs = problem.is_gamma()
-    expected = counter.predict(start).expected
-    variance = problem.variance(start)
-    # a window that neither a path nor noise reaches has no logarithm
-    least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
-    expected = np.where(logs, expected + least, 1.0)
-    shape = np.clip(expected**2 / variance, 0.5, 100.0)
-    sd = np.where(logs, np.sqrt(polygamma(1, shape)), np.sqrt(variance))
-    # an empty window says "low", not minus infinity
-    floored = np.where(logs, np.maximum(measured, 1e-3 * expected), 1.0)
-    target = np.where(logs, np.log(floored) - digamma(shape) + np.log(shape), measured)
 
-    def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        prediction = counter.predict(vector)
-        prior, prior_rows = prior_residuals(problem.parameters, vector)
-        positive = np.where(logs, prediction.expected + least, 1.0)
-        predicted = np.where(logs, np.log(positive), prediction.expected)
-        rows = -prediction.jacobian / (positive * sd)[:, None]
-        residuals = (target - predicted) / sd
+    def __init__(self, objective: Objective) -> None:
+        self.objective = objective
+        self.measured = objective.measured()
+        self.neighbours = objective.correlation_length()
+        self.evaluations = 0
+        self.weigh(np.ones(self.measured.size))
+        self._at: FloatArray | None = None
+
+    def __call__(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        if self._at is None or not np.array_equal(vector, self._at):
+            self._at, self.prediction = np.array(vector), self.objective.predict(vector)
+            self.evaluations += 1
+        expected, jacobian = self.prediction.expected, self.prediction.jacobian
+        positive = np.where(self._logs, expected + self._least, 1.0)
+        predicted = np.where(self._logs, np.log(positive), expected)
+        prior, prior_rows = prior_residuals(self.objective.parameters, vector)
+        rows = -jacobian / (positive * self._sd)[:, None]
+        residuals = (self._target - predicted) / self._sd
         return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
-    return squares
+    def weigh(self, variance: FloatArray) -> None:
+        """Compare data as they are, under a variance of each, shape (n_data,)."""
+        self._target, self._sd = self.measured, np.sqrt(self.neighbours * variance)
+        self._logs, self._least = np.zeros(self.measured.size, dtype=np.bool_), np.zeros(1)
 
+    def compare_logarithms(self) -> None:
+        """Compare energies by their logarithms, everything else as it is.
 
-def _weighted_squares(counter: _Counter, variance: FloatArray) -> ResidualFunction:
-    sd = np.sqrt(variance)
+        The mean of the log of a Gamma variate lies below the log of its mean, by digamma.
+        """
+        start = start_vector(self.objective.parameters)
+        self(start)
+        logs, expected = self.objective.is_gamma(), self.prediction.expected
+        variance = self.objective.variance(start)
+        # a window that neither a path nor noise reaches has no logarithm
+        least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
+        expected = np.where(logs, expected + least, 1.0)
+        shape = np.clip(expected**2 / variance, 0.5, 100.0)
+        self._sd = np.where(logs, np.sqrt(polygamma(1, shape)), np.sqrt(variance))
+        # an empty window says "low", not minus infinity
+        floored = np.where(logs, np.maximum(self.measured, 1e-3 * expected), 1.0)
+        corrected = np.log(floored) - digamma(shape) + np.log(shape)
+        self._target = np.where(logs, corrected, self.measured)
+        self._logs, self._least = logs, least
 
-    def squares(vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        prediction = counter.predict(vector)
-        prior, prior_rows = prior_residuals(counter.problem.parameters, vector)
-        residuals = np.concatenate(((counter.measured - prediction.expected) / sd, prior))
-        return residuals, np.concatenate((-prediction.jacobian / sd[:, None], prior_rows))
+    def information(self, vector: FloatArray) -> FloatArray:
+        """Return the information of data and prior under the present weights."""
+        self(vector)
+        jacobian = self.prediction.jacobian / self._sd[:, None]
+        _, prior = prior_residuals(self.objective.parameters, vector)
+        return np.asarray(jacobian.T @ jacobian + prior.T @ prior)
 
-    return squares
-
-
-def _information(counter: _Counter, variance: FloatArray, vector: FloatArray) -> FloatArray:
-    jacobian = counter.predict(vector).jacobian / np.sqrt(variance)[:, None]
-    _, prior = prior_residuals(counter.problem.parameters, vector)
-    return np.asarray(jacobian.T @ jacobian + prior.T @ prior)
-
-
-def _freedom(prediction: Prediction, variance: FloatArray, information: FloatArray) -> float:
-    """Windows less the parameters that the data, not the prior, determine."""
-    jacobian = prediction.jacobian / np.sqrt(variance)[:, None]
-    spent = float(np.trace(np.linalg.solve(information, jacobian.T @ jacobian)))
-    return max(variance.size - spent, 1.0)
+    def fit(self, vector: FloatArray, ending: Ending) -> BandFit:
+        """Return a fit that ended at a vector, with the weights of that vector."""
+        variance = self.objective.variance(vector)
+        self.weigh(variance)
+        information, spread = self.information(vector), self.neighbours * variance
+        expected, jacobian = self.prediction.expected, self.prediction.jacobian
+        prior, _ = prior_residuals(self.objective.parameters, vector)
+        squares = (self.measured - expected) ** 2
+        # degrees of freedom: data less the parameters that they, not the prior, determine
+        weighted = jacobian / self._sd[:, None]
+        spent = float(np.trace(np.linalg.solve(information, weighted.T @ weighted)))
+        log_likelihood = self.objective.log_likelihood(expected, variance)
+        return BandFit(
+            vector,
+            float(0.5 * (np.sum(squares / spread) + prior @ prior)),
+            float(np.sum(squares / variance)) / max(variance.size - spent, 1.0),
+            information,
+            expected,
+            variance,
+            self.measured,
+            float(np.sum(log_likelihood / self.neighbours)),
+            self.evaluations,
+            ending,
+        )
 
 
 def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:

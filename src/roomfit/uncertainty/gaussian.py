@@ -27,7 +27,7 @@ from roomfit.objective.parameters import (
     to_free,
     to_physical,
 )
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
@@ -150,7 +150,7 @@ def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
     return np.asarray(excess_information <= 0.0)
 
 
-def answer_steps(problem: BandProblem, fit: BandFit, errors: FloatArray) -> FloatArray:
+def answer_steps(problem: Objective, fit: BandFit, errors: FloatArray) -> FloatArray:
     """Return how far the answer moves if what is expected of the data is wrong by given errors.
 
     To first order ``H^-1 J^T W u`` for an error u, with H the information, J the Jacobian and W the
@@ -248,13 +248,13 @@ class FittedBand:
     """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
 
     estimate: BandEstimate
-    problem: BandProblem | None = None  # None, as the fit, where only the prior is known
+    problem: Objective | None = None  # None, as the fit, where only the prior is known
     fit: BandFit | None = None
 
 
 Refine: TypeAlias = Callable[[FittedBand, Progress | None], BandEstimate]
 
-SharedCovariance: TypeAlias = Callable[[int, BandProblem, BandFit], BandFit]
+SharedCovariance: TypeAlias = Callable[[int, Objective, BandFit], BandFit]
 
 
 def band_estimate(

@@ -17,7 +17,7 @@ from roomfit.objective.parameters import (
     to_free,
     to_physical,
 )
-from roomfit.objective.problem import BandProblem
+from roomfit.objective.problem import Objective
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
@@ -67,7 +67,7 @@ class Refinement:
         return answer
 
 
-def profiled(problem: BandProblem, fit: BandFit, answer: BandEstimate) -> BandEstimate:
+def profiled(problem: Objective, fit: BandFit, answer: BandEstimate) -> BandEstimate:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
     Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
@@ -181,7 +181,7 @@ def sampled(
     )
 
 
-def _mirrored(problem: BandProblem, fit: BandFit, exchange: IntArray) -> MirrorTrial:
+def _mirrored(problem: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
     """Return where a second fit ends that begins with the absorptions exchanged."""
     block = absorption_of(problem.parameters)
     values, _ = physical_values(problem.parameters, fit.vector)

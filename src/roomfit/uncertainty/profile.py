@@ -9,7 +9,7 @@ from scipy.interpolate import PchipInterpolator
 
 from roomfit.logit import Z95
 from roomfit.objective.parameters import prior_residuals
-from roomfit.objective.problem import BandProblem, Prediction
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray
 
@@ -51,7 +51,7 @@ class Profile:
     evaluations: int
 
 
-def profile(problem: BandProblem, fit: BandFit, entry: int) -> Profile:
+def profile(problem: Objective, fit: BandFit, entry: int) -> Profile:
     """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
@@ -104,7 +104,7 @@ def may_be_bent(fit: BandFit, entry: int) -> bool:
 class _Line:
     """The cost along one free number, and where it was computed."""
 
-    def __init__(self, problem: BandProblem, fit: BandFit, entry: int) -> None:
+    def __init__(self, problem: Objective, fit: BandFit, entry: int) -> None:
         self.problem, self.fit, self.entry = problem, fit, entry
         self.others = np.flatnonzero(np.arange(fit.vector.size) != entry)
         self.weight = 1.0 / (problem.correlation_length() * fit.variance)

@@ -24,7 +24,7 @@ from roomfit.objective.parameters import (
     position_of,
     prior_residuals,
 )
-from roomfit.objective.problem import BandProblem, Prediction
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
@@ -111,7 +111,7 @@ class LogPosterior:
     logits leaves them where a wall is hard, and the step would promise what it does not gain.
     """
 
-    problem: BandProblem
+    problem: Objective
     centre: FloatArray  # (n_free,), the fit's answer
     n_kept: int  # entries of the free vector, from its beginning, whose density this is
     follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
@@ -143,7 +143,7 @@ class LogPosterior:
         return np.asarray(self.centre[self.n_kept :] + self.follow @ (there - here))
 
 
-def log_posterior(problem: BandProblem, fit: BandFit) -> LogPosterior:
+def log_posterior(problem: Objective, fit: BandFit) -> LogPosterior:
     """Return the posterior of all unknowns of a band but its arrival times.
 
     Parameters
@@ -535,7 +535,7 @@ def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
     )
 
 
-def _signal_slopes(problem: BandProblem, found: Prediction, vector: FloatArray) -> FloatArray:
+def _signal_slopes(problem: Objective, found: Prediction, vector: FloatArray) -> FloatArray:
     """Return the slopes of `Windows` at a point."""
     by_exponent = found.jacobian / exponent_slopes(problem.parameters, vector)
     least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
@@ -543,7 +543,7 @@ def _signal_slopes(problem: BandProblem, found: Prediction, vector: FloatArray) 
     return np.asarray(by_exponent / scale[:, None])
 
 
-def _curvature(problem: BandProblem, slopes: FloatArray, vector: FloatArray) -> FloatArray:
+def _curvature(problem: Objective, slopes: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the curvature of `Windows` from one more prediction an unknown."""
     out = np.empty((*slopes.shape, vector.size))
     for k in range(vector.size):
