@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array
+from roomfit._checks import float_array, read_only
 from roomfit.errors import InputError
 from roomfit.typing import FloatArray
 
@@ -30,6 +30,8 @@ class Bands:
 
     kind: BandKind
     centres_hz: FloatArray  #: (n_bands,), nominal (125, 250, ...), strictly rising
+    #: (n_bands,), exact base-ten centres of IEC 61260-1 nearest to the nominal ones
+    exact_centres_hz: FloatArray = field(init=False, repr=False)
 
     def __post_init__(self) -> None:
         if self.kind not in _STEPS_PER_OCTAVE:
@@ -41,26 +43,23 @@ class Bands:
             raise InputError(
                 "band centres must rise and there must be at least one", found=str(centres.tolist())
             )
-        exact_centres_hz(self.kind, centres)  # raises where one is no centre of that kind
         object.__setattr__(self, "centres_hz", centres)
+        # raises where one is no centre of that kind
+        exact = read_only(exact_centres_hz(self.kind, centres))
+        object.__setattr__(self, "exact_centres_hz", exact)
 
     def __len__(self) -> int:
         return int(self.centres_hz.size)
 
     @property
-    def exact_centres_hz(self) -> FloatArray:
-        """Exact base-ten centres of IEC 61260-1 nearest to the nominal ones, shape (n_bands,)."""
-        return exact_centres_hz(self.kind, self.centres_hz)
-
-    @property
     def lower_hz(self) -> FloatArray:
         """Lower band edges, shape (n_bands,)."""
-        return self.exact_centres_hz / _half_width(self.kind)
+        return np.asarray(self.exact_centres_hz / 10.0 ** (0.15 / _STEPS_PER_OCTAVE[self.kind]))
 
     @property
     def upper_hz(self) -> FloatArray:
         """Upper band edges, shape (n_bands,)."""
-        return self.exact_centres_hz * _half_width(self.kind)
+        return np.asarray(self.exact_centres_hz * 10.0 ** (0.15 / _STEPS_PER_OCTAVE[self.kind]))
 
 
 def bands_between(kind: BandKind, from_hz: float, to_hz: float) -> Bands:
@@ -132,7 +131,3 @@ def bands_in_words(bands: Bands, chosen: Iterable[int], notes: Sequence[str] = (
 def steps_per_octave(kind: BandKind) -> int:
     """Return how many bands of a kind make an octave."""
     return _STEPS_PER_OCTAVE[kind]
-
-
-def _half_width(kind: BandKind) -> float:
-    return float(10.0 ** (0.15 / _STEPS_PER_OCTAVE[kind]))

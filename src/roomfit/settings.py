@@ -12,6 +12,8 @@ Model = Literal["auto", "energy", "coherent"]
 Positions = Literal["auto", "fit", "fixed"]
 # The paper's searches cannot follow many unknowns beside absorption; a certificate has no bounds.
 LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares", "posterior")
+# Relative standard deviation of the speed of sound where nothing is specified.
+SPEED_OF_SOUND_SD = 2e-3
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +58,7 @@ class Settings:
     # Pressures are added in windows that end by this time after emission; later ones add little
     # information and need many more images.
     coherent_until_s: float = 0.2
-    speed_of_sound_sd: float = 2e-3  # relative, where temperature_sd_c is unspecified
+    speed_of_sound_sd: float = SPEED_OF_SOUND_SD  # relative, where temperature_sd_c is unspecified
 
     def __post_init__(self) -> None:
         for key, value, known in (

@@ -41,7 +41,7 @@ def measurements(*heights_m: float, sd_m: float = 0.01) -> Measurements:
 
 
 def found(data: Measurements, priors=KNOWN):
-    return mirror_findings(data, BANDS, priors, ABSORPTION, ABSORPTION - 0.1, ABSORPTION + 0.1)
+    return mirror_findings(data, priors, ABSORPTION, ABSORPTION - 0.1, ABSORPTION + 0.1)
 
 
 def test_floor_and_ceiling_can_be_exchanged_where_everything_stands_at_half_height():

@@ -10,7 +10,7 @@ import pytest
 
 from roomfit.findings import Code
 from roomfit.inversion.measurements import collect_measurements
-from roomfit.inversion.scattering import scattering_checks
+from roomfit.inversion.scattering import scattering_trial, suspected_scattering
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
@@ -42,5 +42,8 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     )
     planned = plan_trace(measurements.scene, priors, 0.6, 0.4, settings, coherent=True)
     start = np.full(len(campaign.bands), 0.2)
-    found = scattering_checks(measurements, priors, settings, planned.settings, start)
+    trial = scattering_trial(measurements, priors, settings, planned.settings, start)
+    assert trial is not None
+    fit, specified = trial
+    found = suspected_scattering(fit, measurements.scene.room.materials, specified)
     assert [f.code for f in found] == codes

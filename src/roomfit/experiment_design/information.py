@@ -22,7 +22,6 @@ from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.objective.coherent import (
     DELAY_SD_S,
-    SPEED_SD,
     CoherentTerm,
     coherent_term,
     with_coherence,
@@ -50,6 +49,7 @@ from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m
+from roomfit.settings import SPEED_OF_SOUND_SD
 from roomfit.signals.filters import (
     FilterBank,
     SpreadingKernel,
@@ -270,7 +270,7 @@ class ExpectedMeasurement:
     position_sd_m: float  # of every coordinate of source and receiver
     wall_delays: bool = True  # whether the fit lets walls delay
     positions_free: bool = True  # whether the fit lets positions move
-    speed_sd: float = SPEED_SD  # relative standard deviation of the speed of sound
+    speed_sd: float = SPEED_OF_SOUND_SD  # relative standard deviation of the speed of sound
 
 
 def information_of_pairs(

@@ -77,9 +77,9 @@ from roomfit.objective.directivity import (
     energy_objective,
     with_directivities,
 )
+from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
-from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
 from roomfit.response.binned import BinnedPaths, paths_at
 from roomfit.scene import Scene, material_areas_m2
@@ -183,10 +183,36 @@ def rebuild(state: SequentialState) -> SequentialState:
     outliers are found.
     """
     task = state.task
-    bands = [
-        None if made is None else CoherentBand(made[0], fit_band(made[0]), *made[1:])
-        for made in _terms(state)
-    ]
+    geometry = replace(
+        campaign_geometry(
+            task.scene,
+            task.priors,
+            # every band has the same unknowns, in whichever files it hears
+            tuple(m for m in task.measured if m.measurement.use == "fit"),
+            positions=task.settings.positions == "fit",
+            delays=task.settings.delays,
+            speed_sd=task.settings.speed_sd,
+        ),
+        origin=state.origin,
+    )
+    made = energy_terms(
+        task.scene,
+        task.bands,
+        task.priors,
+        task.measured,
+        state.binned,
+        task.start,
+        periods=_WINDOW_PERIODS,
+    )
+    bands: list[CoherentBand | None] = []
+    for b, found in enumerate(made):
+        if found is None:
+            bands.append(None)
+            continue
+        windows, parameters = found
+        directivity, coherent = _early_and_directed(state, b, windows, geometry)
+        energies = energy_objective(windows, parameters, directivity, task.values[b])
+        bands.append(CoherentBand(energies, fit_band(energies), coherent, directivity))
     misfits = [
         file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
         for b, own in enumerate(bands)
@@ -206,56 +232,28 @@ def rebuild(state: SequentialState) -> SequentialState:
     return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
 
 
-def _terms(
-    state: SequentialState,
-) -> Iterator[tuple[Objective, CoherentTerm, BandDirectivities | None] | None]:
-    """Make what each band is fitted with, None where it has too few windows."""
-    task = state.task
-    scene, bands = task.scene, task.bands
-    attenuation = attenuation_per_m(scene.air, bands)
-    # every band has the same unknowns of geometry, in whichever files it hears
-    fitted = tuple(m for m in task.measured if m.measurement.use == "fit")
-    whole = campaign_geometry(
-        scene,
-        task.priors,
-        fitted,
-        positions=task.settings.positions == "fit",
-        delays=task.settings.delays,
-        speed_sd=task.settings.speed_sd,
-    )
-    whole = replace(whole, origin=state.origin)
-    made = energy_terms(
-        scene,
-        bands,
-        task.priors,
-        task.measured,
-        state.binned,
-        task.start,
-        periods=_WINDOW_PERIODS,
-    )
-    for b, own in enumerate(made):
-        if own is None:
-            yield None
-            continue
-        windows, parameters = own
-        files = fitted_in_band(task.measured, b)
-        directivity = None
-        if task.directivity_parameters is not None:
-            directivity = directed_band(
-                task.directivity_parameters, scene, state.paths, windows, files
-            )
-        energies = energy_objective(windows, parameters, directivity, task.values[b])
-        coherent = coherent_term(
-            bands,
-            b,
-            windows,
-            float(attenuation[b]),
-            paths_at(state.paths, state.weights, b),
-            state.binned,
-            replace(whole, columns=whole.columns[[m in files for m in fitted]]),
-            task.settings.end_s,
+def _early_and_directed(
+    state: SequentialState, band: int, windows: EnergyTerm, geometry: Geometry
+) -> tuple[BandDirectivities | None, CoherentTerm]:
+    """Return what is unknown of the sources in a band, and its windows as pressures."""
+    task, directivity = state.task, None
+    files = fitted_in_band(task.measured, band)
+    if task.directivity_parameters is not None:
+        directivity = directed_band(
+            task.directivity_parameters, task.scene, state.paths, windows, files
         )
-        yield energies, coherent, directivity
+    own = [m in files for m in task.measured if m.measurement.use == "fit"]
+    coherent = coherent_term(
+        task.bands,
+        band,
+        windows,
+        float(attenuation_per_m(task.scene.air, task.bands)[band]),
+        paths_at(state.paths, state.weights, band),
+        state.binned,
+        replace(geometry, columns=geometry.columns[own]),
+        task.settings.end_s,
+    )
+    return directivity, coherent
 
 
 def _under_cavity_priors(

@@ -110,9 +110,20 @@ def compare_pairs(
     absorption : float array, shape (n_materials, n_bands)
     attenuation_per_m : float array, shape (n_bands,)
     """
-    return tuple(
-        _compare(bands, binned, m, measured, absorption, attenuation_per_m) for m in measured
-    )
+    out = []
+    for m in measured:
+        curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
+        predicted = room_parameters(curve)
+        others = [o.parameters for o in measured if o.measurement.use == "fit" and o is not m]
+        compared: dict[str, Compared] = {}
+        for name in PARAMETER_NAMES:
+            found, expected = m.parameters.of(name), predicted.of(name)
+            null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
+            compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
+        own = m.measurement
+        decay = _decay(m.curve, curve)
+        out.append(ComparedPair(own.source, own.receiver, own.use, compared, decay))
+    return tuple(out)
 
 
 def predicted_curve(
@@ -126,32 +137,6 @@ def predicted_curve(
     """Return the decay curves that the paths of a pair predict, smeared as the filters would."""
     energy = pair_energies(binned, bands, pair, absorption, attenuation_per_m)
     return echogram_decay_curve(bands, spread_over_time(bands, energy), binned.edges_s, direct_s)
-
-
-def _compare(
-    bands: Bands,
-    binned: BinnedPaths,
-    m: MeasuredPair,
-    measured: tuple[MeasuredPair, ...],
-    absorption: FloatArray,
-    attenuation_per_m: FloatArray,
-) -> ComparedPair:
-    curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
-    predicted = room_parameters(curve)
-    others = [o.parameters for o in measured if o.measurement.use == "fit" and o is not m]
-    compared: dict[str, Compared] = {}
-    for name in PARAMETER_NAMES:
-        found = m.parameters.of(name)
-        expected = predicted.of(name)
-        null = _mean_of_known(np.array([o.of(name) for o in others]).reshape(-1, len(bands)))
-        compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
-    return ComparedPair(
-        m.measurement.source,
-        m.measurement.receiver,
-        m.measurement.use,
-        compared,
-        _decay(m.curve, curve),
-    )
 
 
 def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:

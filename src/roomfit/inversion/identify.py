@@ -213,7 +213,7 @@ def combine(
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
     )
     ambiguous, mirrors = mirror_findings(
-        measured, bands, priors, absorption, lower, upper, [b.mirrors for b in found]
+        measured, priors, absorption, lower, upper, [b.mirrors for b in found]
     )
     identifiable &= ~ambiguous
     areas = material_areas_m2(scene.room)

@@ -14,8 +14,9 @@ from roomfit.inversion.scattering import (
     assumed_scattering,
     band_factors,
     chosen_scattering,
-    scattering_checks,
+    scattering_trial,
     specified_scattering,
+    suspected_scattering,
 )
 from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, plan_trace
 from roomfit.materials.priors import MaterialPrior
@@ -129,7 +130,10 @@ def traced_paths(
             images_until_s=plan.settings.image_until_s,
         )
     else:
-        doubts = scattering_checks(measurements, priors, settings, plan.settings, start)
+        trial = scattering_trial(measurements, priors, settings, plan.settings, start)
+        if trial is not None:
+            fit, specified = trial
+            doubts = suspected_scattering(fit, scene.room.materials, specified)
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths

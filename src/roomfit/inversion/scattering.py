@@ -186,6 +186,10 @@ def suspected_scattering(
 ) -> tuple[Finding, ...]:
     """Return a finding where walls taken for smooth explain the data better if they scatter.
 
+    Of walls that are smooth, a model that is otherwise right raises the doubt in fewer than one
+    room in a hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that
+    it exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
+
     Parameters
     ----------
     fit : callable
@@ -321,34 +325,27 @@ def assumed_scattering(
     )
 
 
-def scattering_checks(
+def scattering_trial(
     measurements: Measurements,
     priors: tuple[MaterialPrior, ...],
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
-) -> tuple[Finding, ...]:
-    """Return a finding where walls specified as smooth explain the data better if they scatter.
+) -> tuple[ScatteringFit, FloatArray] | None:
+    """Return what `suspected_scattering` compares, None where no wall is specified as smooth.
 
-    Tried in the three highest bands up to 4 kHz with one coefficient for all of them. Of walls that
-    are smooth, a model that is otherwise right raises the doubt in fewer than one room in a
-    hundred: a likelihood ratio has the mean 1 under the model in its denominator, so that it
-    exceeds e^5 with a probability below e^-5 (A. Wald, Sequential Analysis, 1947, section 3.2).
+    A fit of the three highest bands up to 4 kHz, and the specified coefficients there.
 
     Parameters
     ----------
     start : float array, shape (n_bands,)
     """
     if not any(k.scattering is not None and not np.any(k.scattering > 0.0) for k in priors):
-        return ()
+        return None
     last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)
     quick = _quick(trace_settings, settings.n_scattering_rays, _TRIAL_S)
-    trial = _energy_fit(measurements, priors, settings, quick, start, chosen)
-    if trial is None:
-        return ()
-    fit, specified = trial
-    return suspected_scattering(fit, measurements.scene.room.materials, specified)
+    return _energy_fit(measurements, priors, settings, quick, start, chosen)
 
 
 def _quick(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:

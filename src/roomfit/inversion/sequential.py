@@ -12,7 +12,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit.objective.coherent import SPEED_SD, CoherentTerm, with_coherence
+from roomfit.objective.coherent import CoherentTerm, with_coherence
 from roomfit.objective.directivity import BandDirectivities, directed
 from roomfit.objective.parameters import (
     GEOMETRY,
@@ -25,6 +25,7 @@ from roomfit.objective.parameters import (
     whole_covariance,
 )
 from roomfit.objective.problem import Objective
+from roomfit.settings import SPEED_OF_SOUND_SD
 from roomfit.solvers.least_squares import BandFit, marginal, score_band
 from roomfit.typing import FloatArray, Progress
 
@@ -47,7 +48,7 @@ class CoherentOptions:
     end_s: float = FIT_END_S
     # where the last window ends at the latest; without a limit it ends where the decay drowns
     late_end_s: float = np.inf
-    speed_sd: float = SPEED_SD  # prior relative standard deviation of the speed of sound
+    speed_sd: float = SPEED_OF_SOUND_SD  # prior relative standard deviation of the speed of sound
 
 
 @dataclass(frozen=True, slots=True, eq=False)

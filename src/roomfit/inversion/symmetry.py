@@ -192,7 +192,6 @@ def _is_near(one: FloatArray, other: FloatArray, same: float) -> bool:
 
 def mirror_findings(
     measurements: Measurements,
-    bands: Bands,
     priors: tuple[MaterialPrior, ...],
     absorption: FloatArray,
     lower95: FloatArray,
@@ -218,7 +217,7 @@ def mirror_findings(
     """
     ambiguous = np.zeros(absorption.shape, dtype=np.bool_)
     findings = []
-    scene = _fitted_scene(measurements)
+    scene, bands = _fitted_scene(measurements), measurements.bands
     for number, symmetry in enumerate(mirror_symmetries(measurements, priors)):
         other = absorption[symmetry.exchange]
         differs = (other < lower95) | (other > upper95)

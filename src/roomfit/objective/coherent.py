@@ -99,7 +99,7 @@ class CoherentTerm:
             self.grid,
             tuple(o.edges_s for o in self.early),
         )
-        less, less_by_log = self._as_energies(absorption)
+        less, less_by_log = self._as_energies(image_energies(self.coherent, absorption))
         # d ln(1 - a) = -da / (1 - a)
         by_absorption = -(response.by_log_reflected - less_by_log)
         by_absorption /= np.maximum(1.0 - absorption, 1e-12)
@@ -125,14 +125,14 @@ class CoherentTerm:
         derivatives[GEOMETRY][windows] = gain[:, None] * by_geometry * self.geometry.sd
         return expected, signal, derivatives
 
-    def _as_energies(self, absorption: FloatArray) -> tuple[FloatArray, FloatArray]:
+    def _as_energies(self, energy: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Return the energies of what is coherent in each early window, and by ln(1 - a)."""
-        energy = image_energies(self.coherent, absorption) * self.coherent.coherence
+        energy = energy * self.coherent.coherence
         energies, by_hits = [], []
         for o, observed in enumerate(self.early):
             own = slice(self.coherent.offsets[o], self.coherent.offsets[o + 1])
             n_bins = observed.spreading.shape[1]
-            total, hits = np.zeros(n_bins), np.zeros((absorption.size, n_bins))
+            total, hits = np.zeros(n_bins), np.zeros((self.coherent.hits.shape[1], n_bins))
             binned_energies(
                 self.coherent_bins[own], self.coherent.hits[own], energy[own], total, hits
             )
@@ -286,8 +286,7 @@ class FittedGeometry:
     speed_of_sound_m_s: float
 
 
-# Prior standard deviations of unknowns that are unspecified.
-SPEED_SD = 2e-3
+# Prior standard deviation of a reflection delay that is unspecified.
 DELAY_SD_S = 2e-4
 
 
@@ -306,7 +305,7 @@ def campaign_geometry(
     *,
     positions: bool,
     delays: bool,
-    speed_sd: float = SPEED_SD,
+    speed_sd: float,
 ) -> Geometry:
     """Return the unknowns of arrival times of the fitted measurements.
 

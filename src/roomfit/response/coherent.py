@@ -18,7 +18,6 @@ import numpy as np
 from scipy import fft
 from scipy.special import i0
 
-from roomfit._checks import float_array
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
@@ -416,40 +415,28 @@ def coherent_response(
         grid.table,
         impulses,
     )
-    columns_first = np.ascontiguousarray(np.swapaxes(impulses, 1, 2))
-    return _filtered(columns_first, len(paths.materials), grid, edges_s, derivative=derivative)
-
-
-def _filtered(
-    impulses: FloatArray,
-    n_materials: int,
-    grid: BandGrid,
-    edges_s: tuple[FloatArray, ...],
-    *,
-    derivative: bool,
-) -> CoherentResponse:
-    """Filter impulse trains and integrate their products over windows."""
-    spectra = fft.rfft(impulses, axis=-1, workers=2)
+    n_materials = len(paths.materials)
+    spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
     pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
-    if derivative:
-        level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)
-        moved = fft.irfft(spectra * grid.slope, grid.n, axis=-1, workers=2)
-        columns = np.concatenate((level, moved), axis=1)
-    else:
-        columns = np.zeros((len(edges_s), 0, grid.n))
+    if not derivative:
+        energy, _ = integrated_products(
+            pressure, np.zeros((len(edges_s), 0, grid.n)), grid, edges_s
+        )
+        n = energy.size
+        return CoherentResponse(energy, np.zeros((n, n_materials)), np.zeros((n, 8 + n_materials)))
+    level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)
+    moved = fft.irfft(spectra * grid.slope, grid.n, axis=-1, workers=2)
+    columns = np.concatenate((level, moved), axis=1)
     energy, slopes = integrated_products(pressure, columns, grid, edges_s)
-    n_windows = energy.size
-    by_times = np.zeros((n_windows, 8 + n_materials))
-    if derivative:
-        shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
-        first = 1 + n_materials
-        by_times[:, 0:3] = -shifted[:, first : first + 3]
-        by_times[:, 3:6] = shifted[:, first + 3 : first + 6]
-        by_times[:, 6] = -shifted[:, first + 6]
-        by_times[:, 7] = shifted[:, 0]
-        by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
-    by_level = 0.5 * slopes[:, :n_materials] if derivative else np.zeros((n_windows, n_materials))
-    return CoherentResponse(energy, by_level, by_times)
+    shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
+    first = 1 + n_materials
+    by_times = np.zeros((energy.size, 8 + n_materials))
+    by_times[:, 0:3] = -shifted[:, first : first + 3]
+    by_times[:, 3:6] = shifted[:, first + 3 : first + 6]
+    by_times[:, 6] = -shifted[:, first + 6]
+    by_times[:, 7] = shifted[:, 0]
+    by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
+    return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
 
 
 def integrated_products(
@@ -478,7 +465,14 @@ def image_energies(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
 
 
 def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
-    a = float_array("absorption", absorption, (len(paths.materials),), low=0.0, high=1.0)
+    a = np.asarray(absorption, dtype=np.float64)
+    # on the spot: this is done at every evaluation of a fit
+    if a.shape != (len(paths.materials),) or not np.all((a >= 0.0) & (a <= 1.0)):
+        raise InputError(
+            "absorption does not fit the paths or is out of range",
+            found=str(absorption),
+            needed=f"{len(paths.materials)} values from 0 to 1",
+        )
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
     roots = root_energies(paths.weight * paths.coherence, paths.hits, np.asarray(powers))

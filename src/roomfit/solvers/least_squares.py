@@ -188,7 +188,7 @@ def fit_band(
     """
     residuals = _Residuals(objective)
     first = start_vector(objective.parameters) if start is None else start
-    residuals.compare_logarithms()
+    residuals.compare_logarithms(objective.variance(start_vector(objective.parameters)))
     vector = solver(residuals, first).x
     variance, ending = objective.variance(vector), Ending.OUT_OF_ROUNDS
     for number in range(_MOST_ROUNDS):
@@ -208,7 +208,7 @@ def fit_band(
         variance = np.sqrt(variance * new) if number >= _HALF_WAY_FROM else new
     if progress is not None:
         progress(1.0)
-    return residuals.fit(vector, ending)
+    return residuals.fit(vector, objective.variance(vector), ending)
 
 
 def score_band(
@@ -239,7 +239,7 @@ def score_band(
             ending = found.ending
             break
         settings = replace(settings, damping=_SCORING.damping if is_stuck else found.damping)
-    return residuals.fit(vector, ending)
+    return residuals.fit(vector, objective.variance(vector), ending)
 
 
 def first_round(objective: Objective, start: FloatArray) -> Minimum:
@@ -248,7 +248,7 @@ def first_round(objective: Objective, start: FloatArray) -> Minimum:
     Enough to know whether another start leads elsewhere, for a fraction of a whole fit.
     """
     residuals = _Residuals(objective)
-    residuals.compare_logarithms()
+    residuals.compare_logarithms(objective.variance(start_vector(objective.parameters)))
     found = gauss_newton(residuals, start)
     return found._replace(evaluations=residuals.evaluations)
 
@@ -284,15 +284,14 @@ class _Residuals:
         self._target, self._sd = self.measured, np.sqrt(self.neighbours * variance)
         self._logs, self._least = np.zeros(self.measured.size, dtype=np.bool_), np.zeros(1)
 
-    def compare_logarithms(self) -> None:
+    def compare_logarithms(self, variance: FloatArray) -> None:
         """Compare energies by their logarithms, everything else as it is.
 
-        The mean of the log of a Gamma variate lies below the log of its mean, by digamma.
+        The mean of the log of a Gamma variate lies below the log of its mean, by digamma. The
+        variance, shape (n_data,), is that where the parameters start.
         """
-        start = start_vector(self.objective.parameters)
-        self(start)
+        self(start_vector(self.objective.parameters))
         logs, expected = self.objective.is_gamma(), self.prediction.expected
-        variance = self.objective.variance(start)
         # a window that neither a path nor noise reaches has no logarithm
         least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
         expected = np.where(logs, expected + least, 1.0)
@@ -311,9 +310,8 @@ class _Residuals:
         _, prior = prior_residuals(self.objective.parameters, vector)
         return np.asarray(jacobian.T @ jacobian + prior.T @ prior)
 
-    def fit(self, vector: FloatArray, ending: Ending) -> BandFit:
-        """Return a fit that ended at a vector, with the weights of that vector."""
-        variance = self.objective.variance(vector)
+    def fit(self, vector: FloatArray, variance: FloatArray, ending: Ending) -> BandFit:
+        """Return a fit that ended at a vector, with the variance of that vector."""
         self.weigh(variance)
         information, spread = self.information(vector), self.neighbours * variance
         expected, jacobian = self.prediction.expected, self.prediction.jacobian
