@@ -271,7 +271,7 @@ def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
     names, priors = case.scene.room.materials, prior_logits(case.priors)
-    found = determined(names, absorption, covariance, priors, areas, 1).combinations
+    found, _, _ = determined(names, absorption, covariance, priors, areas, 1)
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
             weights = " ".join(f"{w:.2f}" for w in c.weights)

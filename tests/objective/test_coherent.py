@@ -14,7 +14,7 @@ from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
-    JointPrior,
+    Marginal,
     Parameters,
     prior_residuals,
     start_vector,
@@ -87,9 +87,7 @@ def _joint_answer(bands: list[tuple[FloatArray, FloatArray]]) -> tuple[FloatArra
     return np.linalg.solve(H, g), np.linalg.inv(H)
 
 
-def _carried(
-    bands: list[tuple[FloatArray, FloatArray]], joint: JointPrior | None, b: int
-) -> Linear:
+def _carried(bands: list[tuple[FloatArray, FloatArray]], joint: Marginal | None, b: int) -> Linear:
     blocks = (_block("absorption", N_OWN, 100.0), _block(GEOMETRY, N_SHARED, 1.0))
     return Linear(*bands[b], Parameters(blocks, joint))
 
@@ -100,8 +98,7 @@ def test_what_is_carried_from_band_to_band_is_the_joint_answer(seed: int) -> Non
     bands = _bands(seed)
     first = score_band(_carried(bands, None, 0), np.zeros(5))
     reported = marginal(first, N_OWN, np.eye(N_SHARED))
-    joint = JointPrior(GEOMETRY, reported.mean, reported.information)
-    second = score_band(_carried(bands, joint, 1), np.zeros(5))
+    second = score_band(_carried(bands, reported, 1), np.zeros(5))
     mean, covariance = _joint_answer(bands)
     own = slice(2 * N_OWN, None)
     np.testing.assert_allclose(second.vector[N_OWN:], mean[own], atol=1e-6)
@@ -115,8 +112,7 @@ def test_a_bands_own_say_is_taken_out_before_it_is_fitted_again() -> None:
     bands = _bands(7)
     first = score_band(_carried(bands, None, 0), np.zeros(5))
     after_first = marginal(first, N_OWN, np.eye(N_SHARED))
-    joint = JointPrior(GEOMETRY, after_first.mean, after_first.information)
-    second = score_band(_carried(bands, joint, 1), np.zeros(5))
+    second = score_band(_carried(bands, after_first, 1), np.zeros(5))
     final = marginal(second, N_OWN, after_first.information)
     again = score_band(
         _carried(bands, cavity_prior(final, after_first, np.eye(N_SHARED)), 0), np.zeros(5)
@@ -131,7 +127,7 @@ def test_a_joint_prior_costs_its_mahalanobis_distance() -> None:
     """Sum of squared prior residuals against d' information d; rows are its derivative."""
     rng = np.random.default_rng(3)
     root = rng.standard_normal((3, 3))
-    joint = JointPrior(GEOMETRY, rng.standard_normal(3), root @ root.T + np.eye(3))
+    joint = Marginal(rng.standard_normal(3), root @ root.T + np.eye(3))
     parameters = Parameters((_block("absorption", 2, 2.0), _block(GEOMETRY, 3, 1.0)), joint)
     vector = rng.standard_normal(5)
     residuals, rows = prior_residuals(parameters, vector)

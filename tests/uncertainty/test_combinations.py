@@ -219,7 +219,7 @@ def test_a_room_whose_mean_alone_is_known_is_told_so():
     # a decay known within 1 %: its rate is the sum of -log(1 - a) by area
     slope = areas * a / (areas @ -np.log(1.0 - a))
     covariance = np.linalg.inv(np.outer(slope, slope) / 0.01**2 + np.eye(5) / PRIOR_SD**2)
-    found = determined(names, a[:, None], covariance[None], prior, areas, 1).combinations
+    found, _, _ = determined(names, a[:, None], covariance[None], prior, areas, 1)
     reported = inseparable_findings(names, np.array([1000.0]), np.zeros((5, 1), dtype=bool), found)
 
     assert [f.code for f in reported] == [Code.MATERIALS_NOT_SEPARABLE]

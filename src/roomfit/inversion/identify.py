@@ -219,7 +219,7 @@ def combine(
     areas = material_areas_m2(scene.room)
     covariance = _logit_covariance(found, absorption, priors)
     prior = prior_logits(priors)
-    determined_groups = determined(
+    combinations, sentences, shares = determined(
         scene.room.materials,
         absorption,
         covariance,
@@ -237,7 +237,7 @@ def combine(
             scene.room.materials,
             bands.centres_hz,
             identifiable,
-            determined_groups.combinations,
+            combinations,
         )
     )
     return Result(
@@ -250,7 +250,7 @@ def combine(
         identifiable=identifiable,
         # the first combination of a band is the mean over the whole room
         mean_absorption=np.array(
-            [(c[0].value, c[0].lower95, c[0].upper95) for c in determined_groups.combinations]
+            [(c[0].value, c[0].lower95, c[0].upper95) for c in combinations]
         ).T,
         chi2_reduced=np.array([b.chi2_reduced for b in found]),
         cost=float(sum(b.cost for b in found)),
@@ -267,9 +267,9 @@ def combine(
         logit_covariance=covariance,
         logit_prior=prior,
         prior_specified=are_specified(priors),
-        combinations=determined_groups.combinations,
-        sentences=determined_groups.sentences,
-        shares=determined_groups.shares,
+        combinations=combinations,
+        sentences=sentences,
+        shares=shares,
         interval_kinds=tuple(b.kinds for b in found),
         profiles=tuple(b.profiles for b in found),
         samples=tuple(b.samples for b in found),

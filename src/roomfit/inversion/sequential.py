@@ -16,7 +16,6 @@ from roomfit.objective.coherent import CoherentTerm, with_coherence
 from roomfit.objective.directivity import BandDirectivities, directed
 from roomfit.objective.parameters import (
     GEOMETRY,
-    JointPrior,
     Marginal,
     Parameters,
     geometry_block,
@@ -70,7 +69,7 @@ class CoherentBand:
         self,
         covariance: FloatArray | None,
         noise: tuple[float, float, float],
-        joint: JointPrior | None,
+        joint: Marginal | None,
     ) -> Objective:
         """Return the same data with partly coherent windows.
 
@@ -80,8 +79,8 @@ class CoherentBand:
             Of the fitted geometry, from which coherence follows; None takes the prior's.
         noise : three floats
             One of `NOISES`.
-        joint : JointPrior or None
-            Of the geometry, in place of the specified one.
+        joint : Marginal or None
+            Prior of the geometry, in place of the specified one.
         """
         model, ringing, phase_sd = noise
         if covariance is None and joint is not None:
@@ -116,7 +115,7 @@ def fit_in_rounds(
     band: CoherentBand,
     start: FloatArray,
     noise: tuple[float, float, float],
-    joint: JointPrior | None,
+    joint: Marginal | None,
     *,
     covariance: FloatArray | None = None,
     rounds: int = 2,
@@ -165,14 +164,12 @@ def forward_pass(
             fits.append(None)
             continue
         geometry = geometry_block(band.coherent.geometry)
-        joint, moved = None, np.zeros(int(geometry.fitted.sum()))
-        if known is not None:
-            joint, moved = JointPrior(GEOMETRY, known.mean, known.information), known.mean
-        best = fit_in_rounds(band, np.append(band.energy_fit.vector, moved), NOISES[0], joint)
+        moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
+        best = fit_in_rounds(band, np.append(band.energy_fit.vector, moved), NOISES[0], known)
         for noise in NOISES[1:]:
             if best.fit.chi2_reduced <= 1.0:
                 break
-            fit = fit_in_rounds(band, best.fit.vector, noise, joint)
+            fit = fit_in_rounds(band, best.fit.vector, noise, known)
             if fit.log_likelihood <= best.log_likelihood:
                 break
             best = fit
@@ -219,7 +216,7 @@ def geometry_information(parameters: Parameters) -> FloatArray:
     return np.diag(block.prior_sd[block.fitted] ** -2.0)
 
 
-def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> JointPrior:
+def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> Marginal:
     """Return what all bands but one say of the geometry, as a prior for that one.
 
     Parameters
@@ -231,7 +228,7 @@ def cavity_prior(final: Marginal, after: Marginal, before: FloatArray) -> JointP
     before : float array, shape (n, n)
         Information before it.
     """
-    return JointPrior(GEOMETRY, final.mean, final.information - (after.information - before))
+    return Marginal(final.mean, final.information - (after.information - before))
 
 
 def _advantage(band: CoherentBand, fit: CoherentBandFit) -> float:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.signal import fftconvolve
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
@@ -21,7 +20,7 @@ from roomfit.objective.energy import (
     squared_image_rows,
 )
 from roomfit.objective.parameters import Block, Parameters
-from roomfit.objective.windows import window_edges_s
+from roomfit.objective.windows import band_spreading, spread_energy, window_edges_s
 from roomfit.response.binned import BIN_S, BinnedPaths, in_band
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene
@@ -29,7 +28,6 @@ from roomfit.signals.filters import (
     FilterBank,
     SpreadingKernel,
     energy_bandwidth_hz,
-    energy_share,
     spreading_kernel,
     spreading_matrix,
     spreading_reach_s,
@@ -181,15 +179,11 @@ def left_out_findings(bands: Bands, measured: tuple[MeasuredPair, ...]) -> tuple
 
 def spread_over_time(bands: Bands, energies: FloatArray) -> FloatArray:
     """Return bin energies as the band filters would show them, shape (n_bands, n_bins)."""
-    kernel = spreading_kernel(FilterBank(bands))
-    n = energies.shape[1]
-    lags_s = BIN_S * (np.arange(-n, n + 1) - 0.5)
-    out = np.empty_like(energies)
+    spread = []
     for band, row in enumerate(energies):
-        share = energy_share(kernel, band, [0.0], lags_s)[0]
-        # the transform's rounding, 1e-16 of the largest, must not make an energy negative
-        out[band] = np.maximum(fftconvolve(row, share)[n : 2 * n], 0.0)
-    return out
+        bank = FilterBank(Bands(bands.kind, bands.centres_hz[band : band + 1]))
+        spread.append(spread_energy(band_spreading(bank, row.size, BIN_S), row))
+    return np.stack(spread)
 
 
 def _observation(

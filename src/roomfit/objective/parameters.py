@@ -22,6 +22,8 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Transform = Literal["identity", "log", "logit"]
 
+GEOMETRY = "geometry"
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Block:
@@ -81,11 +83,10 @@ class Block:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class JointPrior:
-    """A correlated Gaussian prior of the fitted entries of one block, in place of its own."""
+class Marginal:
+    """A Gaussian law of some entries, all others integrated out."""
 
-    block: str
-    mean: FloatArray  # (n,), of the fitted entries' free numbers
+    mean: FloatArray  # (n,), of free numbers
     information: FloatArray  # (n, n), inverse of their covariance: symmetric, positive definite
 
 
@@ -94,7 +95,8 @@ class Parameters:
     """Blocks laid end to end; the free vector has the fitted entries only, in this order."""
 
     blocks: tuple[Block, ...]
-    joint: JointPrior | None = None  # replaces the separate priors of one block
+    # of the fitted geometry, correlated, in place of that block's own prior
+    joint: Marginal | None = None
 
 
 def absorption_of(parameters: Parameters) -> Block:
@@ -204,7 +206,7 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
         jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
         return ((vector - mean) / sd)[finite], jacobian
     joint = parameters.joint
-    first = position_of(parameters, joint.block)
+    first = position_of(parameters, GEOMETRY)
     own = slice(first, first + joint.mean.size)
     finite[own] = False
     jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
@@ -213,9 +215,6 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     separate = ((vector - mean) / sd)[finite]
     correlated = root[:, own] @ (vector[own] - joint.mean)
     return np.concatenate((separate, correlated)), np.concatenate((jacobian, root))
-
-
-GEOMETRY = "geometry"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -297,14 +296,6 @@ def whole_covariance(geometry: Geometry, fitted: FloatArray | None = None) -> Fl
         free = np.flatnonzero(geometry.fitted & (geometry.sd > 0.0))
         out[np.ix_(free, free)] = fitted
     return out
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Marginal:
-    """What data and prior determine of some entries when all others are integrated out."""
-
-    mean: FloatArray  # (n,)
-    information: FloatArray  # (n, n)
 
 
 def marginal_information(information: FloatArray, first: int) -> FloatArray:

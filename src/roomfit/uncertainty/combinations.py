@@ -434,19 +434,6 @@ def _names(materials: tuple[str, ...], chosen: Sequence[int]) -> str:
     return names[0] if len(names) == 1 else f"{', '.join(names[:-1])} and {names[-1]}"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Determined:
-    """What the bands of an answer determine, where single materials may not be."""
-
-    combinations: tuple[tuple[Combination, ...], ...]  # one a band, that of the whole room first
-    # one a band, what is known of groups and what is left open; empty where every material is
-    # determined
-    sentences: tuple[str, ...]
-    # (3, n_materials, n_bands), share of each material in the room's absorption, its lower and its
-    # upper 95 % bound
-    shares: FloatArray
-
-
 def determined(
     materials: tuple[str, ...],
     absorption: FloatArray,
@@ -456,8 +443,8 @@ def determined(
     seed: int,
     samples: Sequence[FloatArray | None] = (),
     specified: BoolArray | None = None,
-) -> Determined:
-    """Return what every band determines.
+) -> tuple[tuple[tuple[Combination, ...], ...], tuple[str, ...], FloatArray]:
+    """Return what every band determines, where single materials may not be.
 
     Parameters
     ----------
@@ -472,6 +459,15 @@ def determined(
         Draws of absorption where the posterior was sampled.
     specified : bool array, shape (n_materials,), optional
         Whose prior was specified; see `roomfit.uncertainty.posterior.band_draws`.
+
+    Returns
+    -------
+    combinations : tuple, one a band
+        Means of groups of materials, that of the whole room first.
+    sentences : tuple of str, one a band
+        What is known of groups and what is left open; empty where every material is determined.
+    shares : float array, shape (3, n_materials, n_bands)
+        Of each material in the room's absorption, with its lower and its upper 95 % bound.
     """
     combinations, sentences, shares = [], [], []
     for band, covariance in enumerate(logit_covariance):
@@ -486,7 +482,7 @@ def determined(
         left_open = undetermined_groups(covariance, prior[1])
         sentences.append(band_sentence(materials, found, left_open))
         shares.append(absorption_shares(areas_m2, a, drawn))
-    return Determined(tuple(combinations), tuple(sentences), np.stack(shares, axis=-1))
+    return tuple(combinations), tuple(sentences), np.stack(shares, axis=-1)
 
 
 def inseparable_findings(
