@@ -150,7 +150,7 @@ def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
     return np.asarray(excess_information <= 0.0)
 
 
-def answer_steps(problem: Objective, fit: BandFit, errors: FloatArray) -> FloatArray:
+def answer_steps(objective: Objective, fit: BandFit, errors: FloatArray) -> FloatArray:
     """Return how far the answer moves if what is expected of the data is wrong by given errors.
 
     To first order ``H^-1 J^T W u`` for an error u, with H the information, J the Jacobian and W the
@@ -168,8 +168,8 @@ def answer_steps(problem: Objective, fit: BandFit, errors: FloatArray) -> FloatA
     float array, shape (n_free, n_errors)
     """
     n = errors.shape[0]
-    weight = 1.0 / (problem.correlation_length()[:n] * fit.variance[:n])
-    jacobian = problem.predict(fit.vector).jacobian[:n]
+    weight = 1.0 / (objective.correlation_length()[:n] * fit.variance[:n])
+    jacobian = objective.predict(fit.vector).jacobian[:n]
     return np.asarray(np.linalg.solve(fit.information, jacobian.T @ (weight[:, None] * errors)))
 
 
@@ -248,7 +248,7 @@ class FittedBand:
     """A band with its Gaussian estimate, and the fit from which better intervals can be found."""
 
     estimate: BandEstimate
-    problem: Objective | None = None  # None, as the fit, where only the prior is known
+    objective: Objective | None = None  # None, as the fit, where only the prior is known
     fit: BandFit | None = None
 
 

@@ -44,38 +44,38 @@ class Refinement:
 
     def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
-        problem, fit, answer = band.problem, band.fit, band.estimate
-        if problem is None or fit is None or fit.vector.size == 0:
+        objective, fit, answer = band.objective, band.fit, band.estimate
+        if objective is None or fit is None or fit.vector.size == 0:
             return answer
-        trials = tuple(_mirrored(problem, fit, exchange) for exchange in self.exchanges)
+        trials = tuple(_mirrored(objective, fit, exchange) for exchange in self.exchanges)
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
         if self.intervals == "profile":
-            return profiled(problem, fit, answer)
+            return profiled(objective, fit, answer)
         if self.intervals == "posterior":
             rng = np.random.default_rng(self.seed)
-            law = log_posterior(problem, fit)
+            law = log_posterior(objective, fit)
             near = surrogate(law, fit)
             found = sample(law, near, rng, self.sampling, progress=progress)
             # the curvature of the surrogate's windows takes one prediction an unknown, and one more
             more = 0 if near.windows is None else 1 + near.centre.size
             answer = replace(answer, evaluations=answer.evaluations + more)
-            first = position_of(problem.parameters, "absorption")
-            fitted = np.flatnonzero(absorption_of(problem.parameters).fitted)
+            first = position_of(objective.parameters, "absorption")
+            fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
             beyond = _beyond_fit(fit, answer, first, fitted)
-            return sampled(problem.parameters, found, answer, self.areas_m2, beyond)
+            return sampled(objective.parameters, found, answer, self.areas_m2, beyond)
         return answer
 
 
-def profiled(problem: Objective, fit: BandFit, answer: BandEstimate) -> BandEstimate:
+def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEstimate:
     """Return the answer with profile intervals for the absorptions whose likelihood is skew.
 
     Weights are kept. An interval of 0 to 1, where the data determine nothing, stays as it is. What
     the Gaussian answer allows for beyond its fit's information, as the noise of the rays, is added
     to either side as one more standard deviation.
     """
-    block = absorption_of(problem.parameters)
-    first, fitted = position_of(problem.parameters, "absorption"), np.flatnonzero(block.fitted)
+    block = absorption_of(objective.parameters)
+    first, fitted = position_of(objective.parameters, "absorption"), np.flatnonzero(block.fitted)
     free, sd = to_free(block, answer.absorption), np.sqrt(np.diag(answer.logit_covariance))
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []
@@ -84,7 +84,7 @@ def profiled(problem: Objective, fit: BandFit, answer: BandEstimate) -> BandEsti
         unspecified = (lower[own], upper[own]) == (0.0, 1.0)
         if unspecified or not may_be_bent(fit, first + number):
             continue
-        line = profile(problem, fit, first + number)
+        line = profile(objective, fit, first + number)
         found.append(replace(line, entry=int(own)))
         if line.gaussian:
             continue
@@ -181,14 +181,14 @@ def sampled(
     )
 
 
-def _mirrored(problem: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
+def _mirrored(objective: Objective, fit: BandFit, exchange: IntArray) -> MirrorTrial:
     """Return where a second fit ends that begins with the absorptions exchanged."""
-    block = absorption_of(problem.parameters)
-    values, _ = physical_values(problem.parameters, fit.vector)
-    start, first = np.array(fit.vector), position_of(problem.parameters, "absorption")
+    block = absorption_of(objective.parameters)
+    values, _ = physical_values(objective.parameters, fit.vector)
+    start, first = np.array(fit.vector), position_of(objective.parameters, "absorption")
     free = to_free(block, values["absorption"][exchange])[block.fitted]
     start[first : first + free.size] = free
-    other = score_band(problem, start)
-    there, _ = physical_values(problem.parameters, other.vector)
+    other = score_band(objective, start)
+    there, _ = physical_values(objective.parameters, other.vector)
     gain = other.log_likelihood - fit.log_likelihood
     return MirrorTrial(there["absorption"], gain, other.evaluations)

@@ -51,7 +51,7 @@ class Profile:
     evaluations: int
 
 
-def profile(problem: Objective, fit: BandFit, entry: int) -> Profile:
+def profile(objective: Objective, fit: BandFit, entry: int) -> Profile:
     """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
@@ -71,7 +71,7 @@ def profile(problem: Objective, fit: BandFit, entry: int) -> Profile:
     .. [1] D. J. Venzon, S. H. Moolgavkar, "A method for computing profile-likelihood-based
            confidence intervals", Appl. Stat. 37, 87-94 (1988).
     """
-    line = _Line(problem, fit, entry)
+    line = _Line(objective, fit, entry)
     sd = line.sd
     ends: list[float] = []
     found_bent = False
@@ -104,10 +104,10 @@ def may_be_bent(fit: BandFit, entry: int) -> bool:
 class _Line:
     """The cost along one free number, and where it was computed."""
 
-    def __init__(self, problem: Objective, fit: BandFit, entry: int) -> None:
-        self.problem, self.fit, self.entry = problem, fit, entry
+    def __init__(self, objective: Objective, fit: BandFit, entry: int) -> None:
+        self.objective, self.fit, self.entry = objective, fit, entry
         self.others = np.flatnonzero(np.arange(fit.vector.size) != entry)
-        self.weight = 1.0 / (problem.correlation_length() * fit.variance)
+        self.weight = 1.0 / (objective.correlation_length() * fit.variance)
         self.flattening = max(fit.chi2_reduced, 1.0)
         information = fit.information
         self.inner = information[np.ix_(self.others, self.others)]
@@ -121,11 +121,11 @@ class _Line:
     def rise(self, move: float) -> float:
         """Return the re-fitted cost at a distance from the answer, above that of the answer."""
         vector = self._guess(move)
-        cost, gain, step = self._evaluated(self.problem.predict(vector), vector)
+        cost, gain, step = self._evaluated(self.objective.predict(vector), vector)
         if gain > _FAR_FROM_FOLLOWING * self.flattening:
             trial = np.array(vector)
             trial[self.others] += _no_farther(step)
-            there, more, _ = self._evaluated(self.problem.predict(trial), trial)
+            there, more, _ = self._evaluated(self.objective.predict(trial), trial)
             if there < cost:
                 vector, cost, gain = trial, there, more
         rise = (cost - gain - self.fit.cost) / self.flattening
@@ -196,8 +196,8 @@ class _Line:
     ) -> tuple[float, float, FloatArray]:
         """Return cost, what a Newton step of the others would still gain, and that step."""
         self.evaluations += 1
-        prior, rows = prior_residuals(self.problem.parameters, vector)
-        off = self.problem.measured() - prediction.expected
+        prior, rows = prior_residuals(self.objective.parameters, vector)
+        off = self.objective.measured() - prediction.expected
         cost = 0.5 * float(off @ (self.weight * off) + prior @ prior)
         jacobian = prediction.jacobian[:, self.others]
         downhill = jacobian.T @ (self.weight * off) - rows[:, self.others].T @ prior

@@ -111,7 +111,7 @@ class LogPosterior:
     logits leaves them where a wall is hard, and the step would promise what it does not gain.
     """
 
-    problem: Objective
+    objective: Objective
     centre: FloatArray  # (n_free,), the fit's answer
     n_kept: int  # entries of the free vector, from its beginning, whose density this is
     follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
@@ -123,27 +123,27 @@ class LogPosterior:
         if not np.all(np.abs(kept) < FARTHEST_FREE):
             return -np.inf
         vector = np.concatenate((kept, self.ridge(kept)))
-        prediction = self.problem.predict(vector)
-        variance = self.problem.variance(vector)
-        neighbours = self.problem.correlation_length()
-        each = self.problem.log_likelihood(prediction.expected, variance)
-        prior, rows = prior_residuals(self.problem.parameters, vector)
+        prediction = self.objective.predict(vector)
+        variance = self.objective.variance(vector)
+        neighbours = self.objective.correlation_length()
+        each = self.objective.log_likelihood(prediction.expected, variance)
+        prior, rows = prior_residuals(self.objective.parameters, vector)
         found = float(np.sum(each / neighbours)) / self.flattening - 0.5 * float(prior @ prior)
         if self.inner.size:
             spread = neighbours * variance * self.flattening
-            off = (self.problem.measured() - prediction.expected) / spread
+            off = (self.objective.measured() - prediction.expected) / spread
             slope = (prediction.jacobian.T @ off - rows.T @ prior)[self.n_kept :]
             found += 0.5 * float(slope @ np.linalg.solve(self.inner, slope))
         return found if np.isfinite(found) else -np.inf
 
     def ridge(self, kept: FloatArray) -> FloatArray:
         """Return where arrival times follow kept numbers, shape (n_free - n_kept,)."""
-        parameters, centre = self.problem.parameters, self.centre[: self.n_kept]
+        parameters, centre = self.objective.parameters, self.centre[: self.n_kept]
         here, there = exponents(parameters, np.stack((centre, kept)))
         return np.asarray(self.centre[self.n_kept :] + self.follow @ (there - here))
 
 
-def log_posterior(problem: Objective, fit: BandFit) -> LogPosterior:
+def log_posterior(objective: Objective, fit: BandFit) -> LogPosterior:
     """Return the posterior of all unknowns of a band but its arrival times.
 
     Parameters
@@ -151,7 +151,7 @@ def log_posterior(problem: Objective, fit: BandFit) -> LogPosterior:
     fit : BandFit
         Its answer.
     """
-    parameters, flattening = problem.parameters, max(fit.chi2_reduced, 1.0)
+    parameters, flattening = objective.parameters, max(fit.chi2_reduced, 1.0)
     n = fit.vector.size
     timed = any(b.name == GEOMETRY for b in parameters.blocks)
     kept = position_of(parameters, GEOMETRY) if timed else n
@@ -161,7 +161,7 @@ def log_posterior(problem: Objective, fit: BandFit) -> LogPosterior:
     inner = whole[kept:, kept:]
     follow = -np.linalg.solve(inner, whole[kept:, :kept]) if kept < n else np.zeros((0, kept))
     follow = follow / exponent_slopes(parameters, fit.vector)[:kept]
-    return LogPosterior(problem, fit.vector, kept, np.asarray(follow), inner, flattening)
+    return LogPosterior(objective, fit.vector, kept, np.asarray(follow), inner, flattening)
 
 
 def prior_information(parameters: Parameters, vector: FloatArray) -> FloatArray:
@@ -491,7 +491,7 @@ def _no_windows(n: int) -> Windows:
 
 def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
     """Return the law that proposals for a band's posterior are drawn from."""
-    parameters, n = posterior.problem.parameters, posterior.n_kept
+    parameters, n = posterior.objective.parameters, posterior.n_kept
     whole = prior_information(parameters, fit.vector)
     prior = whole[:n, :n]
     inner = posterior.inner
@@ -518,39 +518,39 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
 
 
 def _windows(posterior: LogPosterior, fit: BandFit) -> Windows:
-    problem = posterior.problem
-    found, energies = problem.predict(fit.vector), problem.is_gamma()
-    count = problem.correlation_length() * posterior.flattening
+    objective = posterior.objective
+    found, energies = objective.predict(fit.vector), objective.is_gamma()
+    count = objective.correlation_length() * posterior.flattening
     variance = np.maximum(fit.variance, np.where(energies, (1e-3 * fit.expected) ** 2, 0.0))
-    slopes = _signal_slopes(problem, found, fit.vector)
+    slopes = _signal_slopes(objective, found, fit.vector)
     weight = np.where(energies, found.expected**2, 1.0) / (variance * count)
     return Windows(
-        problem.measured(),
+        objective.measured(),
         found.signal,
         found.expected - found.signal,
         slopes,
-        _curvature(problem, slopes, fit.vector),
+        _curvature(objective, slopes, fit.vector),
         weight,
         energies,
     )
 
 
-def _signal_slopes(problem: Objective, found: Prediction, vector: FloatArray) -> FloatArray:
+def _signal_slopes(objective: Objective, found: Prediction, vector: FloatArray) -> FloatArray:
     """Return the slopes of `Windows` at a point."""
-    by_exponent = found.jacobian / exponent_slopes(problem.parameters, vector)
+    by_exponent = found.jacobian / exponent_slopes(objective.parameters, vector)
     least = 1e-9 * float(found.signal.max(initial=0.0)) + np.finfo(np.float64).tiny
-    scale = np.where(problem.is_gamma(), np.maximum(found.signal, least), 1.0)
+    scale = np.where(objective.is_gamma(), np.maximum(found.signal, least), 1.0)
     return np.asarray(by_exponent / scale[:, None])
 
 
-def _curvature(problem: Objective, slopes: FloatArray, vector: FloatArray) -> FloatArray:
+def _curvature(objective: Objective, slopes: FloatArray, vector: FloatArray) -> FloatArray:
     """Return the curvature of `Windows` from one more prediction an unknown."""
     out = np.empty((*slopes.shape, vector.size))
     for k in range(vector.size):
         moved = np.array(vector)
         moved[k] += _STEP
-        step = exponents(problem.parameters, np.stack((vector, moved)))
-        there = _signal_slopes(problem, problem.predict(moved), moved)
+        step = exponents(objective.parameters, np.stack((vector, moved)))
+        there = _signal_slopes(objective, objective.predict(moved), moved)
         out[:, :, k] = (there - slopes) / max(float(step[1, k] - step[0, k]), 1e-12)
     return 0.5 * (out + out.transpose(0, 2, 1))
 
