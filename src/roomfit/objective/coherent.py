@@ -82,7 +82,6 @@ class CoherentTerm:
     bins: IntArray  # (n_images,), fine time bin of each of `images`
     coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
-    centre_hz: float
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
@@ -215,7 +214,7 @@ def with_coherence(
     roots = local_roots(term.geometry, covariance)
     spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
-    phase = (2.0 * np.pi * term.centre_hz) ** 2 * spread
+    phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
     phase += phase_sd**2 * images.hits.sum(axis=1)
     return _with_gamma(term, np.exp(-phase))
 
@@ -410,7 +409,6 @@ def coherent_term(
         bins,
         np.zeros(0, dtype=np.int64),
         grid,
-        energies.centre_hz,
     )
 
 

@@ -333,7 +333,8 @@ def predicted_values(
         spreading = bin_spreading(FilterBank(one), coarse)
         chosen = slice(band, band + 1)
         for pair, rows in enumerate(rows_at(coarse, bands.centres_hz[band])):
-            energy = _energy(rows, absorption[:, chosen], attenuation[chosen])
+            own = absorption[:, chosen], attenuation[chosen]
+            energy = weigh(rows, *own, derivative=False).energy
             curve = echogram_decay_curve(
                 one, spread_energy(spreading, energy), coarse.edges_s, float(direct_s[pair])
             )
@@ -388,7 +389,3 @@ def _observation(
         np.array([found[n] for n in known]),
         np.where(np.isfinite(spread), spread, 0.0),
     )
-
-
-def _energy(rows: EnergyRows, absorption: FloatArray, attenuation: FloatArray) -> FloatArray:
-    return weigh(rows, absorption, attenuation, derivative=False).energy

@@ -22,7 +22,7 @@ from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
 from roomfit.uncertainty.profile import may_be_bent, profile
-from roomfit.uncertainty.sampling import Sampled, SamplingSettings, log_posterior, sample, surrogate
+from roomfit.uncertainty.sampling import Sampled, log_posterior, sample, surrogate
 
 # A profile never narrows either side of an interval, in the logit, to less than this of the
 # Gaussian's: a skew likelihood halves a side at most in every case examined, and what asks for
@@ -40,7 +40,6 @@ class Refinement:
     seed: int
     # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
-    sampling: SamplingSettings | None = None
 
     def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
@@ -56,7 +55,7 @@ class Refinement:
             rng = np.random.default_rng(self.seed)
             law = log_posterior(objective, fit)
             near = surrogate(law, fit)
-            found = sample(law, near, rng, self.sampling, progress=progress)
+            found = sample(law, near, rng, progress=progress)
             # the curvature of the surrogate's windows takes one prediction an unknown, and one more
             more = 0 if near.windows is None else 1 + near.centre.size
             answer = replace(answer, evaluations=answer.evaluations + more)
