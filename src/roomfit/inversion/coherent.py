@@ -390,7 +390,7 @@ def fit_coherent(
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
     misfits = [
         file_misfits(
-            fitted_in_band(task.measured, b),
+            fitted_in_band(state.task.measured, b),
             own.coherent.energies,
             fit.fit,
             fit.objective.inflation,
