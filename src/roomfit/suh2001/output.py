@@ -26,8 +26,13 @@ from roomfit.cache import (
 from roomfit.io.encoding import csv_text
 from roomfit.io.results import certificate_content
 from roomfit.report.figures import OKABE_ITO, new_figure, png
-from roomfit.suh2001.independent import PAIRS, IndependentRow
-from roomfit.suh2001.landscape import Landscape
+from roomfit.suh2001.independent import (
+    MEASUREMENT_PARTS,
+    MEASUREMENT_RAYS,
+    PAIRS,
+    REPEATS,
+    IndependentRow,
+)
 from roomfit.suh2001.repeat import (
     FOUND_WITHIN,
     METHODS,
@@ -48,6 +53,7 @@ from roomfit.suh2001.room import (
     SPECIFICATIONS,
     TRUE_ABSORPTION,
 )
+from roomfit.suh2001.searches import Landscape
 from roomfit.typing import FloatArray, Progress
 
 
@@ -164,10 +170,9 @@ def _walls_apart_content(result: PaperResult) -> dict[str, Any]:
 
 
 def _independent_content(result: PaperResult) -> dict[str, Any]:
-    settings = result.independent_settings
     return {
-        "measurement_rays": settings.measurement_rays * settings.measurement_parts,
-        "repeats": settings.repeats,
+        "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
+        "repeats": REPEATS,
         "method": "least-squares",
         "sentence": "Measurement and model have different rays. With the same rays the error is "
         "exactly 0 at the truth, which says nothing about a real room.",

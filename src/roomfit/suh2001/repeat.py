@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -27,21 +27,15 @@ from roomfit.errors import InputError
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.suh2001.independent import (
-    IndependentFit,
+    MEASUREMENT_PARTS,
+    MEASUREMENT_RAYS,
+    MODEL_RAYS,
+    REPEATS,
     IndependentRow,
-    IndependentSettings,
     fit_with_other_rays,
     mean_measurement,
     measurement_part,
     summarise,
-)
-from roomfit.suh2001.landscape import (
-    Landscape,
-    Minima,
-    grid_errors,
-    landscape,
-    minima_of_descents,
-    unit_grid,
 )
 from roomfit.suh2001.room import (
     CASES,
@@ -64,7 +58,16 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import fit_least_squares, starts
+from roomfit.suh2001.searches import (
+    Landscape,
+    Minima,
+    fit_least_squares,
+    grid_errors,
+    landscape,
+    minima_of_descents,
+    starts,
+    unit_grid,
+)
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 
@@ -105,12 +108,6 @@ class WallsApart:
     # evidence against it
     mirrored_error_of_trace: float
     error_of_silence: float  # sum of the squared measured energies, to compare with
-
-
-def paper_paths() -> dict[str, Paths]:
-    """Return the 18,000 rays of each shape of the room."""
-    shapes = {s.shape for s in SPECIFICATIONS.values()}
-    return {shape: trace_paper_room(paper_scene(shape)) for shape in sorted(shapes)}
 
 
 def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
@@ -379,7 +376,6 @@ class PaperSettings:
 
     seeds: int = 50  # searches of every problem by every method
     workers: int = 2  # processes; 1 stays in this one
-    independent: IndependentSettings = field(default_factory=IndependentSettings)
 
     def __post_init__(self) -> None:
         int_array("number of seeds", np.array(self.seeds), (), low=1, high=100_000)
@@ -398,7 +394,6 @@ class PaperResult:
     records: tuple[Record, ...]
     walls_apart: WallsApart
     certificates: Mapping[str, Certificate]  # by name, of every problem and of "walls_apart"
-    independent_settings: IndependentSettings
     independent: tuple[IndependentRow, ...]
 
 
@@ -411,10 +406,11 @@ def repeat_paper(
     same for any number of workers, but for the seconds.
     """
     settings = PaperSettings() if settings is None else settings
-    paths = paper_paths()
+    shapes = {s.shape for s in SPECIFICATIONS.values()}
+    paths = {shape: trace_paper_room(paper_scene(shape)) for shape in sorted(shapes)}
     problems = problems_of(paths)
     with worker_pool(settings.workers) as pool:
-        fits = _independent(pool, settings.independent, part(progress, 0.0, 0.4))
+        independent = _independent(pool, part(progress, 0.0, 0.4))
         landscapes = _landscapes(pool, problems, part(progress, 0.4, 0.45))
         records = _records(pool, settings.seeds, problems, part(progress, 0.45, 0.95))
     mirrored = walls_apart_problem(paths["paper"], mirrored=True)
@@ -429,30 +425,26 @@ def repeat_paper(
         records,
         walls_apart(paths["paper"], np.random.default_rng(0)),
         certificates,
-        settings.independent,
-        summarise(fits),
+        independent,
     )
 
 
-def _independent(
-    pool: Executor, wanted: IndependentSettings, progress: Progress | None
-) -> list[IndependentFit]:
+def _independent(pool: Executor, progress: Progress | None) -> tuple[IndependentRow, ...]:
+    seeds = range(MEASUREMENT_PARTS)
     parts = in_pool(
         pool,
-        [
-            partial(measurement_part, wanted.measurement_rays, seed)
-            for seed in range(wanted.measurement_parts)
-        ],
+        [partial(measurement_part, MEASUREMENT_RAYS, seed) for seed in seeds],
         part(progress, 0.0, 0.25),
     )
     measurement = mean_measurement(parts)
+    # the longest first, so that no worker is left with one at the end
+    numbers = sorted(MODEL_RAYS, reverse=True)
     tasks = [
-        partial(fit_with_other_rays, rays, repeat, measurement)
-        # the longest first, so that no worker is left with one at the end
-        for rays in sorted(wanted.model_rays, reverse=True)
-        for repeat in range(wanted.repeats)
+        partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(REPEATS)
     ]
-    return [fit for fits in in_pool(pool, tasks, part(progress, 0.25, 1.0)) for fit in fits]
+    fits = iter(in_pool(pool, tasks, part(progress, 0.25, 1.0)))
+    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(REPEATS)])]
+    return tuple(sorted(rows, key=lambda row: (row.pairs, row.materials, row.rays)))
 
 
 def _landscapes(
