@@ -216,10 +216,10 @@ def replicated(
     rng = np.random.default_rng([seed, _PURPOSE, number])
     synthetic = draw_synthetic_room(plan, rng)
     rate_hz = synthetic_rate_hz(plan.campaign.bands)
-    sound = synthetic_sound(plan, synthetic, wanted_pairs(plan), rate_hz, rng)
+    synthesis, pressures = synthetic_sound(plan, synthetic, wanted_pairs(plan), rate_hz, rng)
     found, refused = None, None
     with tempfile.TemporaryDirectory(dir=scratch, prefix=f"{number:04d}-") as folder:
-        campaign = synthetic_campaign(plan, synthetic, sound, Path(folder), rng)
+        campaign = synthetic_campaign(plan, synthetic, pressures, Path(folder), rng)
         try:
             # through files, as a campaign's own recordings come: their format limits them alike
             answer = identify(**identify_arguments(campaign), progress=part(progress, 0.3, 1.0))
@@ -232,7 +232,7 @@ def replicated(
     return Replicate(
         number,
         plan.digest,
-        sound.synthesis,
+        synthesis,
         synthetic.absorption[:, plan.columns],
         refused,
         found,

@@ -9,7 +9,7 @@ parameters derived from them; both are written as files that a campaign names.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -50,6 +50,10 @@ from roomfit.typing import BoolArray, FloatArray
 _BIN_S = 0.5e-3
 _OVERSAMPLING = 8
 _NOTHING = 1e-30
+Pair = tuple[str, str]
+Pressures = dict[Pair, FloatArray]
+"""After an impulse at time 0, (n_samples,): a unit source's direct sound is 1 / (4 pi r)."""
+
 # Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
 _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
@@ -57,11 +61,11 @@ _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 def traced_pressures(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    pairs: tuple[tuple[str, str], ...],
+    pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
     rng: np.random.Generator,
-) -> dict[tuple[str, str], FloatArray]:
+) -> Pressures:
     """Return the pressure of every pair after an impulse at time 0.
 
     Image sources are followed as far as the fit's own, with another enumeration for moved points;
@@ -155,17 +159,6 @@ _LONGER_THAN_EYRING = 1.4
 # Spheres that catch the own tracer's rays.
 _CLEAR_OF_WALLS_M = 0.3
 
-Pair = tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sound:
-    """Pressures of every pair after an impulse at time 0."""
-
-    synthesis: str  # how they were simulated
-    # by (source, receiver), (n_samples,): a unit source's direct sound is 1 / (4 pi r)
-    pressure: dict[Pair, FloatArray]
-
 
 def synthetic_sound(
     plan: CoveragePlan,
@@ -173,8 +166,8 @@ def synthetic_sound(
     pairs: tuple[Pair, ...],
     rate_hz: float,
     rng: np.random.Generator,
-) -> Sound:
-    """Return the pressures of all pairs.
+) -> tuple[str, Pressures]:
+    """Return how the sound of all pairs was simulated, and its pressures.
 
     They last until the slowest band has fallen to its noise, as long as the recordings at most,
     and as long as their image sources can be enumerated.
@@ -187,7 +180,7 @@ def synthetic_sound(
         found = _convex(plan, synthetic, pairs, duration_s, rate_hz)
     else:
         found = _box(plan, synthetic, pairs, duration_s, rate_hz, rng)
-    return Sound(synthesis, found)
+    return synthesis, found
 
 
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
@@ -237,7 +230,7 @@ def _box(
     duration_s: float,
     rate_hz: float,
     rng: np.random.Generator,
-) -> dict[Pair, FloatArray]:
+) -> Pressures:
     owner = plan.room.surface_material
     lengths = plan.room.shoebox_m
     assert lengths is not None  # noqa: S101 - `synthesis_of` says that it is a box
@@ -280,7 +273,7 @@ def _convex(
     pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
-) -> dict[Pair, FloatArray]:
+) -> Pressures:
     cells = convex_cells(plan.room)
     assert cells is not None  # noqa: S101 - `synthesis_of` says that it is convex
     room = SyntheticPolyhedron(
@@ -311,7 +304,7 @@ _PAD_S = 0.05
 def synthetic_table(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    sound: Sound,
+    pressures: Pressures,
     rate_hz: float,
     rng: np.random.Generator,
 ) -> str:
@@ -324,7 +317,7 @@ def synthetic_table(
     bands = plan.campaign.bands
     lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
     for measured in plan.tabulated:
-        pressure = sound.pressure[measured.source, measured.receiver]
+        pressure = pressures[measured.source, measured.receiver]
         response = padded(ImpulseResponse(pressure, rate_hz), _PAD_S)
         direct_s = _distance_m(synthetic, measured) / synthetic.speed_of_sound_m_s
         found = _values(response, bands, direct_s)
@@ -404,7 +397,7 @@ def wanted_pairs(plan: CoveragePlan) -> tuple[Pair, ...]:
 def synthetic_campaign(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    sound: Sound,
+    pressures: Pressures,
     folder: Path,
     rng: np.random.Generator,
 ) -> Campaign:
@@ -418,7 +411,7 @@ def synthetic_campaign(
     files = []
     for i, m in enumerate(plan.campaign.measurements):
         samples = recorded(
-            sound.pressure[m.source, m.receiver],
+            pressures[m.source, m.receiver],
             rate_hz,
             plan.grid,
             synthetic.level_db[i],
@@ -435,7 +428,7 @@ def synthetic_campaign(
         files.append(replace(m, response=spec))
     tables: tuple[MeasuredTable, ...] = ()
     if plan.tabulated:
-        text = synthetic_table(plan, synthetic, sound, rate_hz, rng)
+        text = synthetic_table(plan, synthetic, pressures, rate_hz, rng)
         tables = (
             MeasuredTable(write_text_atomically(folder / "table.csv", text), None, None, "fit"),
         )

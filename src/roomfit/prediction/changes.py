@@ -124,7 +124,10 @@ def changed_draws(
                 drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
                 findings += _clipped(change, wanted, posterior.bands)
             else:
-                mean, sd = _specified_absorption(change, posterior.bands)
+                if change.kind == "catalogue":
+                    mean, sd = catalogue_prior(change.entry, posterior.bands)
+                else:
+                    mean, sd = _per_band(change, posterior.bands, high=1.0)
                 absorption[index] = mean
                 drawn[:, index] = _logit_normal(mean, sd, z)
     return absorption, drawn, tuple(findings)
@@ -141,12 +144,6 @@ def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
             hint=f"did you mean {guess!r}?" if guess else None,
         )
     return materials.index(material)
-
-
-def _specified_absorption(change: Change, bands: Bands) -> tuple[FloatArray, FloatArray]:
-    if change.kind == "catalogue":
-        return catalogue_prior(change.entry, bands)
-    return _per_band(change, bands, high=1.0)
 
 
 def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
