@@ -100,8 +100,6 @@ def expected_problem(
         Of this pair alone, in the bins of this band.
     direct_s : float
         Travel time of the direct sound.
-    absorption : Block
-    decay_range_db : float
     timing_sd_s : float
         Of arrival times, from the positions.
     periods : float
@@ -213,7 +211,6 @@ def without_geometry(
     Parameters
     ----------
     found : list of float arrays, shape (first + n_geometry, first + n_geometry)
-    first : int
     shared : bool array, shape (n_geometry,)
         What all pairs have in common.
     n_others : int
@@ -459,8 +456,6 @@ def information_of(
 
     Parameters
     ----------
-    unknowns : Unknowns
-    pairs : PairInformation
     chosen : list of int
         Indices of the pairs that are measured.
     """

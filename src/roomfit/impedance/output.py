@@ -43,8 +43,6 @@ def write_impedance(
 
     Parameters
     ----------
-    out : Path
-    result : ImpedanceResult
     inputs : iterable of Path
         Files whose digests result.json shall name.
     overwrite : bool

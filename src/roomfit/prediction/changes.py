@@ -86,10 +86,7 @@ def changed_draws(
 
     Parameters
     ----------
-    posterior : AbsorptionPosterior
     draws : float array, shape (n_draws, n_materials, n_bands)
-    changes : sequence of Change
-    rng : numpy Generator
 
     Returns
     -------

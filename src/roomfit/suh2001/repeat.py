@@ -307,7 +307,6 @@ def squares_global_problem(
 
     Parameters
     ----------
-    problem : SquaresProblem
     misfit : {"squares", "logarithms", "gamma"}
     precision : float array, shape (n_windows,), optional
         Weight of each window; 1 where left out, which with "squares" is the paper's equation (1).
@@ -351,10 +350,8 @@ def certificates_of(
 
     Parameters
     ----------
-    problems : mapping of name to PaperProblem
     walls_apart : PaperProblem
         With mirror-symmetric rays: its two answers are equally right.
-    progress : callable or None
     """
     asked = {**problems, "walls_apart": walls_apart}
     found = {}
