@@ -387,9 +387,9 @@ def the_papers_way(seeds: int = 15) -> None:
     settings = ImpedanceSettings(spherical=False, model_error=0.0)
     x = wave_problem(box_scene(), observed, None, EXACT, settings)
     x = replace(x, model=model)
-    end = continuation(x, start_of(x))
-    off = np.abs(r0_matrix(x, end.x) - true).max()
-    print(f"paper, least squares over R0: off by {off:.1e}, {end.evaluations} evaluations, "
+    found = continuation(x, start_of(x))
+    off = np.abs(r0_matrix(x, found.x) - true).max()
+    print(f"paper, least squares over R0: off by {off:.1e}, {found.evaluations} evaluations, "
           f"{time.perf_counter() - began:.2f} s")  # fmt: skip
 
 

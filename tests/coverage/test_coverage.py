@@ -50,7 +50,6 @@ from roomfit.coverage.statistics import (
 from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
-    TabulatedPair,
     coverage_plan,
     draw_synthetic_room,
 )
@@ -344,7 +343,7 @@ def test_a_synthetic_table_has_the_parameters_of_the_response(tmp_path):
     tail = np.where(n > first, 10.0 ** (-3.0 * (n - first) / rate / t60), 0.0)
     pressure = 1e-3 * tail * rng.standard_normal(n.size)
     spread = np.full(2, np.nan)
-    pair = TabulatedPair("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
+    pair = ("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
     plan = replace(plan, tabulated=(pair,))
     text = synthetic_table(plan, synthetic, {("LS1", "MP1"): pressure}, rate, rng)
     file = tmp_path / "table.csv"

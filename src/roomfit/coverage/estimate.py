@@ -463,19 +463,15 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
     found = [r.found for r in answered if r.found is not None]
     free = np.array([k.known is None and k.tied_to is None for k in plan.priors])
     fitted = np.array([[model != "prior" for model in f.models] for f in found])
-    prior = _prior_middle(plan) if plan.answer is None else plan.answer.absorption
+    names = [_KEYS.get(key, key) for key in _ARRAYS]
+    arrays: dict[str, Any] = {name: np.array([getattr(f, name) for f in found]) for name in names}
     return CoverageSample(
-        plan.room.materials,
-        plan.campaign.bands,
-        np.array([r.true for r in answered]),
-        np.array([f.absorption for f in found]),
-        np.array([f.lower95 for f in found]),
-        np.array([f.upper95 for f in found]),
-        np.array([f.identifiable for f in found]),
-        free[None, :, None] & fitted[:, None, :],
-        prior,
-        np.array([f.uniform for f in found]),
-        np.array([f.chi2_reduced for f in found]),
+        materials=plan.room.materials,
+        bands=plan.campaign.bands,
+        true=np.array([r.true for r in answered]),
+        has_interval=free[None, :, None] & fitted[:, None, :],
+        prior=_prior_middle(plan) if plan.answer is None else plan.answer.absorption,
+        **arrays,
     )
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
-from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom
 from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
@@ -26,7 +26,7 @@ from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.spec import ResponseSpec
 from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
-from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
@@ -316,16 +316,22 @@ def synthetic_table(
     """
     bands = plan.campaign.bands
     lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
-    for measured in plan.tabulated:
-        pressure = pressures[measured.source, measured.receiver]
-        response = padded(ImpulseResponse(pressure, rate_hz), _PAD_S)
-        direct_s = _distance_m(synthetic, measured) / synthetic.speed_of_sound_m_s
-        found = _values(response, bands, direct_s)
-        for name, spread in measured.spread.items():
+
+    def add(source: str, receiver: str, key: str, values: FloatArray) -> None:
+        cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
+        lines.append(",".join((source, receiver, key, *cells)))
+
+    source_m = {s.name: s.position_m for s in synthetic.sources}
+    receiver_m = {r.name: r.position_m for r in synthetic.receivers}
+    for source, receiver, spreads in plan.tabulated:
+        response = padded(ImpulseResponse(pressures[source, receiver], rate_hz), _PAD_S)
+        distance_m = float(np.linalg.norm(receiver_m[receiver] - source_m[source]))
+        found = _values(response, bands, distance_m / synthetic.speed_of_sound_m_s)
+        for name, spread in spreads.items():
             error = np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(bands))
-            lines.append(_line(measured, _WRITTEN[name], _possible(name, found[name] + error)))
+            add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
             if np.isfinite(spread).any():
-                lines.append(_line(measured, f"{_WRITTEN[name]}_sd", spread))
+                add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
     return "\n".join(lines) + "\n"
 
 
@@ -351,15 +357,6 @@ def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     return np.asarray(10.0 * np.log10(energy / reference))
 
 
-def _distance_m(synthetic: SyntheticRoom, measured: TabulatedPair) -> float:
-    def position(points: tuple[Point, ...], name: str) -> FloatArray:
-        return next(p.position_m for p in points if p.name == name)
-
-    receiver_m = position(synthetic.receivers, measured.receiver)
-    step = receiver_m - position(synthetic.sources, measured.source)
-    return float(np.linalg.norm(step))
-
-
 def _possible(name: ValueName, values: FloatArray) -> FloatArray:
     """Clip or leave out what an added error has driven out of the possible range."""
     if name == "D50_percent":
@@ -367,11 +364,6 @@ def _possible(name: ValueName, values: FloatArray) -> FloatArray:
     if name.endswith("_dB"):
         return values
     return np.where(values > 0.0, values, np.nan)
-
-
-def _line(measured: TabulatedPair, key: str, values: FloatArray) -> str:
-    cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-    return ",".join((measured.source, measured.receiver, key, *cells))
 
 
 # Every file begins so long before emission.
@@ -390,7 +382,7 @@ def synthetic_rate_hz(bands: Bands) -> float:
 def wanted_pairs(plan: CoveragePlan) -> tuple[Pair, ...]:
     """Return every pair of which a response or a table is fitted, once."""
     pairs = [(m.source, m.receiver) for m in plan.campaign.measurements]
-    pairs += [(v.source, v.receiver) for v in plan.tabulated]
+    pairs += [(source, receiver) for source, receiver, _ in plan.tabulated]
     return tuple(dict.fromkeys(pairs))
 
 

@@ -14,7 +14,7 @@ from typing import Any, TypedDict
 
 import numpy as np
 
-from roomfit._checks import nearest
+from roomfit._checks import did_you_mean
 from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.cache import check_output_folder
 from roomfit.errors import InputError, StoreError, located
@@ -43,7 +43,7 @@ from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
 # A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
-_RESPONSE_GAINS: dict[str, GainMode] = {
+_RESPONSE_GAINS: dict[str | None, GainMode] = {
     "per-source": "spectrum",
     "per-file": "pair-spectrum",
     "absolute": "known",
@@ -411,12 +411,11 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
     for name, table in campaign.materials.items():
         where = f"{campaign.path}, materials.{name}"
         if name not in found:
-            guess = nearest(name, materials)
             raise InputError(
                 "the campaign describes a material that the room does not have",
                 where=where,
                 needed=f"one of {', '.join(materials)}",
-                hint=f"did you mean {guess!r}?" if guess else None,
+                hint=did_you_mean(name, materials),
             )
         with located(where):
             found[name] = _wall_model(table)
@@ -455,12 +454,11 @@ def _parameter(
     known: dict[str, Parameter], kind: str, name: str, value: float | list[float]
 ) -> Parameter:
     if name not in known:
-        guess = nearest(name, known)
         raise InputError(
             "unknown key of impedance_start",
             found=repr(name),
             needed=f'one of {", ".join(known)} for impedance = "{kind}"',
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(name, known),
         )
     usual = known[name]
     numbers = [float(v) for v in value] if isinstance(value, list) else [float(value)]

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from roomfit._checks import nearest, read_only
+from roomfit._checks import did_you_mean, read_only
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
@@ -164,7 +164,7 @@ class ImpedanceResult:
 
         parts = [f"<p><strong>{escape(_headline(self))}</strong></p>"]
         for material in self.materials if self.evaluations else ():
-            rows = [map(str.strip, _cells(self, material, i)) for i in _shown_rows(self)]
+            rows = [[c.strip() for c in _cells(self, material, i)] for i in _shown_rows(self)]
             parts.append(html_table(f"{material.name} ({material.kind})", _HEADINGS, rows))
         return "".join([*parts, html_findings(self.findings)])
 
@@ -185,13 +185,12 @@ class ImpedanceResult:
 
         names = [m.name for m in self.materials]
         if material is not None and material not in names:
-            guess = nearest(material, names)
             raise InputError(
                 "the result has no such material",
                 where="ImpedanceResult.plot",
                 found=repr(material),
                 needed=f"one of {', '.join(names)}",
-                hint=f"did you mean {guess!r}?" if guess else None,
+                hint=did_you_mean(material, names),
             )
         return walls_figure(self, [m for m in self.materials if material in (None, m.name)])
 
@@ -203,15 +202,10 @@ class ImpedanceResult:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
+        from roomfit.impedance.output import csv_columns, csv_rows
         from roomfit.report.frames import data_frame
 
-        names = list(self.materials[0].columns())
-        rows = [
-            (m.name, float(f), *(float(column[j]) for column in m.columns().values()), bool(known))
-            for m in self.materials
-            for j, (f, known) in enumerate(zip(self.frequency_hz, m.identified, strict=True))
-        ]
-        return data_frame(("material", "frequency_hz", *names, "identified"), rows, "impedance.csv")
+        return data_frame(csv_columns(self), csv_rows(self), "impedance.csv")
 
 
 _HEADINGS = ("Hz", "R0", "absorption, 95 %", "random", "Z / rho c")

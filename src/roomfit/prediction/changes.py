@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import nearest
+from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -132,13 +132,12 @@ def changed_draws(
 
 def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
     if material not in materials:
-        guess = nearest(material, materials)
         raise InputError(
             "a change names a material that the room does not have",
             where=where,
             found=repr(material),
             needed=f"one of {', '.join(materials)}",
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(material, materials),
         )
     return materials.index(material)
 

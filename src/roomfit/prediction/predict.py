@@ -54,8 +54,8 @@ class PredictedValue:
     # error that the model is granted
     sd_rest: FloatArray
     measured: FloatArray
-    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
     jnd: FloatArray  # predicted minus measured in just noticeable differences
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -421,8 +421,8 @@ def _value(
         np.std(draws, axis=0),
         rest_sd,
         measured,
-        mean_of_others,
         in_jnd(name, measured, values),
+        mean_of_others,
     )
 
 

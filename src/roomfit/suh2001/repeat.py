@@ -97,19 +97,6 @@ class Table2:
     max_relative_error: float  # over the rows whose error in the paper is above 10
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class WallsApart:
-    """Case 1 with four separate walls: its minima, and their errors."""
-
-    materials: tuple[str, ...]
-    true_absorption: FloatArray  # (n_materials,)
-    answers: Minima  # with the room's mirror symmetry made exact
-    # Of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is all the
-    # evidence against it
-    mirrored_error_of_trace: float
-    error_of_silence: float  # sum of the squared measured energies, to compare with
-
-
 def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
     """Return Figures 2 and 3 as numbers."""
     found = []
@@ -157,19 +144,10 @@ def problems_of(paths: dict[str, Paths]) -> dict[str, PaperProblem]:
     }
 
 
-def walls_apart(paths: Paths, rng: np.random.Generator) -> WallsApart:
+def walls_apart(exact: PaperProblem, rng: np.random.Generator) -> Minima:
     """Return the answers to case 1 with its side walls taken apart, from random descents."""
-    exact = walls_apart_problem(paths, mirrored=True)
-    as_traced = walls_apart_problem(paths, mirrored=False)
-    materials = exact.squares.rows.materials
     starts = rng.random((_WALLS_APART_STARTS, exact.true_absorption.size))
-    return WallsApart(
-        materials,
-        exact.true_absorption,
-        minima_of_descents(partial(residuals, exact.squares), starts),
-        error(as_traced.squares, exact.true_absorption[exchanged_walls(materials)]),
-        float(exact.squares.measured @ exact.squares.measured),
-    )
+    return minima_of_descents(partial(residuals, exact.squares), starts)
 
 
 # Largest error of any absorption that still counts as found.
@@ -344,38 +322,20 @@ _MAX_SECONDS = 120.0
 
 
 def certificates_of(
-    problems: Mapping[str, PaperProblem], walls_apart: PaperProblem, progress: Progress | None
+    problems: Mapping[str, PaperProblem], progress: Progress | None
 ) -> dict[str, Certificate]:
-    """Return a certificate for each problem by its name, and for case 1 with its walls apart.
-
-    Parameters
-    ----------
-    walls_apart : PaperProblem
-        With mirror-symmetric rays: its two answers are equally right.
-    """
-    asked = {**problems, "walls_apart": walls_apart}
+    """Return a certificate for each problem by its name."""
     found = {}
-    for number, (name, problem) in enumerate(asked.items(), start=1):
+    for number, (name, problem) in enumerate(problems.items(), start=1):
         settings = SearchSettings(DELTA, max_seconds=_MAX_SECONDS)
         found[name] = certify(squares_global_problem(problem.squares), settings)
         if progress is not None:
-            progress(number / len(asked))
+            progress(number / len(problems))
     return found
 
 
 _SEEDS_PER_TASK = 10
 _FINE = 201
-
-
-@dataclass(frozen=True, slots=True)
-class PaperSettings:
-    """How much of it to do."""
-
-    seeds: int = 50  # searches of every problem by every method
-    workers: int = 2  # processes; 1 stays in this one
-
-    def __post_init__(self) -> None:
-        int_array("number of seeds", np.array(self.seeds), (), low=1, high=100_000)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -389,38 +349,52 @@ class PaperResult:
     ill_defined_fine: FloatArray  # (201, 201): the error of Figure 5, on a grid ten times finer
     case1_searches: Mapping[str, Fit]  # by method, one search each from the start of Table 2
     records: tuple[Record, ...]
-    walls_apart: WallsApart
+    walls_apart: Minima  # of case 1 with four separate walls, its mirror symmetry made exact
+    # Of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is all the
+    # evidence against it
+    mirrored_error_of_trace: float
+    error_of_silence: float  # sum of the squared measured energies, to compare with
     certificates: Mapping[str, Certificate]  # by name, of every problem and of "walls_apart"
     independent: tuple[IndependentRow, ...]
 
 
-def repeat_paper(
-    settings: PaperSettings | None = None, *, progress: Progress | None = None
-) -> PaperResult:
+def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) -> PaperResult:
     """Return all results of the paper and the two studies that go beyond it.
 
     Every search depends on its problem, its method and its seed alone, so that the result is the
     same for any number of workers, but for the seconds.
+
+    Parameters
+    ----------
+    seeds : int
+        Searches of every problem by every method, 1 to 100,000.
+    workers : int
+        Processes; 1 stays in this one.
     """
-    settings = PaperSettings() if settings is None else settings
+    int_array("number of seeds", np.array(seeds), (), low=1, high=100_000)
     shapes = {s.shape for s in SPECIFICATIONS.values()}
-    paths = {shape: trace_paper_room(paper_scene(shape)) for shape in sorted(shapes)}
+    paths: dict[str, Paths] = {s: trace_paper_room(paper_scene(s)) for s in sorted(shapes)}
     problems = problems_of(paths)
-    with worker_pool(settings.workers) as pool:
+    with worker_pool(workers) as pool:
         independent = _independent(pool, part(progress, 0.0, 0.4))
         landscapes = _landscapes(pool, problems, part(progress, 0.4, 0.45))
-        records = _records(pool, settings.seeds, problems, part(progress, 0.45, 0.95))
-    mirrored = walls_apart_problem(paths["paper"], mirrored=True)
-    certificates = certificates_of(problems, mirrored, part(progress, 0.95, 1.0))
+        records = _records(pool, seeds, problems, part(progress, 0.45, 0.95))
+    exact, as_traced = (
+        walls_apart_problem(paths["paper"], mirrored=mirrored) for mirrored in (True, False)
+    )
+    certificates = certificates_of({**problems, "walls_apart": exact}, part(progress, 0.95, 1.0))
+    exchanged = exact.true_absorption[exchanged_walls(exact.squares.rows.materials)]
     return PaperResult(
-        settings.seeds,
+        seeds,
         case_responses(paths["paper"]),
         table2(problems["case1"]),
         landscapes,
         grid_errors(partial(error, problems["ill_defined"].squares), unit_grid(_FINE)),
         searches_of_table2(problems["case1"]),
         records,
-        walls_apart(paths["paper"], np.random.default_rng(0)),
+        walls_apart(exact, np.random.default_rng(0)),
+        error(as_traced.squares, exchanged),
+        float(exact.squares.measured @ exact.squares.measured),
         certificates,
         independent,
     )
