@@ -247,20 +247,19 @@ def _box(
     flat: FloatArray = np.zeros(len(plan.grid))
     found = {}
     for source in synthetic.sources:
-        own = [r for s, r in pairs if s == source.name]
-        b = _b(plan, synthetic, source.name)
+        start_m, own = source.position_m, [r for s, r in pairs if s == source.name]
         if not np.any(scattering):
+            b = _b(plan, synthetic, source.name)
             for r in own:
-                ends = (source.position_m, at[r], duration_s, rate_hz)
-                found[source.name, r] = pressure_response(box, *ends, flat, b)
+                found[source.name, r] = pressure_response(
+                    box, start_m, at[r], duration_s, rate_hz, flat, b
+                )
         elif own:
             receivers_m = np.array([at[r] for r in own])
-            echo = diffuse_echogram(
-                box, scattering, source.position_m, receivers_m, duration_s, rng
-            )
+            echo = diffuse_echogram(box, scattering, start_m, receivers_m, duration_s, rng)
+            smooth = specular_box(box, scattering)
             for r, energy in zip(own, echo.energy, strict=True):
-                ends = (source.position_m, at[r], duration_s, rate_hz)
-                specular = pressure_response(specular_box(box, scattering), *ends, flat)
+                specular = pressure_response(smooth, start_m, at[r], duration_s, rate_hz, flat)
                 found[source.name, r] = with_diffuse_noise(
                     specular, energy, box, rate_hz, flat, rng
                 )

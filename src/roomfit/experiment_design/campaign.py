@@ -20,7 +20,7 @@ from roomfit.io.inputs import (
     source_directivities,
 )
 from roomfit.materials.priors import MaterialPrior, in_bands
-from roomfit.prediction.campaign import common_bands, room_posterior
+from roomfit.prediction.campaign import common_bands, of_pairs, room_posterior
 from roomfit.response.directivity import Directivity, UnknownDirectivity
 from roomfit.scene import Room, Scene
 from roomfit.settings import Settings
@@ -100,6 +100,4 @@ def _measured_scene(campaign: Campaign, room: Room) -> Scene:
     names = {(m.source, m.receiver) for m in campaign.measurements if m.use == "fit"}
     tables = read_measurements(replace(campaign, measurements=(), spectra=()))
     names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
-    scene = campaign_scene(campaign, room)
-    measured = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
-    return replace(scene, pairs=scene.pairs[np.array(measured, dtype=np.bool_)])
+    return of_pairs(campaign_scene(campaign, room), names)

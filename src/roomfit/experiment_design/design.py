@@ -37,6 +37,7 @@ from roomfit.geometry.mesh import volume_m3
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Level
 from roomfit.prediction.decay import scene_decay_s
+from roomfit.prediction.predict import check_materials
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene
 from roomfit.settings import Settings
@@ -240,13 +241,7 @@ def _prior_information(
         priors = complete_priors(names, materials, bands)
         rng = np.random.default_rng(settings.seed)
         return information_from_priors(priors, bands, options.n_draws, rng)
-    if absorption.materials != names:
-        raise InputError(
-            "the absorption is of other materials than the room's",
-            found=", ".join(absorption.materials),
-            needed=", ".join(names) + ", in this order",
-            hint="room_posterior of roomfit.prediction.campaign matches materials by name",
-        )
+    check_materials(absorption, scene)
     own = absorption.bands
     if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
         raise InputError(

@@ -343,15 +343,8 @@ def _at_draw(
 ) -> FloatArray:
     """Return the information of one pair at one absorption, shape (n_bands, n + 1, n + 1).
 
-    Arrival times are integrated out of each band under the information that all other bands, and
-    the other pairs, have on them.
-
-    Parameters
-    ----------
-    problems : list of problems, one a band
-        As coherent as arrival times will be known.
-    covariance : float array, or None
-        Of the fitted arrival times, from `_information_on_times`.
+    Arrival times, of the covariance that `_information_on_times` gives, are integrated out of each
+    band under the information that all other bands, and the other pairs, have on them.
     """
     found = [_fisher(p, absorption[:, band]) for band, p in enumerate(problems)]
     if covariance is None:

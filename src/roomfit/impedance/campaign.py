@@ -69,42 +69,10 @@ def identify_campaign_impedance(
     The same as `impedance_arguments`, then `roomfit.identify_impedance` with the campaign's seed.
     What is marked for validation is not read.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        From `roomfit.read_campaign`; its table ``[impedance]`` says what is fitted.
-    progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
-
     Raises
     ------
     InputError
         Something in the campaign, the room or a file is not as needed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from roomfit.io.campaign import read_campaign
-    >>> text = '''
-    ... [room]
-    ... shoebox = [5, 4, 3]
-    ... [sources.S]
-    ... position = [1.2, 1.1, 1.3]
-    ... [receivers.R]
-    ... position = [3.7, 2.8, 2.1]
-    ... [[measurements]]
-    ... source = "S"
-    ... receiver = "R"
-    ... spectrum = "pair.npz"
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "campaign.toml"
-    ...     _ = file.write_text(text)
-    ...     np.savez(file.with_name("pair.npz"), f=[500.0], tau=0.01, p=[0.1 - 0.2j])
-    ...     result = identify_campaign_impedance(read_campaign(file))
-    >>> result.verdict.sentence
-    'Not identifiable: too few data.'
     """
     given, doubts = impedance_arguments(campaign)
     seed = campaign.settings.seed
@@ -220,17 +188,9 @@ def _scene(
 def _damped_responses(
     scene: Scene, files: Sequence[MeasuredFile], frequency_hz: FloatArray, tau_s: float
 ) -> tuple[list[ComplexArray], list[FloatArray | None], list[Finding]]:
-    """Read responses, set them to the time of emission, and return their damped spectra.
+    """Return the damped spectrum of each file, (n_frequencies,), its rms noise where it has any.
 
     The first pairs of the scene are those of the files, in their order.
-
-    Returns
-    -------
-    pressure : list of complex arrays, shape (n_frequencies,)
-        One a file.
-    noise : list of float arrays or None
-        rms by the silent end of each file; None where a file has none.
-    findings : list of Finding
     """
     speed = speed_of_sound_m_s(scene.air)
     travel_s = [float(d) / speed for d in distances_m(scene)[: len(files)]]

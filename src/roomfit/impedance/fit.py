@@ -348,7 +348,7 @@ def _nearest_law(
 ) -> tuple[Curve, float]:
     """Return the law that comes nearest to a spline, starting where it does, and its misfit.
 
-    The misfit is the mean square in standard deviations of the spline's R0 and of `_LAW_ERROR`.
+    That is the mean square in standard deviations of the spline's R0 and of `_LAW_ERROR`.
     """
     problem, place = fit.problem, fit.problem.layout.curves[material]
     curve = problem.curves[material]

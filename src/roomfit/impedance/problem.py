@@ -244,10 +244,7 @@ def _cost(problem: Problem, fit: Whitened, share: float) -> float:
 
 
 def _relative_variance(problem: Problem, factor: float) -> FloatArray:
-    """Return the variance of each row of data for another model error, (n_rows,).
-
-    Relative to the variance of the rows' weights.
-    """
+    """Return the variance of each row for another model error, over that of its weight."""
     model = problem.model
     free_path_m = mean_free_path_m(model.scene.room.mesh)
     sd = standard_deviation(problem.observed, free_path_m, model.speed_m_s, factor)

@@ -216,7 +216,9 @@ def predict(
         cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
-    lower, upper = _absorption_interval(absorption, drawn, [c.material for c in changes])
+    lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
+    changed = [room.materials.index(c.material) for c in changes]
+    lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
         bands,
         room.materials,
@@ -241,11 +243,8 @@ def predict(
     )
 
 
-def _check(
-    scene: Scene,
-    absorption: AbsorptionPosterior,
-    measurements: Sequence[Measurement | MeasuredValues],
-) -> None:
+def check_materials(absorption: AbsorptionPosterior, scene: Scene) -> None:
+    """Refuse an absorption of other materials than the room's, or in another order."""
     if absorption.materials != scene.room.materials:
         raise InputError(
             "the absorption is of other materials than the room's",
@@ -253,6 +252,14 @@ def _check(
             needed=", ".join(scene.room.materials) + ", in this order",
             hint="room_posterior of roomfit.prediction.campaign matches materials by name",
         )
+
+
+def _check(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    measurements: Sequence[Measurement | MeasuredValues],
+) -> None:
+    check_materials(absorption, scene)
     if not len(scene.pairs):
         raise InputError("the scene has no pair to predict", needed="a source and a receiver")
     refuse(position_findings(scene.room, scene.sources, scene.receivers))
@@ -307,15 +314,6 @@ def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     rows = [VALUE_NAMES.index("T20_s"), VALUE_NAMES.index("T30_s")]
     known = [o.values[rows][np.isfinite(o.values[rows])] for o in observed]
     return max((float(k.max()) for k in known if k.size), default=0.0)
-
-
-def _absorption_interval(
-    posterior: AbsorptionPosterior, drawn: FloatArray, changed: Sequence[str]
-) -> tuple[FloatArray, FloatArray]:
-    lower, upper = posterior.lower95.copy(), posterior.upper95.copy()
-    rows = [posterior.materials.index(name) for name in changed]
-    lower[rows], upper[rows] = np.quantile(drawn[:, rows], (0.025, 0.975), axis=0)
-    return lower, upper
 
 
 def _what_if(changes: Sequence[Change], observed: Sequence[_ObservedPair]) -> tuple[Finding, ...]:
