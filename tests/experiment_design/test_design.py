@@ -53,7 +53,7 @@ def fresh() -> np.random.Generator:
 def unknowns(rng: np.random.Generator, n: int = N) -> Unknowns:
     logit = rng.normal(-1.0, 1.0, (N_DRAWS, N_BANDS, n))
     prior = np.tile(np.eye(n) / 1.5**2, (N_DRAWS, N_BANDS, 1, 1))
-    return Unknowns(tuple("abcdefgh"[:n]), np.arange(n), logit, prior, np.zeros(n), np.ones(n))
+    return Unknowns(np.arange(n), logit, prior, np.zeros(n), np.ones(n))
 
 
 def pairs(rng: np.random.Generator, gain: list[int], n: int = N, rank: int = 2) -> PairInformation:
@@ -170,7 +170,7 @@ def test_a_pair_that_was_measured_already_moves_the_choice():
     strong, weak = np.diag([9.0, 0.0, 0.0, 1.0]), np.diag([0.0, 4.0, 0.0, 1.0])
     matrices = np.tile(np.stack([strong, strong, weak])[:, None, None], (1, 1, 1, 1, 1))
     known = Unknowns(
-        ("a", "b", "c"), np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
+        np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
         np.ones(3),
     )  # fmt: skip
     found = PairInformation(matrices, np.array([0, 1, 2]))
@@ -203,7 +203,7 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
 
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
     known = Unknowns(
-        ("a", "b", "c"), np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
+        np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
         np.zeros(1), np.ones(1),
     )  # fmt: skip
     widths = material_widths(known, interval_widths(known, known.information))
@@ -211,7 +211,7 @@ def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_no
     np.testing.assert_allclose(widths[0], np.tanh(1.959963984540054 / 2.0), rtol=1e-12)
     assert widths[2].tolist() == widths[0].tolist() and widths[1].tolist() == [0.0, 0.0]
     with pytest.raises(InputError, match="no absorption is left"):
-        Unknowns(("a",), np.array([-1]), np.zeros((1, 1, 0)), np.zeros((1, 1, 0, 0)),
+        Unknowns(np.array([-1]), np.zeros((1, 1, 0)), np.zeros((1, 1, 0, 0)),
                  np.zeros(0), np.zeros(0))  # fmt: skip
 
 

@@ -248,6 +248,16 @@ def test_what_a_campaign_may_not_say_is_refused(finished, more, words):
         identify_campaign_impedance(read_campaign(file))
 
 
+def test_the_speed_of_sound_is_as_uncertain_as_the_temperature_of_this_air_makes_it(finished):
+    """dc / c = dT / (2 T): two kelvins at 5 degrees C are a 278th."""
+    folder, _, _ = finished
+    air = "temperature_c = 5.0\ntemperature_sd_c = 2.0"
+    file = folder / "cold.toml"
+    file.write_text(campaign_text().replace("speed_of_sound_m_s = 343.0", air))
+    read, _ = impedance_arguments(read_campaign(file))
+    assert read["nuisances"].speed_sd == pytest.approx(1.0 / 278.15, rel=1e-12)
+
+
 def test_spectra_that_do_not_belong_together_are_refused(finished, tmp_path):
     folder, _, _ = finished
     for n in range(6):

@@ -29,7 +29,6 @@ class Unknowns:
     absorption that is not known yet.
     """
 
-    materials: tuple[str, ...]
     # (n_materials,), which of the n unknowns is each material's absorption; -1 where it is known.
     # Materials that share an absorption share a number.
     number: IntArray
@@ -47,7 +46,7 @@ class Unknowns:
                 found="every material's absorption is given",
                 hint="remove absorption = [...] where it is not sure",
             )
-        number = int_array("unknown", self.number, (len(self.materials),), low=-1, high=n - 1)
+        number = int_array("unknown", self.number, (None,), low=-1, high=n - 1)
         logit = float_array("logit absorption", self.logit, (None, None, n))
         shape = (*logit.shape, n)
         information = float_array("information", self.information, shape)
@@ -155,7 +154,6 @@ def _unknowns(
     information: FloatArray,
 ) -> Unknowns:
     return Unknowns(
-        tuple(k.name for k in priors),
         number,
         np.swapaxes(drawn[:, free], 1, 2),
         information,

@@ -439,7 +439,10 @@ def _likely_cause(fit: ImpedanceFit) -> str:
         after = reduced_chi2(other)
         if _fits(other) or after < 0.1 * before:
             return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
-    if not has_free_spectra(nuisances) and _spectra_are_identifiable(fit.problem):
+    counts = np.unique(fit.problem.model.scene.pairs[:, 0], return_counts=True)[1]
+    # a spectrum shows where each source was measured at two positions and more, phases and all
+    identifiable = fit.problem.observed.has_phase and counts.min() >= 2
+    if identifiable and not has_free_spectra(nuisances):
         spectra = replace(
             _free_geometry(nuisances),
             gain="pair-spectrum" if nuisances.gain == "pair" else "spectrum",
@@ -456,12 +459,6 @@ def _likely_cause(fit: ImpedanceFit) -> str:
         "that does not radiate alike in all directions, or another room than was described: "
         "neither positions nor gains explain it"
     )
-
-
-def _spectra_are_identifiable(problem: Problem) -> bool:
-    """Whether each source was measured at two positions and more, phases and all."""
-    counts = np.unique(problem.model.scene.pairs[:, 0], return_counts=True)[1]
-    return problem.observed.has_phase and bool(counts.min() >= 2)
 
 
 def _free_geometry(nuisances: Nuisances) -> Nuisances:
