@@ -30,11 +30,13 @@ def left_over(campaign_file: Path, r0: float) -> float:
 
     The spectrum of the source and a gain of each pair are fitted in turn.
     """
-    measured = impedance_arguments(read_campaign(campaign_file))
-    problem = wave_problem(measured.scene, measured.observed, None, measured.nuisances)
-    walls = np.full((len(measured.walls), len(measured.observed.frequency_hz)), r0, dtype=complex)
+    measured, _ = impedance_arguments(read_campaign(campaign_file))
+    problem = wave_problem(measured["scene"], measured["observed"], None, measured["nuisances"])
+    walls = np.full(
+        (len(measured["walls"]), len(measured["observed"].frequency_hz)), r0, dtype=complex
+    )
     p = predicted_pressure(problem.model, walls, at_rest(problem.model), spherical=False)
-    d = measured.observed.pressure
+    d = measured["observed"].pressure
     own = np.ones((len(d), 1), dtype=complex)
     for _ in range(_ALTERNATIONS):
         gain = source_spectra(problem, own * p)

@@ -126,6 +126,12 @@ def nearest(word: str, known: Iterable[str]) -> str | None:
     return found[0] if found else None
 
 
+def did_you_mean(word: str, known: Iterable[str]) -> str | None:
+    """Return a hint at the known word most like `word`, None where nothing comes near."""
+    like = nearest(word, known)
+    return f"did you mean {like!r}?" if like else None
+
+
 def _check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None, ...]) -> None:
     fits = array.ndim == len(shape) and all(
         wanted is None or wanted == got for wanted, got in zip(shape, array.shape, strict=True)

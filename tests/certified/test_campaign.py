@@ -15,7 +15,6 @@ import pytest
 import roomfit
 from roomfit.bands import Bands
 from roomfit.certified.certificate import (
-    CertifyLimits,
     affordable_certificate,
     certified_fit,
     tracing_delta,
@@ -172,12 +171,14 @@ def test_certificates_of_pressures_and_room_parameters_are_refused(tmp_path: Pat
 
 
 def test_what_is_too_large_or_no_energy_is_refused(
-    certified: tuple[roomfit.Result, list[Any]],
+    certified: tuple[roomfit.Result, list[Any]], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Rows above the limit; a problem of another kind."""
     (problem,) = certified[1]
-    with pytest.raises(roomfit.InputError, match="too many rows"):
-        certified_fit(problem, CertifyLimits(max_rows=5))
+    with monkeypatch.context() as patch:
+        patch.setattr("roomfit.certified.certificate.MOST_ROWS", 5)
+        with pytest.raises(roomfit.InputError, match="too many rows"):
+            certified_fit(problem)
     with pytest.raises(roomfit.InputError, match="only energies"):
         certified_fit(replace(problem, terms=problem.terms * 2))
     with pytest.raises(roomfit.InputError, match="stand in the rows"):

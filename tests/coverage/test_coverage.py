@@ -33,7 +33,6 @@ from roomfit.coverage.simulate import (
     BOX,
     CONVEX,
     TRACED,
-    Sound,
     recorded,
     synthesis_of,
     synthetic_rate_hz,
@@ -51,7 +50,6 @@ from roomfit.coverage.statistics import (
 from roomfit.coverage.synthetic_room import (
     CoveragePlan,
     CoverageSettings,
-    TabulatedPair,
     coverage_plan,
     draw_synthetic_room,
 )
@@ -260,16 +258,14 @@ def test_three_simulators_of_a_box_agree(tmp_path):
     pairs = (("LS1", "MP1"), ("LS1", "MP2"))
     assert synthesis_of(plan, synthetic) == BOX
     rng = np.random.default_rng(1)
-    box = synthetic_sound(replace(plan, length_s=0.06), synthetic, pairs, 16_000.0, rng)
+    _, box = synthetic_sound(replace(plan, length_s=0.06), synthetic, pairs, 16_000.0, rng)
     unboxed = replace(plan, length_s=0.06, room=replace(plan.room, shoebox_m=None))
     assert synthesis_of(unboxed, synthetic) == CONVEX
-    convex = synthetic_sound(unboxed, synthetic, pairs, 16_000.0, rng)
+    _, convex = synthetic_sound(unboxed, synthetic, pairs, 16_000.0, rng)
     traced = traced_pressures(plan, synthetic, pairs, 0.06, 16_000.0, rng)
     for pair in pairs:
-        expected = box.pressure[pair]
-        np.testing.assert_allclose(
-            convex.pressure[pair], expected, atol=1e-3 * np.abs(expected).max()
-        )
+        expected = box[pair]
+        np.testing.assert_allclose(convex[pair], expected, atol=1e-3 * np.abs(expected).max())
         difference = traced[pair] - expected
         assert np.sqrt(np.mean(difference**2) / np.mean(expected**2)) < 0.1
 
@@ -347,9 +343,9 @@ def test_a_synthetic_table_has_the_parameters_of_the_response(tmp_path):
     tail = np.where(n > first, 10.0 ** (-3.0 * (n - first) / rate / t60), 0.0)
     pressure = 1e-3 * tail * rng.standard_normal(n.size)
     spread = np.full(2, np.nan)
-    pair = TabulatedPair("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
+    pair = ("LS1", "MP1", {"G_dB": spread, "T30_s": spread, "EDT_s": spread})
     plan = replace(plan, tabulated=(pair,))
-    text = synthetic_table(plan, synthetic, Sound(BOX, {("LS1", "MP1"): pressure}), rate, rng)
+    text = synthetic_table(plan, synthetic, {("LS1", "MP1"): pressure}, rate, rng)
     file = tmp_path / "table.csv"
     file.write_text(text)
     (values,), _ = read_parameters(file)

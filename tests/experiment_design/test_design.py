@@ -29,7 +29,6 @@ from roomfit.experiment_design.candidates import (
 from roomfit.experiment_design.choose import Rules, allowed, choose, random_design, score
 from roomfit.experiment_design.information import (
     PairInformation,
-    Unknowns,
     about_geometry,
     by_all_pairs,
     information_of,
@@ -37,6 +36,7 @@ from roomfit.experiment_design.information import (
     material_widths,
     without_geometry,
 )
+from roomfit.experiment_design.prior import Unknowns
 from roomfit.findings import Code
 from roomfit.io.campaign import Campaign
 from roomfit.suh2001.room import paper_scene
@@ -53,7 +53,7 @@ def fresh() -> np.random.Generator:
 def unknowns(rng: np.random.Generator, n: int = N) -> Unknowns:
     logit = rng.normal(-1.0, 1.0, (N_DRAWS, N_BANDS, n))
     prior = np.tile(np.eye(n) / 1.5**2, (N_DRAWS, N_BANDS, 1, 1))
-    return Unknowns(tuple("abcdefgh"[:n]), np.arange(n), logit, prior, np.zeros(n), np.ones(n))
+    return Unknowns(np.arange(n), logit, prior, np.zeros(n), np.ones(n))
 
 
 def pairs(rng: np.random.Generator, gain: list[int], n: int = N, rank: int = 2) -> PairInformation:
@@ -170,14 +170,14 @@ def test_a_pair_that_was_measured_already_moves_the_choice():
     strong, weak = np.diag([9.0, 0.0, 0.0, 1.0]), np.diag([0.0, 4.0, 0.0, 1.0])
     matrices = np.tile(np.stack([strong, strong, weak])[:, None, None], (1, 1, 1, 1, 1))
     known = Unknowns(
-        ("a", "b", "c"), np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
+        np.arange(3), np.zeros((1, 1, 3)), np.eye(3)[None, None], np.zeros(3),
         np.ones(3),
     )  # fmt: skip
     found = PairInformation(matrices, np.array([0, 1, 2]))
     rules = free_rules([0, 1, 2])
     assert choose(known, found, rules, 1, "mean", rng=fresh())[0] in (0, 1)
-    rules = replace(rules, candidate=np.array([False, True, True]))
-    assert choose(known, found, rules, 1, "mean", fixed=(0,), rng=fresh()) == (2,)
+    rules = replace(rules, candidate=np.array([False, True, True]), fixed=(0,))
+    assert choose(known, found, rules, 1, "mean", rng=fresh()) == (2,)
 
 
 def test_rules_are_obeyed_by_the_choice_and_by_chance():
@@ -185,27 +185,25 @@ def test_rules_are_obeyed_by_the_choice_and_by_chance():
     gain = rng.integers(0, 4, 30)
     at = rng.uniform(0.0, 6.0, (30, 3))
     known, found = unknowns(rng), pairs(rng, gain.tolist())
-    rules = Rules(gain, compatible_positions(at, 1.5), np.arange(30) >= 2, most_sources=2)
-    fixed = (0, 1)
+    rules = Rules(gain, compatible_positions(at, 1.5), np.arange(30) >= 2, (0, 1), most_sources=2)
     designs = [
-        choose(known, found, rules, 4, c, fixed, rng=fresh())
-        for c in ("determinant", "mean", "worst")
+        choose(known, found, rules, 4, c, rng=fresh()) for c in ("determinant", "mean", "worst")
     ]
-    designs += [random_design(rules, 4, rng, fixed) for _ in range(20)]
+    designs += [random_design(rules, 4, rng) for _ in range(20)]
     for design in designs:
-        assert len(set(design)) == len(design) and not set(design) & set(fixed)
+        assert len(set(design)) == len(design) and not set(design) & {0, 1}
         assert np.unique(gain[list(design)]).size <= 2
-        for a, b in itertools.combinations([*fixed, *design], 2):
-            if b not in fixed:
+        for a, b in itertools.combinations([0, 1, *design], 2):
+            if b not in (0, 1):
                 assert np.linalg.norm(at[a] - at[b]) >= 1.5
-    assert not allowed(rules, [5], fixed)[5]
+    assert not allowed(rules, [5])[5]
     with pytest.raises(InputError, match="leave no position"):
-        choose(known, found, replace(rules, most_sources=1), 25, "mean", fixed, rng=fresh())
+        choose(known, found, replace(rules, most_sources=1), 25, "mean", rng=fresh())
 
 
 def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_none():
     known = Unknowns(
-        ("a", "b", "c"), np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
+        np.array([0, -1, 0]), np.zeros((1, 2, 1)), np.ones((1, 2, 1, 1)),
         np.zeros(1), np.ones(1),
     )  # fmt: skip
     widths = material_widths(known, interval_widths(known, known.information))
@@ -213,7 +211,7 @@ def test_materials_that_share_an_absorption_share_a_width_and_known_ones_have_no
     np.testing.assert_allclose(widths[0], np.tanh(1.959963984540054 / 2.0), rtol=1e-12)
     assert widths[2].tolist() == widths[0].tolist() and widths[1].tolist() == [0.0, 0.0]
     with pytest.raises(InputError, match="no absorption is left"):
-        Unknowns(("a",), np.array([-1]), np.zeros((1, 1, 0)), np.zeros((1, 1, 0, 0)),
+        Unknowns(np.array([-1]), np.zeros((1, 1, 0)), np.zeros((1, 1, 0, 0)),
                  np.zeros(0), np.zeros(0))  # fmt: skip
 
 

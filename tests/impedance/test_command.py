@@ -102,9 +102,9 @@ def test_a_campaign_of_spectra_gives_walls_files_and_pictures(finished):
 def test_the_same_by_hand_in_python_is_the_same(finished):
     """The command adds nothing to `identify_impedance` but reading and writing."""
     folder, answer, _ = finished
-    read = impedance_arguments(read_campaign(folder / "campaign.toml"))
+    read, _ = impedance_arguments(read_campaign(folder / "campaign.toml"))
     other = identify_impedance(
-        box_scene(), read.observed, None, Nuisances(speed_sd=0.0), rng=np.random.default_rng(1),
+        box_scene(), read["observed"], None, Nuisances(speed_sd=0.0), rng=np.random.default_rng(1),
         settings=ImpedanceSettings(random_starts=1),
     )  # fmt: skip
     for mine, theirs in zip(answer.materials, other.materials, strict=True):
@@ -248,6 +248,16 @@ def test_what_a_campaign_may_not_say_is_refused(finished, more, words):
         identify_campaign_impedance(read_campaign(file))
 
 
+def test_the_speed_of_sound_is_as_uncertain_as_the_temperature_of_this_air_makes_it(finished):
+    """dc / c = dT / (2 T): two kelvins at 5 degrees C are a 278th."""
+    folder, _, _ = finished
+    air = "temperature_c = 5.0\ntemperature_sd_c = 2.0"
+    file = folder / "cold.toml"
+    file.write_text(campaign_text().replace("speed_of_sound_m_s = 343.0", air))
+    read, _ = impedance_arguments(read_campaign(file))
+    assert read["nuisances"].speed_sd == pytest.approx(1.0 / 278.15, rel=1e-12)
+
+
 def test_spectra_that_do_not_belong_together_are_refused(finished, tmp_path):
     folder, _, _ = finished
     for n in range(6):
@@ -296,25 +306,29 @@ def test_clocks_and_levels_of_recordings_are_taken_as_the_campaign_specifies_the
     direct_s = np.linalg.norm(model.whole.vector_m[model.whole.pair_first[4]]) / 343.0
     clean[4][: round(24_000 * (direct_s + 0.0015))] *= 0.05
     late = [np.concatenate([np.zeros((1200, 264)[n % 2]), p]) for n, p in enumerate(clean)]
-    reported = pressures_of(tmp_path, clean, "")
-    assert reported.nuisances.gain == "spectrum" and reported.nuisances.delay_sd_s == 0.0
+    reported, _ = pressures_of(tmp_path, clean, "")
+    nuisances = reported["nuisances"]
+    assert nuisances.gain == "spectrum" and nuisances.delay_sd_s == 0.0
+    expected = reported["observed"].pressure
 
-    by_latency = pressures_of(tmp_path, [late[0]], "latency_s = 0.05\n").observed.pressure
-    np.testing.assert_allclose(by_latency[0], reported.observed.pressure[0], rtol=1e-9)
+    by_latency, _ = pressures_of(tmp_path, [late[0]], "latency_s = 0.05\n")
+    np.testing.assert_allclose(by_latency["observed"].pressure[0], expected[0], rtol=1e-9)
 
-    unknown = pressures_of(tmp_path, late, 'time_zero = "unknown"\n')
-    turned = unknown.observed.pressure / reported.observed.pressure
+    unknown, _ = pressures_of(tmp_path, late, 'time_zero = "unknown"\n')
+    turned = unknown["observed"].pressure / expected
     # one clock a source, off by 0.15 ms at most; 3 % is what the cut before the direct sound moves
     for one, other in ((0, 2), (0, 4), (1, 3)):
         np.testing.assert_allclose(turned[one], turned[other], atol=0.05)
     assert np.all(np.abs(np.angle(turned)) < 2 * np.pi * F_HZ * 1.5e-4)
 
-    cut = pressures_of(tmp_path, late, 'time_zero = "direct"\nlevel = "per-file"\n').nuisances
+    read, _ = pressures_of(tmp_path, late, 'time_zero = "direct"\nlevel = "per-file"\n')
+    cut = read["nuisances"]
     assert cut.delay == "pair" and cut.delay_sd_s == 1e-4 and cut.gain == "pair-spectrum"
 
-    without = pressures_of(tmp_path, late, 'level = "absolute"\n')
-    assert without.nuisances.gain == "known" and without.nuisances.delay_sd_s == 2e-5
-    assert [f.code for f in without.findings] == [Code.TIME_ZERO_MISMATCH] * 5
+    read, doubts = pressures_of(tmp_path, late, 'level = "absolute"\n')
+    without = read["nuisances"]
+    assert without.gain == "known" and without.delay_sd_s == 2e-5
+    assert [f.code for f in doubts] == [Code.TIME_ZERO_MISMATCH] * 5
 
 
 def test_a_result_shows_itself_as_text_table_and_figure(finished):

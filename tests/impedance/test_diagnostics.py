@@ -17,7 +17,6 @@ from roomfit.impedance.identify import ImpedanceSettings, identify_impedance, wa
 from roomfit.impedance.laws import absorption_normal
 from roomfit.impedance.problem import (
     Whitened,
-    layout_of,
     marginal_likelihood_error,
     robust_covariance,
     start_of,
@@ -113,7 +112,7 @@ def test_noise_that_is_unspecified_is_found_as_a_function_of_frequency():
 def start_with(problem, r0):
     """Return unknowns whose curves are the best of theirs to some R0."""
     x = start_of(problem)
-    for place, curve, own in zip(layout_of(problem).curves, problem.curves, r0, strict=True):
+    for place, curve, own in zip(problem.layout.curves, problem.curves, r0, strict=True):
         by = curve.slope(x[place])
         rows = np.vstack([by.real, by.imag])
         x[place] = np.linalg.lstsq(rows, np.concatenate([own.real, own.imag]), rcond=None)[0]

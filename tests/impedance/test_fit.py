@@ -175,8 +175,8 @@ def test_auto_finds_the_laws_that_made_the_walls():
     assert kinds == {"slots": "resonator", "plaster": "spline", "wool": "miki"}
     assert rms_by_material(found_r0(answer) - r0, F_HZ).max() <= 0.01
     slots = next(m for m in answer.materials if m.name == "slots")
-    mass = next(p for p in slots.parameters if p[0] == "mass_m")
-    assert mass[3] <= 0.297 <= mass[4]
+    mass = next(p for p in slots.parameters if p.name == "mass_m")
+    assert mass.lower95 <= 0.297 <= mass.upper95
 
 
 def test_noise_that_is_unspecified_is_estimated_and_makes_the_verdict_weaker():

@@ -21,7 +21,7 @@ from roomfit.impedance.laws import (
     resonator,
     spline,
 )
-from roomfit.impedance.problem import Problem, data_rows, layout_of, prior_rows, start_of
+from roomfit.impedance.problem import Problem, data_rows, prior_rows, start_of
 from roomfit.impedance.wave_kernels import boundary_loss, reflect
 from roomfit.impedance.wave_model import (
     Nuisances,
@@ -196,28 +196,29 @@ def test_derivatives_are_those_of_central_differences(kind):
     gain = "spectrum" if kind == "spectrum" else "pair"
     nuisances = Nuisances(0.01, 0.01, gain, delay_sd_s=1e-4)
     problem = Problem(model, observed, standard_deviation(observed, 2.55, 343.0), curves, nuisances)
-    layout = layout_of(problem)
-    x = start_of(problem) + 0.3 * rng.normal(size=layout.size) * (np.arange(layout.size) > 5)
+    x = start_of(problem) + 0.3 * rng.normal(size=problem.layout.size) * (
+        np.arange(problem.layout.size) > 5
+    )
     correction = 1e-3 * p
 
     def rows(at):
-        return data_rows(problem, layout, at, correction)
+        return data_rows(problem, at, correction)
 
     def half_squares(at):
-        return 0.5 * np.sum(rows(at).residual ** 2)
+        return 0.5 * np.sum(rows(at)[0] ** 2)
 
-    here, h = rows(x), 1e-5
-    for i, step in enumerate(h * np.eye(layout.size)):
+    (residual, jacobian), h = rows(x), 1e-5
+    for i, step in enumerate(h * np.eye(problem.layout.size)):
         if kind == "spectrum":
             # Kaufman's Jacobian has the exact slope of the cost, not of each row
             numeric = (half_squares(x + step) - half_squares(x - step)) / (2 * h)
-            exact_slope = here.jacobian[:, i] @ here.residual
-            scale = np.abs(here.jacobian.T @ here.residual).max()
+            exact_slope = jacobian[:, i] @ residual
+            scale = np.abs(jacobian.T @ residual).max()
         else:
-            numeric = (rows(x + step).residual - rows(x - step).residual) / (2 * h)
-            exact_slope, scale = here.jacobian[:, i], np.abs(here.jacobian[:, i]).max()
+            numeric = (rows(x + step)[0] - rows(x - step)[0]) / (2 * h)
+            exact_slope, scale = jacobian[:, i], np.abs(jacobian[:, i]).max()
         # levels do not depend on a phase: nothing but rounding is left there
-        scale = max(scale, 1e-3 * np.abs(here.jacobian).max())
+        scale = max(scale, 1e-3 * np.abs(jacobian).max())
         np.testing.assert_allclose(numeric, exact_slope, rtol=0, atol=1e-6 * scale)
 
 
@@ -232,19 +233,18 @@ def test_prior_rows_have_the_slope_of_central_differences():
         law_curve("panel", complex_frequency_hz(observed), 343.0),
     )
     problem = Problem(model, observed, np.ones((2, len(f))), curves, Nuisances(gain="common"))
-    layout = layout_of(problem)
-    x = start_of(problem) + 0.02 * np.random.default_rng(5).normal(size=layout.size)
+    x = start_of(problem) + 0.02 * np.random.default_rng(5).normal(size=problem.layout.size)
     rough = np.array([0.1, 0.01, 1.0])
-    h, here = 1e-6, prior_rows(problem, layout, x, rough)
+    h, (_, slope) = 1e-6, prior_rows(problem, x, rough)
     numeric = np.column_stack(
         [
-            (prior_rows(problem, layout, x + h * e, rough).residual
-             - prior_rows(problem, layout, x - h * e, rough).residual) / (2 * h)
-            for e in np.eye(layout.size)
+            (prior_rows(problem, x + h * e, rough)[0]
+             - prior_rows(problem, x - h * e, rough)[0]) / (2 * h)
+            for e in np.eye(problem.layout.size)
         ]
     )  # fmt: skip
-    scale = np.abs(here.jacobian).max(axis=1, keepdims=True)
-    np.testing.assert_array_less(np.abs(numeric - here.jacobian) / scale, 1e-5)
+    scale = np.abs(slope).max(axis=1, keepdims=True)
+    np.testing.assert_array_less(np.abs(numeric - slope) / scale, 1e-5)
 
 
 def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():

@@ -10,8 +10,14 @@ from hypothesis import strategies as st
 from roomfit.eyring import decay_rate_per_s, eyring_absorption, eyring_time_s
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.search import SimplexSettings, downhill_simplex, simplex_around
-from roomfit.suh2001.landscape import descend, grid_minima, landscape, minima_of_descents
-from roomfit.suh2001.searches import fit_least_squares, starts
+from roomfit.suh2001.searches import (
+    descend,
+    fit_least_squares,
+    grid_minima,
+    landscape,
+    minima_of_descents,
+    starts,
+)
 from roomfit.typing import FloatArray
 
 TIMES = np.linspace(0.0, 2.0, 20)

@@ -19,7 +19,6 @@ import pytest
 from roomfit._numba import in_pool, worker_pool
 from roomfit.errors import InputError
 from roomfit.suh2001.independent import (
-    IndependentFit,
     fit_with_other_rays,
     mean_measurement,
     measurement_part,
@@ -201,18 +200,17 @@ def test_the_same_rays_find_the_truth_and_others_do_not() -> None:
     for key, energies in measurement.items():
         np.testing.assert_allclose(energies, 0.5 * (parts[0][key] + parts[1][key]))
     fits = fit_with_other_rays(3_000, 0, measurement)
-    assert {(f.materials, f.pairs) for f in fits} == set(measurement)
-    for row in summarise(fits):
+    assert set(fits) == set(measurement)
+    for row in summarise(3_000, [fits]):
         assert 0.005 < row.rms_error <= row.worst_error <= 1.0
 
 
 def test_a_row_of_repeats_is_its_statistics_written_out() -> None:
     """Errors (0.1, -0.2) and (0.3, 0): largest 0.2 and 0.3, mean square 0.14 / 4."""
     fits = [
-        IndependentFit(1000, 2, 1, paths, np.array(off))
-        for paths, off in ((80, (0.1, -0.2)), (90, (0.3, 0.0)))
+        {(2, 1): (paths, np.array(off))} for paths, off in ((80, (0.1, -0.2)), (90, (0.3, 0.0)))
     ]
-    (row,) = summarise(fits)
+    (row,) = summarise(1000, fits)
     assert row.rms_error == pytest.approx((0.14 / 4.0) ** 0.5)
     assert (row.median_largest_error, row.worst_error) == pytest.approx((0.25, 0.3))
     assert (row.repeats, row.median_paths) == (2, 85.0)

@@ -197,7 +197,8 @@ def test_south_and_north_wall_of_case_1_are_exchangeable(paths: dict[str, Paths]
     np.testing.assert_allclose(
         window_energies(exact.rows, alike), window_energies(as_traced.rows, alike), rtol=1e-12
     )
-    answers = walls_apart(paths["paper"], np.random.default_rng(1)).answers
+    problem = walls_apart_problem(paths["paper"], mirrored=True)
+    answers = walls_apart(problem, np.random.default_rng(1))
     assert len(answers.x) == 2
     np.testing.assert_allclose(answers.x[0][[0, 1, 2, 4, 3]], answers.x[1], atol=1e-6)
     assert np.all(answers.error < 1e-20)

@@ -7,7 +7,7 @@ the certificate. The proof holds for the weights of the answer, so that fit and 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
@@ -49,12 +49,8 @@ _TOUCHING = 1e-9
 def certify(
     global_problem: GlobalProblem, settings: SearchSettings, *, progress: Progress | None = None
 ) -> Certificate:
-    """Return a proof of how low the misfit can be, and where."""
-    return certificate_of(global_problem, search(global_problem, settings, progress=progress))
-
-
-def certificate_of(global_problem: GlobalProblem, found: Searched) -> Certificate:
-    """Return what a search has proven, its boxes joined to clusters."""
+    """Return a proof of how low the misfit can be, and where: boxes left over, as clusters."""
+    found = search(global_problem, settings, progress=progress)
     tools = tools_for(global_problem)
     label = touching(found.boxes)
     clusters = []
@@ -173,29 +169,18 @@ _LEAST_DELTA = 0.02
 _WIDTH = 0.25
 # Weights change with the answer: certify, fit again from the best minimum, certify again.
 _ROUNDS = 2
-
-
-@dataclass(frozen=True, slots=True)
-class CertifyLimits:
-    """How much one band may cost."""
-
-    max_boxes: int = 200_000
-    max_seconds: float = 60.0
-    max_rows: int = 400_000  # rows of all windows, paths of equal hits as one
-
+# What one band may cost; rows of all windows, paths of equal hits as one.
+_MOST_BOXES, _MOST_SECONDS, MOST_ROWS = 200_000, 60.0, 400_000
 
 # What a proof that was not asked for may cost. With more unknowns it took a minute.
-AFFORDABLE = CertifyLimits(max_boxes=3_000, max_seconds=2.0, max_rows=60_000)
+_AFFORDABLE_BOXES, _AFFORDABLE_SECONDS, _AFFORDABLE_ROWS = 3_000, 2.0, 60_000
 _AFFORDABLE_UNKNOWNS = 3
 # Half of what one standard deviation costs: finer proofs take many times as many boxes.
 _AFFORDABLE_DELTA = 0.25
 
 
 def certified_fit(
-    objective: Objective,
-    limits: CertifyLimits | None = None,
-    *,
-    progress: Progress | None = None,
+    objective: Objective, *, progress: Progress | None = None
 ) -> tuple[BandFit, Certificate | None]:
     """Fit one band by least squares, and prove how low its cost can be.
 
@@ -205,9 +190,8 @@ def certified_fit(
     Raises
     ------
     InputError
-        The band holds other data than energies, or more rows than the limits allow.
+        The band holds other data than energies, or too many rows.
     """
-    limits = CertifyLimits() if limits is None else limits
     energies, parameters = only_energies(objective), objective.parameters
     if energies is None:
         raise InputError(
@@ -221,19 +205,21 @@ def certified_fit(
         return fit, None
     for number in range(_ROUNDS):
         global_problem = energy_global_problem(energies, parameters, fit.vector)
-        if len(global_problem.weight) > limits.max_rows:
+        if len(global_problem.weight) > MOST_ROWS:
             raise InputError(
                 "too many rows for a certificate",
                 found=f"{len(global_problem.weight)} at {energies.centre_hz:g} Hz",
-                needed=f"at most {limits.max_rows}",
+                needed=f"at most {MOST_ROWS}",
                 hint='fewer materials, fewer pairs, or method = "least-squares"',
             )
         delta = tracing_delta(energies, parameters, fit.vector, global_problem.precision)
-        settings = _settings(limits, delta)
+        settings = SearchSettings(
+            delta, width=_WIDTH, max_boxes=_MOST_BOXES, max_seconds=_MOST_SECONDS
+        )
         certificate = certify(global_problem, settings)
         if progress is not None:
             progress((number + 1) / _ROUNDS)
-        if fit.cost <= certificate.value + 1e-3 + 0.01 * settings.delta:
+        if fit.cost <= certificate.value + 1e-3 + 0.01 * delta:
             break
         place, before = free_vector(parameters, certificate.clusters[0].minimiser), fit.evaluations
         fit = fit_band(objective, _staying_at(place), gauss_newton)
@@ -257,18 +243,17 @@ def affordable_certificate(objective: Objective, vector: FloatArray) -> Certific
     if not few or energies is None or not is_certifiable(energies, parameters):
         return None
     global_problem = energy_global_problem(energies, parameters, vector)
-    if len(global_problem.weight) > AFFORDABLE.max_rows:
+    if len(global_problem.weight) > _AFFORDABLE_ROWS:
         return None
     delta = tracing_delta(energies, parameters, vector, global_problem.precision)
-    delta = max(delta, _AFFORDABLE_DELTA)
-    certificate = certify(global_problem, _settings(AFFORDABLE, delta))
-    return certificate if certificate.status == "certified" else None
-
-
-def _settings(limits: CertifyLimits, delta: float) -> SearchSettings:
-    return SearchSettings(
-        delta, width=_WIDTH, max_boxes=limits.max_boxes, max_seconds=limits.max_seconds
+    settings = SearchSettings(
+        max(delta, _AFFORDABLE_DELTA),
+        width=_WIDTH,
+        max_boxes=_AFFORDABLE_BOXES,
+        max_seconds=_AFFORDABLE_SECONDS,
     )
+    certificate = certify(global_problem, settings)
+    return certificate if certificate.status == "certified" else None
 
 
 def _staying_at(place: FloatArray) -> Solver:

@@ -579,14 +579,6 @@ def misfit_slopes(
 
 
 @kernel()
-def _clipped(g: FloatArray, low: FloatArray, high: FloatArray) -> FloatArray:
-    inside = np.empty(len(g))
-    for a in range(len(g)):
-        inside[a] = min(max(g[a], low[a]), high[a])
-    return inside
-
-
-@kernel()
 def descend(
     kind: int,
     global_problem: Arrays,
@@ -597,7 +589,7 @@ def descend(
 ) -> tuple[FloatArray, float]:
     """Return where damped Gauss-Newton steps within bounds end, and the misfit there."""
     n = len(start)
-    g = _clipped(start, low, high)
+    g = np.minimum(np.maximum(start, low), high)
     gradient, hessian, damped = np.empty(n), np.empty((n, n)), np.empty((n, n))
     here = misfit_slopes(kind, global_problem, g, most, gradient, hessian)
     damping = 1e-3
@@ -607,9 +599,7 @@ def descend(
                 damped[a, b] = hessian[a, b]
             damped[a, a] += damping * hessian[a, a]
         step = newton_step(gradient, damped, g, low, high)
-        for a in range(n):
-            step[a] += g[a]
-        other = _clipped(step, low, high)
+        other = np.minimum(np.maximum(step + g, low), high)
         there = total_misfit(kind, global_problem, other, most)
         if not there < here:
             damping *= 8.0

@@ -96,8 +96,7 @@ def arrays(global_problem: GlobalProblem) -> Arrays:
 
 def to_absorption(global_problem: GlobalProblem, g: FloatArray) -> FloatArray:
     """Return what log factors mean: absorption for materials, the gain itself for gains."""
-    factor = np.exp(g)
-    return np.where(global_problem.is_absorption, -np.expm1(g), factor)
+    return np.where(global_problem.is_absorption, -np.expm1(g), np.exp(g))
 
 
 def _check_bounds(global_problem: GlobalProblem) -> None:

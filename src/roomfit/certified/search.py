@@ -118,7 +118,11 @@ def examine(
     if widths.max() <= narrowest or (widths.max() <= width and bound >= incumbent.value - delta):
         return BoxStatus.KEPT, bound, 0
     if is_convex(tools.kind, tools.data, box, tools.most, tools.values):
-        bound = max(bound, _bound_of_convex(tools, box, incumbent))
+        place, value, least = least_of_convex(
+            tools.kind, tools.data, box, 0.5 * (box[0] + box[1]), tools.most, tools.rounding
+        )
+        incumbent.offer(value, place)
+        bound = max(bound, least)
         pruned = bound >= incumbent.value + delta
         return (BoxStatus.PRUNED if pruned else BoxStatus.CONVEX), bound, 0
     wide = widths > (width if widths.max() > width else 0.0)
@@ -143,30 +147,17 @@ def _bounded(
     )
     if bound >= threshold:
         return bound, 1.0, planes[4]
-    _try_point(tools, box, centre + d, incumbent)
+    # the misfit at the bound's lowest point, and where a descent from there within the box ends
+    low = np.where(np.isfinite(box[0]), box[0], box[1] - 2.0 * FAR_CUT)
+    inside = np.clip(centre + d, low, box[1])
+    if total_misfit(kind, data, inside, most) < incumbent.value:
+        place, value = descend(kind, data, inside, low, box[1], most)
+        incumbent.offer(value, place)
     threshold = incumbent.value + delta
     if bound >= threshold:
         return bound, 1.0, planes[4]
     kept = shave(kind, data, planes, separable, box, centre, half, threshold - apart, d)
     return bound, kept, planes[4]
-
-
-def _try_point(tools: Tools, box: FloatArray, g: FloatArray, incumbent: Incumbent) -> None:
-    """Offer the misfit at a point, and that where a descent from there within the box ends."""
-    low = np.where(np.isfinite(box[0]), box[0], box[1] - 2.0 * FAR_CUT)
-    inside = np.clip(g, low, box[1])
-    if total_misfit(tools.kind, tools.data, inside, tools.most) < incumbent.value:
-        place, value = descend(tools.kind, tools.data, inside, low, box[1], tools.most)
-        incumbent.offer(value, place)
-
-
-def _bound_of_convex(tools: Tools, box: FloatArray, incumbent: Incumbent) -> float:
-    middle = 0.5 * (box[0] + box[1])
-    place, value, bound = least_of_convex(
-        tools.kind, tools.data, box, middle, tools.most, tools.rounding
-    )
-    incumbent.offer(value, place)
-    return bound
 
 
 def widths_of(is_absorption: BoolArray, box: FloatArray) -> FloatArray:

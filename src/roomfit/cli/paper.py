@@ -23,12 +23,12 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.suh2001.output import paper_text, run_paper
-    from roomfit.suh2001.repeat import PaperSettings
 
     with progress_line("repeating the paper") as progress:
         result = run_paper(
             options.out,
-            PaperSettings(options.seeds, options.workers),
+            seeds=options.seeds,
+            workers=options.workers,
             overwrite=options.overwrite,
             progress=progress,
         )

@@ -216,10 +216,10 @@ def replicated(
     rng = np.random.default_rng([seed, _PURPOSE, number])
     synthetic = draw_synthetic_room(plan, rng)
     rate_hz = synthetic_rate_hz(plan.campaign.bands)
-    sound = synthetic_sound(plan, synthetic, wanted_pairs(plan), rate_hz, rng)
+    synthesis, pressures = synthetic_sound(plan, synthetic, wanted_pairs(plan), rate_hz, rng)
     found, refused = None, None
     with tempfile.TemporaryDirectory(dir=scratch, prefix=f"{number:04d}-") as folder:
-        campaign = synthetic_campaign(plan, synthetic, sound, Path(folder), rng)
+        campaign = synthetic_campaign(plan, synthetic, pressures, Path(folder), rng)
         try:
             # through files, as a campaign's own recordings come: their format limits them alike
             answer = identify(**identify_arguments(campaign), progress=part(progress, 0.3, 1.0))
@@ -232,7 +232,7 @@ def replicated(
     return Replicate(
         number,
         plan.digest,
-        sound.synthesis,
+        synthesis,
         synthetic.absorption[:, plan.columns],
         refused,
         found,
@@ -463,19 +463,15 @@ def _coverage_sample(plan: CoveragePlan, answered: list[Replicate]) -> CoverageS
     found = [r.found for r in answered if r.found is not None]
     free = np.array([k.known is None and k.tied_to is None for k in plan.priors])
     fitted = np.array([[model != "prior" for model in f.models] for f in found])
-    prior = _prior_middle(plan) if plan.answer is None else plan.answer.absorption
+    names = [_KEYS.get(key, key) for key in _ARRAYS]
+    arrays: dict[str, Any] = {name: np.array([getattr(f, name) for f in found]) for name in names}
     return CoverageSample(
-        plan.room.materials,
-        plan.campaign.bands,
-        np.array([r.true for r in answered]),
-        np.array([f.absorption for f in found]),
-        np.array([f.lower95 for f in found]),
-        np.array([f.upper95 for f in found]),
-        np.array([f.identifiable for f in found]),
-        free[None, :, None] & fitted[:, None, :],
-        prior,
-        np.array([f.uniform for f in found]),
-        np.array([f.chi2_reduced for f in found]),
+        materials=plan.room.materials,
+        bands=plan.campaign.bands,
+        true=np.array([r.true for r in answered]),
+        has_interval=free[None, :, None] & fitted[:, None, :],
+        prior=_prior_middle(plan) if plan.answer is None else plan.answer.absorption,
+        **arrays,
     )
 
 

@@ -9,7 +9,7 @@ parameters derived from them; both are written as files that a campaign names.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +17,7 @@ import numpy as np
 from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.cache import write_text_atomically
-from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom, TabulatedPair
+from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom
 from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
@@ -26,7 +26,7 @@ from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.spec import ResponseSpec
 from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
-from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank, filter_pressure
@@ -50,6 +50,10 @@ from roomfit.typing import BoolArray, FloatArray
 _BIN_S = 0.5e-3
 _OVERSAMPLING = 8
 _NOTHING = 1e-30
+Pair = tuple[str, str]
+Pressures = dict[Pair, FloatArray]
+"""After an impulse at time 0, (n_samples,): a unit source's direct sound is 1 / (4 pi r)."""
+
 # Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
 _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 
@@ -57,11 +61,11 @@ _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
 def traced_pressures(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    pairs: tuple[tuple[str, str], ...],
+    pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
     rng: np.random.Generator,
-) -> dict[tuple[str, str], FloatArray]:
+) -> Pressures:
     """Return the pressure of every pair after an impulse at time 0.
 
     Image sources are followed as far as the fit's own, with another enumeration for moved points;
@@ -155,17 +159,6 @@ _LONGER_THAN_EYRING = 1.4
 # Spheres that catch the own tracer's rays.
 _CLEAR_OF_WALLS_M = 0.3
 
-Pair = tuple[str, str]
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Sound:
-    """Pressures of every pair after an impulse at time 0."""
-
-    synthesis: str  # how they were simulated
-    # by (source, receiver), (n_samples,): a unit source's direct sound is 1 / (4 pi r)
-    pressure: dict[Pair, FloatArray]
-
 
 def synthetic_sound(
     plan: CoveragePlan,
@@ -173,8 +166,8 @@ def synthetic_sound(
     pairs: tuple[Pair, ...],
     rate_hz: float,
     rng: np.random.Generator,
-) -> Sound:
-    """Return the pressures of all pairs.
+) -> tuple[str, Pressures]:
+    """Return how the sound of all pairs was simulated, and its pressures.
 
     They last until the slowest band has fallen to its noise, as long as the recordings at most,
     and as long as their image sources can be enumerated.
@@ -187,7 +180,7 @@ def synthetic_sound(
         found = _convex(plan, synthetic, pairs, duration_s, rate_hz)
     else:
         found = _box(plan, synthetic, pairs, duration_s, rate_hz, rng)
-    return Sound(synthesis, found)
+    return synthesis, found
 
 
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
@@ -237,7 +230,7 @@ def _box(
     duration_s: float,
     rate_hz: float,
     rng: np.random.Generator,
-) -> dict[Pair, FloatArray]:
+) -> Pressures:
     owner = plan.room.surface_material
     lengths = plan.room.shoebox_m
     assert lengths is not None  # noqa: S101 - `synthesis_of` says that it is a box
@@ -254,20 +247,19 @@ def _box(
     flat: FloatArray = np.zeros(len(plan.grid))
     found = {}
     for source in synthetic.sources:
-        own = [r for s, r in pairs if s == source.name]
-        b = _b(plan, synthetic, source.name)
+        start_m, own = source.position_m, [r for s, r in pairs if s == source.name]
         if not np.any(scattering):
+            b = _b(plan, synthetic, source.name)
             for r in own:
-                ends = (source.position_m, at[r], duration_s, rate_hz)
-                found[source.name, r] = pressure_response(box, *ends, flat, b)
+                found[source.name, r] = pressure_response(
+                    box, start_m, at[r], duration_s, rate_hz, flat, b
+                )
         elif own:
             receivers_m = np.array([at[r] for r in own])
-            echo = diffuse_echogram(
-                box, scattering, source.position_m, receivers_m, duration_s, rng
-            )
+            echo = diffuse_echogram(box, scattering, start_m, receivers_m, duration_s, rng)
+            smooth = specular_box(box, scattering)
             for r, energy in zip(own, echo.energy, strict=True):
-                ends = (source.position_m, at[r], duration_s, rate_hz)
-                specular = pressure_response(specular_box(box, scattering), *ends, flat)
+                specular = pressure_response(smooth, start_m, at[r], duration_s, rate_hz, flat)
                 found[source.name, r] = with_diffuse_noise(
                     specular, energy, box, rate_hz, flat, rng
                 )
@@ -280,7 +272,7 @@ def _convex(
     pairs: tuple[Pair, ...],
     duration_s: float,
     rate_hz: float,
-) -> dict[Pair, FloatArray]:
+) -> Pressures:
     cells = convex_cells(plan.room)
     assert cells is not None  # noqa: S101 - `synthesis_of` says that it is convex
     room = SyntheticPolyhedron(
@@ -311,7 +303,7 @@ _PAD_S = 0.05
 def synthetic_table(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    sound: Sound,
+    pressures: Pressures,
     rate_hz: float,
     rng: np.random.Generator,
 ) -> str:
@@ -323,16 +315,22 @@ def synthetic_table(
     """
     bands = plan.campaign.bands
     lines = [",".join(("source", "receiver", "parameter", *(f"{f:g}" for f in bands.centres_hz)))]
-    for measured in plan.tabulated:
-        pressure = sound.pressure[measured.source, measured.receiver]
-        response = padded(ImpulseResponse(pressure, rate_hz), _PAD_S)
-        direct_s = _distance_m(synthetic, measured) / synthetic.speed_of_sound_m_s
-        found = _values(response, bands, direct_s)
-        for name, spread in measured.spread.items():
+
+    def add(source: str, receiver: str, key: str, values: FloatArray) -> None:
+        cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
+        lines.append(",".join((source, receiver, key, *cells)))
+
+    source_m = {s.name: s.position_m for s in synthetic.sources}
+    receiver_m = {r.name: r.position_m for r in synthetic.receivers}
+    for source, receiver, spreads in plan.tabulated:
+        response = padded(ImpulseResponse(pressures[source, receiver], rate_hz), _PAD_S)
+        distance_m = float(np.linalg.norm(receiver_m[receiver] - source_m[source]))
+        found = _values(response, bands, distance_m / synthetic.speed_of_sound_m_s)
+        for name, spread in spreads.items():
             error = np.where(np.isfinite(spread), spread, 0.0) * rng.standard_normal(len(bands))
-            lines.append(_line(measured, _WRITTEN[name], _possible(name, found[name] + error)))
+            add(source, receiver, _WRITTEN[name], _possible(name, found[name] + error))
             if np.isfinite(spread).any():
-                lines.append(_line(measured, f"{_WRITTEN[name]}_sd", spread))
+                add(source, receiver, f"{_WRITTEN[name]}_sd", spread)
     return "\n".join(lines) + "\n"
 
 
@@ -358,15 +356,6 @@ def _strength_db(bank: FilterBank, response: ImpulseResponse) -> FloatArray:
     return np.asarray(10.0 * np.log10(energy / reference))
 
 
-def _distance_m(synthetic: SyntheticRoom, measured: TabulatedPair) -> float:
-    def position(points: tuple[Point, ...], name: str) -> FloatArray:
-        return next(p.position_m for p in points if p.name == name)
-
-    receiver_m = position(synthetic.receivers, measured.receiver)
-    step = receiver_m - position(synthetic.sources, measured.source)
-    return float(np.linalg.norm(step))
-
-
 def _possible(name: ValueName, values: FloatArray) -> FloatArray:
     """Clip or leave out what an added error has driven out of the possible range."""
     if name == "D50_percent":
@@ -374,11 +363,6 @@ def _possible(name: ValueName, values: FloatArray) -> FloatArray:
     if name.endswith("_dB"):
         return values
     return np.where(values > 0.0, values, np.nan)
-
-
-def _line(measured: TabulatedPair, key: str, values: FloatArray) -> str:
-    cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
-    return ",".join((measured.source, measured.receiver, key, *cells))
 
 
 # Every file begins so long before emission.
@@ -397,14 +381,14 @@ def synthetic_rate_hz(bands: Bands) -> float:
 def wanted_pairs(plan: CoveragePlan) -> tuple[Pair, ...]:
     """Return every pair of which a response or a table is fitted, once."""
     pairs = [(m.source, m.receiver) for m in plan.campaign.measurements]
-    pairs += [(v.source, v.receiver) for v in plan.tabulated]
+    pairs += [(source, receiver) for source, receiver, _ in plan.tabulated]
     return tuple(dict.fromkeys(pairs))
 
 
 def synthetic_campaign(
     plan: CoveragePlan,
     synthetic: SyntheticRoom,
-    sound: Sound,
+    pressures: Pressures,
     folder: Path,
     rng: np.random.Generator,
 ) -> Campaign:
@@ -418,7 +402,7 @@ def synthetic_campaign(
     files = []
     for i, m in enumerate(plan.campaign.measurements):
         samples = recorded(
-            sound.pressure[m.source, m.receiver],
+            pressures[m.source, m.receiver],
             rate_hz,
             plan.grid,
             synthetic.level_db[i],
@@ -435,7 +419,7 @@ def synthetic_campaign(
         files.append(replace(m, response=spec))
     tables: tuple[MeasuredTable, ...] = ()
     if plan.tabulated:
-        text = synthetic_table(plan, synthetic, sound, rate_hz, rng)
+        text = synthetic_table(plan, synthetic, pressures, rate_hz, rng)
         tables = (
             MeasuredTable(write_text_atomically(folder / "table.csv", text), None, None, "fit"),
         )

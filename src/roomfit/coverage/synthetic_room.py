@@ -92,14 +92,8 @@ class ReferenceResult:
     scattering: FloatArray | None  # (n_materials, n_bands)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class TabulatedPair:
-    """Which room parameters of a pair are fitted."""
-
-    source: str
-    receiver: str
-    # stated standard deviation in the fitted bands, (n_bands,), NaN where none is stated
-    spread: dict[ValueName, FloatArray]
+Tabulated = tuple[str, str, dict[ValueName, FloatArray]]
+"""Source, receiver, and by fitted parameter its stated standard deviation, (n_bands,), or NaN."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +109,7 @@ class CoveragePlan:
     nearest: IntArray  # (n_grid,), the fitted band nearest to each of the grid's
     snr_db: FloatArray  # (n_measurements, n_grid), loudest block over noise of every recording
     length_s: float  # no synthetic recording is longer
-    tabulated: tuple[TabulatedPair, ...]
+    tabulated: tuple[Tabulated, ...]
     directivities: dict[str, Directivity | UnknownDirectivity]  # by source
     digest: str  # of all that decides a replicate besides its number
 
@@ -196,7 +190,7 @@ def _reference(
 
 def _as_measured(
     campaign: Campaign, room: Room, snr_db: float | None
-) -> tuple[FloatArray, tuple[TabulatedPair, ...], float]:
+) -> tuple[FloatArray, tuple[Tabulated, ...], float]:
     """Return what counts of the recordings: peak over noise, tables, and the longest length.
 
     With a stated ratio no response is read: the campaign may be one that is still to be measured.
@@ -218,10 +212,10 @@ def _as_measured(
     return np.clip(ratios, _LEAST_SNR_DB, _MOST_SNR_DB), tabulated, max(lengths)
 
 
-def _tabulated(values: MeasuredValues, bands: Bands) -> TabulatedPair:
+def _tabulated(values: MeasuredValues, bands: Bands) -> Tabulated:
     stated = replace(values, values=values.spread, spread={})
     spread = {name: values_at(stated, name, bands) for name in values.values}
-    return TabulatedPair(values.source, values.receiver, spread)
+    return values.source, values.receiver, spread
 
 
 def _digest(campaign: Campaign, settings: CoverageSettings) -> str:

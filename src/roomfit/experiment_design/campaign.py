@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import fields, replace
 from typing import Any, TypedDict
 
 import numpy as np
@@ -20,7 +20,7 @@ from roomfit.io.inputs import (
     source_directivities,
 )
 from roomfit.materials.priors import MaterialPrior, in_bands
-from roomfit.prediction.campaign import common_bands, room_posterior
+from roomfit.prediction.campaign import common_bands, of_pairs, room_posterior
 from roomfit.response.directivity import Directivity, UnknownDirectivity
 from roomfit.scene import Room, Scene
 from roomfit.settings import Settings
@@ -87,24 +87,11 @@ def design_arguments(
 def _options(campaign: Campaign, changed: Mapping[str, Any], *, after_fit: bool) -> DesignOptions:
     """Return the options of ``[design]`` with changes; its criterion counts without a fit."""
     table = campaign.design
-    options: dict[str, Any] = {
-        "criterion": None if after_fit else table.criterion,
-        "most_sources": table.most_sources,
-        "n_draws": table.draws,
-        "sources": tuple(table.sources),
-        "receivers": tuple(table.receivers),
-        "new_sources": table.new_sources,
-        "grid_m": table.grid_m,
-        "source_heights_m": table.source_heights_m,
-        "receiver_heights_m": table.receiver_heights_m,
-        "region_m": table.region_m,
-        "wall_distance_m": table.wall_distance_m,
-        "source_distance_m": table.source_distance_m,
-        "receiver_distance_m": table.receiver_distance_m,
-        "decay_range_db": table.decay_range_db,
-        "position_sd_m": table.position_sd,
-        "level": table.level,
-    }
+    same = {f.name for f in fields(DesignOptions)} & type(table).model_fields.keys()
+    options: dict[str, Any] = {name: getattr(table, name) for name in same}
+    options["criterion"] = None if after_fit else table.criterion
+    options |= {"n_draws": table.draws, "position_sd_m": table.position_sd}
+    options |= {"sources": tuple(table.sources), "receivers": tuple(table.receivers)}
     return DesignOptions(**{**options, **changed})
 
 
@@ -113,6 +100,4 @@ def _measured_scene(campaign: Campaign, room: Room) -> Scene:
     names = {(m.source, m.receiver) for m in campaign.measurements if m.use == "fit"}
     tables = read_measurements(replace(campaign, measurements=(), spectra=()))
     names |= {(v.source, v.receiver) for v in tables if v.use == "fit"}
-    scene = campaign_scene(campaign, room)
-    measured = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
-    return replace(scene, pairs=scene.pairs[np.array(measured, dtype=np.bool_)])
+    return of_pairs(campaign_scene(campaign, room), names)

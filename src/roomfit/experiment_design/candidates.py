@@ -14,7 +14,6 @@ from roomfit.air import Air, speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.experiment_design.choose import CRITERIA, Criterion, Rules
 from roomfit.experiment_design.information import (
-    DesignTrace,
     ExpectedMeasurement,
     information_of_pairs,
 )
@@ -25,7 +24,10 @@ from roomfit.geometry.mesh import refuse, volume_m3
 from roomfit.inversion.scattering import band_factors, specified_scattering
 from roomfit.inversion.solve import prior_speed_sd
 from roomfit.inversion.trace_plan import TracePlan, fits_pressures, plan_trace
-from roomfit.measurement import Level
+from roomfit.materials.priors import MaterialPrior
+from roomfit.measurement import LATENCY_SD_S, Level
+from roomfit.objective.coherent import DELAY_SD_S
+from roomfit.objective.parameters import Geometry
 from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
 from roomfit.scene import NEAREST_PAIR_M, Point, Room, Scene, distances_m, position_findings
@@ -225,16 +227,6 @@ def _too_narrow(region: Region, found: int, needed: int) -> InputError:
 _RECEIVERS_PER_PAIR = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Candidates:
-    """All pairs, those measured already first."""
-
-    scene: Scene
-    n_fixed: int  # how many of its pairs have been measured and are to count
-    rules: Rules
-    findings: tuple[Finding, ...]
-
-
 def design_candidates(
     existing: Scene,
     options: DesignOptions,
@@ -242,8 +234,8 @@ def design_candidates(
     seed: int,
     *,
     count_measured: bool = True,
-) -> Candidates:
-    """Return candidate pairs in a room.
+) -> tuple[Scene, Rules, tuple[Finding, ...]]:
+    """Return the scene of all pairs, those measured already first, and what may stand together.
 
     Sources and receivers that exist are candidates where they stand. To them come the positions
     that the options list, or else as many as are needed: receivers on a grid or spread evenly,
@@ -254,10 +246,8 @@ def design_candidates(
     ----------
     existing : Scene
         Its pairs have been measured.
-    options : DesignOptions
     source_distance_m : float
         Least distance of a receiver from its source.
-    seed : int
     count_measured : bool
         Whether measured pairs are put first, to count as information that exists already.
 
@@ -298,9 +288,17 @@ def design_candidates(
         scene.pairs[:, 0],
         compatible_positions(receivers_m, max(options.receiver_distance_m, NEAREST_PAIR_M)),
         np.arange(len(scene.pairs)) >= fixed.size,
+        tuple(range(fixed.size)),
         options.most_sources,
     )
-    return Candidates(scene, fixed.size, rules, _few(possible.size, n))
+    if possible.size >= n:
+        return scene, rules, ()
+    few = Finding(
+        Code.FEW_CANDIDATES,
+        f"Only {possible.size} pairs of source and receiver are allowed where {n} were asked for.",
+        {"found": possible.size, "asked": n},
+    )
+    return scene, rules, (few,)
 
 
 def even_part(source: IntArray, n: int, rng: np.random.Generator) -> IntArray:
@@ -372,33 +370,11 @@ def _used(whole: Scene, pairs: IntArray) -> Scene:
     )
 
 
-def _few(found: int, asked: int) -> tuple[Finding, ...]:
-    if found >= asked:
-        return ()
-    return (
-        Finding(
-            Code.FEW_CANDIDATES,
-            f"Only {found} pairs of source and receiver are allowed where {asked} were asked for.",
-            {"found": found, "asked": asked},
-        ),
-    )
-
-
 # Rays caught by all receivers of one source: more would fill memory for nothing.
 _MOST_CAUGHT = 4e6
 _FEWEST_RAYS = 2_000
 # The part of the time that tracing takes.
 _TRACING = 0.3
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class CandidateInformation:
-    """The information of all candidates."""
-
-    # (n_pairs, n_draws, n_bands, n + 1, n + 1), see `information_of_pairs`
-    matrices: FloatArray
-    coherent: bool  # whether by pressures of image sources
-    findings: tuple[Finding, ...]
 
 
 def information_of_candidates(
@@ -409,7 +385,7 @@ def information_of_candidates(
     settings: Settings,
     directivities: Directivities,
     progress: Progress | None,
-) -> CandidateInformation:
+) -> tuple[FloatArray, bool, tuple[Finding, ...]]:
     """Trace the candidates of every source at once and return the information of each.
 
     Parameters
@@ -418,9 +394,17 @@ def information_of_candidates(
         With all pairs.
     n_pairs : int
         How many will have been measured in the end.
+
+    Returns
+    -------
+    matrices : float array, shape (n_pairs, n_draws, n_bands, n + 1, n + 1)
+        See `information_of_pairs`.
+    coherent : bool
+        Whether by pressures of image sources.
+    findings : tuple of Finding
     """
     plan = _plan(scene, known, options, settings)
-    expected = _expected_measurement(scene.air, known, plan, n_pairs, options, settings)
+    expected = _expected_measurement(scene.air, known.priors, plan, n_pairs, options, settings)
     findings = list(plan.findings)
     found: list[FloatArray] = []
     indices: list[IntArray] = []
@@ -429,17 +413,20 @@ def information_of_candidates(
         at = np.flatnonzero(scene.pairs[:, 0] == source)
         own = replace(scene, pairs=scene.pairs[at])
         done = part(progress, number / sources.size, (number + 1) / sources.size)
-        traced, doubts = _traced(own, known, plan, directivities, part(done, 0.0, _TRACING))
-        findings += [f for f in doubts if f.code not in {g.code for g in findings}]
-        found.append(
-            information_of_pairs(
-                own, traced, expected, known.typical, known.draws, part(done, _TRACING, 1.0)
-            )
-        )
+        traced = trace(own, plan.settings, plan.scattering, part(done, 0.0, _TRACING))
+        paths, n_bands = traced.paths, len(known.bands)
+        scattering = specified_scattering(known.priors, plan.scattering.coefficients, n_bands)
+        factors, degenerate = band_factors(directivities, own, known.bands, paths, scattering)
+        # a candidate near a wall is no doubt about anything
+        doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
+        reported = {f.code for f in findings}
+        findings += [f for f in (*doubts, *degenerate) if f.code not in reported]
+        weighing = part(done, _TRACING, 1.0)
+        found.append(information_of_pairs(own, paths, factors, known, expected, weighing))
         indices.append(at)
     # back from the order of the sources to that of the pairs
     matrices = np.concatenate(found)[np.argsort(np.concatenate(indices))]
-    return CandidateInformation(matrices, expected.coherent, tuple(findings))
+    return matrices, expected.coherent, tuple(findings)
 
 
 def _plan(
@@ -470,36 +457,31 @@ def _with_fewer_rays(settings: TraceSettings, scene: Scene) -> TraceSettings:
 
 def _expected_measurement(
     air: Air,
-    known: PriorInformation,
+    priors: tuple[MaterialPrior, ...],
     plan: TracePlan,
     n_pairs: int,
     options: DesignOptions,
     settings: Settings,
 ) -> ExpectedMeasurement:
+    """Return what a fit under these settings would be given, and leave open."""
+    delays = [DELAY_SD_S if k.wall_delay_sd_s is None else k.wall_delay_sd_s for k in priors]
+    n, delays_free = len(priors), settings.reflection_delays
+    sd = [*(6 * [options.position_sd_m]), prior_speed_sd(air, settings), LATENCY_SD_S["emission"]]
+    points = (f"{p} {x}" for p in ("source", "receiver") for x in "xyz")
+    geometry = Geometry(
+        (*points, "speed", "latency", *(f"delay {k.name}" for k in priors)),
+        np.array([*sd, *(delays if delays_free else n * [0.0])]),
+        np.array(8 * [settings.positions != "fixed"] + n * [delays_free]),
+        speed_of_sound_m_s(air),
+        np.arange(8 + n)[None, :],
+    )
+    common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
     return ExpectedMeasurement(
-        known.bands,
-        known.priors,
         fits_pressures(settings) and (plan.far_images or settings.model == "coherent"),
         n_pairs,
         options.decay_range_db,
         options.position_sd_m,
-        settings.reflection_delays,
-        settings.positions != "fixed",
-        prior_speed_sd(air, settings),
+        plan.settings.duration_s,
+        geometry,
+        common[geometry.fitted & (geometry.sd > 0.0)],
     )
-
-
-def _traced(
-    own: Scene,
-    known: PriorInformation,
-    plan: TracePlan,
-    directivities: Directivities,
-    progress: Progress | None,
-) -> tuple[DesignTrace, tuple[Finding, ...]]:
-    """Trace the pairs of one source, and weigh their paths in every band."""
-    traced = trace(own, plan.settings, plan.scattering, progress)
-    scattering = specified_scattering(known.priors, plan.scattering.coefficients, len(known.bands))
-    factors, degenerate = band_factors(directivities, own, known.bands, traced.paths, scattering)
-    # a candidate near a wall is no doubt about anything
-    doubts = [f for f in traced.findings if f.code is not Code.RECEIVER_SPHERE_SHRUNK]
-    return DesignTrace(traced.paths, factors, plan.settings.duration_s), (*doubts, *degenerate)

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeAlias
 
 import numpy as np
 
@@ -11,11 +12,11 @@ from roomfit._checks import bool_array, int_array
 from roomfit.errors import InputError
 from roomfit.experiment_design.information import (
     PairInformation,
-    Unknowns,
     information_of,
     interval_widths,
     without_gain,
 )
+from roomfit.experiment_design.prior import Unknowns
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 Criterion = Literal["determinant", "mean", "worst"]
@@ -25,6 +26,7 @@ _MEAN_BESIDE_WORST = 1e-3
 # An exchange must better the criterion by more than rounding.
 _LEAST_GAIN = 1e-9
 _MOST_EXCHANGES = 100
+_RANDOM_STARTS = 4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -36,6 +38,7 @@ class Rules:
     # with itself, and one that is compatible with none but allowed alone is still a candidate.
     compatible: BoolArray
     candidate: BoolArray  # (n_pairs,), False for what has been measured already
+    fixed: tuple[int, ...] = ()  # pairs that have been measured and count
     most_sources: int | None = None  # how many different sources a design may have
 
     def __post_init__(self) -> None:
@@ -45,10 +48,9 @@ class Rules:
             object.__setattr__(self, name, bool_array(name, getattr(self, name), shape))
 
 
-def allowed(rules: Rules, chosen: list[int], fixed: tuple[int, ...] = ()) -> BoolArray:
+def allowed(rules: Rules, chosen: list[int]) -> BoolArray:
     """Return which pairs may be added to those that are chosen or fixed, shape (n_pairs,)."""
-    together = [*fixed, *chosen]
-    mask = rules.candidate & rules.compatible[together].all(axis=0)
+    mask = rules.candidate & rules.compatible[[*rules.fixed, *chosen]].all(axis=0)
     mask[chosen] = False
     sources = np.unique(rules.source[chosen])
     if rules.most_sources is not None and sources.size >= rules.most_sources:
@@ -99,10 +101,8 @@ def choose(
     rules: Rules,
     n: int,
     criterion: Criterion = "determinant",
-    fixed: tuple[int, ...] = (),
     *,
     rng: np.random.Generator,
-    starts: int = 4,
 ) -> tuple[int, ...]:
     """Return the pairs to measure, the most informative first.
 
@@ -113,19 +113,12 @@ def choose(
 
     Parameters
     ----------
-    unknowns : Unknowns
-    pairs : PairInformation
-    rules : Rules
     n : int
         How many, 1 or more.
     criterion : {"determinant", "mean", "worst"}
         See `score`.
-    fixed : tuple of int
-        Pairs that have been measured.
     rng : numpy.random.Generator
         Draws the random designs.
-    starts : int
-        How many of them.
 
     Raises
     ------
@@ -138,60 +131,60 @@ def choose(
            time as in R. D. Cook, C. J. Nachtsheim, "A comparison of algorithms for constructing
            exact D-optimal designs", Technometrics 22, 315-324 (1980).
     """
-    search = _Search(unknowns, pairs, rules, criterion, fixed)
-    first = _greedy(search, n)
-    others = [random_design(rules, n, rng, fixed) for _ in range(starts if n > 1 else 0)]
-    found = [
-        _exchanged(search, start) for start in (first, *(list(o) for o in others if len(o) == n))
-    ]
+
+    def best_addition(chosen: list[int], mask: BoolArray) -> tuple[float, int]:
+        together = [*rules.fixed, *chosen]
+        scores = scores_of_additions(unknowns, pairs, together, criterion)
+        scores = np.where(mask, scores, np.inf)
+        at = int(np.argmin(scores))
+        return float(scores[at]), at
+
+    designs = [_greedy(rules, n, best_addition)]
+    for _ in range(_RANDOM_STARTS if n > 1 else 0):
+        drawn = random_design(rules, n, rng)
+        if len(drawn) == n:
+            designs.append(list(drawn))
+    found = []
+    for chosen in designs:
+        information = information_of(unknowns, pairs, [*rules.fixed, *chosen])
+        now = float(score(unknowns, information, criterion))
+        found.append(_exchanged(rules, chosen, now, best_addition))
     _, best = min(found, key=lambda one: one[0])
-    return _in_order(search, best)
+    order: list[int] = []
+    while len(order) < n:
+        mask = np.zeros(len(pairs.gain), dtype=np.bool_)
+        mask[[c for c in best if c not in order]] = True
+        order.append(best_addition(order, mask)[1])
+    return tuple(order)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Search:
-    """What every step of a choice has in common."""
-
-    unknowns: Unknowns
-    pairs: PairInformation
-    rules: Rules
-    criterion: Criterion
-    fixed: tuple[int, ...]
+BestAddition: TypeAlias = Callable[[list[int], BoolArray], tuple[float, int]]
+"""Of chosen pairs, and those allowed: the lowest score that an addition reaches, and which."""
 
 
-def _greedy(search: _Search, n: int) -> list[int]:
+def _greedy(rules: Rules, n: int, best_addition: BestAddition) -> list[int]:
     chosen: list[int] = []
     for number in range(n):
-        mask = allowed(search.rules, chosen, search.fixed)
+        mask = allowed(rules, chosen)
         if not mask.any():
             raise InputError(
                 "the rules leave no position for another measurement",
                 found=f"{number} of {n}",
                 hint="choose fewer, give more candidates, or lower the least distances in [design]",
             )
-        chosen.append(_best_addition(search, chosen, mask)[1])
+        chosen.append(best_addition(chosen, mask)[1])
     return chosen
 
 
-def _best_addition(search: _Search, chosen: list[int], mask: BoolArray) -> tuple[float, int]:
-    """Return the lowest score that an addition reaches, and which."""
-    together = [*search.fixed, *chosen]
-    scores = scores_of_additions(search.unknowns, search.pairs, together, search.criterion)
-    scores = np.where(mask, scores, np.inf)
-    at = int(np.argmin(scores))
-    return float(scores[at]), at
-
-
-def _exchanged(search: _Search, chosen: list[int]) -> tuple[float, list[int]]:
+def _exchanged(
+    rules: Rules, chosen: list[int], now: float, best_addition: BestAddition
+) -> tuple[float, list[int]]:
     """Return score and design after single exchanges, the best first, until none helps."""
-    start = information_of(search.unknowns, search.pairs, [*search.fixed, *chosen])
-    now = float(score(search.unknowns, start, search.criterion))
     for _ in range(_MOST_EXCHANGES):
         found = []
         for i in range(len(chosen)):
             rest = chosen[:i] + chosen[i + 1 :]
-            mask = allowed(search.rules, rest, search.fixed)
-            found.append((*_best_addition(search, rest, mask), i))
+            found.append((*best_addition(rest, allowed(rules, rest)), i))
         best, at, index = min(found)
         if best > now - _LEAST_GAIN:
             break
@@ -199,26 +192,14 @@ def _exchanged(search: _Search, chosen: list[int]) -> tuple[float, list[int]]:
     return now, chosen
 
 
-def _in_order(search: _Search, chosen: list[int]) -> tuple[int, ...]:
-    """Return the chosen pairs, at every step the one that helps most."""
-    order: list[int] = []
-    while len(order) < len(chosen):
-        mask = np.zeros(len(search.pairs.gain), dtype=np.bool_)
-        mask[[c for c in chosen if c not in order]] = True
-        order.append(_best_addition(search, order, mask)[1])
-    return tuple(order)
-
-
-def random_design(
-    rules: Rules, n: int, rng: np.random.Generator, fixed: tuple[int, ...] = ()
-) -> tuple[int, ...]:
+def random_design(rules: Rules, n: int, rng: np.random.Generator) -> tuple[int, ...]:
     """Return pairs drawn one after the other, each evenly from those that the rules still allow.
 
     Fewer than n where the rules allow no further one.
     """
     chosen: list[int] = []
     for _ in range(n):
-        open_ = np.flatnonzero(allowed(rules, chosen, fixed))
+        open_ = np.flatnonzero(allowed(rules, chosen))
         if not open_.size:
             break
         chosen.append(int(rng.choice(open_)))

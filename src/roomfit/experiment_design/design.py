@@ -14,22 +14,21 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.experiment_design.candidates import (
-    Candidates,
     DesignOptions,
     design_candidates,
     information_of_candidates,
     least_source_distance_m,
 )
-from roomfit.experiment_design.choose import Criterion, choose, random_design
+from roomfit.experiment_design.choose import Criterion, Rules, choose, random_design
 from roomfit.experiment_design.information import (
     PairInformation,
-    Unknowns,
     information_of,
     interval_widths,
     material_widths,
 )
 from roomfit.experiment_design.prior import (
     PriorInformation,
+    Unknowns,
     information_from_fit,
     information_from_priors,
 )
@@ -38,6 +37,7 @@ from roomfit.geometry.mesh import volume_m3
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Level
 from roomfit.prediction.decay import scene_decay_s
+from roomfit.prediction.predict import check_materials
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene
 from roomfit.settings import Settings
@@ -178,13 +178,13 @@ def design(
     after_fit = absorption is not None
     known = _prior_information(scene, materials, bands, absorption, options, settings)
     distance_m = _source_distance_m(scene, options, known)
-    found = design_candidates(
+    candidates, rules, few = design_candidates(
         scene, options, distance_m, settings.seed, count_measured=not after_fit
     )
     n = options.number or (_NUMBER_AFTER_FIT if after_fit else _NUMBER)
     n_pairs = n + len({(int(s), int(r)) for s, r in scene.pairs})
-    traced = information_of_candidates(
-        found.scene,
+    matrices, coherent, doubts = information_of_candidates(
+        candidates,
         known,
         n_pairs,
         options,
@@ -192,26 +192,24 @@ def design(
         directivities or {},
         part(progress, 0.0, 0.95),
     )
-    matrices = traced.matrices
     if absorption is not None and absorption.chi2_reduced is not None:
         matrices = matrices / np.maximum(absorption.chi2_reduced, 1.0)[:, None, None]
-    pairs = PairInformation(matrices, _gains(options.level, found.scene))
+    pairs = PairInformation(matrices, _gains(options.level, candidates))
     criterion = options.criterion or ("worst" if after_fit else "determinant")
-    fixed = tuple(range(found.n_fixed))
     rng = np.random.default_rng(settings.seed)
-    chosen = choose(known.unknowns, pairs, found.rules, n, criterion, fixed, rng=rng)
+    chosen = choose(known.unknowns, pairs, rules, n, criterion, rng=rng)
     rng = np.random.default_rng(settings.seed)
     return Design(
-        scene=found.scene,
-        n_fixed=found.n_fixed,
+        scene=candidates,
+        n_fixed=len(rules.fixed),
         chosen=np.array(chosen),
         bands=known.bands,
         materials=scene.room.materials,
         to_find=known.unknowns.number >= 0,
-        widths=_widths(known.unknowns, pairs, fixed, chosen),
-        random_means=_random_means(known.unknowns, pairs, found, n, options.n_random, rng),
+        widths=_widths(known.unknowns, pairs, [*rules.fixed], chosen),
+        random_means=_random_means(known.unknowns, pairs, rules, n, options.n_random, rng),
         criterion=criterion,
-        model="coherent" if traced.coherent else "energy",
+        model="coherent" if coherent else "energy",
         absorption=known.typical,
         n_draws=len(known.draws),
         after_fit=after_fit,
@@ -221,8 +219,8 @@ def design(
         findings=(
             *scene.room.findings,
             *(() if absorption is None else absorption.findings),
-            *found.findings,
-            *traced.findings,
+            *few,
+            *doubts,
         ),
         seed=settings.seed,
         seconds=time.perf_counter() - began,
@@ -243,13 +241,7 @@ def _prior_information(
         priors = complete_priors(names, materials, bands)
         rng = np.random.default_rng(settings.seed)
         return information_from_priors(priors, bands, options.n_draws, rng)
-    if absorption.materials != names:
-        raise InputError(
-            "the absorption is of other materials than the room's",
-            found=", ".join(absorption.materials),
-            needed=", ".join(names) + ", in this order",
-            hint="room_posterior of roomfit.prediction.campaign matches materials by name",
-        )
+    check_materials(absorption, scene)
     own = absorption.bands
     if bands is not None and not np.array_equal(bands.centres_hz, own.centres_hz):
         raise InputError(
@@ -277,7 +269,7 @@ def _gains(level: Level, scene: Scene) -> IntArray:
 
 
 def _widths(
-    unknowns: Unknowns, pairs: PairInformation, fixed: tuple[int, ...], chosen: tuple[int, ...]
+    unknowns: Unknowns, pairs: PairInformation, fixed: list[int], chosen: tuple[int, ...]
 ) -> FloatArray:
     """Return the widths before and after each of the chosen, (n + 1, n_materials, n_bands)."""
     steps = [[*fixed, *chosen[:i]] for i in range(len(chosen) + 1)]
@@ -294,16 +286,15 @@ def _widths(
 def _random_means(
     unknowns: Unknowns,
     pairs: PairInformation,
-    found: Candidates,
+    rules: Rules,
     n: int,
     n_random: int,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return the mean widths of random designs, (n_random, n + 1), NaN where one ends early."""
-    fixed = tuple(range(found.n_fixed))
     out: FloatArray = np.full((n_random, n + 1), np.nan)
     for row in out:
-        drawn = random_design(found.rules, n, rng, fixed)
-        widths = _widths(unknowns, pairs, fixed, drawn)
+        drawn = random_design(rules, n, rng)
+        widths = _widths(unknowns, pairs, [*rules.fixed], drawn)
         row[: len(drawn) + 1] = widths[:, unknowns.number >= 0].mean(axis=(1, 2))
     return out

@@ -12,16 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from roomfit._checks import float_array, int_array, read_only
+from roomfit._checks import int_array, read_only
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.experiment_design.prior import PriorInformation, Unknowns
 from roomfit.inversion.sequential import FIT_END_S
 from roomfit.logit import Z95, expit
-from roomfit.materials.priors import MaterialPrior
-from roomfit.measurement import LATENCY_SD_S
 from roomfit.objective.coherent import (
-    DELAY_SD_S,
     CoherentTerm,
     coherent_term,
     with_coherence,
@@ -113,8 +111,6 @@ def expected_term(
         Of this pair alone, in the bins of this band.
     direct_s : float
         Travel time of the direct sound.
-    absorption : Block
-    decay_range_db : float
     timing_sd_s : float
         Of arrival times, from the positions.
     periods : float
@@ -225,7 +221,6 @@ def without_geometry(
     Parameters
     ----------
     found : list of float arrays, shape (first + n_geometry, first + n_geometry)
-    first : int
     shared : bool array, shape (n_geometry,)
         What all pairs have in common.
     n_others : int
@@ -250,35 +245,24 @@ _PRESSURE_MODEL_ERROR, _PRESSURE_RINGING_ERROR = 0.1, 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class DesignTrace:
-    """Paths of candidates."""
-
-    paths: Paths
-    factors: FloatArray | None  # on the weight of every path in every band, (n_bands, n_paths)
-    duration_s: float  # how long sound was followed
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ExpectedMeasurement:
     """How the measurements to be planned will be made and fitted."""
 
-    bands: Bands
-    priors: tuple[MaterialPrior, ...]
     coherent: bool  # whether pressures of image sources will be added, or energies only
     n_pairs: int  # how many pairs will have been measured in the end
     decay_range_db: float  # how far a decay will be observed above the noise
     position_sd_m: float  # of every coordinate of source and receiver
-    wall_delays: bool = True  # whether the fit lets walls delay
-    positions_free: bool = True  # whether the fit lets positions move
-    speed_sd: float = SPEED_OF_SOUND_SD  # relative standard deviation of the speed of sound
+    duration_s: float  # how long sound is followed
+    geometry: Geometry  # what sets one pair's arrival times, each pair's its own
+    shared: BoolArray  # which fitted entries of it all pairs have in common
 
 
 def information_of_pairs(
     scene: Scene,
-    traced: DesignTrace,
+    paths: Paths,
+    factors: FloatArray | None,
+    known: PriorInformation,
     expected: ExpectedMeasurement,
-    typical: FloatArray,
-    draws: FloatArray,
     progress: Progress | None = None,
 ) -> FloatArray:
     """Return the information of every pair, (n_pairs, n_draws, n_bands, n + 1, n + 1).
@@ -287,35 +271,27 @@ def information_of_pairs(
 
     Parameters
     ----------
-    scene : Scene
-    traced : DesignTrace
-        Paths of all pairs.
-    expected : ExpectedMeasurement
-    typical : float array, shape (n_materials, n_bands)
-        Absorption by which windows and noise are laid out.
-    draws : float array, shape (n_draws, n_materials, n_bands)
-        Absorptions at which to ask.
+    paths : Paths
+        Of all pairs.
+    factors : float array, shape (n_bands, n_paths), or None
+        On the weight of every path in every band.
+    known : PriorInformation
+        Windows and noise are laid out by its typical absorption; its draws are asked at.
     """
-    filters = band_filters(expected.bands, attenuation_per_m(scene.air, expected.bands))
-    order = np.argsort(traced.paths.pair, kind="stable")
-    ends = np.searchsorted(traced.paths.pair[order], np.arange(len(scene.pairs) + 1))
+    filters = band_filters(known.bands, attenuation_per_m(scene.air, known.bands))
+    order = np.argsort(paths.pair, kind="stable")
+    ends = np.searchsorted(paths.pair[order], np.arange(len(scene.pairs) + 1))
     found = []
     for pair in range(len(scene.pairs)):
         own = order[ends[pair] : ends[pair + 1]]
-        paths = select(traced.paths, own)
-        paths = replace(paths, n_pairs=1, pair=np.zeros_like(paths.pair))
-        factors = None if traced.factors is None else traced.factors[:, own]
+        caught = select(paths, own)
+        caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair))
+        weights = None if factors is None else factors[:, own]
         alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
-        objectives = _objectives(
-            alone,
-            DesignTrace(paths, factors, traced.duration_s),
-            filters,
-            expected,
-            typical,
-        )
-        times = _information_on_times(objectives, expected, typical)
+        objectives = _objectives(alone, caught, weights, filters, known, expected)
+        times = _information_on_times(objectives, expected, known.typical)
         coherent = [_coherent(objective, times) for objective in objectives]
-        found.append(np.stack([_at_draw(coherent, expected, draw, times) for draw in draws]))
+        found.append(np.stack([_at_draw(coherent, expected, draw, times) for draw in known.draws]))
         if progress is not None:
             progress((pair + 1) / len(scene.pairs))
     return np.stack(found)
@@ -323,23 +299,24 @@ def information_of_pairs(
 
 def _objectives(
     alone: Scene,
-    traced: DesignTrace,
+    paths: Paths,
+    factors: FloatArray | None,
     filters: tuple[BandFilter, ...],
+    known: PriorInformation,
     expected: ExpectedMeasurement,
-    typical: FloatArray,
 ) -> list[Objective]:
     """Return the objective of every band for the only pair of a scene."""
     c = speed_of_sound_m_s(alone.air)
     direct_s = float(distances_m(alone)[0] / c)
     timing_sd_s = float(np.sqrt(2.0) * expected.position_sd_m / c)
-    binned = bin_paths(alone, expected.bands, traced.paths, traced.duration_s, traced.factors)
-    image = np.flatnonzero(traced.paths.batch < 0)
-    images = select(traced.paths, image)
-    weights = None if traced.factors is None else traced.factors[:, image]
+    binned = bin_paths(alone, known.bands, paths, expected.duration_s, factors)
+    image = np.flatnonzero(paths.batch < 0)
+    images = select(paths, image)
+    weights = None if factors is None else factors[:, image]
     objectives = []
     for f in filters:
         absorption = replace(
-            absorption_block(expected.priors, f.band, 0.2), start=typical[:, f.band]
+            absorption_block(known.priors, f.band, 0.2), start=known.typical[:, f.band]
         )
         parameters = Parameters((absorption, _unit_gain()))
         energies = expected_term(
@@ -357,18 +334,17 @@ def _objectives(
         energies = replace(
             energies, model_error=_PRESSURE_MODEL_ERROR, ringing_error=_PRESSURE_RINGING_ERROR
         )
-        geometry = _pair_geometry(expected, c)
         term = coherent_term(
-            expected.bands,
+            known.bands,
             f.band,
             energies,
             f.attenuation_per_m,
             paths_at(images, weights, f.band),
             binned,
-            geometry,
+            expected.geometry,
             FIT_END_S,
         )
-        parameters = Parameters((*parameters.blocks, geometry_block(geometry)))
+        parameters = Parameters((*parameters.blocks, geometry_block(expected.geometry)))
         objectives.append(Objective(parameters, (term,)))
     return objectives
 
@@ -381,21 +357,14 @@ def _at_draw(
 ) -> FloatArray:
     """Return the information of one pair at one absorption, shape (n_bands, n + 1, n + 1).
 
-    Arrival times are integrated out of each band under the information that all other bands, and
-    the other pairs, have on them.
-
-    Parameters
-    ----------
-    objectives : list of Objective, one a band
-        As coherent as arrival times will be known.
-    covariance : float array, or None
-        Of the fitted arrival times, from `_information_on_times`.
+    Arrival times, of the covariance that `_information_on_times` gives, are integrated out of each
+    band under the information that all other bands, and the other pairs, have on them.
     """
     found = [_fisher(p, absorption[:, band]) for band, p in enumerate(objectives)]
     if covariance is None:
         return np.stack(found)
     first = found[0].shape[0] - len(covariance)
-    return without_geometry(found, first, _shared(expected), expected.n_pairs - 1)
+    return without_geometry(found, first, expected.shared, expected.n_pairs - 1)
 
 
 def _information_on_times(
@@ -416,9 +385,7 @@ def _information_on_times(
     for band, objective in enumerate(objectives):
         information = _fisher(_coherent(objective, covariance), absorption[:, band])
         from_pairs = by_all_pairs(
-            about_geometry(information, first),
-            _shared(expected),
-            expected.n_pairs - 1,
+            about_geometry(information, first), expected.shared, expected.n_pairs - 1
         )
         known = np.eye(len(from_pairs)) if covariance is None else np.linalg.inv(covariance)
         inverse = np.linalg.inv(known + from_pairs)
@@ -449,73 +416,8 @@ def _fisher(objective: Objective, absorption: FloatArray) -> FloatArray:
     return np.asarray(jacobian.T @ (jacobian / spread[:, None]))
 
 
-def _pair_geometry(expected: ExpectedMeasurement, speed_m_s: float) -> Geometry:
-    """Return the unknowns of one pair's arrival times, each pair's its own."""
-    names = tuple(f"delay {k.name}" for k in expected.priors)
-    delay_sds_s = [k.wall_delay_sd_s for k in expected.priors]
-    delays = [DELAY_SD_S if sd is None else sd for sd in delay_sds_s]
-    n = len(names)
-    sd = [
-        *(6 * [expected.position_sd_m]),
-        expected.speed_sd,
-        LATENCY_SD_S["emission"],
-    ]
-    return Geometry(
-        (*(f"{p} {x}" for p in ("source", "receiver") for x in "xyz"), "speed", "latency", *names),
-        np.array([*sd, *(delays if expected.wall_delays else n * [0.0])]),
-        np.array(8 * [expected.positions_free] + n * [expected.wall_delays]),
-        speed_m_s,
-        np.arange(8 + n)[None, :],
-    )
-
-
-def _shared(expected: ExpectedMeasurement) -> BoolArray:
-    """Return which fitted entries of `_pair_geometry` all pairs have in common."""
-    geometry = _pair_geometry(expected, 1.0)
-    common = np.array([label == "speed" or label.startswith("delay") for label in geometry.labels])
-    return np.asarray(common[geometry.fitted & (geometry.sd > 0.0)])
-
-
 # Of a gain: next to nothing, so that a pair without energy does not divide by zero.
 _LEAST_GAIN_INFORMATION = 1e-9
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Unknowns:
-    """The absorptions that are to be found, and what is known of them before the choice.
-
-    All for several draws of the absorption, since the information of a measurement depends on the
-    absorption that is not known yet.
-    """
-
-    materials: tuple[str, ...]
-    # (n_materials,), which of the n unknowns is each material's absorption; -1 where it is known.
-    # Materials that share an absorption share a number.
-    number: IntArray
-    # (n_draws, n_bands, n): log(s / (1 - s)), s the share of the way from lower to upper bound
-    logit: FloatArray
-    information: FloatArray  # (n_draws, n_bands, n, n), that exists already: positive definite
-    lower: FloatArray  # (n,), bound of each absorption
-    upper: FloatArray  # (n,)
-
-    def __post_init__(self) -> None:
-        n = len(np.unique(np.asarray(self.number)[np.asarray(self.number) >= 0]))
-        if n == 0:
-            raise InputError(
-                "no absorption is left to be found",
-                found="every material's absorption is given",
-                hint="remove absorption = [...] where it is not sure",
-            )
-        number = int_array("unknown", self.number, (len(self.materials),), low=-1, high=n - 1)
-        logit = float_array("logit absorption", self.logit, (None, None, n))
-        shape = (*logit.shape, n)
-        information = float_array("information", self.information, shape)
-        object.__setattr__(self, "number", number)
-        object.__setattr__(self, "logit", logit)
-        object.__setattr__(self, "information", information)
-        for name in ("lower", "upper"):
-            bound = float_array(name, getattr(self, name), (n,), low=0.0, high=1.0)
-            object.__setattr__(self, name, bound)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -562,8 +464,6 @@ def information_of(
 
     Parameters
     ----------
-    unknowns : Unknowns
-    pairs : PairInformation
     chosen : list of int
         Indices of the pairs that are measured.
     """

@@ -7,17 +7,55 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import ndtri
 
+from roomfit._checks import float_array, int_array
 from roomfit.bands import Bands
-from roomfit.experiment_design.information import Unknowns
+from roomfit.errors import InputError
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import leaders
-from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 # Of a variance in logit: nothing is known better than to a millionth.
 _LEAST_VARIANCE = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Unknowns:
+    """The absorptions that are to be found, and what is known of them before the choice.
+
+    All for several draws of the absorption, since the information of a measurement depends on the
+    absorption that is not known yet.
+    """
+
+    # (n_materials,), which of the n unknowns is each material's absorption; -1 where it is known.
+    # Materials that share an absorption share a number.
+    number: IntArray
+    # (n_draws, n_bands, n): log(s / (1 - s)), s the share of the way from lower to upper bound
+    logit: FloatArray
+    information: FloatArray  # (n_draws, n_bands, n, n), that exists already: positive definite
+    lower: FloatArray  # (n,), bound of each absorption
+    upper: FloatArray  # (n,)
+
+    def __post_init__(self) -> None:
+        n = len(np.unique(np.asarray(self.number)[np.asarray(self.number) >= 0]))
+        if n == 0:
+            raise InputError(
+                "no absorption is left to be found",
+                found="every material's absorption is given",
+                hint="remove absorption = [...] where it is not sure",
+            )
+        number = int_array("unknown", self.number, (None,), low=-1, high=n - 1)
+        logit = float_array("logit absorption", self.logit, (None, None, n))
+        shape = (*logit.shape, n)
+        information = float_array("information", self.information, shape)
+        object.__setattr__(self, "number", number)
+        object.__setattr__(self, "logit", logit)
+        object.__setattr__(self, "information", information)
+        for name in ("lower", "upper"):
+            bound = float_array(name, getattr(self, name), (n,), low=0.0, high=1.0)
+            object.__setattr__(self, name, bound)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -39,12 +77,11 @@ def information_from_priors(
     The draws are a Latin hypercube of the priors, each band's its own: every absorption takes
     values spread evenly over its prior.
     """
-    number, leader = _numbers(priors)
+    number, leader, free = _numbers(priors)
     mean = np.stack([k.prior_logit_mean for k in priors])[leader]
     sd = np.stack([k.prior_logit_sd for k in priors])[leader]
     strata = rng.permuted(np.broadcast_to(np.arange(n), (*mean.shape, n)), axis=-1)
     drawn: FloatArray = mean + sd * np.moveaxis(ndtri((strata + 0.5) / n), -1, 0)
-    free = np.flatnonzero(_is_free(number, leader))
     prior: FloatArray = np.stack([np.diag(row) for row in sd[free].T ** -2.0])
     return PriorInformation(
         bands,
@@ -85,8 +122,7 @@ def information_from_fit(
             replace(k, scattering=None if np.isnan(row).any() else row)
             for k, row in zip(priors, found.scattering, strict=True)
         )
-    number, leader = _numbers(priors)
-    free = np.flatnonzero(_is_free(number, leader))
+    number, leader, free = _numbers(priors)
     covariance = found.logit_covariance[:, free[:, None], free]
     inverse = np.linalg.inv(covariance + _LEAST_VARIANCE * np.eye(free.size))
     information: FloatArray = np.asarray(0.5 * (inverse + np.swapaxes(inverse, 1, 2)))
@@ -100,16 +136,14 @@ def information_from_fit(
     )
 
 
-def _numbers(priors: tuple[MaterialPrior, ...]) -> tuple[IntArray, IntArray]:
-    """Return the number of each material's unknown, -1 where it is known, and its leader."""
+def _numbers(priors: tuple[MaterialPrior, ...]) -> tuple[IntArray, IntArray, IntArray]:
+    """Return each material's unknown, -1 where it is known, its leader, and which are free."""
     block = absorption_block(priors, 0, 0.2)
     leader = leaders(block)
     count = np.cumsum(block.fitted) - 1
-    return np.where(block.fitted[leader], count[leader], -1), np.asarray(leader)
-
-
-def _is_free(number: IntArray, leader: IntArray) -> BoolArray:
-    return np.asarray((number >= 0) & (leader == np.arange(leader.size)))
+    number = np.where(block.fitted[leader], count[leader], -1)
+    free = np.flatnonzero((number >= 0) & (leader == np.arange(leader.size)))
+    return number, np.asarray(leader), free
 
 
 def _unknowns(
@@ -120,7 +154,6 @@ def _unknowns(
     information: FloatArray,
 ) -> Unknowns:
     return Unknowns(
-        tuple(k.name for k in priors),
         number,
         np.swapaxes(drawn[:, free], 1, 2),
         information,

@@ -8,14 +8,14 @@ from __future__ import annotations
 
 import zipfile
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict
 
 import numpy as np
 
-from roomfit._checks import nearest
-from roomfit.air import speed_of_sound_m_s
+from roomfit._checks import did_you_mean
+from roomfit.air import relative_speed_sd, speed_of_sound_m_s
 from roomfit.cache import check_output_folder
 from roomfit.errors import InputError, StoreError, located
 from roomfit.findings import Finding
@@ -42,32 +42,23 @@ from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset
 from roomfit.typing import ComplexArray, FloatArray, Progress, part
 
-_KELVIN = 293.15
-
 # A loudspeaker is not flat: unless a response is absolute, its source has a spectrum of its own.
-_RESPONSE_GAINS: dict[str, GainMode] = {
+_RESPONSE_GAINS: dict[str | None, GainMode] = {
     "per-source": "spectrum",
     "per-file": "pair-spectrum",
     "absolute": "known",
 }
-_GAINS: dict[str | None, GainMode] = {
-    "per-source": "spectrum",
-    "per-file": "pair",
-    "absolute": "known",
-    None: "known",
-}
+_GAINS: dict[str | None, GainMode] = {**_RESPONSE_GAINS, "per-file": "pair", None: "known"}
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ImpedanceArguments:
-    """The arguments of `identify_impedance` that a campaign gives, and doubts about its files."""
+class ImpedanceArguments(TypedDict):
+    """What `roomfit.identify_impedance` takes, but for the random generator."""
 
     scene: Scene
     observed: Observed
     walls: dict[str, WallModel]
     nuisances: Nuisances
     settings: ImpedanceSettings
-    findings: tuple[Finding, ...]  # of the room and the files
 
 
 def identify_campaign_impedance(
@@ -78,55 +69,15 @@ def identify_campaign_impedance(
     The same as `impedance_arguments`, then `roomfit.identify_impedance` with the campaign's seed.
     What is marked for validation is not read.
 
-    Parameters
-    ----------
-    campaign : Campaign
-        From `roomfit.read_campaign`; its table ``[impedance]`` says what is fitted.
-    progress : callable, optional
-        Called with the fraction that is done, 0 to 1.
-
     Raises
     ------
     InputError
         Something in the campaign, the room or a file is not as needed.
-
-    Examples
-    --------
-    >>> import tempfile
-    >>> from pathlib import Path
-    >>> from roomfit.io.campaign import read_campaign
-    >>> text = '''
-    ... [room]
-    ... shoebox = [5, 4, 3]
-    ... [sources.S]
-    ... position = [1.2, 1.1, 1.3]
-    ... [receivers.R]
-    ... position = [3.7, 2.8, 2.1]
-    ... [[measurements]]
-    ... source = "S"
-    ... receiver = "R"
-    ... spectrum = "pair.npz"
-    ... '''
-    >>> with tempfile.TemporaryDirectory() as folder:
-    ...     file = Path(folder) / "campaign.toml"
-    ...     _ = file.write_text(text)
-    ...     np.savez(file.with_name("pair.npz"), f=[500.0], tau=0.01, p=[0.1 - 0.2j])
-    ...     result = identify_campaign_impedance(read_campaign(file))
-    >>> result.verdict.sentence
-    'Not identifiable: too few data.'
     """
-    given = impedance_arguments(campaign)
-    result = identify_impedance(
-        given.scene,
-        given.observed,
-        given.walls,
-        given.nuisances,
-        rng=np.random.default_rng(campaign.settings.seed),
-        settings=given.settings,
-        progress=progress,
-    )
-    findings = (*given.findings, *result.findings)
-    return replace(result, findings=findings, seed=campaign.settings.seed)
+    given, doubts = impedance_arguments(campaign)
+    seed = campaign.settings.seed
+    result = identify_impedance(**given, rng=np.random.default_rng(seed), progress=progress)
+    return replace(result, findings=(*doubts, *result.findings), seed=seed)
 
 
 def impedance_to_folder(
@@ -154,8 +105,8 @@ def impedance_to_folder(
     return result
 
 
-def impedance_arguments(campaign: Campaign) -> ImpedanceArguments:
-    """Read the room and everything that is to be fitted.
+def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[Finding, ...]]:
+    """Read the room and everything that is to be fitted; return it with doubts about the files.
 
     Raises
     ------
@@ -190,14 +141,13 @@ def impedance_arguments(campaign: Campaign) -> ImpedanceArguments:
         np.array(known) if len(known) == len(noise) else None,
         all(one.has_phase for one in read),
     )
-    return ImpedanceArguments(
-        scene=scene,
-        observed=observed,
-        walls=walls,
-        nuisances=_nuisances(campaign, files, spectra),
-        settings=ImpedanceSettings(random_starts=campaign.impedance.random_starts),
-        findings=(*room_findings, *findings),
-    )
+    return {
+        "scene": scene,
+        "observed": observed,
+        "walls": walls,
+        "nuisances": _nuisances(campaign, files, spectra),
+        "settings": ImpedanceSettings(random_starts=campaign.impedance.random_starts),
+    }, (*room_findings, *findings)
 
 
 def _scene(
@@ -238,17 +188,9 @@ def _scene(
 def _damped_responses(
     scene: Scene, files: Sequence[MeasuredFile], frequency_hz: FloatArray, tau_s: float
 ) -> tuple[list[ComplexArray], list[FloatArray | None], list[Finding]]:
-    """Read responses, set them to the time of emission, and return their damped spectra.
+    """Return the damped spectrum of each file, (n_frequencies,), its rms noise where it has any.
 
     The first pairs of the scene are those of the files, in their order.
-
-    Returns
-    -------
-    pressure : list of complex arrays, shape (n_frequencies,)
-        One a file.
-    noise : list of float arrays or None
-        rms by the silent end of each file; None where a file has none.
-    findings : list of Finding
     """
     speed = speed_of_sound_m_s(scene.air)
     travel_s = [float(d) / speed for d in distances_m(scene)[: len(files)]]
@@ -385,9 +327,9 @@ def _nuisances(
     table, usual = campaign.impedance, Nuisances()
     speed_sd = 0.0
     if table.speed_of_sound == "fit":
-        kelvin = campaign.settings.temperature_sd_c
-        # c grows as the root of the absolute temperature
-        speed_sd = usual.speed_sd if kelvin is None else min(0.5 * kelvin / _KELVIN, 0.2)
+        sd_c, speed_sd = campaign.settings.temperature_sd_c, usual.speed_sd
+        if sd_c is not None:
+            speed_sd = min(relative_speed_sd(campaign.air, sd_c), 0.2)
     gain = _gain(campaign, files, spectra)
     # an onset that was found in each file errs in each; a clock is one of a source
     own = any(m.response.time_zero == "direct" for m in files)
@@ -429,12 +371,11 @@ def _wall_models(campaign: Campaign, materials: tuple[str, ...]) -> dict[str, Wa
     for name, table in campaign.materials.items():
         where = f"{campaign.path}, materials.{name}"
         if name not in found:
-            guess = nearest(name, materials)
             raise InputError(
                 "the campaign describes a material that the room does not have",
                 where=where,
                 needed=f"one of {', '.join(materials)}",
-                hint=f"did you mean {guess!r}?" if guess else None,
+                hint=did_you_mean(name, materials),
             )
         with located(where):
             found[name] = _wall_model(table)
@@ -473,12 +414,11 @@ def _parameter(
     known: dict[str, Parameter], kind: str, name: str, value: float | list[float]
 ) -> Parameter:
     if name not in known:
-        guess = nearest(name, known)
         raise InputError(
             "unknown key of impedance_start",
             found=repr(name),
             needed=f'one of {", ".join(known)} for impedance = "{kind}"',
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(name, known),
         )
     usual = known[name]
     numbers = [float(v) for v in value] if isinstance(value, list) else [float(value)]

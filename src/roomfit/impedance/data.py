@@ -162,9 +162,7 @@ def damped_spectrum(
 
     Parameters
     ----------
-    response : ImpulseResponse
     frequency_hz : float array, shape (n_frequencies,)
-    tau_s : float
     direct_s : float
         Arrival of the direct sound after emission.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
 
@@ -12,14 +11,20 @@ import numpy as np
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m
 from roomfit.impedance.data import Observed, level_at, model_error
-from roomfit.impedance.fit import ImpedanceFit, Start, WallModel, reduced_chi2, share_in_best
+from roomfit.impedance.fit import (
+    ImpedanceFit,
+    Start,
+    WallModel,
+    agreeing,
+    reduced_chi2,
+    refit,
+)
 from roomfit.impedance.laws import LAWS, LawCurve
-from roomfit.impedance.problem import Problem, data_rows, factor_of, layout_of, source_spectra
+from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra
 from roomfit.impedance.result import (
     Z95,
-    FoundNuisance,
+    Estimate,
     ImpedanceResult,
-    LawParameter,
     MaterialImpedance,
     Verdict,
     material_impedance,
@@ -55,9 +60,6 @@ _COMPLEX_MEDIAN, _REAL_MEDIAN = math.log(2.0), 0.4549364
 _FLOOR = 1e-3
 
 _DB = 20.0 / np.log(10.0)
-
-Again = Callable[[Problem], ImpedanceFit]
-"""Fits a changed problem from the start of its curves."""
 
 
 def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Finding, ...]:
@@ -96,7 +98,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
     if has_free_spectra(problem.nuisances):
         data -= 2 * len(np.unique(problem.model.scene.pairs[:, 0])) * n_f
-    gain = layout_of(problem).gain
+    gain = problem.layout.gain
     needed += gain.stop - gain.start
     if data >= needed:
         return ()
@@ -147,26 +149,20 @@ def judged_result(
     rivals: tuple[ImpedanceFit, ...],
     observed: Observed,
     seconds: float,
-    again: Again,
 ) -> ImpedanceResult:
     """Return the result of a fit with its verdict.
 
     Parameters
     ----------
-    fit : ImpedanceFit
-    starts : tuple of Start
     rivals : tuple of ImpedanceFit
         Other minima that explain the data as well.
     observed : Observed
         As it was given; `fit` may hold an estimate of the noise.
-    seconds : float
-    again : callable
-        To look for the cause where the model does not fit.
     """
     problem = fit.problem
     materials = _material_impedances(fit)
     weaker = _weaker_findings(problem, observed)
-    verdict, doubts = _verdict(fit, rivals, observed, materials, again)
+    verdict, doubts = _verdict(fit, rivals, observed, materials)
     return ImpedanceResult(
         frequency_hz=problem.observed.frequency_hz,
         tau_s=problem.observed.tau_s,
@@ -177,7 +173,7 @@ def judged_result(
         chi2=reduced_chi2(fit),
         model_error=fit.model_error,
         condition=_wall_condition(fit),
-        agreeing_starts=round(share_in_best(starts) * len(starts)),
+        agreeing_starts=agreeing(starts),
         n_starts=len(starts),
         pairs=_pair_names(problem.model.scene),
         measured=problem.observed.pressure,
@@ -207,19 +203,10 @@ def result_without_fit(
         ),
         verdict=Verdict("not identifiable", cause, f"Not identifiable: {cause}.", False),
         findings=findings,
-        nuisances=(),
-        chi2=math.nan,
-        model_error=math.nan,
-        condition=math.nan,
-        agreeing_starts=0,
-        n_starts=0,
         pairs=_pair_names(problem.model.scene),
         measured=observed.pressure,
         predicted=np.zeros_like(observed.pressure),
         expected_rms=problem.sd,
-        ending="nothing was fitted",
-        evaluations=0,
-        rounds=0,
         seconds=seconds,
     )
 
@@ -243,14 +230,14 @@ def _material_impedances(fit: ImpedanceFit) -> tuple[MaterialImpedance, ...]:
     share = model_error(frequency_hz, free_path_m, model.speed_m_s, _OFFSET * fit.model_error)
     found = []
     for i, name in enumerate(model.scene.room.materials):
-        block, curve = fit.layout.curves[i], problem.curves[i]
+        block, curve = problem.layout.curves[i], problem.curves[i]
         own = fit.covariance[block, block]
         slope = curve.slope(fit.x[block])
         parts = np.stack([slope.real, slope.imag], axis=1)
         off = share * np.abs(1.0 - fit.r0[i] ** 2)
         covariance = np.einsum("fai,ij,fbj->fab", parts, own, parts)
         covariance = covariance + 0.5 * (off**2)[:, None, None] * np.eye(2)
-        parameters: tuple[LawParameter, ...] = ()
+        parameters: tuple[Estimate, ...] = ()
         if isinstance(curve, LawCurve):
             own = own + _law_model_covariance(parts, off, frequency_hz)
             parameters = _law_parameters(curve, fit.x[block], own)
@@ -269,27 +256,25 @@ def _law_model_covariance(
     return np.asarray(scaled @ scaled.T)
 
 
-def _law_parameters(
-    curve: LawCurve, x: FloatArray, covariance: FloatArray
-) -> tuple[LawParameter, ...]:
+def _law_parameters(curve: LawCurve, x: FloatArray, covariance: FloatArray) -> tuple[Estimate, ...]:
     reach = Z95 * np.sqrt(np.maximum(np.diag(covariance), 0.0))
     value, lower, upper = (curve.values(at) for at in (x, x - reach, x + reach))
     return tuple(
-        LawParameter(p.name, p.unit, float(value[i]), float(lower[i]), float(upper[i]))
+        Estimate(p.name, p.unit, float(value[i]), float(lower[i]), float(upper[i]))
         for i, p in enumerate(curve.parameters)
     )
 
 
-def _found_nuisances(fit: ImpedanceFit) -> tuple[FoundNuisance, ...]:
+def _found_nuisances(fit: ImpedanceFit) -> tuple[Estimate, ...]:
     """Return every nuisance of a fit with its interval, in the order of the unknowns."""
-    problem, layout, x = fit.problem, fit.layout, fit.x
+    problem, layout, x = fit.problem, fit.problem.layout, fit.x
     sd = np.sqrt(np.maximum(np.diag(fit.covariance), 0.0))
     scene, nuisances = problem.model.scene, problem.nuisances
-    found: list[FoundNuisance] = []
+    found: list[Estimate] = []
 
     def add(name: str, unit: str, at: int, scale: float, middle: float = 0.0) -> None:
         value, reach = middle + x[at] * scale, Z95 * sd[at] * scale
-        found.append(FoundNuisance(name, unit, value, value - reach, value + reach, scale))
+        found.append(Estimate(name, unit, value, value - reach, value + reach, scale))
 
     for moves, axes, sds, points in (
         (layout.moves_source, layout.source, layout.source_sd_m, scene.sources),
@@ -317,7 +302,7 @@ def _predicted_pairs(fit: ImpedanceFit) -> ComplexArray:
     """Return the predicted pressures with gains and delays, (n_pairs, n_frequencies)."""
     problem = fit.problem
     short = gradients(problem.model, fit.r0, fit.state, with_geometry=False).pressure
-    predicted = factor_of(problem, fit.layout, fit.x) * (short + fit.correction)
+    predicted = factor_of(problem, fit.x) * (short + fit.correction)
     if has_free_spectra(problem.nuisances):
         return np.asarray(predicted * source_spectra(problem, predicted))
     return np.asarray(predicted)
@@ -329,8 +314,8 @@ def _wall_condition(fit: ImpedanceFit) -> float:
     Largest over smallest singular value of the weighted Jacobian by the walls' numbers, without
     priors of theirs, after what the other unknowns can explain.
     """
-    jacobian = data_rows(fit.problem, fit.layout, fit.x, fit.correction).jacobian
-    n = fit.layout.curves[-1].stop
+    _, jacobian = data_rows(fit.problem, fit.x, fit.correction)
+    n = fit.problem.layout.curves[-1].stop
     own, other = jacobian[:, :n], jacobian[:, n:]
     if other.shape[1]:
         weak: FloatArray = np.eye(other.shape[1])
@@ -372,7 +357,6 @@ def _verdict(
     rivals: tuple[ImpedanceFit, ...],
     observed: Observed,
     materials: tuple[MaterialImpedance, ...],
-    again: Again,
 ) -> tuple[Verdict, list[Finding]]:
     chi2 = reduced_chi2(fit)
     loud = (
@@ -380,9 +364,7 @@ def _verdict(
     )
     if loud or not _fits(fit):
         cause = (
-            "what the fit leaves is larger than any noise should be"
-            if loud
-            else _likely_cause(fit, again)
+            "what the fit leaves is larger than any noise should be" if loud else _likely_cause(fit)
         )
         sentence = (
             f"The model does not fit: it leaves {chi2:.1f} times the expected squares."
@@ -435,7 +417,7 @@ def _fits(fit: ImpedanceFit) -> bool:
     return reduced_chi2(fit) <= CHI2_LIMIT and worst <= OCTAVE_CHI2_LIMIT
 
 
-def _likely_cause(fit: ImpedanceFit, again: Again) -> str:
+def _likely_cause(fit: ImpedanceFit) -> str:
     """Return why a model does not fit, by what makes it fit."""
     octaves = _chi2_by_octave(fit)
     rest = [c for _, c in octaves[1:]]
@@ -453,16 +435,19 @@ def _likely_cause(fit: ImpedanceFit, again: Again) -> str:
     ):
         if freed == nuisances:
             continue
-        other = again(replace(fit.problem, nuisances=freed))
+        other = refit(replace(fit.problem, nuisances=freed))
         after = reduced_chi2(other)
         if _fits(other) or after < 0.1 * before:
             return f"{cause}: the residual falls from {before:.1f} to {after:.1f} with them free"
-    if not has_free_spectra(nuisances) and _spectra_are_identifiable(fit.problem):
+    counts = np.unique(fit.problem.model.scene.pairs[:, 0], return_counts=True)[1]
+    # a spectrum shows where each source was measured at two positions and more, phases and all
+    identifiable = fit.problem.observed.has_phase and counts.min() >= 2
+    if identifiable and not has_free_spectra(nuisances):
         spectra = replace(
             _free_geometry(nuisances),
             gain="pair-spectrum" if nuisances.gain == "pair" else "spectrum",
         )
-        after = reduced_chi2(again(replace(fit.problem, nuisances=spectra)))
+        after = reduced_chi2(refit(replace(fit.problem, nuisances=spectra)))
         # so many free numbers make any fit better
         if after < _FAR_BETTER * before:
             return (
@@ -474,12 +459,6 @@ def _likely_cause(fit: ImpedanceFit, again: Again) -> str:
         "that does not radiate alike in all directions, or another room than was described: "
         "neither positions nor gains explain it"
     )
-
-
-def _spectra_are_identifiable(problem: Problem) -> bool:
-    """Whether each source was measured at two positions and more, phases and all."""
-    counts = np.unique(problem.model.scene.pairs[:, 0], return_counts=True)[1]
-    return problem.observed.has_phase and bool(counts.min() >= 2)
 
 
 def _free_geometry(nuisances: Nuisances) -> Nuisances:

@@ -11,7 +11,7 @@ laws are fitted to the spline first, then to the data, then judged.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from types import MappingProxyType
 from typing import NamedTuple
@@ -29,15 +29,12 @@ from roomfit.impedance.laws import (
     check_passive,
     constant,
     law_curve,
-    spline,
 )
 from roomfit.impedance.problem import (
-    Layout,
-    Linear,
     Problem,
+    Rows,
     Whitened,
     data_rows,
-    layout_of,
     marginal_likelihood_error,
     prior_rows,
     r0_of,
@@ -74,7 +71,6 @@ class ImpedanceFit:
     """What a fit found."""
 
     problem: Problem
-    layout: Layout
     x: FloatArray  # (n_unknowns,)
     r0: ComplexArray  # (n_materials, n_frequencies), passive
     state: State
@@ -98,7 +94,6 @@ def reduced_chi2(fit: ImpedanceFit) -> float:
 
 def descend(
     problem: Problem,
-    layout: Layout,
     x: FloatArray,
     roughness_sd: FloatArray,
     correction: ComplexArray,
@@ -111,15 +106,12 @@ def descend(
     With `walls_only`, positions, speed of sound, gains and delays are fixed as well.
     """
 
-    def rows(at: FloatArray) -> Linear:
-        data = data_rows(problem, layout, at, correction)
+    def rows(at: FloatArray) -> Rows:
+        residual, jacobian = data_rows(problem, at, correction)
         if walls_only:
-            data.jacobian[:, layout.curves[-1].stop :] = 0.0
-        prior = prior_rows(problem, layout, at, roughness_sd)
-        return Linear(
-            np.concatenate([data.residual, prior.residual]),
-            np.vstack([data.jacobian, prior.jacobian]),
-        )
+            jacobian[:, problem.layout.curves[-1].stop :] = 0.0
+        prior, slope = prior_rows(problem, at, roughness_sd)
+        return np.concatenate([residual, prior]), np.vstack([jacobian, slope])
 
     return levenberg_marquardt(rows, x, _ending_at(_SETTINGS, gain))
 
@@ -129,32 +121,20 @@ def _ending_at(settings: MarquardtSettings, gain: float) -> MarquardtSettings:
     return replace(settings, relative_gain=gain, least_promise=0.01 * gain)
 
 
-def continuation(
-    problem: Problem,
-    x: FloatArray,
-    stages: Sequence[float] = STAGES[:2],
-    *,
-    gain: float = 1e-4,
-) -> tuple[FloatArray, float, int]:
+def continuation(problem: Problem, x: FloatArray, *, gain: float = 1e-4) -> Minimum:
     """Return where the homotopy leads with plane waves and short paths alone.
 
-    Returns
-    -------
-    x : float array
-    cost : float
-    evaluations : int
+    Its last minimum, with the evaluations of all.
     """
-    layout = layout_of(problem)
     nothing = np.zeros_like(problem.observed.pressure)
-    rough = np.full(len(problem.curves), stages[0])
+    first, *_ = roughness = [np.full(len(problem.curves), sd) for sd in STAGES[:2]]
     # far from the truth, the speed of sound would run away before the walls have converged
-    found = descend(problem, layout, x, rough, nothing, gain=1e-2, walls_only=True)
-    x, cost, evaluations = found.x, found.cost, found.evaluations
-    for stage in stages:
-        rough = np.full(len(problem.curves), stage)
-        found = descend(problem, layout, x, rough, nothing, gain=gain)
-        x, cost, evaluations = found.x, found.cost, evaluations + found.evaluations
-    return x, cost, evaluations
+    found = descend(problem, x, first, nothing, gain=1e-2, walls_only=True)
+    evaluations = found.evaluations
+    for rough in roughness:
+        found = descend(problem, found.x, rough, nothing, gain=gain)
+        evaluations += found.evaluations
+    return found._replace(evaluations=evaluations)
 
 
 def polish(
@@ -167,22 +147,19 @@ def polish(
 
     Parameters
     ----------
-    problem : Problem
     x : float array, shape (n_unknowns,)
         From `continuation`, or of an earlier fit.
     roughness_sd : float array, shape (n_materials,), optional
         Where it is known already; else the last of the `STAGES`, then by its evidence.
-    progress : callable, optional
     """
-    layout = layout_of(problem)
     rough = np.full(len(problem.curves), STAGES[-1]) if roughness_sd is None else roughness_sd
-    correction = _correction(problem, layout, x)
-    r0, evaluations, rounds = r0_of(problem, layout, x), 0, 0
+    correction = _correction(problem, x)
+    r0, evaluations, rounds = r0_of(problem, x), 0, 0
     while True:
         rounds += 1
-        found = descend(problem, layout, x, rough, correction)
+        found = descend(problem, x, rough, correction)
         x, evaluations = found.x, evaluations + found.evaluations
-        before, r0 = r0, r0_of(problem, layout, x)
+        before, r0 = r0, r0_of(problem, x)
         moved = float(np.sqrt(np.mean(np.abs(r0 - before) ** 2, axis=1)).max())
         converged = moved <= _SETTLED
         if progress is not None:
@@ -190,19 +167,49 @@ def polish(
         if rounds >= _MOST_ROUNDS or (converged and rounds > 1):
             break
         if rounds <= _EVIDENCE_ROUNDS:
-            rough = _marginal_likelihood_roughness(problem, layout, found, rough)
-        correction = _correction(problem, layout, x)
+            rough = _marginal_likelihood_roughness(problem, found, rough)
+        correction = _correction(problem, x)
     ending = Ending.CONVERGED if converged else Ending.OUT_OF_ROUNDS
     if found.ending is Ending.OUT_OF_DAMPING:
         ending = found.ending
-    return _fit(problem, layout, found, correction, rough, (evaluations, rounds, ending))
+    residual, jacobian = data_rows(problem, x, correction)
+    effective = float(
+        np.trace(np.linalg.pinv(found.normal, hermitian=True) @ (jacobian.T @ jacobian))
+    )
+    if has_free_spectra(problem.nuisances):
+        n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
+        effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
+    linear = Whitened(residual, jacobian, found.normal)
+    error = marginal_likelihood_error(problem, linear)
+    return ImpedanceFit(
+        problem=problem,
+        x=x,
+        r0=passive(r0),
+        state=state_of(problem, x),
+        correction=correction,
+        roughness_sd=rough,
+        normal=found.normal,
+        residual=residual,
+        effective=effective,
+        covariance=robust_covariance(problem, linear, error, effective),
+        model_error=error,
+        evaluations=evaluations,
+        rounds=rounds,
+        ending=ending,
+    )
 
 
-def _correction(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
+def refit(problem: Problem) -> ImpedanceFit:
+    """Return the fit of a changed problem, from the start of its curves."""
+    thin = thinned(problem)
+    return polish(problem, continuation(thin, start_of(thin)).x)
+
+
+def _correction(problem: Problem, x: FloatArray) -> ComplexArray:
     return frozen_correction(
         problem.model,
-        passive(r0_of(problem, layout, x)),
-        state_of(problem, layout, x),
+        passive(r0_of(problem, x)),
+        state_of(problem, x),
         spherical=problem.spherical,
     )
 
@@ -213,7 +220,7 @@ def passive(r0: ComplexArray) -> ComplexArray:
 
 
 def _marginal_likelihood_roughness(
-    problem: Problem, layout: Layout, found: Minimum, rough: FloatArray
+    problem: Problem, found: Minimum, rough: FloatArray
 ) -> FloatArray:
     """Return the roughness of each material under which what was found is most probable.
 
@@ -226,7 +233,7 @@ def _marginal_likelihood_roughness(
     """
     covariance = np.linalg.pinv(found.normal, hermitian=True)
     new = rough.copy()
-    for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
+    for i, (curve, place) in enumerate(zip(problem.curves, problem.layout.curves, strict=True)):
         rows = curve.roughness
         if len(rows) == 0:
             continue
@@ -235,39 +242,6 @@ def _marginal_likelihood_roughness(
         determined = max(len(rows) - float(left_open), 1e-3)
         new[i] = np.sqrt(float(differences @ differences) / determined)
     return np.clip(new, _SMOOTHEST, _ROUGHEST)
-
-
-def _fit(
-    problem: Problem,
-    layout: Layout,
-    found: Minimum,
-    correction: ComplexArray,
-    rough: FloatArray,
-    ended: tuple[int, int, Ending],
-) -> ImpedanceFit:
-    data = data_rows(problem, layout, found.x, correction)
-    own = data.jacobian.T @ data.jacobian
-    effective = float(np.trace(np.linalg.pinv(found.normal, hermitian=True) @ own))
-    if has_free_spectra(problem.nuisances):
-        n_sources = len(np.unique(problem.model.scene.pairs[:, 0]))
-        effective += 2.0 * n_sources * problem.observed.pressure.shape[1]
-    linear = Whitened(data.residual, data.jacobian, found.normal)
-    error = marginal_likelihood_error(problem, linear)
-    return ImpedanceFit(
-        problem,
-        layout,
-        found.x,
-        passive(r0_of(problem, layout, found.x)),
-        state_of(problem, layout, found.x),
-        correction,
-        rough,
-        found.normal,
-        data.residual,
-        effective,
-        robust_covariance(problem, linear, error, effective),
-        error,
-        *ended,
-    )
 
 
 KINDS = ("spline", "constant", *LAWS, "auto")
@@ -317,14 +291,6 @@ class WallModel:
         object.__setattr__(self, "parameters", MappingProxyType(dict(self.parameters)))
 
 
-def first_curves(walls: Sequence[WallModel], frequency_hz: FloatArray) -> list[Curve]:
-    """Return the curves with which a search starts: a spline for everything but a constant."""
-    return [
-        (constant if wall.kind == "constant" else spline)(frequency_hz, wall.start_r0)
-        for wall in walls
-    ]
-
-
 def with_laws(
     fit: ImpedanceFit, walls: Mapping[str, WallModel], rng: np.random.Generator
 ) -> ImpedanceFit:
@@ -365,11 +331,11 @@ def _replaced(fit: ImpedanceFit, curves: Mapping[int, Curve]) -> ImpedanceFit:
     problem = fit.problem
     own = tuple(curves.get(i, c) for i, c in enumerate(problem.curves))
     other = replace(problem, curves=own)
-    layout = layout_of(other)
-    x = np.zeros(layout.size)
-    for i, (new, old) in enumerate(zip(layout.curves, fit.layout.curves, strict=True)):
+    before, after = problem.layout.curves, other.layout.curves
+    x = np.zeros(other.layout.size)
+    for i, (old, new) in enumerate(zip(before, after, strict=True)):
         x[new] = own[i].start if i in curves else fit.x[old]
-    x[layout.curves[-1].stop :] = fit.x[fit.layout.curves[-1].stop :]
+    x[after[-1].stop :] = fit.x[before[-1].stop :]
     return polish(other, x, fit.roughness_sd)
 
 
@@ -382,9 +348,9 @@ def _nearest_law(
 ) -> tuple[Curve, float]:
     """Return the law that comes nearest to a spline, starting where it does, and its misfit.
 
-    The misfit is the mean square in standard deviations of the spline's R0 and of `_LAW_ERROR`.
+    That is the mean square in standard deviations of the spline's R0 and of `_LAW_ERROR`.
     """
-    problem, place = fit.problem, fit.layout.curves[material]
+    problem, place = fit.problem, fit.problem.layout.curves[material]
     curve = problem.curves[material]
     slope = curve.slope(fit.x[place])
     own = fit.covariance[place, place]
@@ -418,13 +384,12 @@ def _fitted_law(
 ) -> tuple[LawCurve, float]:
     """Return the law with parameters that come nearest to R0, from many starts."""
 
-    def rows(x: FloatArray) -> Linear:
+    def rows(x: FloatArray) -> Rows:
         off = weight * (law.r0(x) - r0)
         by = weight[:, None] * law.slope(x)
         weak = 1e-2 * np.eye(len(x))
-        return Linear(
-            np.concatenate([off.real, off.imag, weak @ x]), np.vstack([by.real, by.imag, weak])
-        )
+        values = np.concatenate([off.real, off.imag, weak @ x])
+        return values, np.vstack([by.real, by.imag, weak])
 
     n = len(law.parameters)
     drawn = np.vstack([law.start, rng.normal(scale=1.5, size=(_DRAWN, n))])
@@ -468,15 +433,14 @@ def multistart(
     of passive walls, each material for itself. All at fewer frequencies, with plane waves.
     """
     thin = thinned(problem)
-    layout = layout_of(thin)
     found = []
     for number in range(1 + n_random):
         x = start_of(thin)
         if number > 0:
-            for place, curve in zip(layout.curves, thin.curves, strict=True):
+            for place, curve in zip(thin.layout.curves, thin.curves, strict=True):
                 x[place] = _random_start(curve.start, isinstance(curve, Spline), rng)
-        x, cost, _ = continuation(thin, x, gain=1e-5)
-        found.append(Start(x, r0_of(thin, layout, x), cost))
+        end = continuation(thin, x, gain=1e-5)
+        found.append(Start(end.x, r0_of(thin, end.x), end.cost))
         if progress is not None:
             progress((number + 1) / (1 + n_random))
     return tuple(sorted(found, key=lambda s: s.cost))
@@ -503,9 +467,9 @@ def distinct(starts: tuple[Start, ...], within: float = SAME_WITHIN) -> tuple[St
     return tuple(kept)
 
 
-def share_in_best(starts: tuple[Start, ...], within: float = SAME_WITHIN) -> float:
-    """Return the share of starts that led to the lowest minimum."""
-    return float(np.mean([distance(s.r0, starts[0].r0) <= within for s in starts]))
+def agreeing(starts: tuple[Start, ...]) -> int:
+    """Return how many starts led to the lowest minimum."""
+    return sum(distance(s.r0, starts[0].r0) <= SAME_WITHIN for s in starts)
 
 
 def thinned(problem: Problem) -> Problem:

@@ -29,17 +29,15 @@ from roomfit.impedance.fit import (
     ImpedanceFit,
     Start,
     WallModel,
-    continuation,
     distance,
     distinct,
-    first_curves,
     multistart,
     polish,
     reduced_chi2,
-    thinned,
     with_laws,
 )
-from roomfit.impedance.problem import Problem, start_of
+from roomfit.impedance.laws import constant, spline
+from roomfit.impedance.problem import Problem
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
 from roomfit.scene import Scene
@@ -183,7 +181,7 @@ def identify_impedance(
     fit = with_laws(fit, models, rng)
     if progress is not None:
         progress(0.9)
-    return judged_result(fit, starts, rivals, observed, time.perf_counter() - began, _refit)
+    return judged_result(fit, starts, rivals, observed, time.perf_counter() - began)
 
 
 def wave_problem(
@@ -217,8 +215,11 @@ def _problem(
     usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
     factor = usual if settings.model_error is None else settings.model_error
     sd = _deviation(model, observed, factor)
-    models = [walls.get(name, WallModel()) for name in materials]
-    curves = tuple(first_curves(models, observed.frequency_hz))
+    # a search starts with a spline for everything but a constant
+    curves = tuple(
+        (constant if wall.kind == "constant" else spline)(observed.frequency_hz, wall.start_r0)
+        for wall in (walls.get(name, WallModel()) for name in materials)
+    )
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)
 
 
@@ -250,10 +251,3 @@ def _with_estimated_noise(fit: ImpedanceFit) -> ImpedanceFit:
     observed = replace(problem.observed, noise=estimated_noise(fit))
     sd = _deviation(problem.model, observed, problem.model_error)
     return polish(replace(problem, observed=observed, sd=sd), fit.x, fit.roughness_sd)
-
-
-def _refit(problem: Problem) -> ImpedanceFit:
-    """Return the fit of a changed problem, from the start of its curves."""
-    thin = thinned(problem)
-    x, _, _ = continuation(thin, start_of(thin))
-    return polish(problem, x)

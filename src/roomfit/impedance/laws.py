@@ -207,12 +207,10 @@ def miki_layer(
 
     Parameters
     ----------
-    frequency_hz : complex array
     flow_resistivity : complex
         Pa s/m2.
     thickness_m, air_gap_m : complex
         Complex where derivatives are taken.
-    speed_m_s : float
 
     References
     ----------
@@ -253,15 +251,12 @@ def resonator(
 
     Parameters
     ----------
-    frequency_hz : complex array
     resistance : complex
         Over rho c.
     mass_m : complex
         Effective length of the necks over the share of open area, m.
-    depth_m : complex
     flow_resistivity : complex
         Of what fills the cavity, Pa s/m2; 10 and less is as good as air.
-    speed_m_s : float
     """
     k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
     cavity = miki_layer(frequency_hz, flow_resistivity, depth_m, 0.0, speed_m_s)
@@ -281,14 +276,12 @@ def panel(
 
     Parameters
     ----------
-    frequency_hz : complex array
     resistance : complex
         Losses over rho c.
     mass_m : complex
         Mass per area over the density of air, m: 1 m is 1.2 kg/m2.
     depth_m : complex
         Of the air behind.
-    speed_m_s : float
     """
     k = 2.0 * np.pi * np.asarray(frequency_hz) / speed_m_s
     return np.asarray(resistance + 1j * k * mass_m - 1j / np.tan(k * depth_m))

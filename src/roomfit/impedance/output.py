@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -43,8 +43,6 @@ def write_impedance(
 
     Parameters
     ----------
-    out : Path
-    result : ImpedanceResult
     inputs : iterable of Path
         Files whose digests result.json shall name.
     overwrite : bool
@@ -129,17 +127,25 @@ def _pair(result: ImpedanceResult, i: int) -> dict[str, Any]:
     }
 
 
-def _csv(result: ImpedanceResult) -> str:
-    """Return one row a material and frequency; cells of Z are empty where it is not shown."""
-    rows = []
+def csv_columns(result: ImpedanceResult) -> tuple[str, ...]:
+    """Return the heading of impedance.csv."""
+    return ("material", "frequency_hz", *result.materials[0].columns(), "identified")
+
+
+def csv_rows(result: ImpedanceResult) -> Iterator[tuple[Any, ...]]:
+    """Yield one row a material and frequency, as `csv_columns` says; nan where Z is not shown."""
     for material in result.materials:
-        columns = material.columns().values()
-        for j, frequency in enumerate(result.frequency_hz):
-            cells = [f"{c[j]:.6g}" if np.isfinite(c[j]) else "" for c in columns]
-            identified = "true" if material.identified[j] else "false"
-            rows.append([material.name, f"{frequency:g}", *cells, identified])
-    heading = ["material", "frequency_hz", *result.materials[0].columns(), "identified"]
-    return csv_text(heading, rows)
+        table = zip(result.frequency_hz, *material.columns().values(), strict=True)
+        for row, identified in zip(table, material.identified, strict=True):
+            yield (material.name, *map(float, row), bool(identified))
+
+
+def _csv(result: ImpedanceResult) -> str:
+    rows = []
+    for name, frequency_hz, *values, identified in csv_rows(result):
+        cells = [f"{v:.6g}" if np.isfinite(v) else "" for v in values]
+        rows.append([name, f"{frequency_hz:g}", *cells, "true" if identified else "false"])
+    return csv_text(csv_columns(result), rows)
 
 
 def walls_figure(result: ImpedanceResult, materials: Sequence[MaterialImpedance]) -> Figure:

@@ -1,14 +1,13 @@
 """Least squares of pressures: the unknowns of a problem, weighted residuals, priors and Jacobians.
 
-Besides, how wrong the image model is in the room at hand, by the residual of a fit, and the
-Levenberg-Marquardt method over rows of data and priors.
+Besides, how wrong the image model is in the room at hand, by the residual of a fit.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import dataclass, field
+from typing import NamedTuple, TypeAlias
 
 import numpy as np
 
@@ -31,43 +30,8 @@ from roomfit.impedance.wave_model import (
     gradients,
     has_free_spectra,
 )
+from roomfit.scene import Scene
 from roomfit.typing import ComplexArray, FloatArray, IntArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Problem:
-    """What is known of a measurement, and what is to be found."""
-
-    model: WaveModel
-    observed: Observed
-    sd: FloatArray  # (n_pairs, n_frequencies), by `roomfit.impedance.data.standard_deviation`
-    curves: tuple[Curve, ...]  # one a material
-    nuisances: Nuisances
-    spherical: bool = True
-    model_error: float = MODEL_ERROR  # with which `sd` was made
-
-    def __post_init__(self) -> None:
-        n_pairs, n_f = self.observed.pressure.shape
-        scene = self.model.scene
-        if n_pairs != len(scene.pairs) or n_f != len(self.model.frequency_hz):
-            raise InputError(
-                "pressures and model disagree",
-                found=f"{n_pairs} pairs at {n_f} frequencies",
-                needed=f"{len(scene.pairs)} pairs at {len(self.model.frequency_hz)}",
-            )
-        if len(self.curves) != len(scene.room.materials):
-            raise InputError(
-                "curves and materials disagree",
-                found=f"{len(self.curves)} curves",
-                needed=f"one for each of {', '.join(scene.room.materials)}",
-            )
-        if has_free_spectra(self.nuisances) and not self.observed.has_phase:
-            raise InputError(
-                "an unknown spectrum of the source needs pressures with phase",
-                found="levels",
-                hint="take one gain a source instead",
-            )
-        object.__setattr__(self, "sd", read_only(np.array(self.sd, dtype=np.float64)))
 
 
 class Layout(NamedTuple):
@@ -92,9 +56,45 @@ class Layout(NamedTuple):
     size: int
 
 
-def layout_of(problem: Problem) -> Layout:
-    """Return the position of each unknown of a problem."""
-    scene, nuisances = problem.model.scene, problem.nuisances
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """What is known of a measurement, and what is to be found."""
+
+    model: WaveModel
+    observed: Observed
+    sd: FloatArray  # (n_pairs, n_frequencies), by `roomfit.impedance.data.standard_deviation`
+    curves: tuple[Curve, ...]  # one a material
+    nuisances: Nuisances
+    spherical: bool = True
+    model_error: float = MODEL_ERROR  # with which `sd` was made
+    layout: Layout = field(init=False)
+
+    def __post_init__(self) -> None:
+        n_pairs, n_f = self.observed.pressure.shape
+        scene = self.model.scene
+        if n_pairs != len(scene.pairs) or n_f != len(self.model.frequency_hz):
+            raise InputError(
+                "pressures and model disagree",
+                found=f"{n_pairs} pairs at {n_f} frequencies",
+                needed=f"{len(scene.pairs)} pairs at {len(self.model.frequency_hz)}",
+            )
+        if len(self.curves) != len(scene.room.materials):
+            raise InputError(
+                "curves and materials disagree",
+                found=f"{len(self.curves)} curves",
+                needed=f"one for each of {', '.join(scene.room.materials)}",
+            )
+        if has_free_spectra(self.nuisances) and not self.observed.has_phase:
+            raise InputError(
+                "an unknown spectrum of the source needs pressures with phase",
+                found="levels",
+                hint="take one gain a source instead",
+            )
+        object.__setattr__(self, "sd", read_only(np.array(self.sd, dtype=np.float64)))
+        object.__setattr__(self, "layout", _layout(scene, self.curves, self.nuisances))
+
+
+def _layout(scene: Scene, fitted: tuple[Curve, ...], nuisances: Nuisances) -> Layout:
     at = 0
 
     def take(n: int) -> slice:
@@ -102,7 +102,7 @@ def layout_of(problem: Problem) -> Layout:
         at += n
         return slice(at - n, at)
 
-    curves = tuple(take(len(c.start)) for c in problem.curves)
+    curves = tuple(take(len(c.start)) for c in fitted)
     axes: list[IntArray] = []
     sds: list[FloatArray] = []
     for points, used in ((scene.sources, scene.pairs[:, 0]), (scene.receivers, scene.pairs[:, 1])):
@@ -139,31 +139,30 @@ def layout_of(problem: Problem) -> Layout:
 
 def start_of(problem: Problem) -> FloatArray:
     """Return the unknowns with which a fit starts, shape (n_unknowns,)."""
-    layout = layout_of(problem)
-    x = np.zeros(layout.size)
-    for place, curve in zip(layout.curves, problem.curves, strict=True):
+    x = np.zeros(problem.layout.size)
+    for place, curve in zip(problem.layout.curves, problem.curves, strict=True):
         x[place] = curve.start
     return x
 
 
-def r0_of(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
+def r0_of(problem: Problem, x: FloatArray) -> ComplexArray:
     """Return R0 of every material, shape (n_materials, n_frequencies)."""
     return np.array(
-        [c.r0(x[place]) for c, place in zip(problem.curves, layout.curves, strict=True)]
+        [c.r0(x[place]) for c, place in zip(problem.curves, problem.layout.curves, strict=True)]
     )
 
 
-def state_of(problem: Problem, layout: Layout, x: FloatArray) -> State:
+def state_of(problem: Problem, x: FloatArray) -> State:
     """Return the shifts of sources and receivers and the change of the speed of sound."""
-    rest = at_rest(problem.model)
-    source, receiver = rest.source_m.copy(), rest.receiver_m.copy()
+    layout, (source, receiver, _) = problem.layout, at_rest(problem.model)
     source[tuple(layout.source.T)] = x[layout.moves_source] * layout.source_sd_m
     receiver[tuple(layout.receiver.T)] = x[layout.moves_receiver] * layout.receiver_sd_m
     return State(source, receiver, float(np.sum(x[layout.speed])) * problem.nuisances.speed_sd)
 
 
-def factor_of(problem: Problem, layout: Layout, x: FloatArray) -> ComplexArray:
+def factor_of(problem: Problem, x: FloatArray) -> ComplexArray:
     """Return gain and delay as one factor, shape (n_pairs, n_frequencies)."""
+    layout = problem.layout
     exponent = np.zeros(problem.observed.pressure.shape, dtype=np.complex128)
     if layout.gain.stop > layout.gain.start:
         size, phase = np.split(x[layout.gain], 2)
@@ -245,10 +244,7 @@ def _cost(problem: Problem, fit: Whitened, share: float) -> float:
 
 
 def _relative_variance(problem: Problem, factor: float) -> FloatArray:
-    """Return the variance of each row of data for another model error, (n_rows,).
-
-    Relative to the variance of the rows' weights.
-    """
+    """Return the variance of each row for another model error, over that of its weight."""
     model = problem.model
     free_path_m = mean_free_path_m(model.scene.room.mesh)
     sd = standard_deviation(problem.observed, free_path_m, model.speed_m_s, factor)
@@ -284,35 +280,27 @@ _PHASE_SD = 10.0
 _PASSIVE_WITHIN = 1e-3
 
 
-class Linear(NamedTuple):
-    """Weighted residuals of measured minus predicted, and their derivatives, real.
-
-    Attributes
-    ----------
-    residual : float array, shape (n_rows,)
-    jacobian : float array, shape (n_rows, n_unknowns)
-    """
-
-    residual: FloatArray
-    jacobian: FloatArray
+Rows: TypeAlias = tuple[FloatArray, FloatArray]
+"""Weighted residuals of measured minus predicted, (n_rows,), and derivatives, (n_rows, n)."""
 
 
-def data_rows(problem: Problem, layout: Layout, x: FloatArray, correction: ComplexArray) -> Linear:
+def data_rows(problem: Problem, x: FloatArray, correction: ComplexArray) -> Rows:
     """Return the residuals of the pressures in units of their standard deviation.
 
     Real parts first, then imaginary ones (levels: one row each). `correction`, of shape (n_pairs,
     n_frequencies), is added to the pressures of the short paths and fixed.
     """
-    state = state_of(problem, layout, x)
+    layout = problem.layout
+    state = state_of(problem, x)
     moving = layout.delay.start > layout.curves[-1].stop
-    g = gradients(problem.model, r0_of(problem, layout, x), state, with_geometry=moving)
+    g = gradients(problem.model, r0_of(problem, x), state, with_geometry=moving)
     pressure = g.pressure + correction
-    slope = _slopes(problem, layout, x, g._replace(pressure=pressure))
-    factor = factor_of(problem, layout, x)
+    slope = _slopes(problem, x, g._replace(pressure=pressure))
+    factor = factor_of(problem, x)
     return _whitened(problem, factor * pressure, factor[:, :, None] * slope)
 
 
-def _whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) -> Linear:
+def _whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) -> Rows:
     """Return residuals and Jacobian of predicted pressures, spectra of sources projected out."""
     observed = problem.observed
     weight = math.sqrt(2.0) / problem.sd
@@ -320,7 +308,7 @@ def _whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) ->
         size = np.abs(predicted)
         by = np.real(np.conj(predicted / size)[:, :, None] * slope)
         rows = weight * (np.abs(observed.pressure) - size)
-        return Linear(rows.ravel(), -(weight[:, :, None] * by).reshape(rows.size, -1))
+        return rows.ravel(), -(weight[:, :, None] * by).reshape(rows.size, -1)
     missing = weight * observed.pressure
     model, turned = weight * predicted, weight[:, :, None] * slope
     if has_free_spectra(problem.nuisances):
@@ -329,7 +317,7 @@ def _whitened(problem: Problem, predicted: ComplexArray, slope: ComplexArray) ->
         missing = missing - model
     rows = turned.reshape(missing.size, -1)
     residual = np.concatenate([missing.real.ravel(), missing.imag.ravel()])
-    return Linear(residual, -np.vstack([rows.real, rows.imag]))
+    return residual, -np.vstack([rows.real, rows.imag])
 
 
 def _without_spectra(
@@ -372,9 +360,9 @@ def source_spectra(problem: Problem, predicted: ComplexArray) -> ComplexArray:
     return gain
 
 
-def _slopes(problem: Problem, layout: Layout, x: FloatArray, g: Gradients) -> ComplexArray:
+def _slopes(problem: Problem, x: FloatArray, g: Gradients) -> ComplexArray:
     """Return the derivative of the pressure by every unknown, (n_pairs, n_frequencies, n)."""
-    pairs = problem.model.scene.pairs
+    pairs, layout = problem.model.scene.pairs, problem.layout
     slope = np.zeros((*g.pressure.shape, layout.size), dtype=np.complex128)
     for i, (curve, place) in enumerate(zip(problem.curves, layout.curves, strict=True)):
         slope[:, :, place] = g.by_r0[:, i, :, None] * curve.slope(x[place])
@@ -399,7 +387,7 @@ def _slopes(problem: Problem, layout: Layout, x: FloatArray, g: Gradients) -> Co
     return slope
 
 
-def prior_rows(problem: Problem, layout: Layout, x: FloatArray, roughness_sd: FloatArray) -> Linear:
+def prior_rows(problem: Problem, x: FloatArray, roughness_sd: FloatArray) -> Rows:
     """Return the priors of the unknowns as residuals of unit variance.
 
     Parameters
@@ -407,6 +395,7 @@ def prior_rows(problem: Problem, layout: Layout, x: FloatArray, roughness_sd: Fl
     roughness_sd : float array, shape (n_materials,)
         Standard deviation of the second difference of a curve's coefficients.
     """
+    layout = problem.layout
     rows: list[FloatArray] = []
     values: list[FloatArray] = []
 
@@ -432,4 +421,4 @@ def prior_rows(problem: Problem, layout: Layout, x: FloatArray, roughness_sd: Fl
     n = (layout.gain.stop - layout.gain.start) // 2
     scale = np.diag(np.repeat([1.0 / _GAIN_SD, 1.0 / _PHASE_SD], n))
     add(layout.gain, scale, scale @ x[layout.gain])
-    return Linear(np.concatenate(values), np.vstack(rows))
+    return np.concatenate(values), np.vstack(rows)

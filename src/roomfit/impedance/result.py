@@ -5,13 +5,14 @@ All quantities follow from R0 and the covariance of its real and imaginary part.
 
 from __future__ import annotations
 
-import html
+import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from html import escape
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
 
-from roomfit._checks import nearest, read_only
+from roomfit._checks import did_you_mean, read_only
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.impedance.laws import absorption_normal, absorption_random, impedance_of_r0
@@ -41,14 +42,16 @@ _COLUMNS = (
 )
 
 
-class LawParameter(NamedTuple):
-    """One number of a physical law with its 95 % interval."""
+@dataclass(frozen=True, slots=True)
+class Estimate:
+    """A number that was found, of a physical law or of the measurement, with its 95 % interval."""
 
-    name: str
+    name: str  # such as "thickness_m", "x of LS1" or "speed of sound"
     unit: str
-    value: float
+    value: float  # shifts are from the specified position
     lower95: float
     upper95: float
+    prior_sd: float = math.nan  # in the same unit; nan for numbers of a law
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -79,7 +82,7 @@ class MaterialImpedance:
     impedance_upper95: ComplexArray
     impedance_shown: BoolArray  # where the interval of Z is no wider than a fifth of its size
     identified: BoolArray  # where those of real and imaginary part of R0 are no wider than 0.2
-    parameters: tuple[LawParameter, ...] = ()  # of a physical law; empty for a spline
+    parameters: tuple[Estimate, ...] = ()  # of a physical law; empty for a spline
 
     def __post_init__(self) -> None:
         for name in self.__dataclass_fields__:
@@ -109,18 +112,6 @@ class Verdict:
     weaker: bool  # whether noise was estimated from the residual, or phases were missing
 
 
-@dataclass(frozen=True, slots=True)
-class FoundNuisance:
-    """Something about the measurement that was estimated together with the walls."""
-
-    name: str  # such as "x of LS1" or "speed of sound"
-    unit: str
-    value: float  # shifts are from the specified position
-    lower95: float
-    upper95: float
-    prior_sd: float  # in the same unit
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpedanceResult:
     """The walls of a room, and how far to trust what is said of them.
@@ -134,26 +125,26 @@ class ImpedanceResult:
     materials: tuple[MaterialImpedance, ...]
     verdict: Verdict
     findings: tuple[Finding, ...]
-    nuisances: tuple[FoundNuisance, ...]
-    # Sum of squared residuals over what noise and model error explain; 1 and less is good. This
-    # and the next two are nan where nothing was fitted.
-    chi2: float
-    # rms error of the image model in this room by the residual, relative to the level, times
-    # wavenumber and mean free path
-    model_error: float
-    # Of the walls' unknowns: largest over smallest singular value of the weighted Jacobian, what
-    # nuisances explain taken out
-    condition: float
-    agreeing_starts: int  # how many starts led to the lowest minimum
-    n_starts: int
     pairs: tuple[tuple[str, str], ...]  # source and receiver
     measured: ComplexArray  # (n_pairs, n_frequencies)
     predicted: ComplexArray  # likewise, with gains and delays
     expected_rms: FloatArray  # likewise: rms of a perfect fit's residual, by noise and model error
-    ending: str
-    evaluations: int  # 0 where nothing was fitted
-    rounds: int
     seconds: float
+    nuisances: tuple[Estimate, ...] = ()  # of the measurement, estimated together with the walls
+    # Sum of squared residuals over what noise and model error explain; 1 and less is good. This
+    # and the next two are nan where nothing was fitted.
+    chi2: float = math.nan
+    # rms error of the image model in this room by the residual, relative to the level, times
+    # wavenumber and mean free path
+    model_error: float = math.nan
+    # Of the walls' unknowns: largest over smallest singular value of the weighted Jacobian, what
+    # nuisances explain taken out
+    condition: float = math.nan
+    agreeing_starts: int = 0  # how many starts led to the lowest minimum
+    n_starts: int = 0
+    ending: str = "nothing was fitted"
+    evaluations: int = 0  # 0 where nothing was fitted
+    rounds: int = 0
     seed: int | None = None
 
     def __str__(self) -> str:
@@ -169,23 +160,13 @@ class ImpedanceResult:
 
     def _repr_html_(self) -> str:
         """Return what `str` says with tables in HTML, for notebooks."""
-        parts = [f"<p><strong>{html.escape(_headline(self))}</strong></p>"]
+        from roomfit.report.frames import html_findings, html_table
+
+        parts = [f"<p><strong>{escape(_headline(self))}</strong></p>"]
         for material in self.materials if self.evaluations else ():
-            head = "".join(f"<th>{html.escape(h)}</th>" for h in _HEADINGS)
-            rows = [
-                "".join(
-                    f"<td>{html.escape(cell.strip())}</td>" for cell in _cells(self, material, i)
-                )
-                for i in _shown_rows(self)
-            ]
-            body = "".join(f"<tr>{row}</tr>" for row in [head, *rows])
-            caption = html.escape(f"{material.name} ({material.kind})")
-            parts.append(f"<table><caption>{caption}</caption>{body}</table>")
-        items = "".join(
-            f"<li>{html.escape(f'{f.severity}: {f.sentence} [{f.code}]')}</li>"
-            for f in self.findings
-        )
-        return "".join([*parts, f"<ul>{items}</ul>" if items else ""])
+            rows = [[c.strip() for c in _cells(self, material, i)] for i in _shown_rows(self)]
+            parts.append(html_table(f"{material.name} ({material.kind})", _HEADINGS, rows))
+        return "".join([*parts, html_findings(self.findings)])
 
     def plot(self, material: str | None = None) -> Figure:
         """Return reflection, absorption and impedance over frequency as a matplotlib figure.
@@ -204,13 +185,12 @@ class ImpedanceResult:
 
         names = [m.name for m in self.materials]
         if material is not None and material not in names:
-            guess = nearest(material, names)
             raise InputError(
                 "the result has no such material",
                 where="ImpedanceResult.plot",
                 found=repr(material),
                 needed=f"one of {', '.join(names)}",
-                hint=f"did you mean {guess!r}?" if guess else None,
+                hint=did_you_mean(material, names),
             )
         return walls_figure(self, [m for m in self.materials if material in (None, m.name)])
 
@@ -222,17 +202,10 @@ class ImpedanceResult:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
+        from roomfit.impedance.output import csv_columns, csv_rows
         from roomfit.report.frames import data_frame
 
-        names = list(self.materials[0].columns())
-        rows = [
-            (m.name, f, *(float(column[j]) for column in m.columns().values()), bool(known))
-            for m in self.materials
-            for j, (f, known) in enumerate(
-                zip(self.frequency_hz.tolist(), m.identified, strict=True)
-            )
-        ]
-        return data_frame(("material", "frequency_hz", *names, "identified"), rows, "impedance.csv")
+        return data_frame(csv_columns(self), csv_rows(self), "impedance.csv")
 
 
 _HEADINGS = ("Hz", "R0", "absorption, 95 %", "random", "Z / rho c")
@@ -295,18 +268,16 @@ def material_impedance(
     kind: str,
     r0: ComplexArray,
     covariance: FloatArray,
-    parameters: tuple[LawParameter, ...] = (),
+    parameters: tuple[Estimate, ...] = (),
 ) -> MaterialImpedance:
     """Return all quantities of a material with their intervals.
 
     Parameters
     ----------
-    name, kind : str
     r0 : complex array, shape (n_frequencies,)
         Passive.
     covariance : float array, shape (n_frequencies, 2, 2)
         Of real and imaginary part of R0.
-    parameters : tuple of LawParameter
     """
     reach = _complex_reach(covariance, np.ones(len(r0), dtype=np.complex128))
     normal = absorption_normal(r0)

@@ -53,9 +53,6 @@ def check_cost(scene: Scene, n_frequencies: int, tau_s: float, lengths: float) -
 
     Parameters
     ----------
-    scene : Scene
-    n_frequencies : int
-    tau_s : float
     lengths : float
         Longest path in units of the speed of sound times `tau_s`.
 
@@ -159,21 +156,10 @@ def unfolded_paths(scene: Scene, longest_m: float) -> UnfoldedPaths:
     return _joined([_box_paths(scene.room, *pair, longest_m) for pair in ends])
 
 
-class _PairPaths(NamedTuple):
-    """The paths of one pair; `path` says to which each bounce belongs, in rising order."""
-
-    vector_m: FloatArray
-    image_transform: FloatArray
-    path: IntArray
-    material: IntArray
-    normal: FloatArray
-    hits: IntArray
-
-
 def _box_paths(
     room: Room, source_m: FloatArray, receiver_m: FloatArray, longest_m: float
-) -> _PairPaths:
-    """Return paths whose hits on one wall, all at one angle, are one bounce."""
+) -> UnfoldedPaths:
+    """Return the paths of one pair, in which hits on one wall, all at one angle, are one bounce."""
     lengths = np.array(room.shoebox_m, dtype=np.float64)
     index = lattice_indices(lengths, source_m, receiver_m, _ANY_ORDER, longest_m)
     vector = receiver_m - image_positions_m(index, lengths, source_m)
@@ -182,14 +168,22 @@ def _box_paths(
     turned = np.where(index % 2 == 0, 1.0, -1.0)
     hits = np.column_stack([wall_hits(index, wall) for wall in range(6)])
     path, wall = np.nonzero(hits)
-    material = np.asarray(room.surface_material[wall], dtype=np.int64)
-    transform = np.asarray(turned[:, :, None] * np.eye(3))
-    return _PairPaths(vector, transform, path, material, np.eye(3)[wall // 2], hits[path, wall])
+    bounces = np.bincount(path, minlength=len(vector))
+    return UnfoldedPaths(
+        np.array([0, len(vector)]),
+        vector,
+        np.asarray(turned[:, :, None] * np.eye(3)),
+        np.concatenate(([0], np.cumsum(bounces))),
+        np.asarray(room.surface_material[wall], dtype=np.int64),
+        np.eye(3)[wall // 2],
+        hits[path, wall].astype(np.int64),
+    )
 
 
-def _polyhedron_paths(scene: Scene, longest_m: float) -> list[_PairPaths]:
+def _polyhedron_paths(scene: Scene, longest_m: float) -> list[UnfoldedPaths]:
+    """Return the paths of every pair, searched for once a source."""
     mirrors = mirrors_of(scene.room)
-    parts: dict[int, _PairPaths] = {}
+    parts: dict[int, UnfoldedPaths] = {}
     for s in np.unique(scene.pairs[:, 0]):
         own = np.flatnonzero(scene.pairs[:, 0] == s)
         found = polyhedron_images(
@@ -205,23 +199,23 @@ def _polyhedron_paths(scene: Scene, longest_m: float) -> list[_PairPaths]:
     return [parts[i] for i in range(len(scene.pairs))]
 
 
-def _paths_of_images(images: ImageSet) -> _PairPaths:
+def _paths_of_images(images: ImageSet) -> UnfoldedPaths:
     reflections, transform, normals = images.reflections, images.image_transform, images.normals
     if reflections is None or transform is None or normals is None:
         raise ValueError("images without reflections, image transforms or normals")
-    counts = np.diff(reflections.offsets)
-    return _PairPaths(
+    return UnfoldedPaths(
+        np.array([0, len(transform)]),
         images.length_m[:, None] * images.arrival,
         transform,
-        np.repeat(np.arange(len(counts)), counts),
+        np.asarray(reflections.offsets, dtype=np.int64),
         np.asarray(reflections.material, dtype=np.int64),
         normals,
         np.ones(len(normals), dtype=np.int64),
     )
 
 
-def _joined(parts: list[_PairPaths]) -> UnfoldedPaths:
-    bounces = np.concatenate([np.bincount(p.path, minlength=len(p.vector_m)) for p in parts])
+def _joined(parts: list[UnfoldedPaths]) -> UnfoldedPaths:
+    bounces = np.concatenate([np.diff(p.bounce_first) for p in parts])
     return UnfoldedPaths(
         np.concatenate(([0], np.cumsum([len(p.vector_m) for p in parts]))),
         np.concatenate([p.vector_m for p in parts]),
@@ -229,7 +223,7 @@ def _joined(parts: list[_PairPaths]) -> UnfoldedPaths:
         np.concatenate(([0], np.cumsum(bounces))),
         np.concatenate([p.material for p in parts]),
         np.concatenate([p.normal for p in parts]),
-        np.concatenate([p.hits for p in parts]).astype(np.int64),
+        np.concatenate([p.hits for p in parts]),
     )
 
 
@@ -410,10 +404,8 @@ def predicted_pressure(
 
     Parameters
     ----------
-    model : WaveModel
     r0 : complex array, shape (n_materials, n_frequencies)
         ``|r0| <= 1``, at the complex frequency of the window.
-    state : State
     spherical : bool
         Spherical waves at the walls; plane ones err 5 times as much.
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
 from typing import Literal, TypedDict
 
@@ -93,8 +93,12 @@ def predict_arguments(
     # spectra, which hold impedances, do not hinder a prediction
     measurements = read_measurements(replace(campaign, spectra=()))
     scene = campaign_scene(campaign, room)
+    if pair_choice(pairs) == "campaign":
+        scene = of_pairs(scene, {(m.source, m.receiver) for m in measurements})
+        if not len(scene.pairs):
+            raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
     return {
-        "scene": scene if pair_choice(pairs) == "all" else _measured_pairs(scene, measurements),
+        "scene": scene,
         "absorption": replace(known, findings=(*doubts, *known.findings)),
         "changes": tuple(changes),
         "measurements": measurements,
@@ -117,13 +121,10 @@ def pair_choice(text: str) -> PairChoice:
     raise InputError("unknown choice of pairs", found=repr(text), needed='"all" or "campaign"')
 
 
-def _measured_pairs(scene: Scene, measurements: Sequence[Measurement | MeasuredValues]) -> Scene:
-    """Return a scene with those of its pairs that were measured."""
-    names = {(m.source, m.receiver) for m in measurements}
-    measured = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
-    if not any(measured):
-        raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
-    return replace(scene, pairs=scene.pairs[np.array(measured)])
+def of_pairs(scene: Scene, names: Container[tuple[str, str]]) -> Scene:
+    """Return a scene with those of its pairs whose source and receiver are named."""
+    chosen = [(scene.sources[s].name, scene.receivers[r].name) in names for s, r in scene.pairs]
+    return replace(scene, pairs=scene.pairs[np.array(chosen, dtype=np.bool_)])
 
 
 def common_bands(wanted: Bands, known: Bands) -> tuple[Bands, tuple[Finding, ...]]:

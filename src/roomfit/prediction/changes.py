@@ -9,7 +9,7 @@ from typing import Literal
 
 import numpy as np
 
-from roomfit._checks import nearest
+from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -86,10 +86,7 @@ def changed_draws(
 
     Parameters
     ----------
-    posterior : AbsorptionPosterior
     draws : float array, shape (n_draws, n_materials, n_bands)
-    changes : sequence of Change
-    rng : numpy Generator
 
     Returns
     -------
@@ -124,7 +121,10 @@ def changed_draws(
                 drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
                 findings += _clipped(change, wanted, posterior.bands)
             else:
-                mean, sd = _specified_absorption(change, posterior.bands)
+                if change.kind == "catalogue":
+                    mean, sd = catalogue_prior(change.entry, posterior.bands)
+                else:
+                    mean, sd = _per_band(change, posterior.bands, high=1.0)
                 absorption[index] = mean
                 drawn[:, index] = _logit_normal(mean, sd, z)
     return absorption, drawn, tuple(findings)
@@ -132,21 +132,14 @@ def changed_draws(
 
 def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
     if material not in materials:
-        guess = nearest(material, materials)
         raise InputError(
             "a change names a material that the room does not have",
             where=where,
             found=repr(material),
             needed=f"one of {', '.join(materials)}",
-            hint=f"did you mean {guess!r}?" if guess else None,
+            hint=did_you_mean(material, materials),
         )
     return materials.index(material)
-
-
-def _specified_absorption(change: Change, bands: Bands) -> tuple[FloatArray, FloatArray]:
-    if change.kind == "catalogue":
-        return catalogue_prior(change.entry, bands)
-    return _per_band(change, bands, high=1.0)
 
 
 def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:

@@ -19,13 +19,12 @@ from roomfit.inversion.trace_plan import cached_trace, plan_trace
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.room_parameters import predicted_values, value_covariances, value_terms
 from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
-from roomfit.response.directivity import Directivity, known_directivities
+from roomfit.response.directivity import known_directivities
 from roomfit.response.energy import grouped_rows, thinned_rows
 from roomfit.scene import Scene, distances_m, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
-from roomfit.tracing.paths import TraceSettings
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -36,17 +35,6 @@ _LONGER = 1.5
 _LONGEST_S = 30.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class FollowedDecay:
-    """Paths in bins, with what they were traced and weighed by."""
-
-    binned: BinnedPaths
-    settings: TraceSettings
-    scattering: FloatArray  # (n_materials, n_bands)
-    directivities: tuple[Directivity | None, ...]  # of each source
-    findings: tuple[Finding, ...]
-
-
 def follow_decay(
     scene: Scene,
     known: AbsorptionPosterior,
@@ -55,7 +43,7 @@ def follow_decay(
     settings: Settings,
     cache: Cache | None,
     progress: Progress | None,
-) -> FollowedDecay:
+) -> tuple[BinnedPaths, tuple[object, ...], tuple[Finding, ...]]:
     """Trace until every band of every pair has fallen by 36 dB, in up to four attempts.
 
     How long is estimated from Eyring's formula and the measured decay, the longer of both; where
@@ -68,6 +56,13 @@ def follow_decay(
     absorption : float array, shape (n_materials, n_bands)
     measured_decay_s : float
         Longest measured reverberation time, 0 where none is known.
+
+    Returns
+    -------
+    binned : BinnedPaths
+    weighed_by : tuple
+        What, besides scene and bands, decides them: key of what is kept of them.
+    findings : tuple of Finding
     """
     bands, directivities = known.bands, known.directivities or {}
     priors = _scattering_priors(known)
@@ -88,19 +83,9 @@ def follow_decay(
         longest_s *= _LONGER
     if progress is not None:
         progress(1.0)
-    return FollowedDecay(
-        binned,
-        plan.settings,
-        scattering,
-        known_directivities(directivities, scene.sources),
-        (
-            *plan.findings,
-            *traced.value.findings,
-            *found,
-            *degenerate,
-            *_short_finding(bands, short),
-        ),
-    )
+    weighed_by = (plan.settings, scattering, known_directivities(directivities, scene.sources))
+    doubts = (*plan.findings, *traced.value.findings, *found, *degenerate)
+    return binned, weighed_by, (*doubts, *_short_finding(bands, short))
 
 
 def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
@@ -164,16 +149,24 @@ RELATIVE: BoolArray = np.array([name in ("EDT_s", "T20_s", "T30_s") for name in 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PredictedDecay:
+    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
+
+    time_s: FloatArray  # (n_times,), after emission
+    predicted_db: FloatArray
+    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
+    upper_db: FloatArray
+    measured_db: FloatArray | None = None  # NaN beyond its usable part
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class PairNumbers:
     """Predictions for one pair, names in the order of `VALUE_NAMES`."""
 
     values: FloatArray  # (n_names, n_bands); NaN where the decay is not followed far enough
     draws: FloatArray  # (n_draws, n_names, n_bands), under each draw of the absorption
     noise_sd: FloatArray  # (n_names, n_bands), of interfering reflections and the number of rays
-    time_s: FloatArray  # (n_times,)
-    decay_db: FloatArray  # (n_bands, n_times), as the two bounds
-    lower_db: FloatArray
-    upper_db: FloatArray
+    decay: PredictedDecay
 
 
 def pair_numbers(
@@ -213,10 +206,7 @@ def pair_numbers(
         values,
         drawn,
         _noise_sd(alone, bands, own, absorption),
-        times,
-        decay_db,
-        decay_db + low,
-        decay_db + high,
+        PredictedDecay(times, decay_db, decay_db + low, decay_db + high),
     )
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -100,16 +101,7 @@ def predicted_csv(predicted: Predicted) -> str:
 
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
     return {
-        name: {
-            "predicted": numbers_or_null(v.predicted),
-            "lower95": numbers_or_null(v.lower95),
-            "upper95": numbers_or_null(v.upper95),
-            "sd_absorption": numbers_or_null(v.sd_absorption),
-            "sd_rest": numbers_or_null(v.sd_rest),
-            "measured": numbers_or_null(v.measured),
-            "jnd": numbers_or_null(v.jnd),
-            "mean_of_others": numbers_or_null(v.mean_of_others),
-        }
+        name: {key: numbers_or_null(row) for key, row in asdict(v).items()}
         for name, v in table.items()
     }
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from roomfit.prediction.changes import Change, change_text, changed_draws
 from roomfit.prediction.decay import (
     RELATIVE,
     PairNumbers,
+    PredictedDecay,
     follow_decay,
     levels_at,
     pair_numbers,
@@ -53,19 +54,8 @@ class PredictedValue:
     # error that the model is granted
     sd_rest: FloatArray
     measured: FloatArray
-    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
     jnd: FloatArray  # predicted minus measured in just noticeable differences
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PredictedDecay:
-    """Decay curves in dB relative to the whole energy, shape (n_bands, n_times)."""
-
-    time_s: FloatArray  # (n_times,), after emission
-    predicted_db: FloatArray
-    lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
-    upper_db: FloatArray
-    measured_db: FloatArray | None  # NaN beyond its usable part
+    mean_of_others: FloatArray  # over the other fitted measurements: a baseline
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,7 +193,7 @@ def predict(
     drawn = draw_absorption(absorption, settings.n_draws, rng)
     expected, drawn, clipped = changed_draws(absorption, drawn, changes, rng)
     observed, measured_findings = _observed_pairs(scene, measurements, bands)
-    followed = follow_decay(
+    binned, weighed_by, decay_findings = follow_decay(
         scene,
         absorption,
         expected,
@@ -214,20 +204,21 @@ def predict(
     )
     numbers: list[PairNumbers] = []
     cache_findings: list[Finding] = []
-    weighing = (followed.scattering, followed.directivities)
     for i in range(len(scene.pairs)):
         one = cached(
             cache,
             "pair",
-            (scene, followed.settings, weighing, bands, i, expected, drawn),
-            lambda i=i: pair_numbers(scene, bands, followed.binned, i, expected, drawn),  # type: ignore[misc]
-            (PairNumbers,),
+            (scene, weighed_by, bands, i, expected, drawn),
+            lambda i=i: pair_numbers(scene, bands, binned, i, expected, drawn),  # type: ignore[misc]
+            (PairNumbers, PredictedDecay),
         )
         numbers.append(one.value)
         cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
-    lower, upper = _absorption_interval(absorption, drawn, [c.material for c in changes])
+    lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
+    changed = [room.materials.index(c.material) for c in changes]
+    lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
         bands,
         room.materials,
@@ -242,7 +233,7 @@ def predict(
             *absorption.findings,
             *clipped,
             *measured_findings,
-            *followed.findings,
+            *decay_findings,
             *cache_findings,
             *_what_if(changes, observed),
         ),
@@ -252,11 +243,8 @@ def predict(
     )
 
 
-def _check(
-    scene: Scene,
-    absorption: AbsorptionPosterior,
-    measurements: Sequence[Measurement | MeasuredValues],
-) -> None:
+def check_materials(absorption: AbsorptionPosterior, scene: Scene) -> None:
+    """Refuse an absorption of other materials than the room's, or in another order."""
     if absorption.materials != scene.room.materials:
         raise InputError(
             "the absorption is of other materials than the room's",
@@ -264,6 +252,14 @@ def _check(
             needed=", ".join(scene.room.materials) + ", in this order",
             hint="room_posterior of roomfit.prediction.campaign matches materials by name",
         )
+
+
+def _check(
+    scene: Scene,
+    absorption: AbsorptionPosterior,
+    measurements: Sequence[Measurement | MeasuredValues],
+) -> None:
+    check_materials(absorption, scene)
     if not len(scene.pairs):
         raise InputError("the scene has no pair to predict", needed="a source and a receiver")
     refuse(position_findings(scene.room, scene.sources, scene.receivers))
@@ -320,15 +316,6 @@ def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     return max((float(k.max()) for k in known if k.size), default=0.0)
 
 
-def _absorption_interval(
-    posterior: AbsorptionPosterior, drawn: FloatArray, changed: Sequence[str]
-) -> tuple[FloatArray, FloatArray]:
-    lower, upper = posterior.lower95.copy(), posterior.upper95.copy()
-    rows = [posterior.materials.index(name) for name in changed]
-    lower[rows], upper[rows] = np.quantile(drawn[:, rows], (0.025, 0.975), axis=0)
-    return lower, upper
-
-
 def _what_if(changes: Sequence[Change], observed: Sequence[_ObservedPair]) -> tuple[Finding, ...]:
     if not changes:
         return ()
@@ -343,16 +330,6 @@ def _what_if(changes: Sequence[Change], observed: Sequence[_ObservedPair]) -> tu
             {"changes": [change_text(c) for c in changes]},
         ),
     )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Spread:
-    """One parameter with its draws and two kinds of noise."""
-
-    values: FloatArray  # (n_bands,), as the other two
-    draws: FloatArray  # (n_draws, n_bands)
-    noise_sd: FloatArray
-    model_sd: FloatArray
 
 
 def _predicted_pairs(
@@ -373,7 +350,9 @@ def _predicted_pairs(
                 nothing = np.full(len(bands), np.nan)
                 values = nothing if m is None else m.values[row]
                 mean = nothing if m is None else _mean(others, len(bands))
-                table[name] = _value(name, _spread(own, row, name), values, mean)
+                rest_sd = np.hypot(own.noise_sd[row], _model_sd(own, row))
+                drawn = own.draws[:, row]
+                table[name] = _value(name, own.values[row], drawn, rest_sd, values, mean)
             use = None if m is None else m.use
             found.append(PredictedPair(*names, use, table, _decay(own, m)))
     return tuple(found)
@@ -393,19 +372,19 @@ def _predicted_means(
         for i in range(len(numbers)):
             own = [m.values[row] for m in observed_pairs if index[m.source, m.receiver] == i]
             measured[i] = _mean(own, len(bands))
-        spreads = [_spread(n, row, name) for n in numbers]
-        chosen = np.isfinite(measured) & np.isfinite([s.values for s in spreads])
+        predicted = np.array([n.values[row] for n in numbers])
+        chosen = np.isfinite(measured) & np.isfinite(predicted)
         chosen |= ~chosen.any(axis=0)
         weights = chosen / chosen.sum(axis=0)
-        whole = _Spread(
-            _weighted(weights, np.array([s.values for s in spreads])),
-            _weighted(weights[:, None], np.array([s.draws for s in spreads])),
-            np.sqrt(_weighted(weights**2, np.array([s.noise_sd for s in spreads]) ** 2)),
-            # the model is wrong in the same way everywhere
-            _weighted(weights, np.array([s.model_sd for s in spreads])),
-        )
+        drawn = _weighted(weights[:, None], np.array([n.draws[:, row] for n in numbers]))
+        noise = _weighted(weights**2, np.array([n.noise_sd[row] for n in numbers]) ** 2)
+        # the model is wrong in the same way everywhere
+        model_sd = _weighted(weights, np.array([_model_sd(n, row) for n in numbers]))
+        rest_sd = np.hypot(np.sqrt(noise), model_sd)
         observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
-        table[name] = _value(name, whole, observed, np.full(len(bands), np.nan))
+        nothing = np.full(len(bands), np.nan)
+        mean = _weighted(weights, predicted)
+        table[name] = _value(name, mean, drawn, rest_sd, observed, nothing)
     return table
 
 
@@ -414,33 +393,34 @@ def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
     return np.asarray(np.where(weights > 0.0, weights * values, 0.0).sum(axis=0))
 
 
-def _spread(own: PairNumbers, row: int, name: ValueName) -> _Spread:
-    values = own.values[row]
-    return _Spread(
-        values, own.draws[:, row], own.noise_sd[row], MODEL_ERROR_JND * jnd_of(name, values)
-    )
+def _model_sd(own: PairNumbers, row: int) -> FloatArray:
+    return MODEL_ERROR_JND * jnd_of(VALUE_NAMES[row], own.values[row])
 
 
 def _value(
-    name: ValueName, spread: _Spread, measured: FloatArray, mean_of_others: FloatArray
+    name: ValueName,
+    values: FloatArray,
+    draws: FloatArray,
+    rest_sd: FloatArray,
+    measured: FloatArray,
+    mean_of_others: FloatArray,
 ) -> PredictedValue:
     """Return a prediction with its interval: the quantiles of all draws, each widened by noise."""
-    rest = np.hypot(spread.noise_sd, spread.model_sd)
-    wide = spread.draws[:, None, :] + _STEPS[:, None] * rest / np.std(_STEPS)
-    low, high = np.quantile(wide.reshape(-1, rest.size), (0.025, 0.975), axis=0)
+    wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
+    low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
     if RELATIVE[VALUE_NAMES.index(name)]:
         low = np.maximum(low, 0.0)
     if name == "D50_percent":
         low, high = np.clip(low, 0.0, 100.0), np.clip(high, 0.0, 100.0)
     return PredictedValue(
-        spread.values,
+        values,
         low,
         high,
-        np.std(spread.draws, axis=0),
-        rest,
+        np.std(draws, axis=0),
+        rest_sd,
         measured,
+        in_jnd(name, measured, values),
         mean_of_others,
-        in_jnd(name, measured, spread.values),
     )
 
 
@@ -451,8 +431,8 @@ def _mean(rows: Sequence[FloatArray], n_bands: int) -> FloatArray:
 
 
 def _decay(own: PairNumbers, m: _ObservedPair | None) -> PredictedDecay:
-    measured = None
-    if m is not None and m.curve is not None:
-        usable = own.time_s <= m.curve.usable_end_s[:, None]
-        measured = np.where(usable, levels_at(m.curve, own.time_s), np.nan)
-    return PredictedDecay(own.time_s, own.decay_db, own.lower_db, own.upper_db, measured)
+    if m is None or m.curve is None:
+        return own.decay
+    usable = own.decay.time_s <= m.curve.usable_end_s[:, None]
+    measured = np.where(usable, levels_at(m.curve, own.decay.time_s), np.nan)
+    return replace(own.decay, measured_db=measured)

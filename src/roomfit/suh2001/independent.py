@@ -39,30 +39,17 @@ _RANDOM_STARTS = 3
 # Seeds of measurement and model never meet.
 _MODEL_SEED = 100_000
 
+MEASUREMENT_RAYS = 262_144  # of each part of the measurement
+MEASUREMENT_PARTS = 4  # independent traces whose mean is the measurement
+# Of the model, for each source; and models with other rays, for each number.
+MODEL_RAYS = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
+REPEATS = 8
+
 Key = tuple[int, int]
 """Number of materials, number of pairs."""
 
-
-@dataclass(frozen=True, slots=True)
-class IndependentSettings:
-    """How much is traced."""
-
-    measurement_rays: int = 262_144  # of each part of the measurement
-    measurement_parts: int = 4  # independent traces whose mean is the measurement
-    # of the model, for each source
-    model_rays: tuple[int, ...] = (1_000, 3_000, 10_000, 18_000, 30_000, 100_000, 300_000)
-    repeats: int = 8  # models with other rays, for each number
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class IndependentFit:
-    """One fit with other rays than the measurement's."""
-
-    rays: int
-    materials: int
-    pairs: int
-    paths: int  # that the model recorded within the windows
-    off: FloatArray  # (n_materials,), found minus true absorption
+OtherRays = dict[Key, tuple[int, FloatArray]]
+"""How many paths a model recorded within the windows; found minus true absorption of materials."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,13 +83,11 @@ def mean_measurement(parts: Sequence[dict[Key, FloatArray]]) -> dict[Key, FloatA
     return {key: np.mean([part[key] for part in parts], axis=0) for key in parts[0]}
 
 
-def fit_with_other_rays(
-    n_rays: int, repeat: int, measurement: dict[Key, FloatArray]
-) -> tuple[IndependentFit, ...]:
+def fit_with_other_rays(n_rays: int, repeat: int, measurement: dict[Key, FloatArray]) -> OtherRays:
     """Return the fits of all divisions and pairs by one model of its own rays."""
     paths = trace_paper_room(paper_scene(), n_rays, "sobol", _MODEL_SEED + repeat)
     rng = np.random.default_rng((n_rays, repeat))
-    fits = []
+    fits = {}
     for (materials, pairs), measured in measurement.items():
         division = DIVISIONS[materials]
         rows = _rows(paths, division, pairs)
@@ -111,30 +96,30 @@ def fit_with_other_rays(
         points = starts(uniform, len(problem.rows.materials), _RANDOM_STARTS, rng)
         found = fit_least_squares(partial(residuals, problem), points).x
         off = found - np.array(division.true_absorption)
-        fits.append(IndependentFit(n_rays, materials, pairs, len(rows), off))
-    return tuple(fits)
+        fits[materials, pairs] = len(rows), off
+    return fits
 
 
-def summarise(fits: Sequence[IndependentFit]) -> tuple[IndependentRow, ...]:
-    """Return one row for every number of pairs, materials and rays."""
+def summarise(rays: int, fits: Sequence[OtherRays]) -> list[IndependentRow]:
+    """Return one row for every number of materials and pairs, of all repeats of so many rays."""
     rows = []
-    for pairs, materials, rays in sorted({(fit.pairs, fit.materials, fit.rays) for fit in fits}):
-        own = [f for f in fits if (f.pairs, f.materials, f.rays) == (pairs, materials, rays)]
-        off = np.array([fit.off for fit in own])
+    for materials, pairs in fits[0]:
+        paths, errors = zip(*(fit[materials, pairs] for fit in fits), strict=True)
+        off = np.array(errors)
         largest = np.max(np.abs(off), axis=1)
         rows.append(
             IndependentRow(
                 rays=rays,
                 materials=materials,
                 pairs=pairs,
-                repeats=len(own),
-                median_paths=float(np.median([fit.paths for fit in own])),
+                repeats=len(fits),
+                median_paths=float(np.median(paths)),
                 rms_error=float(np.sqrt(np.mean(off**2))),
                 median_largest_error=float(np.median(largest)),
                 worst_error=float(np.max(largest)),
             )
         )
-    return tuple(rows)
+    return rows
 
 
 def _rows(paths: Paths, division: Division, pairs: int) -> EnergyRows:

@@ -26,14 +26,18 @@ from roomfit.cache import (
 from roomfit.io.encoding import csv_text
 from roomfit.io.results import certificate_content
 from roomfit.report.figures import OKABE_ITO, new_figure, png
-from roomfit.suh2001.independent import PAIRS, IndependentRow
-from roomfit.suh2001.landscape import Landscape
+from roomfit.suh2001.independent import (
+    MEASUREMENT_PARTS,
+    MEASUREMENT_RAYS,
+    PAIRS,
+    REPEATS,
+    IndependentRow,
+)
 from roomfit.suh2001.repeat import (
     FOUND_WITHIN,
     METHODS,
     CaseResponse,
     PaperResult,
-    PaperSettings,
     Record,
     repeat_paper,
 )
@@ -47,20 +51,23 @@ from roomfit.suh2001.room import (
     RECONSTRUCTED,
     SPECIFICATIONS,
     TRUE_ABSORPTION,
+    WALLS_APART,
 )
+from roomfit.suh2001.searches import Landscape
 from roomfit.typing import FloatArray, Progress
 
 
 def run_paper(
     folder: Path,
-    settings: PaperSettings | None = None,
     *,
+    seeds: int = 50,
+    workers: int = 2,
     overwrite: bool = False,
     progress: Progress | None = None,
 ) -> PaperResult:
     """Repeat the paper and write paper.json, CSV tables and pictures into a folder.
 
-    Nothing is written before everything is known.
+    Nothing is written before everything is known. Seeds and workers are those of `repeat_paper`.
 
     Raises
     ------
@@ -68,7 +75,7 @@ def run_paper(
         The folder exists and is not empty, and `overwrite` is false.
     """
     check_output_folder(folder, overwrite=overwrite)
-    result = repeat_paper(settings, progress=progress)
+    result = repeat_paper(seeds, workers, progress=progress)
     with whole_output_folder(folder, overwrite=overwrite) as aside:
         for name, (heading, rows) in _tables(result).items():
             write_text_atomically(aside / f"{name}.csv", _csv(heading, rows))
@@ -144,19 +151,14 @@ def _walls_apart_content(result: PaperResult) -> dict[str, Any]:
     walls = result.walls_apart
     return {
         "problem": "case1",
-        "materials": list(walls.materials),
-        "truth": walls.true_absorption.tolist(),
+        "materials": list(WALLS_APART.materials),
+        "truth": list(WALLS_APART.true_absorption),
         "answers": [
             {"absorption": x, "error": e, "descents": n}
-            for x, e, n in zip(
-                walls.answers.x.tolist(),
-                walls.answers.error.tolist(),
-                walls.answers.descents,
-                strict=True,
-            )
+            for x, e, n in zip(walls.x.tolist(), walls.error.tolist(), walls.descents, strict=True)
         ],
-        "mirrored_error_of_trace": walls.mirrored_error_of_trace,
-        "error_of_silence": walls.error_of_silence,
+        "mirrored_error_of_trace": result.mirrored_error_of_trace,
+        "error_of_silence": result.error_of_silence,
         "sentence": "Source and receiver of case 1 stand half way between the south and the north "
         "wall: exchanging the two changes nothing, and both answers are equally right. What little "
         "the trace says against the mirrored one is the asymmetry of its own rays.",
@@ -164,10 +166,9 @@ def _walls_apart_content(result: PaperResult) -> dict[str, Any]:
 
 
 def _independent_content(result: PaperResult) -> dict[str, Any]:
-    settings = result.independent_settings
     return {
-        "measurement_rays": settings.measurement_rays * settings.measurement_parts,
-        "repeats": settings.repeats,
+        "measurement_rays": MEASUREMENT_RAYS * MEASUREMENT_PARTS,
+        "repeats": REPEATS,
         "method": "least-squares",
         "sentence": "Measurement and model have different rays. With the same rays the error is "
         "exactly 0 at the truth, which says nothing about a real room.",
@@ -344,14 +345,14 @@ def _walls_apart_text(result: PaperResult) -> str:
     lines = [
         "Case 1 with its four walls taken apart: source and receiver stand half way between south "
         "and north,",
-        f"and {len(walls.answers.x)} answers are equally right:",
+        f"and {len(walls.x)} answers are equally right:",
     ]
-    for x, e in zip(walls.answers.x, walls.answers.error, strict=True):
+    for x, e in zip(walls.x, walls.error, strict=True):
         named = ", ".join(
-            f"{name} {value:.3f}" for name, value in zip(walls.materials, x, strict=True)
+            f"{name} {value:.3f}" for name, value in zip(WALLS_APART.materials, x, strict=True)
         )
         lines.append(f"  {named}: error {e:.1e}")
-    against, silence = walls.mirrored_error_of_trace, walls.error_of_silence
+    against, silence = result.mirrored_error_of_trace, result.error_of_silence
     lines.append(
         f"(With the rays as traced the mirrored one has the error {against:.3f}, black walls "
         f"{silence:.0f}:\nthe asymmetry of these rays, which a measurement would not share.)"

@@ -11,7 +11,7 @@ import math
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from functools import partial
 from types import MappingProxyType
 from typing import NamedTuple
@@ -27,21 +27,15 @@ from roomfit.errors import InputError
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.search import Fit, SimplexSettings, anneal, downhill_simplex, random_simplex
 from roomfit.suh2001.independent import (
-    IndependentFit,
+    MEASUREMENT_PARTS,
+    MEASUREMENT_RAYS,
+    MODEL_RAYS,
+    REPEATS,
     IndependentRow,
-    IndependentSettings,
     fit_with_other_rays,
     mean_measurement,
     measurement_part,
     summarise,
-)
-from roomfit.suh2001.landscape import (
-    Landscape,
-    Minima,
-    grid_errors,
-    landscape,
-    minima_of_descents,
-    unit_grid,
 )
 from roomfit.suh2001.room import (
     CASES,
@@ -64,7 +58,16 @@ from roomfit.suh2001.room import (
     whole_windows_s,
     window_energies,
 )
-from roomfit.suh2001.searches import fit_least_squares, starts
+from roomfit.suh2001.searches import (
+    Landscape,
+    Minima,
+    fit_least_squares,
+    grid_errors,
+    landscape,
+    minima_of_descents,
+    starts,
+    unit_grid,
+)
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 
@@ -92,25 +95,6 @@ class Table2:
     ours: FloatArray  # (n_rows,), after the common factor
     common_factor: float  # near 1, for the unit of energy was found in the same way
     max_relative_error: float  # over the rows whose error in the paper is above 10
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WallsApart:
-    """Case 1 with four separate walls: its minima, and their errors."""
-
-    materials: tuple[str, ...]
-    true_absorption: FloatArray  # (n_materials,)
-    answers: Minima  # with the room's mirror symmetry made exact
-    # Of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is all the
-    # evidence against it
-    mirrored_error_of_trace: float
-    error_of_silence: float  # sum of the squared measured energies, to compare with
-
-
-def paper_paths() -> dict[str, Paths]:
-    """Return the 18,000 rays of each shape of the room."""
-    shapes = {s.shape for s in SPECIFICATIONS.values()}
-    return {shape: trace_paper_room(paper_scene(shape)) for shape in sorted(shapes)}
 
 
 def case_responses(paths: Paths) -> tuple[CaseResponse, ...]:
@@ -160,19 +144,10 @@ def problems_of(paths: dict[str, Paths]) -> dict[str, PaperProblem]:
     }
 
 
-def walls_apart(paths: Paths, rng: np.random.Generator) -> WallsApart:
+def walls_apart(exact: PaperProblem, rng: np.random.Generator) -> Minima:
     """Return the answers to case 1 with its side walls taken apart, from random descents."""
-    exact = walls_apart_problem(paths, mirrored=True)
-    as_traced = walls_apart_problem(paths, mirrored=False)
-    materials = exact.squares.rows.materials
     starts = rng.random((_WALLS_APART_STARTS, exact.true_absorption.size))
-    return WallsApart(
-        materials,
-        exact.true_absorption,
-        minima_of_descents(partial(residuals, exact.squares), starts),
-        error(as_traced.squares, exact.true_absorption[exchanged_walls(materials)]),
-        float(exact.squares.measured @ exact.squares.measured),
-    )
+    return minima_of_descents(partial(residuals, exact.squares), starts)
 
 
 # Largest error of any absorption that still counts as found.
@@ -310,7 +285,6 @@ def squares_global_problem(
 
     Parameters
     ----------
-    problem : SquaresProblem
     misfit : {"squares", "logarithms", "gamma"}
     precision : float array, shape (n_windows,), optional
         Weight of each window; 1 where left out, which with "squares" is the paper's equation (1).
@@ -348,41 +322,20 @@ _MAX_SECONDS = 120.0
 
 
 def certificates_of(
-    problems: Mapping[str, PaperProblem], walls_apart: PaperProblem, progress: Progress | None
+    problems: Mapping[str, PaperProblem], progress: Progress | None
 ) -> dict[str, Certificate]:
-    """Return a certificate for each problem by its name, and for case 1 with its walls apart.
-
-    Parameters
-    ----------
-    problems : mapping of name to PaperProblem
-    walls_apart : PaperProblem
-        With mirror-symmetric rays: its two answers are equally right.
-    progress : callable or None
-    """
-    asked = {**problems, "walls_apart": walls_apart}
+    """Return a certificate for each problem by its name."""
     found = {}
-    for number, (name, problem) in enumerate(asked.items(), start=1):
+    for number, (name, problem) in enumerate(problems.items(), start=1):
         settings = SearchSettings(DELTA, max_seconds=_MAX_SECONDS)
         found[name] = certify(squares_global_problem(problem.squares), settings)
         if progress is not None:
-            progress(number / len(asked))
+            progress(number / len(problems))
     return found
 
 
 _SEEDS_PER_TASK = 10
 _FINE = 201
-
-
-@dataclass(frozen=True, slots=True)
-class PaperSettings:
-    """How much of it to do."""
-
-    seeds: int = 50  # searches of every problem by every method
-    workers: int = 2  # processes; 1 stays in this one
-    independent: IndependentSettings = field(default_factory=IndependentSettings)
-
-    def __post_init__(self) -> None:
-        int_array("number of seeds", np.array(self.seeds), (), low=1, high=100_000)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,63 +349,73 @@ class PaperResult:
     ill_defined_fine: FloatArray  # (201, 201): the error of Figure 5, on a grid ten times finer
     case1_searches: Mapping[str, Fit]  # by method, one search each from the start of Table 2
     records: tuple[Record, ...]
-    walls_apart: WallsApart
+    walls_apart: Minima  # of case 1 with four separate walls, its mirror symmetry made exact
+    # Of the mirrored truth with the 18,000 rays as traced, whose own slight asymmetry is all the
+    # evidence against it
+    mirrored_error_of_trace: float
+    error_of_silence: float  # sum of the squared measured energies, to compare with
     certificates: Mapping[str, Certificate]  # by name, of every problem and of "walls_apart"
-    independent_settings: IndependentSettings
     independent: tuple[IndependentRow, ...]
 
 
-def repeat_paper(
-    settings: PaperSettings | None = None, *, progress: Progress | None = None
-) -> PaperResult:
+def repeat_paper(seeds: int, workers: int, *, progress: Progress | None = None) -> PaperResult:
     """Return all results of the paper and the two studies that go beyond it.
 
     Every search depends on its problem, its method and its seed alone, so that the result is the
     same for any number of workers, but for the seconds.
+
+    Parameters
+    ----------
+    seeds : int
+        Searches of every problem by every method, 1 to 100,000.
+    workers : int
+        Processes; 1 stays in this one.
     """
-    settings = PaperSettings() if settings is None else settings
-    paths = paper_paths()
+    int_array("number of seeds", np.array(seeds), (), low=1, high=100_000)
+    shapes = {s.shape for s in SPECIFICATIONS.values()}
+    paths: dict[str, Paths] = {s: trace_paper_room(paper_scene(s)) for s in sorted(shapes)}
     problems = problems_of(paths)
-    with worker_pool(settings.workers) as pool:
-        fits = _independent(pool, settings.independent, part(progress, 0.0, 0.4))
+    with worker_pool(workers) as pool:
+        independent = _independent(pool, part(progress, 0.0, 0.4))
         landscapes = _landscapes(pool, problems, part(progress, 0.4, 0.45))
-        records = _records(pool, settings.seeds, problems, part(progress, 0.45, 0.95))
-    mirrored = walls_apart_problem(paths["paper"], mirrored=True)
-    certificates = certificates_of(problems, mirrored, part(progress, 0.95, 1.0))
+        records = _records(pool, seeds, problems, part(progress, 0.45, 0.95))
+    exact, as_traced = (
+        walls_apart_problem(paths["paper"], mirrored=mirrored) for mirrored in (True, False)
+    )
+    certificates = certificates_of({**problems, "walls_apart": exact}, part(progress, 0.95, 1.0))
+    exchanged = exact.true_absorption[exchanged_walls(exact.squares.rows.materials)]
     return PaperResult(
-        settings.seeds,
+        seeds,
         case_responses(paths["paper"]),
         table2(problems["case1"]),
         landscapes,
         grid_errors(partial(error, problems["ill_defined"].squares), unit_grid(_FINE)),
         searches_of_table2(problems["case1"]),
         records,
-        walls_apart(paths["paper"], np.random.default_rng(0)),
+        walls_apart(exact, np.random.default_rng(0)),
+        error(as_traced.squares, exchanged),
+        float(exact.squares.measured @ exact.squares.measured),
         certificates,
-        settings.independent,
-        summarise(fits),
+        independent,
     )
 
 
-def _independent(
-    pool: Executor, wanted: IndependentSettings, progress: Progress | None
-) -> list[IndependentFit]:
+def _independent(pool: Executor, progress: Progress | None) -> tuple[IndependentRow, ...]:
+    seeds = range(MEASUREMENT_PARTS)
     parts = in_pool(
         pool,
-        [
-            partial(measurement_part, wanted.measurement_rays, seed)
-            for seed in range(wanted.measurement_parts)
-        ],
+        [partial(measurement_part, MEASUREMENT_RAYS, seed) for seed in seeds],
         part(progress, 0.0, 0.25),
     )
     measurement = mean_measurement(parts)
+    # the longest first, so that no worker is left with one at the end
+    numbers = sorted(MODEL_RAYS, reverse=True)
     tasks = [
-        partial(fit_with_other_rays, rays, repeat, measurement)
-        # the longest first, so that no worker is left with one at the end
-        for rays in sorted(wanted.model_rays, reverse=True)
-        for repeat in range(wanted.repeats)
+        partial(fit_with_other_rays, n, i, measurement) for n in numbers for i in range(REPEATS)
     ]
-    return [fit for fits in in_pool(pool, tasks, part(progress, 0.25, 1.0)) for fit in fits]
+    fits = iter(in_pool(pool, tasks, part(progress, 0.25, 1.0)))
+    rows = [row for n in numbers for row in summarise(n, [next(fits) for _ in range(REPEATS)])]
+    return tuple(sorted(rows, key=lambda row: (row.pairs, row.materials, row.rays)))
 
 
 def _landscapes(

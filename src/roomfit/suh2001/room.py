@@ -61,7 +61,6 @@ def error(problem: SquaresProblem, absorption: FloatArray) -> float:
 
     Parameters
     ----------
-    problem : SquaresProblem
     absorption : float array, shape (n_materials,)
         0 to 1.
     """
@@ -109,7 +108,6 @@ def grouped_rows(rows: EnergyRows, materials: tuple[str, ...], group: IntArray) 
 
     Parameters
     ----------
-    rows : EnergyRows
     materials : tuple of str
         Names of the groups.
     group : int array, shape (len(rows.materials),)
@@ -234,7 +232,6 @@ def trace_paper_room(
         For each source.
     directions : {"fibonacci", "sobol"}
         Fibonacci is the reconstruction's own; Sobol differs from seed to seed.
-    seed : int
     """
     settings = TraceSettings(
         DURATION_S,
@@ -341,7 +338,6 @@ def paper_problem(name: str, paths: Paths) -> PaperProblem:
     ----------
     name : str
         A key of `SPECIFICATIONS`.
-    paths : Paths
     """
     wanted = SPECIFICATIONS[name]
     windows_s = _windows_s(paths, wanted)

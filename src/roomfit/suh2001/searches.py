@@ -1,6 +1,14 @@
-"""Bounded least squares with the exact derivative, from several starts."""
+"""Searches of an error function over the unit box: the best of several descents, and all minima.
+
+A grid's minimum need not be one of the function: where a narrow valley runs askew to the grid, the
+points next to it alternate between its floor and its flanks, and a point of the grid may lie below
+its neighbours although the valley falls all the way. Only descents show the true minima.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -8,7 +16,7 @@ from scipy.optimize import least_squares
 from roomfit._checks import float_array
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.levenberg_marquardt import ResidualFunction
-from roomfit.solvers.search import Fit, best_of
+from roomfit.solvers.search import ErrorFunction, Fit, best_of
 from roomfit.typing import FloatArray
 
 # The trust-region method works strictly inside the box; a start on a wall is moved in by this.
@@ -26,7 +34,6 @@ def fit_least_squares(
 
     Parameters
     ----------
-    residuals : callable
     starts : float array, shape (n_starts, n)
         Tried in their order.
     good_enough : float
@@ -54,13 +61,13 @@ def fit_least_squares(
     starts = float_array("starts", starts, (None, None), low=0.0, high=1.0)
     fits: list[Fit] = []
     for start in starts:
-        fits.append(_descend(residuals, start, max_evaluations))
+        fits.append(_trust_region(residuals, start, max_evaluations))
         if fits[-1].cost <= good_enough:
             break
     return best_of(fits)
 
 
-def _descend(residuals: ResidualFunction, start: FloatArray, max_evaluations: int) -> Fit:
+def _trust_region(residuals: ResidualFunction, start: FloatArray, max_evaluations: int) -> Fit:
     remembered = _Remembered(residuals)
     solution = least_squares(
         remembered.residuals,
@@ -86,7 +93,7 @@ def _descend(residuals: ResidualFunction, start: FloatArray, max_evaluations: in
 
 
 class _Remembered:
-    """Computes residuals and derivative together, once a point."""
+    """Computes residuals and derivative together, once a point, and keeps the trail."""
 
     def __init__(self, residuals: ResidualFunction) -> None:
         self._function = residuals
@@ -111,3 +118,145 @@ class _Remembered:
 def starts(uniform: float, n: int, n_random: int, rng: np.random.Generator) -> FloatArray:
     """Return the uniform start followed by random ones, shape (1 + n_random, n)."""
     return np.concatenate((np.full((1, n), uniform), rng.random((n_random, n))))
+
+
+Neighbours = Literal[4, 8]
+
+_SIDES = ((1, 0), (-1, 0), (0, 1), (0, -1))
+_DAMPINGS = 10.0 ** np.arange(-9.0, 0.0, 0.5)
+_CORNERS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Minima:
+    """Distinct ends of descents, lowest error first."""
+
+    x: FloatArray  # (n_minima, n)
+    error: FloatArray  # (n_minima,)
+    descents: tuple[int, ...]  # how many descents ended there
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Landscape:
+    """An error function of two unknowns on a grid, and its true minima."""
+
+    grid: FloatArray  # (n_points,)
+    errors: FloatArray  # (n_points, n_points), first unknown along the first axis
+    four_neighbours: tuple[tuple[float, float], ...]  # minima of the grid, lowest first
+    eight_neighbours: tuple[tuple[float, float], ...]
+    minima: Minima  # ends of the descents from every grid point
+
+
+def landscape(error: ErrorFunction, residuals: ResidualFunction, n_points: int = 21) -> Landscape:
+    """Return the grid, its minima and the true minima of an error function of two unknowns.
+
+    `error` is the sum of the squares of what `residuals` returns; 21 points along each axis are the
+    paper's grid.
+    """
+    grid = unit_grid(n_points)
+    errors = grid_errors(error, grid)
+    starts = np.array([(a, b) for a in grid for b in grid])
+    return Landscape(
+        grid,
+        errors,
+        grid_minima(errors, grid, 4),
+        grid_minima(errors, grid, 8),
+        minima_of_descents(residuals, starts),
+    )
+
+
+def unit_grid(n_points: int = 21) -> FloatArray:
+    """Return the points 0 to 1 of one axis, by default in the paper's steps of 0.05."""
+    return np.arange(n_points) / (n_points - 1)
+
+
+def grid_errors(error: ErrorFunction, grid: FloatArray) -> FloatArray:
+    """Return the error of two unknowns on a square grid, the first unknown along the first axis."""
+    return np.array([[error(np.array([a, b])) for b in grid] for a in grid])
+
+
+def grid_minima(
+    errors: FloatArray, grid: FloatArray, neighbours: Neighbours
+) -> tuple[tuple[float, float], ...]:
+    """Return the grid points that lie below all their neighbours, lowest first.
+
+    Neighbours are the 4 along the axes, or the 8 with the diagonal ones; beyond the box there are
+    none.
+    """
+    n = len(grid)
+    walled = np.pad(errors, 1, constant_values=np.inf)
+    below = np.ones_like(errors, dtype=np.bool_)
+    for i, j in _SIDES if neighbours == 4 else _SIDES + _CORNERS:
+        below &= errors < walled[1 + i : 1 + i + n, 1 + j : 1 + j + n]
+    found = sorted(np.argwhere(below).tolist(), key=lambda index: errors[index[0], index[1]])
+    return tuple((float(grid[i]), float(grid[j])) for i, j in found)
+
+
+def minima_of_descents(
+    residuals: ResidualFunction, starts: FloatArray, *, apart: float = 0.005
+) -> Minima:
+    """Return where descents from all starts, (n_starts, n), end.
+
+    Ends that differ by at most `apart` in every unknown count as one.
+    """
+    ends = sorted((descend(residuals, start) for start in starts), key=lambda end: end[1])
+    kept: list[tuple[FloatArray, float]] = []
+    counts: list[int] = []
+    for x, error in ends:
+        near = [i for i, (other, _) in enumerate(kept) if np.max(np.abs(other - x)) <= apart]
+        if near:
+            counts[near[0]] += 1
+        else:
+            kept.append((x, error))
+            counts.append(1)
+    return Minima(
+        np.array([x for x, _ in kept]), np.array([error for _, error in kept]), tuple(counts)
+    )
+
+
+def descend(
+    residuals: ResidualFunction,
+    start: FloatArray,
+    *,
+    longest_step: float = 0.02,
+    max_steps: int = 2000,
+) -> tuple[FloatArray, float]:
+    """Return the foot of the slope on which a point lies, and the error there.
+
+    Damped Gauss-Newton steps (Levenberg), each downhill and, by its damping, no longer than
+    `longest_step` in any unknown. A good search leaps over ridges; this one must not, for it counts
+    the minima. A start on a bound is moved into the box by 0.001: at absorption 1 a wall has no
+    slope by any path that meets it twice.
+    """
+    x = np.clip(start, 1e-3, 1.0 - 1e-3)
+    r, jacobian = residuals(x)
+    longest = longest_step
+    for _ in range(max_steps):
+        trial = np.clip(x + _damped_step(x, r, jacobian, longest), 0.0, 1.0)
+        if np.max(np.abs(trial - x)) < 1e-10:
+            break
+        trial_r, trial_jacobian = residuals(trial)
+        if trial_r @ trial_r < r @ r:
+            x, r, jacobian = trial, trial_r, trial_jacobian
+            longest = min(2.0 * longest, longest_step)
+        else:
+            longest = 0.25 * float(np.max(np.abs(trial - x)))
+    return x, float(r @ r)
+
+
+def _damped_step(x: FloatArray, r: FloatArray, jacobian: FloatArray, longest: float) -> FloatArray:
+    """Return a step damped until it is short enough, in the unknowns that are at no bound."""
+    slope = jacobian.T @ r
+    free = ~(((x <= 0.0) & (slope > 0.0)) | ((x >= 1.0) & (slope < 0.0)))
+    step = np.zeros_like(x)
+    if not np.any(slope[free]):
+        return step
+    curvature, axes = np.linalg.eigh(jacobian[:, free].T @ jacobian[:, free])
+    along = axes.T @ slope[free]
+    # the last damping is enough for any slope
+    enough = np.linalg.norm(along) / longest
+    damping = np.append(max(curvature[-1], enough) * _DAMPINGS, enough)
+    steps = -(along / (np.maximum(curvature, 0.0) + damping[:, None])) @ axes.T
+    short_enough = np.abs(steps).max(axis=1) <= longest
+    step[free] = steps[int(np.argmax(short_enough))]
+    return step
