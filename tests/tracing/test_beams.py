@@ -13,7 +13,7 @@ from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
 from roomfit.errors import InputError
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room
-from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3, with_moved_planes
+from roomfit.synthetic.polyhedra import Cells, cell_images
 from roomfit.tracing.image_sources import (
     Budget,
     affordable_duration_s,
@@ -26,7 +26,14 @@ from roomfit.tracing.image_sources import (
 from roomfit.tracing.paths import ImageSet, Paths, concatenate, select
 from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray, IntArray
-from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, room_of, slanted_cells
+from simulated_rooms.polyhedral_rooms import (
+    cell_volume_m3,
+    l_shaped_cells,
+    paper_cells,
+    room_of,
+    slanted_cells,
+    with_moved_planes,
+)
 
 ALL_ORDERS = 1000
 # Some 30 mirrorings of coordinates of some 50 m: 30 * 50 * 2**-53 = 2e-13.

@@ -33,6 +33,7 @@ from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
+    ECHOGRAM_BIN_S,
     SyntheticBox,
     diffuse_echogram,
     loudspeaker,
@@ -47,7 +48,6 @@ from roomfit.tracing.paths import Paths, hits
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
 
-_BIN_S = 0.5e-3
 _OVERSAMPLING = 8
 _NOTHING = 1e-30
 # Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
@@ -129,8 +129,8 @@ def _pressure(
     frequencies = np.linspace(0.0, 0.5 * rate_hz, n_samples + 1)
     shares = octave_shares(plan.grid.centres_hz, frequencies)
     spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
-    n_bins = int(np.ceil(n_samples / rate_hz / _BIN_S)) + 1
-    bins = (times_s[caught] / _BIN_S).astype(np.int64)
+    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
+    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
     echogram = np.zeros((len(plan.grid), n_bins))
     for band, share in enumerate(shares):
         amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
@@ -141,7 +141,7 @@ def _pressure(
     flat = np.zeros(len(plan.grid))
     if not caught.size:
         return specular
-    noise = modulated_noise(echogram, _BIN_S, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
+    noise = modulated_noise(echogram, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
     return np.asarray(specular + noise)
 
 
@@ -265,7 +265,7 @@ def _box(
             echo = diffuse_echogram(
                 box, scattering, source.position_m, receivers_m, duration_s, rng
             )
-            for r, energy in zip(own, echo.energy, strict=True):
+            for r, energy in zip(own, echo, strict=True):
                 ends = (source.position_m, at[r], duration_s, rate_hz)
                 specular = pressure_response(specular_box(box, scattering), *ends, flat)
                 found[source.name, r] = with_diffuse_noise(
