@@ -25,7 +25,7 @@ from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.spec import ResponseSpec
-from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
+from roomfit.response.directivity import FirstOrder, UnknownDirectivity
 from roomfit.scene import Point, Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
@@ -82,7 +82,7 @@ def traced_pressures(
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    drawn = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
+    drawn = {name: FirstOrder(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
     directivities = {**plan.directivities, **drawn}
     factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
     energy = _energies(plan, synthetic, paths, factors)

@@ -173,6 +173,7 @@ def _image_set(
     )
 
 
+_ANY_ORDER = 1000  # within any length worth the name
 # Steps in which a duration is tried; a step costs some 1.1**5 = 1.6 times the one before.
 _STEP = 1.1
 
@@ -187,7 +188,7 @@ def expected_images(volume_m3: float, length_m: float) -> float:
 
 
 def affordable_duration_s(
-    scene: Scene, longest_s: float, *, order: int = 1000, work: float = 1e7, images: float = 2e5
+    scene: Scene, longest_s: float, *, work: float = 1e7, images: float = 2e5
 ) -> float:
     """Return the duration up to which the images of any one source keep to a budget of work.
 
@@ -197,8 +198,6 @@ def affordable_duration_s(
     ----------
     longest_s : float
         No more is tried.
-    order : int
-        Most hits of a path.
     work : float
         Walls tested against beams for one source; ten million take about 2 s on one core.
     images : float
@@ -216,7 +215,7 @@ def affordable_duration_s(
         duration_s = longest_s / 100.0
         while duration_s < affordable_s:
             next_s = min(duration_s * _STEP, affordable_s)
-            if not keeps(order, next_s * speed):
+            if not keeps(_ANY_ORDER, next_s * speed):
                 break
             duration_s = next_s
         affordable_s = duration_s
@@ -424,7 +423,14 @@ def trace_images(
         per_image = 150.0 + 6.0 * len(room.materials) + 108.0 * with_image_transforms
     else:
         count, per_image = _expected_cost(room, order, max_length_m)
-    _refuse_above(budget.memory_bytes, len(scene.pairs) * count, per_image)
+    count *= len(scene.pairs)
+    if count * per_image > budget.memory_bytes:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"about {count:.3g} images, {count * per_image / 2**30:.3g} GiB",
+            needed=f"at most {budget.memory_bytes / 2**30:.3g} GiB",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
 
     def of_source(source: int) -> list[ImageSet]:
         """Return the images of one source for each of its pairs, in the order of the pairs."""
@@ -473,17 +479,6 @@ def _expected_cost(room: Room, order: int, max_length_m: float) -> tuple[float, 
     length_m = min(max_length_m, 0.5 * order * free_path_m)
     per_image = 250.0 + 6.0 * len(room.materials) + 12.0 * length_m / free_path_m
     return expected_images(volume, length_m), per_image
-
-
-def _refuse_above(memory_limit_bytes: float, count: float, per_image: float) -> None:
-    needed = count * per_image
-    if needed > memory_limit_bytes:
-        raise InputError(
-            "too many image sources for the memory",
-            found=f"about {count:.3g} images, {needed / 2**30:.3g} GiB",
-            needed=f"at most {memory_limit_bytes / 2**30:.3g} GiB",
-            hint="lower image_order or duration_s and leave the rest to rays",
-        )
 
 
 def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Paths:

@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from roomfit._checks import check_shape
 from roomfit.errors import InputError
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -55,7 +56,7 @@ class Paths:
     def __post_init__(self) -> None:
         n = len(self.length_m)
         m = len(self.materials)
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "pair": (n,),
             "length_m": (n,),
             "weight_per_m2": (n,),
@@ -66,23 +67,13 @@ class Paths:
             "batch": (n,),
             "sampling_scattering": (m,),
         }
+        if self.image_transform is not None:
+            shapes["image_transform"] = (n, 3, 3)
         # Paths can be gigabytes and are made by this package only: shapes are checked and the
         # arrays set read-only in place, not copied.
         for name, shape in shapes.items():
-            array = getattr(self, name)
-            if array.shape != shape:
-                raise InputError(
-                    f"paths: {name} has the wrong shape", found=f"{array.shape}", needed=f"{shape}"
-                )
-            array.setflags(write=False)
-        if self.image_transform is not None:
-            if self.image_transform.shape != (n, 3, 3):
-                raise InputError(
-                    "paths: image_transform has the wrong shape",
-                    found=f"{self.image_transform.shape}",
-                    needed=f"{(n, 3, 3)}",
-                )
-            self.image_transform.setflags(write=False)
+            check_shape(f"paths: {name}", getattr(self, name), shape)
+            getattr(self, name).setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.length_m)
