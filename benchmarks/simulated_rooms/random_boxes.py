@@ -16,10 +16,10 @@ from roomfit.synthetic.boxes import (
     BoxPlan,
     add_noise,
     diffuse_echogram,
+    modulated_noise,
     pressure_response,
     specular_box,
     true_box,
-    with_diffuse_noise,
     write_box_campaign,
 )
 from roomfit.typing import FloatArray
@@ -83,8 +83,8 @@ def write_scattering_box(
         for r, energy in zip(plan.receivers_m, echogram, strict=True):
             ends = (true_at[s], true_at[r], DURATION_S, SAMPLING_RATE_HZ, level_db)
             images = pressure_response(specular, *ends)
-            pressure = with_diffuse_noise(
-                images, energy, synthetic, SAMPLING_RATE_HZ, level_db, rng
+            pressure = images + modulated_noise(
+                energy, images.size, SAMPLING_RATE_HZ, synthetic.centres_hz, level_db, rng
             )
             responses[s, r] = add_noise(pressure, NOISE_DB, rng)
     return write_box_campaign(plan, folder, responses, scattering=specified_scattering)

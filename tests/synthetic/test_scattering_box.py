@@ -13,9 +13,9 @@ from roomfit.synthetic.boxes import (
     _lambert,
     box_images,
     diffuse_echogram,
+    modulated_noise,
     pressure_response,
     specular_box,
-    with_diffuse_noise,
 )
 from roomfit.typing import FloatArray
 
@@ -111,7 +111,8 @@ def test_the_noise_has_the_power_that_the_echogram_says():
     for draw in range(found.size):
         ends = (np.array([1.2, 1.5, 1.1]), PLACES[0], DURATION_S, rate, np.zeros(1))
         specular = pressure_response(specular_box(box, np.full(6, 0.5)), *ends)
-        pressure = with_diffuse_noise(specular, echogram, box, rate, np.zeros(1), rng)
+        noise = modulated_noise(echogram, specular.size, rate, box.centres_hz, np.zeros(1), rng)
+        pressure = specular + noise
         found[draw] = np.sum(pressure[round(0.055 * rate) : round(0.105 * rate)] ** 2)
     frequencies = np.linspace(0.0, rate / 2.0, 2000)
     octaves = np.log2(np.maximum(frequencies, 1.0) / 1000.0)

@@ -41,7 +41,6 @@ from roomfit.synthetic.boxes import (
     octave_shares,
     pressure_response,
     specular_box,
-    with_diffuse_noise,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
@@ -268,8 +267,8 @@ def _box(
             for r, energy in zip(own, echo, strict=True):
                 ends = (source.position_m, at[r], duration_s, rate_hz)
                 specular = pressure_response(specular_box(box, scattering), *ends, flat)
-                found[source.name, r] = with_diffuse_noise(
-                    specular, energy, box, rate_hz, flat, rng
+                found[source.name, r] = specular + modulated_noise(
+                    energy, specular.size, rate_hz, box.centres_hz, flat, rng
                 )
     return found
 

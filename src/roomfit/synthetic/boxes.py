@@ -500,31 +500,6 @@ def specular_box(synthetic: SyntheticBox, scattering: FloatArray) -> SyntheticBo
     return replace(synthetic, absorption=1.0 - kept)
 
 
-def with_diffuse_noise(
-    specular: FloatArray,
-    echogram: FloatArray,
-    synthetic: SyntheticBox,
-    sampling_rate_hz: float,
-    level_db: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return the sound pressure at the receiver: the images of `specular_box`, and diffuse noise.
-
-    The noise is white, its power follows the echogram of each band, and both pass the same band
-    shares and the same loudspeaker.
-
-    Parameters
-    ----------
-    specular : float array, shape (n_samples,)
-        From `pressure_response`.
-    echogram : float array, shape (n_bands, n_bins)
-        Of this receiver, from `diffuse_echogram`.
-    """
-    centres_hz, n = synthetic.centres_hz, specular.size
-    noise = modulated_noise(echogram, n, sampling_rate_hz, centres_hz, level_db, rng)
-    return np.asarray(specular + noise)
-
-
 def modulated_noise(
     echogram: FloatArray,
     n_samples: int,
@@ -534,6 +509,9 @@ def modulated_noise(
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return noise whose power in time follows an echogram, band by band, shape (n_samples,).
+
+    Added to the pressure of the images of `specular_box`, it makes that of walls that scatter. It
+    is white before it passes the band shares and the loudspeaker as they do.
 
     Parameters
     ----------
