@@ -23,7 +23,6 @@ from roomfit.synthetic.boxes import (
     add_noise,
     demo_plan,
     pressure_response,
-    write_scattering_box,
 )
 from roomfit.typing import FloatArray
 from simulated_rooms.impedance_box import (
@@ -39,6 +38,7 @@ from simulated_rooms.impedance_box import (
     true_r0,
 )
 from simulated_rooms.measured_polyhedron import polyhedron_plan, write_measured_polyhedron
+from simulated_rooms.random_boxes import write_scattering_box
 
 RunCommand = Callable[..., None]
 """Runs one command of roomfit: its arguments; the last one names the output folder."""
@@ -229,11 +229,11 @@ def _scattering(folder: Path, run: RunCommand) -> None:
         receivers_m={name: plan.receivers_m[name] for name in ("MP1", "MP2")},
     )
     rng, walls = np.random.default_rng(5), np.full(6, 0.15)
-    box = write_scattering_box(
+    campaign = write_scattering_box(
         kept, walls, folder, rng, specified_scattering='"fit"', n_rays=10_000
     )
-    _set_bands(box.campaign, 1000, 1000)
-    _identify(run, box.campaign, folder)
+    _set_bands(campaign, 1000, 1000)
+    _identify(run, campaign, folder)
 
 
 def _certified(folder: Path, run: RunCommand) -> None:

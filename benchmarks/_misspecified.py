@@ -10,15 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from roomfit.results import Result
-from roomfit.synthetic.boxes import (
-    BoxPlan,
-    MeasuredBox,
-    Patch,
-    patch_area_m2,
-    random_plan,
-    write_measured_box,
-    write_scattering_box,
-)
+from roomfit.synthetic.boxes import BoxPlan
+from simulated_rooms.patched_box import Patch, patch_area_m2, write_patched_box
+from simulated_rooms.random_boxes import random_plan, write_scattering_box
 
 OCTAVES = 8  # of a plan, 63 to 8000 Hz
 TRUE_C = 20.0  # degrees, of every simulated room
@@ -96,13 +90,11 @@ def write_misspecified(fault: Fault, seed: int, folder: Path) -> Misspecified:
     patch = None if fault.patch is None else _patch(plan, *fault.patch)
     if fault.scattering:
         walls = np.full(6, fault.scattering)
-        box = write_scattering_box(plan, walls, folder, rng)
+        campaign = write_scattering_box(plan, walls, folder, rng)
     else:
-        box = write_measured_box(
-            plan, folder, rng, position_error_m=fault.position_error_m, patch=patch
-        )
-    box.campaign.write_text(fault.misspecify(box.campaign.read_text(), plan))
-    return Misspecified(box.campaign, _means(fault, plan, box, patch))
+        campaign = write_patched_box(plan, patch, folder, rng, fault.position_error_m)
+    campaign.write_text(fault.misspecify(campaign.read_text(), plan))
+    return Misspecified(campaign, _means(fault, plan, patch))
 
 
 def _patch(plan: BoxPlan, width_m: float, height_m: float, absorption: float) -> Patch:
@@ -115,10 +107,8 @@ def _patch(plan: BoxPlan, width_m: float, height_m: float, absorption: float) ->
     return Patch(names[hardest], (begin, 0.0), (begin + width_m, height_m), values)
 
 
-def _means(
-    fault: Fault, plan: BoxPlan, box: MeasuredBox, patch: Patch | None
-) -> dict[str, np.ndarray]:
-    truth = dict(zip(box.materials, box.absorption, strict=True))
+def _means(fault: Fault, plan: BoxPlan, patch: Patch | None) -> dict[str, np.ndarray]:
+    truth = dict(zip(plan.materials, plan.absorption, strict=True))
     x, y, z = plan.lengths_m
     areas = {"west": y * z, "east": y * z, "south": x * z, "north": x * z}
     if patch is not None:

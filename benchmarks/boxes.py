@@ -20,7 +20,8 @@ from roomfit.errors import CannotTell
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
-from roomfit.synthetic.boxes import random_plan, write_measured_box
+from roomfit.synthetic.boxes import write_measured_box
+from simulated_rooms.random_boxes import random_plan
 
 BANDS = slice(1, 7)  # of the simulated octaves 63 to 8000 Hz, those that are fitted
 
@@ -30,8 +31,7 @@ def identified(seed: int) -> tuple[Result, np.ndarray]:
     rng = np.random.default_rng(seed)
     plan = random_plan(rng)
     with tempfile.TemporaryDirectory() as folder:
-        box = write_measured_box(plan, Path(folder), rng)
-        answer = identify(**load_campaign(box.campaign))
+        answer = identify(**load_campaign(write_measured_box(plan, Path(folder), rng)))
     return answer, plan.absorption[:, BANDS]
 
 

@@ -34,9 +34,8 @@ from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.inputs import load_campaign
 from roomfit.report.figures import png
 from roomfit.suh2001.room import DIVISIONS, PLANES
-from roomfit.synthetic.polyhedra import obj_text
 from simulated_rooms.measured_polyhedron import PolyhedronPlan, write_measured_polyhedron
-from simulated_rooms.polyhedral_rooms import paper_cells
+from simulated_rooms.polyhedral_rooms import obj_text, paper_cells
 
 DURATION_S = 0.325
 N_OCTAVES = 8

@@ -20,12 +20,13 @@ import numpy as np
 
 from roomfit.geometry.mesh import corners_m
 from roomfit.scene import Room
-from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3
+from roomfit.synthetic.polyhedra import Cells, cell_images
 from roomfit.tracing.image_sources import expected_images, limits_of, polyhedron_images
 from roomfit.tracing.paths import ImageSet
 from roomfit.typing import FloatArray
 from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
+    cell_volume_m3,
     l_shaped_cells,
     paper_cells,
     room_of,

@@ -3,7 +3,7 @@
     python benchmarks/scattering.py [--first SEED] [--rooms N] [--model auto] [--scattering S]
 
 Boxes as in `boxes.py`, s = 0.15 at every wall. Data: image sources that add as pressures, thinned
-by (1 - s) a hit, and noise modulated by an independent tracer (`testproblems/scattering_box.py`).
+by (1 - s) a hit, and noise modulated by an independent tracer (`simulated_rooms/random_boxes.py`).
 Each room is written as a campaign and identified three times as anybody's: its walls' scattering
 told, to be fitted (which chooses among eight values by energies), and told to be none. Right is
 what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
@@ -24,7 +24,8 @@ from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
 from roomfit.results import Result
 from roomfit.settings import Model
-from roomfit.synthetic.boxes import MeasuredBox, random_plan, write_scattering_box
+from roomfit.synthetic.boxes import PLAN_BANDS, BoxPlan
+from simulated_rooms.random_boxes import random_plan, write_scattering_box
 
 GRID = (0.05, 0.15, 0.3, 0.5)
 
@@ -45,17 +46,17 @@ class Outcome:
         return min(GRID, key=lambda g: abs(np.log(max(s, 1e-3) / g)))
 
 
-def outcome(box: MeasuredBox, specified: str, model: Model) -> Outcome:
+def outcome(plan: BoxPlan, campaign: Path, specified: str, model: Model) -> Outcome:
     """Identify a campaign with what is told of scattering, and set the truth beside it."""
-    text = box.campaign.read_text()
-    file = box.campaign.with_name("told.toml")
+    text = campaign.read_text()
+    file = campaign.with_name("told.toml")
     file.write_text(text.replace("scattering = 0.0", f"scattering = {specified}"))
     arguments = load_campaign(file)
     arguments["settings"] = replace(arguments["settings"], model=model)
     answer = identify(**arguments)
-    rows = np.array([box.materials.index(name) for name in answer.materials])
-    bands = np.searchsorted(box.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
-    return Outcome(answer, box.absorption[np.ix_(rows, bands)])
+    rows = np.array([plan.materials.index(name) for name in answer.materials])
+    bands = np.searchsorted(PLAN_BANDS.centres_hz, np.array(answer.bands.centres_hz) / 1.2)
+    return Outcome(answer, plan.absorption[np.ix_(rows, bands)])
 
 
 def line(name: str, done: list[Outcome]) -> str:
@@ -97,9 +98,10 @@ def main() -> None:
         rng = np.random.default_rng(seed)
         with tempfile.TemporaryDirectory() as folder:
             walls = np.full(6, asked.scattering)
-            box = write_scattering_box(random_plan(rng), walls, Path(folder), rng)
+            plan = random_plan(rng)
+            campaign = write_scattering_box(plan, walls, Path(folder), rng)
             for name, specified in cases:
-                done = outcome(box, specified, asked.model)
+                done = outcome(plan, campaign, specified, asked.model)
                 pooled.setdefault(name, []).append(done)
                 print(
                     line(f"{seed} {name}", [done]), *dict.fromkeys(done.answer.models), flush=True

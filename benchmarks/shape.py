@@ -203,11 +203,11 @@ def deepest_stack() -> list[str]:
     plan = demo_plan()
     plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
     with TemporaryDirectory() as folder:
-        box = write_measured_box(plan, Path(folder), np.random.default_rng(1))
-        text = box.campaign.read_text(encoding="utf-8")
+        campaign = write_measured_box(plan, Path(folder), np.random.default_rng(1))
+        text = campaign.read_text(encoding="utf-8")
         text = text.replace("from_hz = 125", "from_hz = 1000").replace("= 4000", "= 1000")
-        box.campaign.write_text(text, encoding="utf-8")
-        arguments = load_campaign(box.campaign)
+        campaign.write_text(text, encoding="utf-8")
+        arguments = load_campaign(campaign)
         identify(**arguments)  # compiles: frames of numba's typing are no frames of ours
         sys.setprofile(watch)
         try:

@@ -100,9 +100,9 @@ def campaign_folder(tmp_path_factory):
     folder = tmp_path_factory.mktemp("campaign")
     plan = demo_plan()
     plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
-    box = write_measured_box(plan, folder, np.random.default_rng(1))
-    text = box.campaign.read_text().replace("from_hz = 125", "from_hz = 4000")
-    box.campaign.write_text(text)
+    campaign = write_measured_box(plan, folder, np.random.default_rng(1))
+    text = campaign.read_text().replace("from_hz = 125", "from_hz = 4000")
+    campaign.write_text(text)
     return folder
 
 

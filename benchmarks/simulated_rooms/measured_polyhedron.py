@@ -17,15 +17,15 @@ from roomfit.bands import bands_between
 from roomfit.cache import write_text_atomically
 from roomfit.errors import InputError
 from roomfit.synthetic.boxes import add_noise
-from roomfit.synthetic.polyhedra import (
-    Cells,
-    SyntheticPolyhedron,
+from roomfit.synthetic.polyhedra import Cells, SyntheticPolyhedron, pressure_responses
+from roomfit.typing import FloatArray, Progress
+from simulated_rooms.polyhedral_rooms import (
+    l_shaped_cells,
     obj_text,
-    pressure_responses,
+    paper_cells,
+    slanted_cells,
     with_moved_planes,
 )
-from roomfit.typing import FloatArray, Progress
-from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
 
 SAMPLING_RATE_HZ = 32_000.0
 Shape = Literal["paper", "slanted", "l-shaped"]

@@ -8,7 +8,7 @@ from roomfit.geometry.build import Face, build_mesh
 from roomfit.geometry.mesh import Surface
 from roomfit.scene import Room
 from roomfit.suh2001.room import PLANES, paper_scene
-from roomfit.synthetic.polyhedra import CellFace, Cells
+from roomfit.synthetic.polyhedra import CellFace, Cells, cell_arrays
 from roomfit.typing import FloatArray, IntArray
 
 _BOX = ((0, 4, 7, 3), (1, 2, 6, 5), (0, 1, 5, 4), (2, 3, 7, 6), (0, 3, 2, 1), (4, 5, 6, 7))
@@ -120,3 +120,44 @@ def _outline(triangles: IntArray) -> tuple[int, ...]:
     while following[turn[-1]] != start:
         turn.append(following[turn[-1]])
     return tuple(turn)
+
+
+def cell_volume_m3(cells: Cells) -> float:
+    """Return the volume: a third of area times height over the origin, summed over the walls."""
+    total = 0.0
+    for face in cells.faces:
+        corners = cells.vertices_m[list(face.corners)]
+        vector = 0.5 * np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
+        total += float(vector @ corners[0]) / 3.0
+    return total
+
+
+def with_moved_planes(cells: Cells, shift_m: FloatArray) -> Cells:
+    """Return a room with each wall's plane moved outwards, for convex rooms.
+
+    Every corner goes to where the planes of its three faces meet now.
+
+    Parameters
+    ----------
+    cells : Cells
+        One cell with three faces at every corner.
+    shift_m : float array, shape (n_faces,)
+    """
+    arrays = cell_arrays(cells)
+    moved = np.empty_like(cells.vertices_m)
+    for v in range(len(moved)):
+        own = [i for i, face in enumerate(cells.faces) if v in face.corners]
+        offsets = arrays.offset_m[own] + shift_m[own]
+        moved[v] = np.linalg.solve(arrays.normal[own], offsets)
+    return Cells(moved, cells.faces, cells.materials)
+
+
+def obj_text(cells: Cells) -> str:
+    """Return the walls as Wavefront OBJ, metres and z up, with a `usemtl` for each material."""
+    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in cells.vertices_m]
+    for number, face in enumerate(cells.faces):
+        if face.material >= 0:
+            name = cells.materials[face.material]
+            lines += [f"o {name}_{number}", f"usemtl {name}"]
+            lines.append("f " + " ".join(str(c + 1) for c in face.corners))
+    return "\n".join(lines) + "\n"

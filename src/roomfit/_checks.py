@@ -52,7 +52,7 @@ def float_array(
         raise InputError(
             f"{name} is not an array of numbers", found=str(error), needed="finite numbers"
         ) from error
-    _check_shape(name, array, shape)
+    check_shape(name, array, shape)
     bad = np.argwhere(~(np.isfinite(array) & (array >= low) & (array <= high)))
     # not `size`: a single number has no axis, so no index
     if len(bad):
@@ -85,7 +85,7 @@ def int_array(
     source = np.asarray(values)
     if source.size and not np.issubdtype(source.dtype, np.integer):
         raise InputError(f"{name} must be whole numbers", found=f"values of type {source.dtype}")
-    _check_shape(name, source, shape)
+    check_shape(name, source, shape)
     info = np.iinfo(dtype)
     low = int(info.min) if low is None else low
     high = int(info.max) if high is None else high
@@ -101,8 +101,33 @@ def int_array(
 def bool_array(name: str, values: ArrayLike, shape: tuple[int | None, ...]) -> BoolArray:
     """Copy `values` into a read-only boolean array after checking its shape."""
     array = np.array(values, dtype=np.bool_)
-    _check_shape(name, array, shape)
+    check_shape(name, array, shape)
     return read_only(array)
+
+
+def check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None, ...]) -> None:
+    """Refuse an array of another shape; None stands for any length."""
+    fits = array.ndim == len(shape) and all(
+        wanted is None or wanted == got for wanted, got in zip(shape, array.shape, strict=True)
+    )
+    if not fits:
+        wanted = ", ".join("any" if n is None else str(n) for n in shape)
+        raise InputError(
+            f"{name} has the wrong shape", found=f"{array.shape}", needed=f"({wanted})"
+        )
+
+
+def check_range(
+    name: str, value: float, low: float, high: float, unit: str = "", where: str | None = None
+) -> None:
+    """Refuse a number outside of a closed range, or NaN."""
+    if not low <= value <= high:
+        raise InputError(
+            f"{name} is out of range",
+            where=where,
+            found=f"{value:g} {unit}".rstrip(),
+            needed=f"{low:g} to {high:g} {unit}".rstrip(),
+        )
 
 
 def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
@@ -130,14 +155,3 @@ def did_you_mean(word: str, known: Iterable[str]) -> str | None:
     """Return a hint at the known word most like `word`, None where nothing comes near."""
     like = nearest(word, known)
     return f"did you mean {like!r}?" if like else None
-
-
-def _check_shape(name: str, array: np.ndarray[Any, Any], shape: tuple[int | None, ...]) -> None:
-    fits = array.ndim == len(shape) and all(
-        wanted is None or wanted == got for wanted, got in zip(shape, array.shape, strict=True)
-    )
-    if not fits:
-        wanted = ", ".join("any" if n is None else str(n) for n in shape)
-        raise InputError(
-            f"{name} has the wrong shape", found=f"{array.shape}", needed=f"({wanted})"
-        )

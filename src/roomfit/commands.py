@@ -46,7 +46,7 @@ from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
 from roomfit.settings import Settings
-from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
+from roomfit.synthetic.boxes import PLAN_BANDS, BoxPlan, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 
@@ -440,23 +440,17 @@ def run_demo(
 
     with whole_output_folder(out, overwrite=overwrite) as folder:
         (folder / "campaign").mkdir()
-        box = write_measured_box(
-            demo_plan(),
-            folder / "campaign",
-            np.random.default_rng(seed),
-            progress=part(progress, 0.0, 0.4),
-        )
-        answer = identify_to_folder(
-            box.campaign, folder / "result", progress=part(progress, 0.4, 1.0)
-        )
-        true_absorption = _true_absorption(box, answer)
+        plan, rng = demo_plan(), np.random.default_rng(seed)
+        campaign = write_measured_box(plan, folder / "campaign", rng, part(progress, 0.0, 0.4))
+        answer = identify_to_folder(campaign, folder / "result", progress=part(progress, 0.4, 1.0))
+        true_absorption = _true_absorption(plan, answer)
         picture = png(absorption_figure(answer, true_absorption))
         write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
     return DemoResult(answer, true_absorption)
 
 
-def _true_absorption(box: MeasuredBox, answer: Result) -> FloatArray:
+def _true_absorption(plan: BoxPlan, answer: Result) -> FloatArray:
     """Return the true absorption in the answer's order of materials and bands."""
-    rows = [box.materials.index(name) for name in answer.materials]
-    columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]
-    return box.absorption[np.ix_(rows, columns)]
+    rows = [plan.materials.index(name) for name in answer.materials]
+    columns = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
+    return plan.absorption[np.ix_(rows, columns)]

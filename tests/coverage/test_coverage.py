@@ -62,8 +62,14 @@ from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import add_noise, octave_shares
-from roomfit.synthetic.polyhedra import cell_volume_m3, convex_cells, obj_text
-from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, slanted_cells
+from roomfit.synthetic.polyhedra import convex_cells
+from simulated_rooms.polyhedral_rooms import (
+    cell_volume_m3,
+    l_shaped_cells,
+    obj_text,
+    paper_cells,
+    slanted_cells,
+)
 from small_campaign import run_command, small_responses, write_campaign, write_wav
 
 CAMPAIGN = """

@@ -2,10 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from roomfit.geometry.mesh import Mesh, Surface, corners_m, shoebox_mesh
+from roomfit.materials.priors import Scattering
+from roomfit.response.energy import EnergyRows, batch_energies
+from roomfit.response.scattering import scattering_weights
 from roomfit.scene import Room, Scene, triangle_material
+from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 
 
@@ -134,3 +140,18 @@ def box_with_two_floors() -> Room:
     surfaces = tuple(Surface(name) for name in quads)
     mesh = Mesh(np.array(corners, dtype=float), np.array(triangles), np.array(owner), surfaces)
     return Room(mesh, tuple(quads), np.arange(3))
+
+
+def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
+    """Return the same paths with the weights, and the coefficients, of another scattering."""
+    return replace(
+        paths,
+        weight_per_m2=paths.weight_per_m2 * scattering_weights(paths, scattering),
+        sampling_scattering=scattering.coefficients.copy(),
+    )
+
+
+def monte_carlo_sd(rows: EnergyRows, coefficients: FloatArray, air_per_m: FloatArray) -> FloatArray:
+    """Return the standard error of window energies from independent batches of rays."""
+    batches = batch_energies(rows, coefficients, air_per_m)
+    return np.asarray(np.sqrt(len(batches) * np.var(batches, axis=0, ddof=1)))

@@ -32,13 +32,12 @@ END_S = 0.12
 @pytest.fixture(scope="module")
 def box(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, np.ndarray]:
     """Write the demo's box, positions 1 cm wrong, and return it with the truth at 250, 500 Hz."""
-    written = write_measured_box(
-        demo_plan(), tmp_path_factory.mktemp("box"), np.random.default_rng(3)
-    )
-    text = written.campaign.read_text()
+    plan = demo_plan()
+    campaign = write_measured_box(plan, tmp_path_factory.mktemp("box"), np.random.default_rng(3))
+    text = campaign.read_text()
     text = text.replace("from_hz = 125", "from_hz = 250").replace("to_hz = 4000", "to_hz = 500")
-    written.campaign.write_text(text)
-    return written.campaign, written.absorption[:, 2:4]
+    campaign.write_text(text)
+    return campaign, plan.absorption[:, 2:4]
 
 
 def fitted(campaign_file: Path, **options: str) -> CoherentFit:
@@ -102,7 +101,7 @@ def test_a_file_of_another_pair_is_found_and_weighs_less(
 ) -> None:
     """One of the responses was measured elsewhere in the room."""
     campaign, true = box
-    other = write_measured_box(demo_plan(), tmp_path, np.random.default_rng(4)).campaign.parent
+    other = write_measured_box(demo_plan(), tmp_path, np.random.default_rng(4)).parent
     names = sorted(p.name for p in campaign.parent.glob("*.wav"))
     right = (campaign.parent / names[1]).read_bytes()
     try:

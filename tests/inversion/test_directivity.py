@@ -53,7 +53,7 @@ from roomfit.prediction.campaign import room_posterior
 from roomfit.report.html_tables import source_tables
 from roomfit.report.text import directivity_text
 from roomfit.response.binned import bin_paths
-from roomfit.response.directivity import FirstOrderBands
+from roomfit.response.directivity import FirstOrder
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import (
@@ -365,7 +365,7 @@ def test_the_result_has_b_and_predicts_with_it(tmp_path: Path) -> None:
     posterior = read_result(tmp_path / "out" / "result.json")
     known = in_the_room(read_campaign(asked), posterior)
     predicted = known.directivities["LS1"]
-    assert isinstance(predicted, FirstOrderBands)
+    assert isinstance(predicted, FirstOrder)
     np.testing.assert_allclose(predicted.b, b)
     assert not known.findings
     length = float(np.linalg.norm(b[0]))
@@ -402,7 +402,7 @@ def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Pa
     asked = read_campaign(campaign(tmp_path, specified, directional=False))
     known = in_the_room(asked, alone)
     predicted = known.directivities["LS1"]
-    assert isinstance(predicted, FirstOrderBands)
+    assert isinstance(predicted, FirstOrder)
     np.testing.assert_allclose(predicted.b, [[0.0, 0.0, 0.5]] * 2)
     assert not known.findings
     asked = read_campaign(campaign(tmp_path, 'directivity = "fit"', directional=False))

@@ -84,7 +84,7 @@ def test_the_papers_methods_agree_with_least_squares_within_its_interval(tmp_pat
     assert np.all(apart <= 0.25 * width + 0.002)
 
 
-def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path):
+def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path, few_rays):
     """Another file for the pair that is not fitted: the same numbers, and another comparison."""
     changes = ((SECOND_FILE, f'{SECOND_FILE}\nuse = "validate"'),)
     campaign = read_campaign(write_campaign(tmp_path, *changes))
@@ -159,7 +159,7 @@ def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, 
     assert Code.TIME_ZERO_MISMATCH not in codes(answer)
 
 
-def test_an_absorption_that_is_given_stays_exactly(tmp_path):
+def test_an_absorption_that_is_given_stays_exactly(tmp_path, few_rays):
     """Also where it is told for each band, at 0 and at 1."""
     answer = answer_to(
         tmp_path,
@@ -198,7 +198,7 @@ def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
 
 
 @pytest.mark.parametrize("method", ["least-squares", "simplex", "annealing"])
-def test_nothing_left_to_fit_is_a_prediction(tmp_path, method):
+def test_nothing_left_to_fit_is_a_prediction(tmp_path, few_rays, method):
     given = [
         (f"[materials.{name}]", f"[materials.{name}]\nabsorption = {value}")
         for name, value in ABSORPTION.items()
@@ -357,7 +357,7 @@ def test_the_same_seed_gives_the_same_bytes(tmp_path, few_rays):
     assert json_text(contents[0]) == json_text(contents[1])
 
 
-def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path):
+def test_a_file_that_drowns_in_one_band_is_left_out_of_that_band_only(tmp_path, few_rays):
     """A loud hum-like noise around 500 Hz in one of two files with a gain of its own."""
     campaign = write_campaign(tmp_path, ('file = "LS1', 'level = "per-file"\nfile = "LS1'))
     pressure = small_responses()["MP1"]

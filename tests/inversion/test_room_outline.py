@@ -15,8 +15,7 @@ from roomfit.io.rooms.model import RoomSpec
 from roomfit.scene import Point, Scene
 from roomfit.signals.response import ImpulseResponse, echo_prominence
 from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
-from roomfit.synthetic.polyhedra import obj_text
-from simulated_rooms.polyhedral_rooms import l_shaped_cells
+from simulated_rooms.polyhedral_rooms import l_shaped_cells, obj_text
 
 C = 343.0
 RATE_HZ = 16_000.0

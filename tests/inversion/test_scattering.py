@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from images_reference import box_room, scene_of
+from rays_reference import with_scattering
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
@@ -16,7 +17,6 @@ from roomfit.inversion.scattering import (
     suspected_scattering,
 )
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.scattering import with_scattering
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import FloatArray

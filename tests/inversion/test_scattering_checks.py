@@ -14,7 +14,8 @@ from roomfit.inversion.scattering import scattering_trial, suspected_scattering
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
-from roomfit.synthetic.boxes import demo_plan, write_scattering_box
+from roomfit.synthetic.boxes import demo_plan
+from simulated_rooms.random_boxes import write_scattering_box
 
 
 @pytest.mark.slow
@@ -33,8 +34,7 @@ def test_smooth_walls_are_doubted_where_they_scatter_and_nowhere_else(
     rng, plan = np.random.default_rng(12), demo_plan()
     plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
     walls = np.full(6, scattering)
-    box = write_scattering_box(plan, walls, tmp_path, rng, n_rays=40_000)
-    campaign = read_campaign(box.campaign)
+    campaign = read_campaign(write_scattering_box(plan, walls, tmp_path, rng, n_rays=40_000))
     inputs = identify_arguments(campaign)
     priors, settings = inputs["materials"], inputs["settings"]
     measurements = collect_measurements(

@@ -114,14 +114,17 @@ def test_the_tables_of_the_report_show_the_parameters_and_no_others():
         assert any(SYMBOLS[n] in reported for n in names), reported
 
 
-@pytest.mark.parametrize("name", SYMBOLS)
-def test_a_whole_page_and_the_whole_text_of_one_parameter_alone(name):
-    for curves in (False, True):
-        answer = with_parameters((name,), curves=curves)
-        page = read_page(report_html(answer, SCENE, title=name))
-        pairs = [rows for caption, rows in page.tables.items() if caption.startswith("S1 to R1")]
-        assert [head for rows in pairs for head in rows if head != "parameter"] == [SYMBOLS[name]]
-        assert "Findings" not in answer_text(answer)
+# with the curves of a recording: once where a decay time stands below them and once where none does
+ALONE = [*((name, False) for name in SYMBOLS), ("T20_s", True), ("C50_dB", True)]
+
+
+@pytest.mark.parametrize(("name", "curves"), ALONE)
+def test_a_whole_page_and_the_whole_text_of_one_parameter_alone(name, curves):
+    answer = with_parameters((name,), curves=curves)
+    page = read_page(report_html(answer, SCENE, title=name))
+    pairs = [rows for caption, rows in page.tables.items() if caption.startswith("S1 to R1")]
+    assert [head for rows in pairs for head in rows if head != "parameter"] == [SYMBOLS[name]]
+    assert "Findings" not in answer_text(answer)
 
 
 def predicted_with(names):

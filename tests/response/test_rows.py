@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from rays_reference import with_scattering
 from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering
 from roomfit.response.energy import energy_rows, first_rows
-from roomfit.response.scattering import effective_sample_size, scattering_weights, with_scattering
+from roomfit.response.scattering import effective_sample_size, scattering_weights
 from roomfit.tracing.paths import Paths
 
 

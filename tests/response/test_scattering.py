@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from images_reference import SPEED_M_S, box_room, scene_of
+from rays_reference import with_scattering
 from roomfit.errors import InputError
 from roomfit.materials.priors import Scattering, uniform_scattering
-from roomfit.response.energy import EnergyRows, energy_rows, grouped_rows, merge_equal_rows, weigh
+from roomfit.response.energy import EnergyRows, energy_rows, merge_equal_rows, regrouped_rows, weigh
 from roomfit.response.scattering import (
     LEAST_EFFECTIVE_FRACTION,
     effective_sample_fraction,
     rows_for_band,
-    with_scattering,
 )
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
@@ -44,12 +44,14 @@ def of(paths: Paths, s: FloatArray) -> Scattering:
 def test_rows_weighed_anew_are_the_rows_of_paths_weighed_anew(paths):
     """Grouped into coarser windows as well."""
     wanted = of(paths, np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.0]))
-    band = rows_for_band(rows_of(paths), paths, wanted)
-    coarse = rows_for_band([grouped_rows(r, 3) for r in rows_of(paths)], paths, wanted)
-    for pair, rows in enumerate(band.rows):
+    band, _ = rows_for_band(rows_of(paths), paths, wanted)
+    coarse, _ = rows_for_band(
+        [regrouped_rows(r, np.arange(0, r.n_windows, 3)) for r in rows_of(paths)], paths, wanted
+    )
+    for pair, rows in enumerate(band):
         other = energy_rows(with_scattering(paths, wanted), pair, EDGES_S, SPEED_M_S)
         np.testing.assert_array_equal(rows.weight_per_m2, other.weight_per_m2)
-        np.testing.assert_array_equal(coarse.rows[pair].weight_per_m2, other.weight_per_m2)
+        np.testing.assert_array_equal(coarse[pair].weight_per_m2, other.weight_per_m2)
         assert rows.hits is not None
 
 
@@ -62,7 +64,7 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
     none = np.zeros((6, 1))
 
     def energies(s: float) -> list[FloatArray]:
-        rows = rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s))).rows
+        rows = rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[0]
         return [weigh(r, none, NO_AIR, derivative=False).energy for r in rows]
 
     for low, energy, high in zip(energies(0.299), energies(0.3), energies(0.301), strict=True):
@@ -74,7 +76,7 @@ def test_more_scattering_takes_from_the_images_what_it_gives_to_the_rays(paths):
 def test_the_sample_share_falls_as_the_wanted_scattering_leaves_the_traced_one(paths):
     """One where nothing changes, below the limit where the trace has to be made again."""
     shares = [
-        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s))).effective_sample_fraction
+        rows_for_band(rows_of(paths), paths, of(paths, np.full(6, s)))[1]
         for s in (0.3, 0.35, 0.5, 0.8)
     ]
     assert shares[0] == 1.0

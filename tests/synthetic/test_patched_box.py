@@ -8,15 +8,8 @@ import numpy as np
 import pytest
 
 from roomfit.errors import InputError
-from roomfit.synthetic.boxes import (
-    WALLS,
-    Patch,
-    SyntheticBox,
-    box_lattice,
-    patch_hits,
-    patched_response,
-    pressure_response,
-)
+from roomfit.synthetic.boxes import WALLS, SyntheticBox, box_lattice, pressure_response
+from simulated_rooms.patched_box import Patch, patch_hits, patched_response
 
 LENGTHS = (5.2, 4.1, 2.9)
 SOURCE, RECEIVER = np.array([1.1, 2.7, 1.3]), np.array([4.0, 1.2, 1.9])

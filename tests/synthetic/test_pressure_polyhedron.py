@@ -20,18 +20,18 @@ from roomfit.synthetic.polyhedra import (
     SyntheticPolyhedron,
     cell_arrays,
     cell_images,
-    cell_volume_m3,
-    obj_text,
     pressure_responses,
-    with_moved_planes,
 )
 from simulated_rooms.measured_polyhedron import Shape, polyhedron_plan, write_measured_polyhedron
 from simulated_rooms.polyhedral_rooms import (
     box_room_cells,
+    cell_volume_m3,
     l_shaped_cells,
+    obj_text,
     paper_cells,
     room_of,
     slanted_cells,
+    with_moved_planes,
 )
 
 CENTRES = np.array([125.0, 250.0, 500.0, 1000.0, 2000.0])

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 from roomfit.synthetic.boxes import (
+    ECHOGRAM_BIN_S,
     SyntheticBox,
     _lambert,
     box_images,
     diffuse_echogram,
+    modulated_noise,
     pressure_response,
     specular_box,
-    with_diffuse_noise,
 )
 from roomfit.typing import FloatArray
 
@@ -53,8 +54,8 @@ def test_without_absorption_the_energy_in_the_room_stays(s):
     )
     edges = np.array([0.04, 0.08, 0.12])
     for low, high in pairwise(edges):
-        bins = slice(round(low / found.bin_s), round(high / found.bin_s))
-        diffuse = found.energy[:, 0, bins].sum(axis=1)
+        bins = slice(round(low / ECHOGRAM_BIN_S), round(high / ECHOGRAM_BIN_S))
+        diffuse = found[:, 0, bins].sum(axis=1)
         specular = [specular_energy(truth(0.0), s, p, np.array([low, high]))[0] for p in PLACES]
         total = diffuse + specular
         error = total.std(ddof=1) / np.sqrt(len(PLACES))
@@ -72,7 +73,7 @@ def test_every_hit_takes_the_same_share_in_a_room_of_even_walls():
     found = diffuse_echogram(
         box, np.ones(6), np.array([1.2, 1.5, 1.1]), PLACES[:8], 0.4, rng, n_rays=6000
     )
-    energy = found.energy[:, 0].sum(axis=0).reshape(-1, 40).sum(axis=1)  # 20 ms
+    energy = found[:, 0].sum(axis=0).reshape(-1, 40).sum(axis=1)  # 20 ms
     late = np.arange(3, energy.size)
     rate = -np.polyfit(0.02 * late, np.log(energy[late]), 1)[0]
     surface = 2.0 * sum(VOLUME_M3 / length for length in LENGTHS_M)
@@ -110,7 +111,8 @@ def test_the_noise_has_the_power_that_the_echogram_says():
     for draw in range(found.size):
         ends = (np.array([1.2, 1.5, 1.1]), PLACES[0], DURATION_S, rate, np.zeros(1))
         specular = pressure_response(specular_box(box, np.full(6, 0.5)), *ends)
-        pressure = with_diffuse_noise(specular, echogram, box, rate, np.zeros(1), rng)
+        noise = modulated_noise(echogram, specular.size, rate, box.centres_hz, np.zeros(1), rng)
+        pressure = specular + noise
         found[draw] = np.sum(pressure[round(0.055 * rate) : round(0.105 * rate)] ** 2)
     frequencies = np.linspace(0.0, rate / 2.0, 2000)
     octaves = np.log2(np.maximum(frequencies, 1.0) / 1000.0)

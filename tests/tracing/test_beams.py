@@ -13,7 +13,7 @@ from images_reference import BOX_M, SPEED_M_S, box_room, l_shaped_room, scene_of
 from roomfit.errors import InputError
 from roomfit.materials.priors import uniform_scattering
 from roomfit.scene import Room
-from roomfit.synthetic.polyhedra import Cells, cell_images, cell_volume_m3, with_moved_planes
+from roomfit.synthetic.polyhedra import Cells, cell_images
 from roomfit.tracing.image_sources import (
     Budget,
     affordable_duration_s,
@@ -23,10 +23,17 @@ from roomfit.tracing.image_sources import (
     shoebox_images,
     trace_images,
 )
-from roomfit.tracing.paths import ImageSet, Paths, concatenate, select
+from roomfit.tracing.paths import ImageSet, concatenate, select
 from roomfit.tracing.reflectors import convex_pieces, mirrors_of
 from roomfit.typing import FloatArray, IntArray
-from simulated_rooms.polyhedral_rooms import l_shaped_cells, paper_cells, room_of, slanted_cells
+from simulated_rooms.polyhedral_rooms import (
+    cell_volume_m3,
+    l_shaped_cells,
+    paper_cells,
+    room_of,
+    slanted_cells,
+    with_moved_planes,
+)
 
 ALL_ORDERS = 1000
 # Some 30 mirrorings of coordinates of some 50 m: 30 * 50 * 2**-53 = 2e-13.
@@ -48,7 +55,6 @@ def tree(room: Room, source: FloatArray, receivers: FloatArray, reach_m: float) 
         source,
         receivers,
         limits_of(ALL_ORDERS, reach_m),
-        with_reflections=True,
         with_image_transforms=True,
     )
 
@@ -67,7 +73,6 @@ def test_a_box_has_the_images_of_the_lattice_to_the_last_one() -> None:
     source, receiver = np.array([1.23, 1.51, 1.13]), np.array([4.12, 2.97, 1.29])
     lattice = shoebox_images(
         *(box_room(), source, receiver, ALL_ORDERS, 40.0),
-        with_reflections=True,
         with_image_transforms=True,
     )
     found = tree(box_room(lattice=False), source, receiver[None], 40.0)[0]
@@ -219,39 +224,24 @@ def test_an_unfolding_turns_arrival_into_departure_and_mirrors_once_a_hit() -> N
     np.testing.assert_allclose(back, found.departure, atol=1e-13)
 
 
-def test_chosen_and_joined_paths_keep_reflections_and_unfolding() -> None:
-    """Those that have none get empty lists and zeros."""
+def test_chosen_and_joined_paths_keep_image_transforms() -> None:
+    """Those that have none get zeros."""
     room = l_shaped_room()
     scene = scene_of(room, [[1.0, 1.0, 1.2]], [[1.3, 4.1, 0.9]])
     still = uniform_scattering(room.materials, 0.0)
-    rich = trace_images(scene, 3, 0.1, still, with_reflections=True, with_image_transforms=True)
+    rich = trace_images(scene, 3, 0.1, still, with_image_transforms=True)
     poor = trace_images(scene, 2, 0.1, still)
     assert poor.image_transform is None
     both = concatenate([poor, rich, poor])
-    assert both.reflections is not None
     assert both.image_transform is not None
-    counts = np.diff(both.reflections.offsets)
-    assert not counts[: len(poor)].any()
     assert not both.image_transform[: len(poor)].any()
     assert not both.image_transform[-len(poor) :].any()
     own = np.arange(len(both))[len(poor) : len(poor) + len(rich)][::-3]
     kept = select(both, own)
-    assert_rows(kept, rich, own - len(poor))
-    assert concatenate([poor, poor]).reflections is None
-
-
-def assert_rows(kept: Paths, whole: Paths, index: IntArray) -> None:
-    """Compare reflections and unfolding of chosen paths with their rows, one by one."""
-    assert kept.reflections is not None
-    assert whole.reflections is not None
     assert kept.image_transform is not None
-    assert whole.image_transform is not None
-    for i, k in enumerate(index):
-        a = slice(*kept.reflections.offsets[i : i + 2])
-        b = slice(*whole.reflections.offsets[k : k + 2])
-        np.testing.assert_array_equal(kept.reflections.material[a], whole.reflections.material[b])
-        np.testing.assert_array_equal(kept.reflections.cosine[a], whole.reflections.cosine[b])
-        np.testing.assert_array_equal(kept.image_transform[i], whole.image_transform[k])
+    assert rich.image_transform is not None
+    np.testing.assert_array_equal(kept.image_transform, rich.image_transform[own - len(poor)])
+    assert concatenate([poor, poor]).image_transform is None
 
 
 @pytest.mark.parametrize("name", CELLS)

@@ -14,7 +14,7 @@ from roomfit.materials.priors import Scattering, uniform_scattering
 from roomfit.scene import Room, Scene
 from roomfit.tracing.paths import Paths, TraceSettings, hits, select
 from roomfit.tracing.rays import (
-    RayTrace,
+    Trace,
     expected_paths,
     fibonacci_directions,
     path_bytes,
@@ -31,7 +31,7 @@ def _box_scene() -> Scene:
     return scene_of(box_room(), [SOURCE], [RECEIVER])
 
 
-def _trace(scene: Scene, s: float = 0.0, **settings: object) -> RayTrace:
+def _trace(scene: Scene, s: float = 0.0, **settings: object) -> Trace:
     chosen = {"duration_s": 0.1, "n_rays": 4096, "image_order": -1} | settings
     still = uniform_scattering(scene.room.materials, s)
     return trace_rays(scene, TraceSettings(**chosen), still)  # type: ignore[arg-type]

@@ -20,19 +20,19 @@ from images_reference import (
     l_shaped_room,
     scene_of,
 )
+from rays_reference import monte_carlo_sd, with_scattering
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.geometry.mesh import Mesh
 from roomfit.materials.priors import uniform_scattering
-from roomfit.response.energy import energy_rows, monte_carlo_sd, weigh
-from roomfit.response.scattering import with_scattering
+from roomfit.response.energy import energy_rows, weigh
 from roomfit.scene import Room, Scene
 from roomfit.suh2001.room import paper_scene
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, select
-from roomfit.tracing.rays import trace_rays
-from roomfit.tracing.trace import Trace, covered_by_images, fitting_radii_m, trace
+from roomfit.tracing.rays import Trace, trace_rays
+from roomfit.tracing.trace import covered_by_images, fitting_radii_m, trace
 from roomfit.typing import FloatArray
 
 ERRORS_ALLOWED = 5.0

@@ -25,7 +25,7 @@ from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.spec import ResponseSpec
-from roomfit.response.directivity import FirstOrder, FirstOrderBands, UnknownDirectivity
+from roomfit.response.directivity import FirstOrder, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
@@ -33,6 +33,7 @@ from roomfit.signals.filters import FilterBank, filter_pressure
 from roomfit.signals.iso3382 import ValueName
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.synthetic.boxes import (
+    ECHOGRAM_BIN_S,
     SyntheticBox,
     diffuse_echogram,
     loudspeaker,
@@ -40,14 +41,12 @@ from roomfit.synthetic.boxes import (
     octave_shares,
     pressure_response,
     specular_box,
-    with_diffuse_noise,
 )
 from roomfit.synthetic.polyhedra import SyntheticPolyhedron, convex_cells, pressure_responses
 from roomfit.tracing.paths import Paths, hits
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
 
-_BIN_S = 0.5e-3
 _OVERSAMPLING = 8
 _NOTHING = 1e-30
 Pair = tuple[str, str]
@@ -86,7 +85,7 @@ def traced_pressures(
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    drawn = {name: FirstOrderBands(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
+    drawn = {name: FirstOrder(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
     directivities = {**plan.directivities, **drawn}
     factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
     energy = _energies(plan, synthetic, paths, factors)
@@ -133,8 +132,8 @@ def _pressure(
     frequencies = np.linspace(0.0, 0.5 * rate_hz, n_samples + 1)
     shares = octave_shares(plan.grid.centres_hz, frequencies)
     spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
-    n_bins = int(np.ceil(n_samples / rate_hz / _BIN_S)) + 1
-    bins = (times_s[caught] / _BIN_S).astype(np.int64)
+    n_bins = int(np.ceil(n_samples / rate_hz / ECHOGRAM_BIN_S)) + 1
+    bins = (times_s[caught] / ECHOGRAM_BIN_S).astype(np.int64)
     echogram = np.zeros((len(plan.grid), n_bins))
     for band, share in enumerate(shares):
         amplitude = np.sqrt(_PRESSURE_SQUARED * energy[band, mirrored])
@@ -145,7 +144,7 @@ def _pressure(
     flat = np.zeros(len(plan.grid))
     if not caught.size:
         return specular
-    noise = modulated_noise(echogram, _BIN_S, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
+    noise = modulated_noise(echogram, n_samples, rate_hz, plan.grid.centres_hz, flat, rng)
     return np.asarray(specular + noise)
 
 
@@ -258,10 +257,10 @@ def _box(
             receivers_m = np.array([at[r] for r in own])
             echo = diffuse_echogram(box, scattering, start_m, receivers_m, duration_s, rng)
             smooth = specular_box(box, scattering)
-            for r, energy in zip(own, echo.energy, strict=True):
+            for r, energy in zip(own, echo, strict=True):
                 specular = pressure_response(smooth, start_m, at[r], duration_s, rate_hz, flat)
-                found[source.name, r] = with_diffuse_noise(
-                    specular, energy, box, rate_hz, flat, rng
+                found[source.name, r] = specular + modulated_noise(
+                    energy, specular.size, rate_hz, box.centres_hz, flat, rng
                 )
     return found
 

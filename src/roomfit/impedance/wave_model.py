@@ -15,9 +15,9 @@ import numpy as np
 from roomfit._checks import read_only
 from roomfit.air import pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.geometry.mesh import mean_free_path_m, volume_m3
+from roomfit.geometry.mesh import area_vectors_m2, mean_free_path_m, volume_m3
 from roomfit.impedance.wave_kernels import pressure_gradients, pressures
-from roomfit.scene import Room, Scene, distances_m
+from roomfit.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.image_sources import (
     affordable_duration_s,
     expected_images,
@@ -27,7 +27,7 @@ from roomfit.tracing.image_sources import (
     polyhedron_images,
     wall_hits,
 )
-from roomfit.tracing.paths import ImageSet
+from roomfit.tracing.paths import ImageSet, unfolded_normals
 from roomfit.tracing.reflectors import mirrors_of
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
@@ -191,24 +191,27 @@ def _polyhedron_paths(scene: Scene, longest_m: float) -> list[UnfoldedPaths]:
             scene.sources[s].position_m,
             np.array([scene.receivers[r].position_m for r in scene.pairs[own, 1]]),
             limits_of(_ANY_ORDER, longest_m),
-            with_reflections=True,
             with_image_transforms=True,
             mirrors=mirrors,
         )
-        parts.update((int(i), _paths_of_images(f)) for i, f in zip(own, found, strict=True))
+        parts.update(
+            (int(i), _paths_of_images(scene.room, f)) for i, f in zip(own, found, strict=True)
+        )
     return [parts[i] for i in range(len(scene.pairs))]
 
 
-def _paths_of_images(images: ImageSet) -> UnfoldedPaths:
-    reflections, transform, normals = images.reflections, images.image_transform, images.normals
-    if reflections is None or transform is None or normals is None:
-        raise ValueError("images without reflections, image transforms or normals")
+def _paths_of_images(room: Room, images: ImageSet) -> UnfoldedPaths:
+    first, triangle, transform = images.first_hit, images.triangle, images.image_transform
+    if first is None or triangle is None or transform is None:
+        raise ValueError("images without their hits or image transforms")
+    vectors = area_vectors_m2(room.mesh)[triangle]
+    normals = unfolded_normals(vectors / np.linalg.norm(vectors, axis=1)[:, None], first)
     return UnfoldedPaths(
         np.array([0, len(transform)]),
         images.length_m[:, None] * images.arrival,
         transform,
-        np.asarray(reflections.offsets, dtype=np.int64),
-        np.asarray(reflections.material, dtype=np.int64),
+        np.asarray(first, dtype=np.int64),
+        np.asarray(triangle_material(room)[triangle], dtype=np.int64),
         normals,
         np.ones(len(normals), dtype=np.int64),
     )

@@ -89,10 +89,9 @@ class Retracer:
             is_drawn = (sampled > 0.0) & (sampled < 1.0)
             if not np.all(is_drawn | (sampled == scattering.coefficients)):
                 continue
-            band = rows_for_band(binned.rows, paths, scattering)
-            if band.effective_sample_fraction > best_fraction:
-                best_fraction = band.effective_sample_fraction
-                best = BinnedPaths(binned.edges_s, band.rows)
+            rows, fraction = rows_for_band(binned.rows, paths, scattering)
+            if fraction > best_fraction:
+                best_fraction, best = fraction, BinnedPaths(binned.edges_s, rows)
         if best is not None and best_fraction >= LEAST_EFFECTIVE_FRACTION:
             return best
         paths = trace(self._scene, self._settings, scattering).paths

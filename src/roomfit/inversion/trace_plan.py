@@ -16,12 +16,12 @@ from roomfit.measurement import MeasuredPair
 from roomfit.scene import Scene
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
-from roomfit.tracing.paths import Paths, Reflections, TraceSettings
-from roomfit.tracing.rays import RayStatistics
-from roomfit.tracing.trace import Trace, trace
+from roomfit.tracing.paths import Paths, TraceSettings
+from roomfit.tracing.rays import RayStatistics, Trace
+from roomfit.tracing.trace import trace
 from roomfit.typing import Progress
 
-TRACE_CLASSES = (Trace, Paths, Reflections, RayStatistics, Finding, Code)
+TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, Code)
 
 
 def cached_trace(

@@ -19,7 +19,7 @@ from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, prov
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
-from roomfit.response.directivity import FirstOrderBands
+from roomfit.response.directivity import FirstOrder
 from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
@@ -98,11 +98,11 @@ def _posterior_table(posterior: Any, name: str) -> FloatArray:
         ) from error
 
 
-def _read_directivities(content: dict[str, Any]) -> dict[str, FirstOrderBands]:
+def _read_directivities(content: dict[str, Any]) -> dict[str, FirstOrder]:
     """Return the directivity of every source for which it was fitted."""
     try:
         by_source = content.get("directivity", {})
-        return {name: FirstOrderBands(np.array(one["b"])) for name, one in by_source.items()}
+        return {name: FirstOrder(np.array(one["b"])) for name, one in by_source.items()}
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "the directivity of the result is no table of numbers",

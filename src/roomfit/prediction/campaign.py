@@ -25,7 +25,7 @@ from roomfit.prediction.changes import Change
 from roomfit.response.directivity import (
     Directivities,
     Directivity,
-    FirstOrderBands,
+    FirstOrder,
     UnknownDirectivity,
 )
 from roomfit.scene import Scene
@@ -267,12 +267,12 @@ def _sources_as_found(
             known[name] = directivity
             continue
         fitted = found.get(name)
-        if isinstance(fitted, FirstOrderBands):
-            known[name] = FirstOrderBands(fitted.b[at])
+        if isinstance(fitted, FirstOrder) and fitted.b.ndim == 2:
+            known[name] = FirstOrder(fitted.b[at])
         elif fitted is not None:
             known[name] = fitted
         elif directivity.mean is not None:
-            known[name] = FirstOrderBands(np.tile(directivity.mean, (len(at), 1)))
+            known[name] = FirstOrder(np.tile(directivity.mean, (len(at), 1)))
         else:
             unfitted.append(name)
     if not unfitted:

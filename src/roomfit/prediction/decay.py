@@ -20,7 +20,7 @@ from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.objective.room_parameters import predicted_values, value_covariances, value_terms
 from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
 from roomfit.response.directivity import known_directivities
-from roomfit.response.energy import grouped_rows, thinned_rows
+from roomfit.response.energy import regrouped_rows, thinned_rows
 from roomfit.scene import Scene, distances_m, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
@@ -220,9 +220,8 @@ def _draws(
 ) -> tuple[FloatArray, FloatArray]:
     """Return values and decay levels under several absorptions, from fewer rows and wider bins."""
     edges_s = np.append(own.edges_s[:-1][::_BINS_TOGETHER], own.edges_s[-1])
-    few = regrouped(
-        own, edges_s, lambda r: grouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), _BINS_TOGETHER)
-    )
+    first = np.arange(0, own.edges_s.size - 1, _BINS_TOGETHER)
+    few = regrouped(own, edges_s, lambda r: regrouped_rows(thinned_rows(r, _ROWS_OF_A_DRAW), first))
     values = np.empty((len(absorptions), len(VALUE_NAMES), len(bands)))
     shapes = np.empty((len(absorptions), len(bands), times.size))
     for i, absorption in enumerate(absorptions):

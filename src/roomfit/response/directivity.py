@@ -285,23 +285,14 @@ def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: in
 class FirstOrder:
     """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power."""
 
-    # (3,), along the axis; length 0 is omnidirectional, 1 a cardioid, far above 1 a figure of
-    # eight. Aim and order in one: three unknowns without bounds and without angles.
+    # (3,), along the axis, or (n_bands, 3), as a fit finds it; length 0 is omnidirectional, 1 a
+    # cardioid, far above 1 a figure of eight. Aim and order in one: three unknowns without bounds
+    # and without angles.
     b: FloatArray
 
     def __post_init__(self) -> None:
-        b = float_array("first-order directivity", self.b, (3,), low=-1e3, high=1e3)
-        object.__setattr__(self, "b", b)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class FirstOrderBands:
-    """A first-order source with a vector b of its own in every band, as a fit finds it."""
-
-    b: FloatArray  # (n_bands, 3)
-
-    def __post_init__(self) -> None:
-        b = float_array("first-order directivity", self.b, (None, 3), low=-1e3, high=1e3)
+        shape = (3,) if np.ndim(self.b) == 1 else (None, 3)
+        b = float_array("first-order directivity", self.b, shape, low=-1e3, high=1e3)
         object.__setattr__(self, "b", b)
 
 
@@ -327,19 +318,7 @@ def aimed(aim: ArrayLike, b: float) -> FirstOrder:
     return FirstOrder(b * axis / length)
 
 
-def first_order_factor(source: FirstOrder, departure: FloatArray) -> FloatArray:
-    """Return ``(1 + b . u)**2 / (1 + |b|**2 / 3)``, shape (n_paths,).
-
-    Parameters
-    ----------
-    departure : float array, shape (n_paths, 3)
-        Unit vectors u away from the source.
-    """
-    amplitude = 1.0 + departure.astype(np.float64) @ source.b
-    return np.asarray(amplitude**2 / (1.0 + source.b @ source.b / 3.0))
-
-
-Directivity = FirstOrder | FirstOrderBands | MeasuredDirectivity
+Directivity = FirstOrder | MeasuredDirectivity
 
 
 def directivity_factors(
@@ -354,7 +333,7 @@ def directivity_factors(
     source_of_pair : sequence of int
         First column of the scene's pairs.
     band : int
-        Of `FirstOrderBands.b` and `MeasuredDirectivity.centres_hz`.
+        Of a `FirstOrder.b` with bands, and of `MeasuredDirectivity.centres_hz`.
     """
     factors = np.ones(len(paths))
     source_of_path = np.asarray(source_of_pair)[paths.pair]
@@ -363,9 +342,9 @@ def directivity_factors(
             continue
         own = np.flatnonzero(source_of_path == number)
         departure = paths.departure[own].astype(np.float64)
-        if isinstance(source, FirstOrder | FirstOrderBands):
-            one = source if isinstance(source, FirstOrder) else FirstOrder(source.b[band])
-            factors[own] = first_order_factor(one, departure)
+        if isinstance(source, FirstOrder):
+            b = source.b if source.b.ndim == 1 else source.b[band]
+            factors[own] = (1.0 + departure @ b) ** 2 / (1.0 + b @ b / 3.0)
         else:
             factors[own] = measured_factor(source, departure, band)
     return factors

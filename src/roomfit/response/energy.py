@@ -14,9 +14,9 @@ from typing import Any, cast
 import numba
 import numpy as np
 
-from roomfit._checks import float_array
+from roomfit._checks import check_shape, float_array
 from roomfit._numba import kernel
-from roomfit.errors import CannotTell, InputError
+from roomfit.errors import InputError
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
@@ -52,12 +52,7 @@ class EnergyRows:
             columns["path"] = (np.int32, (n,))
         for name, (dtype, shape) in columns.items():
             array = np.ascontiguousarray(getattr(self, name), dtype=dtype)
-            if array.shape != shape:
-                raise InputError(
-                    f"energy rows: {name} has the wrong shape",
-                    found=f"{array.shape}",
-                    needed=f"{shape}",
-                )
+            check_shape(f"energy rows: {name}", array, shape)
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "max_hits", int(self.hits.max(initial=0)))
@@ -135,24 +130,17 @@ def energy_rows(
     )
 
 
-def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyRows:
+def merge_equal_rows(rows: EnergyRows) -> EnergyRows:
     """Return fewer rows with the same energies: those of equal window and hits become one.
 
     Helps in small rooms without scattering (2 to 12 times fewer rows), hardly elsewhere. Exact
     without air, and after `rows_in_air`. With air, a merged row has the mean length of its parts,
     weighed by their weights; its energy is then too small by at most the fraction ``(m D)**2 / 8``
     for lengths that differ by up to D (Jensen's inequality, second order): 2e-6 for 0.01 per metre
-    and a window of 1 ms.
-
-    Parameters
-    ----------
-    keep_batches : bool
-        Merge within a batch only, so that Monte-Carlo noise can still be estimated. Otherwise all
-        rows get batch -1 and `n_batches` is 0.
+    and a window of 1 ms. Merged rows belong to no batch.
     """
     window = window_of_rows(rows)
-    batch = rows.batch if keep_batches else np.full(len(rows), -1, dtype=np.int32)
-    keys = np.column_stack([window, batch, rows.hits])
+    keys = np.column_stack([window, rows.hits])
     order = np.lexsort(keys.T[::-1])
     if not order.size:
         return rows
@@ -170,8 +158,7 @@ def merge_equal_rows(rows: EnergyRows, *, keep_batches: bool = False) -> EnergyR
         weight,
         rows.hits[kept],
         length,
-        batch[kept],
-        rows.n_batches if keep_batches else 0,
+        np.full(len(kept), -1, dtype=np.int32),
     )
 
 
@@ -196,8 +183,6 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
 def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
     """Return the same rows with every weight times a factor of its path.
 
-    Costs the memory of the weights; everything else is shared.
-
     Parameters
     ----------
     factors : float array, shape (n_paths,)
@@ -215,14 +200,6 @@ def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
             hint="reweigh before merging equal rows",
         )
     return replace(rows, weight_per_m2=rows.weight_per_m2 * factors[rows.path])
-
-
-def grouped_rows(rows: EnergyRows, n_together: int) -> EnergyRows:
-    """Return the same rows in coarser windows, each of so many of the old ones.
-
-    The last one contains the remaining rows. No row is copied or moved.
-    """
-    return regrouped_rows(rows, np.arange(0, rows.n_windows, n_together))
 
 
 def regrouped_rows(rows: EnergyRows, first: IntArray) -> EnergyRows:
@@ -359,8 +336,7 @@ def _slope_at_black(
 
 @kernel()
 def _weigh_piece(
-    start: int,
-    stop: int,
+    piece: IntArray,
     weight: FloatArray,
     hits: IntArray,
     length: FloatArray,
@@ -370,10 +346,11 @@ def _weigh_piece(
     energy: FloatArray,
     slope: FloatArray,
 ) -> None:
-    """Add rows start to stop into energy (n_bands,) and slope by x (n_bands, n_materials).
+    """Add the rows of a piece into energy (n_bands,) and slope by x (n_bands, n_materials).
 
     A slope without materials, shape (n_bands, 0), asks for energies alone.
     """
+    start, stop = piece[1], piece[2]
     for low in range(start, stop, _BLOCK):
         high = min(low + _BLOCK, stop)
         for b in range(len(attenuation)):
@@ -410,18 +387,8 @@ def weigh_serial(
 ) -> None:
     """Fill energies (n_pieces, n_bands) and slopes by x (n_pieces, n_bands, n_materials or 0)."""
     for p in range(len(pieces)):
-        _weigh_piece(
-            pieces[p, 1],
-            pieces[p, 2],
-            weight,
-            hits,
-            length,
-            reflected,
-            powers,
-            attenuation,
-            energies[p],
-            slopes[p],
-        )
+        piece, energy, slope = pieces[p], energies[p], slopes[p]
+        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
 
 
 @kernel(parallel=True)
@@ -438,18 +405,8 @@ def weigh_parallel(
 ) -> None:
     """Do what `weigh_serial` does, the pieces spread over threads."""
     for p in numba.prange(len(pieces)):
-        _weigh_piece(
-            pieces[p, 1],
-            pieces[p, 2],
-            weight,
-            hits,
-            length,
-            reflected,
-            powers,
-            attenuation,
-            energies[p],
-            slopes[p],
-        )
+        piece, energy, slope = pieces[p], energies[p], slopes[p]
+        _weigh_piece(piece, weight, hits, length, reflected, powers, attenuation, energy, slope)
 
 
 @kernel()
@@ -604,59 +561,12 @@ def batch_energies(
     return energy
 
 
-def monte_carlo_sd(
-    rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
-) -> FloatArray:
-    """Return the standard error of the window energies that comes from the number of rays.
-
-    From the spread of independent batches, which those of a Fibonacci spiral are not; zero where
-    all energy comes from image paths.
-
-    Returns
-    -------
-    float array, shape (n_bands, n_windows)
-        Standard deviation of `weigh`'s energy over repeated traces, 1/m2.
-
-    Raises
-    ------
-    CannotTell
-        The rays form a single batch.
-    """
-    batches = batch_energies(rows, coefficients, attenuation_per_m)
-    if not np.any(rows.batch >= 0):
-        return np.zeros(batches.shape[1:])
-    if len(batches) < 2:
-        raise CannotTell(
-            "one batch of rays does not determine its own noise",
-            needed="at least 2 independent batches",
-            hint="trace with n_batches of 8 or more",
-        )
-    return np.asarray(np.sqrt(len(batches) * np.var(batches, axis=0, ddof=1)))
-
-
 def _checked(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return reflected energy (n_bands, n_materials) and attenuation, both ready for kernels."""
-    attenuation = np.ascontiguousarray(attenuation_per_m, dtype=np.float64)
-    a = np.asarray(coefficients, dtype=np.float64)
-    if attenuation.ndim != 1 or a.shape != (len(rows.materials), attenuation.size):
-        raise InputError(
-            "absorption, attenuation and rows do not fit together",
-            found=f"coefficients of shape {a.shape}, attenuation of shape {attenuation.shape}",
-            needed=f"({len(rows.materials)}, n_bands) and (n_bands,)",
-        )
-    if not np.all((a >= 0.0) & (a <= 1.0)):
-        raise InputError(
-            "absorption coefficient out of range",
-            found=f"values from {a.min():g} to {a.max():g}",
-            needed="0 <= a <= 1 (energy, dimensionless)",
-        )
-    if not np.all((attenuation >= 0.0) & np.isfinite(attenuation)):
-        raise InputError(
-            "air attenuation out of range",
-            found=f"values from {attenuation.min():g} to {attenuation.max():g} per metre",
-            needed="0 or more",
-        )
-    # a copy, so that kernels always see a writable, contiguous array: one compiled form
+    attenuation = float_array("air attenuation", attenuation_per_m, (None,), low=0.0, unit="1/m")
+    shape = (len(rows.materials), attenuation.size)
+    a = float_array("absorption coefficient", coefficients, shape, low=0.0, high=1.0)
+    # copies, so that kernels always see writable, contiguous arrays: one compiled form
     return np.array(1.0 - a.T, order="C"), np.array(attenuation)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import prange
@@ -85,16 +84,6 @@ def _ratios_to_the_hits(
         factor[i] = product
 
 
-def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
-    """Return the same paths with the weights, and the coefficients, of another scattering."""
-    factor = scattering_weights(paths, scattering)
-    return replace(
-        paths,
-        weight_per_m2=paths.weight_per_m2 * factor,
-        sampling_scattering=scattering.coefficients.copy(),
-    )
-
-
 def effective_sample_size(factors: FloatArray) -> float:
     """Return the number of paths of equal weight and equal variance, ``(sum f)**2 / sum f**2``.
 
@@ -119,19 +108,14 @@ def effective_sample_size(factors: FloatArray) -> float:
     return float(np.sum(factors)) ** 2 / square if square > 0.0 else 0.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BandRows:
-    """Energy rows weighed for the scattering of one band."""
+def rows_for_band(
+    rows: Sequence[EnergyRows], paths: Paths, scattering: Scattering
+) -> tuple[tuple[EnergyRows, ...], float]:
+    """Return rows with the weights that another scattering gives them, and what they are worth.
 
-    rows: tuple[EnergyRows, ...]
-    # The least over pairs; below `LEAST_EFFECTIVE_FRACTION` trace again nearer to what is wanted
-    effective_sample_fraction: float
-
-
-def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scattering) -> BandRows:
-    """Return rows with the weights that another scattering gives them.
-
-    Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact.
+    Image paths are thinned by ``((1 - s) / (1 - s0)) ** hits`` and stay exact. What they are worth
+    is the least `effective_sample_fraction` of the pairs: trace again, nearer to what is wanted,
+    where that is below `LEAST_EFFECTIVE_FRACTION`.
 
     Parameters
     ----------
@@ -146,13 +130,13 @@ def rows_for_band(rows: Sequence[EnergyRows], paths: Paths, scattering: Scatteri
         As `scattering_weights`.
     """
     if np.array_equal(scattering.coefficients, paths.sampling_scattering):
-        return BandRows(tuple(rows), 1.0)
+        return tuple(rows), 1.0
     factors = scattering_weights(paths, scattering)
     weighed = tuple(reweighed_rows(r, factors) for r in rows)
     share = min(
         (effective_sample_fraction(r, w) for r, w in zip(rows, weighed, strict=True)), default=1.0
     )
-    return BandRows(weighed, share)
+    return weighed, share
 
 
 def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:

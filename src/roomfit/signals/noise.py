@@ -85,28 +85,11 @@ def estimate_noise(
     ]
     # undecided bands follow the others: one file is cut in all of them, or in none
     evidence = sum(float(np.clip(h.evidence, -_CLEAR, _CLEAR)) for h in decays)
-    found = [_judged(h, evidence) for h in decays]
     start_s = start / rate_hz - response.time_zero_s
-    return NoiseEstimate(
-        floor=np.array([band.floor for band in found]),
-        reached=np.array([band.reached for band in found], dtype=np.bool_),
-        usable_end_s=np.array([start_s + band.length_s for band in found]),
-        tail_energy=np.array([band.tail_energy for band in found]),
-        tail_time_constant_s=np.array([band.constant_s for band in found]),
-        peak_to_noise_db=np.array([band.peak_to_noise_db for band in found]),
-    )
-
-
-@dataclass(frozen=True, slots=True)
-class _BandNoise:
-    """One band of `NoiseEstimate`; the usable length counts from the onset."""
-
-    floor: float
-    reached: bool
-    length_s: float = 0.0
-    tail_energy: float = 0.0
-    constant_s: float = 0.0
-    peak_to_noise_db: float = 0.0
+    floor, reached, length_s, tail, constant_s, peak_db = np.array(
+        [_judged(h, evidence) for h in decays], dtype=np.float64
+    ).T
+    return NoiseEstimate(floor, reached > 0.0, start_s + length_s, tail, constant_s, peak_db)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -169,11 +152,14 @@ def _band_decay(
     )
 
 
-def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
-    """Return noise and decay of a band under the evidence that the file's end is noise."""
+def _judged(decay: _BandDecay, evidence: float) -> tuple[float, bool, float, float, float, float]:
+    """Return a band of `NoiseEstimate` under the evidence that the file's end is noise.
+
+    The usable length counts from the onset.
+    """
     line, floor, end_s = decay.line, decay.floor, decay.crossing_s
     if line is None:
-        return _BandNoise(floor, reached=decay.length_s > 0.0)
+        return floor, decay.length_s > 0.0, 0.0, 0.0, 0.0, 0.0
     crosses = end_s < (1.0 - TAIL_SHARE) * decay.length_s
     clear = abs(decay.evidence) > _CLEAR_ALONE
     reached = crosses and (decay.evidence > 0.0 if clear else evidence > _CLEAR)
@@ -193,7 +179,7 @@ def _judged(decay: _BandDecay, evidence: float) -> _BandNoise:
     peak_to_noise_db = float(10.0 * np.log10(decay.blocks.max() / floor))
     if not reached:
         floor = min(floor, decay.before)
-    return _BandNoise(floor, reached, end_s, tail, constant_s, peak_to_noise_db)
+    return floor, reached, end_s, tail, constant_s, peak_to_noise_db
 
 
 def _short_decay(times: FloatArray, blocks: FloatArray, floor: float) -> tuple[float, float] | None:

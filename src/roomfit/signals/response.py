@@ -12,7 +12,7 @@ import numpy as np
 from scipy.ndimage import uniform_filter1d
 from scipy.signal import butter, hilbert, sosfiltfilt
 
-from roomfit._checks import float_array
+from roomfit._checks import check_range, float_array
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray
@@ -27,12 +27,7 @@ class ImpulseResponse:
     time_zero_s: float = 0.0  # Emission on the file's clock: sample 0 is at ``-time_zero_s``
 
     def __post_init__(self) -> None:
-        if not 1000.0 <= self.sampling_rate_hz <= 1e6:
-            raise InputError(
-                "sampling rate is out of range",
-                found=f"{self.sampling_rate_hz:g} Hz",
-                needed="1000 to 1000000 Hz",
-            )
+        check_range("sampling rate", self.sampling_rate_hz, 1000.0, 1e6, "Hz")
         object.__setattr__(self, "pressure", float_array("pressure", self.pressure, (None,)))
 
 

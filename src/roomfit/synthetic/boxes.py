@@ -2,14 +2,14 @@
 
 Image sources add as pressures: no rays, no energies, no windows, no filters of `roomfit.signals`,
 an own enumeration of the images, positions that differ from the specified ones, a loudspeaker whose
-unspecified gain varies over frequency, and background noise. One wall may have a patch that the
-campaign does not specify. Where walls scatter, all that is not specular is noise whose power in
-time follows rays of an own tracer in plain numpy, with energy conserved at every hit and other
-random numbers than those of `roomfit.tracing`.
+unspecified gain varies over frequency, and background noise. Where walls scatter, all that is not
+specular is noise whose power in time follows rays of an own tracer in plain numpy, with energy
+conserved at every hit and other random numbers than those of `roomfit.tracing`.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import NamedTuple, Protocol
@@ -19,9 +19,7 @@ import numpy as np
 from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import bands_between
 from roomfit.cache import write_text_atomically
-from roomfit.errors import InputError
-from roomfit.logit import expit
-from roomfit.typing import BoolArray, ComplexArray, FloatArray, IntArray, Progress
+from roomfit.typing import BoolArray, ComplexArray, FloatArray, Progress
 
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 
@@ -225,96 +223,12 @@ def _per_octave(centres_hz: FloatArray) -> int:
     return 1 if centres_hz.size < 2 else round(1.0 / float(np.log2(centres_hz[1] / centres_hz[0])))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Patch:
-    """A rectangle on a wall with an absorption of its own, such as an open door or a curtain.
-
-    A path strikes it where its straight line, continued over the mirrored boxes, crosses that wall
-    within the rectangle. There is no diffraction at its edges.
-    """
-
-    wall: str  # west, east, south, north, floor or ceiling
-    lower_m: tuple[float, float]  # along the wall's two axes, in the order x, y, z
-    upper_m: tuple[float, float]  # the opposite corner
-    absorption: FloatArray  # (n_bands,), in the bands of the box; 1 for an opening
-
-    def __post_init__(self) -> None:
-        if self.wall not in WALLS:
-            raise InputError("no such wall", found=repr(self.wall), needed=", ".join(WALLS))
-
-
-def patch_area_m2(patch: Patch) -> float:
-    """Return the area of a patch."""
-    return float(np.prod(np.subtract(patch.upper_m, patch.lower_m)))
-
-
-def patched_response(
-    synthetic: SyntheticBox,
-    patch: Patch,
-    source_m: FloatArray,
-    receiver_m: FloatArray,
-    duration_s: float,
-    sampling_rate_hz: float,
-    level_db: FloatArray,
-) -> FloatArray:
-    """Return the sound pressure at the receiver as `pressure_response` does, patch included.
-
-    The patch takes part of its wall's hits and adds no delay.
-    """
-    steps, hits, _ = box_lattice(synthetic, source_m, receiver_m, duration_s)
-    on_patch = patch_hits(synthetic.lengths_m, patch, receiver_m, steps)
-    wall = WALLS.index(patch.wall)
-    parted = np.column_stack((hits, on_patch)).astype(np.float64)
-    parted[:, wall] -= on_patch
-    both = replace(
-        synthetic,
-        absorption=np.vstack((synthetic.absorption, patch.absorption)),
-        delays_s=(*synthetic.delays_s, 0.0),
-    )
-    lengths = np.asarray(np.linalg.norm(steps, axis=0), dtype=np.float64)
-    return pressure_of_images((lengths, parted), both, duration_s, sampling_rate_hz, level_db)
-
-
-def patch_hits(
-    lengths_m: tuple[float, float, float], patch: Patch, receiver_m: FloatArray, steps_m: FloatArray
-) -> IntArray:
-    """Return how often the path of each image strikes the patch, shape (n_images,).
-
-    Parameters
-    ----------
-    receiver_m : float array, shape (3,)
-    steps_m : float array, shape (3, n_images)
-        From the receiver to the images.
-    """
-    axis, far = divmod(WALLS.index(patch.wall), 2)
-    others = [other for other in range(3) if other != axis]
-    side, step = lengths_m[axis], steps_m[axis]
-    count = np.zeros(step.size, dtype=np.int64)
-    reach = int(np.ceil(np.abs(step).max(initial=0.0) / side)) + 2
-    for plane in range(-reach, reach + 1):
-        if plane % 2 != far:  # even planes are mirrors of the wall at 0, odd ones of the other
-            continue
-        from_plane = receiver_m[axis] - plane * side
-        beyond = receiver_m[axis] + step - plane * side
-        met = np.flatnonzero(from_plane * beyond < 0.0)
-        if not met.size:
-            continue
-        share = (plane * side - receiver_m[axis]) / step[met]
-        inside = np.ones(met.size, dtype=np.bool_)
-        for k, other in enumerate(others):
-            length = lengths_m[other]
-            # folded from the mirrored boxes into the box itself
-            within = np.mod(receiver_m[other] + share * steps_m[other, met], 2.0 * length)
-            place = np.where(within > length, 2.0 * length - within, within)
-            inside &= (place >= patch.lower_m[k]) & (place <= patch.upper_m[k])
-        count[met[inside]] += 1
-    return count
-
-
 SAMPLING_RATE_HZ = 32_000.0
-_DURATION_S = 0.8
-_POSITION_ERROR_M = 0.01
-_NOISE_DB = -60.0
+DURATION_S = 0.8
+POSITION_ERROR_M = 0.01
+NOISE_DB = -60.0
+PLAN_BANDS = bands_between("octave", 63, 8000)  # also outside the fitted range
+SMOOTH = "0.0  # smooth, bare walls"  # scattering as a campaign specifies it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -323,7 +237,7 @@ class BoxPlan:
 
     lengths_m: tuple[float, float, float]
     materials: tuple[str, ...]  # of west, east, south, north, floor and ceiling
-    absorption: FloatArray  # (6, 8), in octaves from 63 to 8000 Hz, also outside the fitted range
+    absorption: FloatArray  # (6, 8), in `PLAN_BANDS`
     sources_m: dict[str, tuple[float, float, float]]  # by name
     receivers_m: dict[str, tuple[float, float, float]]  # by name
 
@@ -352,133 +266,73 @@ def demo_plan() -> BoxPlan:
     )
 
 
-def random_plan(rng: np.random.Generator) -> BoxPlan:
-    """Return a box of 4.5-9 x 3.6-7 x 2.4-3.8 m with six random materials.
-
-    Absorption is even in logit between 0.01 and 0.97, and changes from octave to octave by about a
-    third of its spread over materials. Positions stay 0.6 m clear of the walls.
-    """
-    lengths = rng.uniform((4.5, 3.6, 2.4), (9.0, 7.0, 3.8))
-    low, high = np.log(0.01 / 0.99), np.log(0.97 / 0.03)
-    free = rng.uniform(low, high, (6, 1)) + np.cumsum(rng.normal(0.0, 0.4, (6, 8)), axis=1)
-    absorption = expit(np.clip(free, low, high))
-
-    def place() -> tuple[float, float, float]:
-        x, y, z = rng.uniform(0.6, lengths - 0.6)
-        return float(x), float(y), float(z)
-
-    return BoxPlan(
-        (float(lengths[0]), float(lengths[1]), float(lengths[2])),
-        tuple(f"material_{wall}" for wall in WALLS),
-        absorption,
-        {name: place() for name in ("LS1", "LS2")},
-        {name: place() for name in ("MP1", "MP2", "MP3", "MP4")},
-    )
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class MeasuredBox:
-    """A simulated campaign and the true absorption."""
-
-    campaign: Path  # The campaign file; its WAV files lie beside it
-    materials: tuple[str, ...]
-    centres_hz: FloatArray  # (n_bands,), octaves, 63 to 8000 Hz
-    absorption: FloatArray  # (n_materials, n_bands)
-
-
 def simulated_responses(
-    plan: BoxPlan,
-    rng: np.random.Generator,
-    *,
-    position_error_m: float = _POSITION_ERROR_M,
-    noise_db: float = _NOISE_DB,
-    patch: Patch | None = None,
-    progress: Progress | None = None,
+    plan: BoxPlan, rng: np.random.Generator, progress: Progress | None = None
 ) -> dict[tuple[str, str], FloatArray]:
     """Return simulated impulse responses of every source with every receiver of a box.
 
-    Image sources whose pressures add; a loudspeaker with a spectrum and a phase of its own.
+    Image sources whose pressures add; a loudspeaker with a spectrum and a phase of its own. True
+    positions are a centimetre off the specified ones; noise lies 60 dB below each response's peak.
 
     Parameters
     ----------
     rng : numpy.random.Generator
         Draws position errors, loudspeaker levels and noise.
-    position_error_m : float
-        Standard deviation of each true coordinate about the specified one.
-    noise_db : float
-        Level of the noise relative to the peak of each response.
-    patch : Patch, optional
-        Another material on a part of one wall, in the plan's octaves.
 
     Returns
     -------
     dict from (source, receiver) to float array, shape (n_samples,)
         Samples at `SAMPLING_RATE_HZ`, the first at the moment of emission.
     """
-    synthetic, true_at = _true_box(plan, position_error_m, rng)
-    levels_db = {s: rng.normal(0.0, 3.0, synthetic.centres_hz.size) for s in plan.sources_m}
+    synthetic, true_at = true_box(plan, POSITION_ERROR_M, rng)
+    levels_db = {s: rng.normal(0.0, 3.0, len(PLAN_BANDS)) for s in plan.sources_m}
     pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
     found = {}
     for number, (s, r) in enumerate(pairs):
-        ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, levels_db[s])
-        pressure = (
-            pressure_response(synthetic, *ends)
-            if patch is None
-            else patched_response(synthetic, patch, *ends)
+        pressure = pressure_response(
+            synthetic, true_at[s], true_at[r], DURATION_S, SAMPLING_RATE_HZ, levels_db[s]
         )
-        found[s, r] = add_noise(pressure, noise_db, rng)
+        found[s, r] = add_noise(pressure, NOISE_DB, rng)
         if progress is not None:
             progress((number + 1) / len(pairs))
     return found
 
 
-def write_measured_box(
-    plan: BoxPlan,
-    folder: Path,
-    rng: np.random.Generator,
-    *,
-    position_error_m: float = _POSITION_ERROR_M,
-    noise_db: float = _NOISE_DB,
-    patch: Patch | None = None,
-    progress: Progress | None = None,
-) -> MeasuredBox:
-    """Write simulated responses of every pair in a box into an existing folder, as a campaign.
-
-    The other parameters are those of `simulated_responses`; the campaign does not specify a patch.
-    """
-    responses = simulated_responses(
-        plan,
-        rng,
-        position_error_m=position_error_m,
-        noise_db=noise_db,
-        patch=patch,
-        progress=progress,
-    )
-    for (s, r), pressure in responses.items():
-        _write_wav(folder / f"{s}_{r}.wav", pressure)
-    text = campaign_text(plan, list(responses), position_error_m)
-    campaign = write_text_atomically(folder / "campaign.toml", text)
-    centres_hz = bands_between("octave", 63, 8000).centres_hz
-    return MeasuredBox(campaign, plan.materials, centres_hz, plan.absorption)
-
-
-def _true_box(
+def true_box(
     plan: BoxPlan, position_error_m: float, rng: np.random.Generator
 ) -> tuple[SyntheticBox, dict[str, FloatArray]]:
     """Return the box of a plan in usual air, and true positions about the specified ones."""
-    bands, air = bands_between("octave", 63, 8000), Air()
-    attenuation, c = attenuation_per_m(air, bands), speed_of_sound_m_s(air)
-    synthetic = SyntheticBox(plan.lengths_m, bands.centres_hz, plan.absorption, attenuation, c)
+    attenuation, c = attenuation_per_m(Air(), PLAN_BANDS), speed_of_sound_m_s(Air())
+    synthetic = SyntheticBox(plan.lengths_m, PLAN_BANDS.centres_hz, plan.absorption, attenuation, c)
     return synthetic, {
         name: np.array(position_m) + position_error_m * rng.standard_normal(3)
         for name, position_m in (*plan.sources_m.items(), *plan.receivers_m.items())
     }
 
 
-def _write_wav(file: Path, pressure: FloatArray) -> None:
+def write_measured_box(
+    plan: BoxPlan, folder: Path, rng: np.random.Generator, progress: Progress | None = None
+) -> Path:
+    """Write `simulated_responses` into an existing folder, as a campaign; return its file."""
+    return write_box_campaign(plan, folder, simulated_responses(plan, rng, progress))
+
+
+def write_box_campaign(
+    plan: BoxPlan,
+    folder: Path,
+    responses: Mapping[tuple[str, str], FloatArray],
+    *,
+    position_error_m: float = POSITION_ERROR_M,
+    scattering: str = SMOOTH,
+) -> Path:
+    """Write responses of a box as WAV files and `campaign_text` beside them; return its file."""
     import soundfile
 
-    soundfile.write(file, pressure.astype(np.float32), int(SAMPLING_RATE_HZ), subtype="FLOAT")
+    for (s, r), pressure in responses.items():
+        samples = pressure.astype(np.float32)
+        soundfile.write(folder / f"{s}_{r}.wav", samples, int(SAMPLING_RATE_HZ), subtype="FLOAT")
+    text = campaign_text(plan, list(responses), position_error_m, scattering=scattering)
+    return write_text_atomically(folder / "campaign.toml", text)
 
 
 def campaign_text(
@@ -486,7 +340,7 @@ def campaign_text(
     pairs: list[tuple[str, str]],
     position_error_m: float,
     *,
-    scattering: str = "0.0  # smooth, bare walls",
+    scattering: str = SMOOTH,
 ) -> str:
     """Return a campaign file of a box; `scattering` is the specified one of every wall."""
     lines = ["[room]", f"shoebox = {list(plan.lengths_m)}", "[room.materials]"]
@@ -505,20 +359,12 @@ def campaign_text(
     return "\n".join(lines) + "\n"
 
 
-_BIN_S = 0.5e-3
+ECHOGRAM_BIN_S = 0.5e-3
 _RADIUS_M = 0.3
 _N_RAYS = 100_000
 _RAYS_AT_ONCE = 20_000
 # Energies are 1/(4 pi r^2) where the square of the pressure is 1/(4 pi r)^2.
 _PRESSURE_SQUARED = 1.0 / (4.0 * np.pi)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class DiffuseEchogram:
-    """Energy that arrives after at least one diffuse reflection."""
-
-    energy: FloatArray  # (n_receivers, n_bands, n_bins), 1/m2 for a source of unit power
-    bin_s: float
 
 
 def diffuse_echogram(
@@ -530,8 +376,10 @@ def diffuse_echogram(
     rng: np.random.Generator,
     *,
     n_rays: int = _N_RAYS,
-) -> DiffuseEchogram:
-    """Follow rays that the walls of a box reflect, and record which cross spheres of 0.3 m.
+) -> FloatArray:
+    """Return the energy that arrives after at least one diffuse reflection, by rays.
+
+    Rays are reflected by the walls and caught by spheres of 0.3 m.
 
     At each wall a ray is scattered by Lambert's law with probability s and reflected specularly
     otherwise; it keeps ``1 - a`` of its energy in either case, band by band.
@@ -542,14 +390,19 @@ def diffuse_echogram(
         Of the walls in the order of `synthetic.absorption`.
     receivers_m : float array, shape (n_receivers, 3)
         0.3 m or more from every wall.
+
+    Returns
+    -------
+    float array, shape (n_receivers, n_bands, n_bins)
+        1/m2 for a source of unit power, in bins of `ECHOGRAM_BIN_S`.
     """
-    n_bins = round(duration_s / _BIN_S)
+    n_bins = round(duration_s / ECHOGRAM_BIN_S)
     energy = np.zeros((len(receivers_m), synthetic.absorption.shape[1], n_bins))
     for start in range(0, n_rays, _RAYS_AT_ONCE):
         n = min(_RAYS_AT_ONCE, n_rays - start)
         _add_rays(synthetic, scattering, source_m, receivers_m, n, rng, energy)
     volume = 4.0 / 3.0 * np.pi * _RADIUS_M**3
-    return DiffuseEchogram(energy / (n_rays * volume), _BIN_S)
+    return np.asarray(energy / (n_rays * volume))
 
 
 def _add_rays(
@@ -570,7 +423,7 @@ def _add_rays(
         np.zeros(n),
         np.zeros(n, dtype=np.bool_),
     )
-    reach = synthetic.speed_of_sound_m_s * energy.shape[2] * _BIN_S
+    reach = synthetic.speed_of_sound_m_s * energy.shape[2] * ECHOGRAM_BIN_S
     while len(rays.position):
         position, course, left, travelled, diffuse = rays
         with np.errstate(divide="ignore"):
@@ -617,7 +470,7 @@ def _catch(
         square = _RADIUS_M**2 - (np.einsum("ij,ij->i", way, way) - nearest**2)
         met = np.flatnonzero(rays.diffuse & (square > 0.0) & (nearest > 0.0) & (nearest < flight))
         arrived = rays.travelled[met] + nearest[met]
-        index = (arrived / synthetic.speed_of_sound_m_s / _BIN_S).astype(np.int64)
+        index = (arrived / synthetic.speed_of_sound_m_s / ECHOGRAM_BIN_S).astype(np.int64)
         met, index, arrived = (x[index < n_bins] for x in (met, index, arrived))
         chord = 2.0 * np.sqrt(square[met])
         for band, attenuation in enumerate(synthetic.attenuation_per_m):
@@ -647,34 +500,8 @@ def specular_box(synthetic: SyntheticBox, scattering: FloatArray) -> SyntheticBo
     return replace(synthetic, absorption=1.0 - kept)
 
 
-def with_diffuse_noise(
-    specular: FloatArray,
-    echogram: FloatArray,
-    synthetic: SyntheticBox,
-    sampling_rate_hz: float,
-    level_db: FloatArray,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """Return the sound pressure at the receiver: the images of `specular_box`, and diffuse noise.
-
-    The noise is white, its power follows the echogram of each band, and both pass the same band
-    shares and the same loudspeaker.
-
-    Parameters
-    ----------
-    specular : float array, shape (n_samples,)
-        From `pressure_response`.
-    echogram : float array, shape (n_bands, n_bins)
-        Of this receiver, from `diffuse_echogram`.
-    """
-    centres_hz, n = synthetic.centres_hz, specular.size
-    noise = modulated_noise(echogram, _BIN_S, n, sampling_rate_hz, centres_hz, level_db, rng)
-    return np.asarray(specular + noise)
-
-
 def modulated_noise(
     echogram: FloatArray,
-    bin_s: float,
     n_samples: int,
     sampling_rate_hz: float,
     centres_hz: FloatArray,
@@ -683,16 +510,19 @@ def modulated_noise(
 ) -> FloatArray:
     """Return noise whose power in time follows an echogram, band by band, shape (n_samples,).
 
+    Added to the pressure of the images of `specular_box`, it makes that of walls that scatter. It
+    is white before it passes the band shares and the loudspeaker as they do.
+
     Parameters
     ----------
     echogram : float array, shape (n_bands, n_bins)
-        Energy of each bin, 1/m2 for a source of unit power.
+        Energy of each bin of `ECHOGRAM_BIN_S`, 1/m2 for a source of unit power.
     centres_hz, level_db : float arrays, shape (n_bands,)
         As for `pressure_response`.
     """
     times_s = np.arange(n_samples) / sampling_rate_hz
-    bins = np.minimum((times_s / bin_s).astype(int), echogram.shape[1] - 1)
-    power = _PRESSURE_SQUARED * echogram / (bin_s * sampling_rate_hz)
+    bins = np.minimum((times_s / ECHOGRAM_BIN_S).astype(int), echogram.shape[1] - 1)
+    power = _PRESSURE_SQUARED * echogram / (ECHOGRAM_BIN_S * sampling_rate_hz)
     white = rng.standard_normal(n_samples)
     frequencies = np.linspace(0.0, 0.5 * sampling_rate_hz, n_samples + 1)
     spectrum = np.zeros(n_samples + 1, dtype=np.complex128)
@@ -700,50 +530,3 @@ def modulated_noise(
         spectrum += share * np.fft.rfft(white * np.sqrt(of_band[bins]), 2 * n_samples)
     spectrum *= loudspeaker(centres_hz, level_db, frequencies)
     return np.asarray(np.fft.irfft(spectrum, 2 * n_samples)[:n_samples])
-
-
-def write_scattering_box(
-    plan: BoxPlan,
-    scattering: FloatArray,
-    folder: Path,
-    rng: np.random.Generator,
-    *,
-    specified_scattering: str = "0.0",
-    n_rays: int = _N_RAYS,
-) -> MeasuredBox:
-    """Simulate measured responses of a box whose walls scatter and write them as a campaign.
-
-    Parameters
-    ----------
-    scattering : float array, shape (6,)
-        Of west, east, south, north, floor and ceiling, the same in every octave.
-    folder, rng
-        As of `write_measured_box`.
-    specified_scattering : str
-        Of every wall, as written in the campaign.
-    n_rays : int
-        Of each source.
-    """
-    synthetic, true_at = _true_box(plan, _POSITION_ERROR_M, rng)
-    specular = specular_box(synthetic, scattering)
-    receivers = np.array([true_at[r] for r in plan.receivers_m])
-    for s in plan.sources_m:
-        level_db = rng.normal(0.0, 3.0, synthetic.centres_hz.size)
-        echogram = diffuse_echogram(
-            synthetic, scattering, true_at[s], receivers, _DURATION_S, rng, n_rays=n_rays
-        )
-        for r, energy in zip(plan.receivers_m, echogram.energy, strict=True):
-            ends = (true_at[s], true_at[r], _DURATION_S, SAMPLING_RATE_HZ, level_db)
-            pressure = with_diffuse_noise(
-                pressure_response(specular, *ends),
-                energy,
-                synthetic,
-                SAMPLING_RATE_HZ,
-                level_db,
-                rng,
-            )
-            _write_wav(folder / f"{s}_{r}.wav", add_noise(pressure, _NOISE_DB, rng))
-    pairs = [(s, r) for s in plan.sources_m for r in plan.receivers_m]
-    text = campaign_text(plan, pairs, _POSITION_ERROR_M, scattering=specified_scattering)
-    campaign = write_text_atomically(folder / "campaign.toml", text)
-    return MeasuredBox(campaign, plan.materials, synthetic.centres_hz, plan.absorption)

@@ -82,47 +82,6 @@ def plane_of(corners_m: FloatArray) -> tuple[FloatArray, float]:
     return normal, float(np.mean(corners_m @ normal))
 
 
-def cell_volume_m3(cells: Cells) -> float:
-    """Return the volume: a third of area times height over the origin, summed over the walls."""
-    total = 0.0
-    for face in cells.faces:
-        corners = cells.vertices_m[list(face.corners)]
-        vector = 0.5 * np.cross(corners, np.roll(corners, -1, axis=0)).sum(axis=0)
-        total += float(vector @ corners[0]) / 3.0
-    return total
-
-
-def with_moved_planes(cells: Cells, shift_m: FloatArray) -> Cells:
-    """Return a room with each wall's plane moved outwards, for convex rooms.
-
-    Every corner goes to where the planes of its three faces meet now.
-
-    Parameters
-    ----------
-    cells : Cells
-        One cell with three faces at every corner.
-    shift_m : float array, shape (n_faces,)
-    """
-    arrays = cell_arrays(cells)
-    moved = np.empty_like(cells.vertices_m)
-    for v in range(len(moved)):
-        own = [i for i, face in enumerate(cells.faces) if v in face.corners]
-        offsets = arrays.offset_m[own] + shift_m[own]
-        moved[v] = np.linalg.solve(arrays.normal[own], offsets)
-    return Cells(moved, cells.faces, cells.materials)
-
-
-def obj_text(cells: Cells) -> str:
-    """Return the walls as Wavefront OBJ, metres and z up, with a `usemtl` for each material."""
-    lines = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in cells.vertices_m]
-    for number, face in enumerate(cells.faces):
-        if face.material >= 0:
-            name = cells.materials[face.material]
-            lines += [f"o {name}_{number}", f"usemtl {name}"]
-            lines.append("f " + " ".join(str(c + 1) for c in face.corners))
-    return "\n".join(lines) + "\n"
-
-
 _FLAT_M = 1e-3
 _ALIKE = 1e-6
 

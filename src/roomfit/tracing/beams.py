@@ -53,7 +53,6 @@ class Found(NamedTuple):
     position_m: FloatArray  # (n_images, 3)
     matrix: FloatArray  # (n_images, 9), product of the reflections, see `roomfit.tracing.paths`
     triangle: IntArray  # int32 (n_hits,), first hit first, path after path
-    cosine: FloatArray  # (n_hits,)
     ending: int  # DONE, TOO_MUCH_WORK or TOO_MUCH_MEMORY
     work: int  # walls tested against beams
 
@@ -72,7 +71,6 @@ def _room_for(n_images: int, n_hits: int) -> Found:
         np.empty((n_images, 3)),
         np.empty((n_images, 9)),
         np.empty(n_hits, dtype=np.int32),
-        np.empty(n_hits),
         DONE,
         0,
     )
@@ -90,7 +88,6 @@ def with_room(found: Found, n_images: int, n_hits: int) -> Found:
     wider.position_m[:have_images] = found.position_m
     wider.matrix[:have_images] = found.matrix
     wider.triangle[:have_hits] = found.triangle
-    wider.cosine[:have_hits] = found.cosine
     return wider
 
 
@@ -103,7 +100,6 @@ def cut_to(found: Found, n_images: int, n_hits: int, ending: int, work: int) -> 
         found.position_m[:n_images].copy(),
         found.matrix[:n_images].copy(),
         found.triangle[:n_hits].copy(),
-        found.cosine[:n_hits].copy(),
         ending,
         work,
     )
@@ -226,7 +222,6 @@ def is_visible(
     receiver_m: FloatArray,
     points: FloatArray,
     triangle: IntArray,
-    cosine: FloatArray,
 ) -> bool:
     """Return whether sound travels from the source by all walls of a chain to the receiver.
 
@@ -243,10 +238,10 @@ def is_visible(
     receiver_m : float array, shape (3,)
     points : float array, shape (at least order + 2, 3)
         Receives source, reflection points and receiver.
-    triangle, cosine : arrays, shape (at least order,)
-        Receive triangle and cosine of incidence of each hit, first hit first.
+    triangle : int64 array, shape (at least order,)
+        Receives the triangle of each hit, first hit first.
     """
-    if not _strikes(walls, chain_m, chain_wall, order, receiver_m, points, triangle, cosine):
+    if not _strikes(walls, chain_m, chain_wall, order, receiver_m, points, triangle):
         return False
     for leg in range(order + 1):
         p, q = row(points, leg), row(points, leg + 1)
@@ -265,7 +260,6 @@ def _strikes(
     receiver_m: FloatArray,
     points: FloatArray,
     triangle: IntArray,
-    cosine: FloatArray,
 ) -> bool:
     target = (receiver_m[0], receiver_m[1], receiver_m[2])
     put(points, order + 1, target)
@@ -282,7 +276,6 @@ def _strikes(
         triangle[place - 1] = _triangle_at(walls, w, target)
         if triangle[place - 1] < 0:
             return False
-        cosine[place - 1] = abs(dot(normal, step)) / math.sqrt(dot(step, step))
         put(points, place, target)
     put(points, 0, row(chain_m, 0))
     return True
@@ -334,7 +327,6 @@ class _Chain(NamedTuple):
     wall: IntArray  # (order + 1,)
     points_m: FloatArray  # (order + 2, 3)
     triangle: IntArray  # (order + 1,)
-    cosine: FloatArray  # (order + 1,)
     opening_m: FloatArray  # (ROWS, 3), of the current beam
     planes: FloatArray  # (ROWS + 1, 4)
     scratch: FloatArray  # (ROWS, 3)
@@ -416,7 +408,6 @@ def _chain_of(source_m: FloatArray, order: int) -> _Chain:
         np.full(n, -1),
         np.zeros((n, 3)),
         np.zeros(n, dtype=np.int64),
-        np.zeros(n),
         np.zeros((ROWS, 3)),
         np.zeros((ROWS + 1, 4)),
         np.zeros((ROWS, 3)),
@@ -483,7 +474,6 @@ def _reaches_receiver(
         receiver_m,
         chain.points_m,
         chain.triangle,
-        chain.cosine,
     )
 
 
@@ -608,4 +598,3 @@ def _note(found: Found, chain: _Chain, r: int, order: int, i: int, first_hit: in
         found.matrix[i, k] = chain.matrix[order, k]
     for k in range(order):
         found.triangle[first_hit + k] = chain.triangle[k]
-        found.cosine[first_hit + k] = chain.cosine[k]

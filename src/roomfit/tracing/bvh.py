@@ -33,12 +33,12 @@ from numba.extending import intrinsic, overload
 from numba.np.arrayobj import populate_array
 
 from roomfit._numba import kernel
+from roomfit.geometry.inside import Vector
 from roomfit.scene import Room
 from roomfit.tracing.walls import (
     EDGE_M,
     Facets,
     Planes,
-    Vector,
     convex_planes,
     facet_distance,
     facets_of,

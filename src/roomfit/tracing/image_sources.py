@@ -20,17 +20,13 @@ from scipy.spatial import cKDTree
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
-from roomfit.geometry.mesh import area_vectors_m2, surface_area_m2, volume_m3
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room, Scene, distances_m, triangle_material
 from roomfit.tracing.beams import DONE, TOO_MUCH_MEMORY, TOO_MUCH_WORK, Found, Limits, beam_tree
 from roomfit.tracing.paths import (
     ImageSet,
     Paths,
-    Reflections,
-    join_reflections,
-    reflections_in_order,
-    unfolded_normals,
 )
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
 from roomfit.typing import FloatArray, IntArray, Progress
@@ -55,7 +51,6 @@ def polyhedron_images(
     receivers_m: FloatArray,
     limits: Limits,
     *,
-    with_reflections: bool = False,
     with_image_transforms: bool = False,
     mirrors: tuple[Walls, Blockers] | None = None,
 ) -> list[ImageSet]:
@@ -71,9 +66,8 @@ def polyhedron_images(
     receivers_m : float array, shape (n_receivers, 3)
     limits : Limits
         From `limits_of`.
-    with_reflections, with_image_transforms : bool
-        Return the ordered hits with the normals of their walls, and the product of the
-        reflections, as well.
+    with_image_transforms : bool
+        Return the product of each path's reflections as well.
     mirrors : tuple of Walls and Blockers, optional
         From `mirrors_of`, where several sources share a room of thousands of walls.
 
@@ -98,9 +92,9 @@ def polyhedron_images(
     sets = []
     for number, receiver in enumerate(receivers):
         own = _one_of_each(np.flatnonzero(found.receiver == number), found, walls.tolerance_m)
-        images = _image_set(room, found, first, own, receiver, owner, with_reflections)
-        matrix = images.image_transform if with_image_transforms else None
-        sets.append(replace(images, image_transform=matrix))
+        to_receiver = receiver - found.position_m[own]
+        images = _image_set(found, first, own, to_receiver, owner, len(room.materials))
+        sets.append(images if with_image_transforms else replace(images, image_transform=None))
     return sets
 
 
@@ -148,15 +142,13 @@ def _one_of_each(own: IntArray, found: Found, tolerance_m: float) -> IntArray:
 
 
 def _image_set(
-    room: Room,
     found: Found,
     first: IntArray,
     own: IntArray,
-    receiver: FloatArray,
+    to_receiver: FloatArray,
     owner: IntArray,
-    with_reflections: bool,
+    n_materials: int,
 ) -> ImageSet:
-    to_receiver = receiver - found.position_m[own]
     length = np.linalg.norm(to_receiver, axis=1)
     near = np.argsort(length, kind="stable")
     own, to_receiver, length = own[near], to_receiver[near], length[near]
@@ -168,30 +160,20 @@ def _image_set(
     path = np.repeat(np.arange(len(own)), counts)
     place = np.arange(len(path)) - np.repeat(np.cumsum(counts) - counts, counts)
     entry = np.repeat(first[own], counts) + place
-    material = owner[found.triangle[entry]]
-    n_materials = len(room.materials)
-    hits = np.bincount(path * n_materials + material, minlength=len(own) * n_materials)
-    reflections: Reflections | None = None
-    normals: FloatArray | None = None
-    if with_reflections:
-        vectors = area_vectors_m2(room.mesh)[found.triangle[entry]]
-        unit = vectors / np.linalg.norm(vectors, axis=1)[:, None]
-        normals = unfolded_normals(unit, np.concatenate(([0], np.cumsum(counts))))
-        cosine = found.cosine[entry]
-        reflections = reflections_in_order(
-            path, place.astype(np.float64), material, cosine, len(own)
-        )
+    triangle = found.triangle[entry]
+    hits = np.bincount(path * n_materials + owner[triangle], minlength=len(own) * n_materials)
     return ImageSet(
         length,
         hits.reshape(-1, n_materials).astype(np.uint16),
         departure,
         arrival,
-        reflections,
         matrix,
-        normals,
+        np.concatenate(([0], np.cumsum(counts))),
+        triangle,
     )
 
 
+_ANY_ORDER = 1000  # within any length worth the name
 # Steps in which a duration is tried; a step costs some 1.1**5 = 1.6 times the one before.
 _STEP = 1.1
 
@@ -206,7 +188,7 @@ def expected_images(volume_m3: float, length_m: float) -> float:
 
 
 def affordable_duration_s(
-    scene: Scene, longest_s: float, *, order: int = 1000, work: float = 1e7, images: float = 2e5
+    scene: Scene, longest_s: float, *, work: float = 1e7, images: float = 2e5
 ) -> float:
     """Return the duration up to which the images of any one source keep to a budget of work.
 
@@ -216,8 +198,6 @@ def affordable_duration_s(
     ----------
     longest_s : float
         No more is tried.
-    order : int
-        Most hits of a path.
     work : float
         Walls tested against beams for one source; ten million take about 2 s on one core.
     images : float
@@ -235,7 +215,7 @@ def affordable_duration_s(
         duration_s = longest_s / 100.0
         while duration_s < affordable_s:
             next_s = min(duration_s * _STEP, affordable_s)
-            if not keeps(order, next_s * speed):
+            if not keeps(_ANY_ORDER, next_s * speed):
                 break
             duration_s = next_s
         affordable_s = duration_s
@@ -307,7 +287,6 @@ def shoebox_images(
     order: int,
     max_length_m: float,
     *,
-    with_reflections: bool = False,
     with_image_transforms: bool = False,
 ) -> ImageSet:
     """Return all images up to an order and a distance.
@@ -323,8 +302,8 @@ def shoebox_images(
     source_m, receiver_m : float array, shape (3,)
     order : int
         Most hits of a path, 0 or more.
-    with_reflections, with_image_transforms : bool
-        Return the ordered hits, and the product of the reflections, as well.
+    with_image_transforms : bool
+        Return the product of each path's reflections as well.
 
     References
     ----------
@@ -344,9 +323,8 @@ def shoebox_images(
     hits = np.zeros((len(index), len(room.materials)), dtype=np.uint16)
     for wall in range(6):
         hits[:, room.surface_material[wall]] += wall_hits(index, wall).astype(np.uint16)
-    reflections = _reflections(room, index, receiver_m, to_receiver) if with_reflections else None
     image_transform = turned[:, :, None] * np.eye(3) if with_image_transforms else None
-    return ImageSet(distance, hits, departure, arrival, reflections, image_transform)
+    return ImageSet(distance, hits, departure, arrival, image_transform)
 
 
 def count_of_shoebox_images(
@@ -393,35 +371,12 @@ def wall_hits(index: IntArray, wall: int) -> IntArray:
     return np.asarray((np.abs(i) + on_this_side) // 2)
 
 
-def _reflections(
-    room: Room, index: IntArray, receiver: FloatArray, to_receiver: FloatArray
-) -> Reflections:
-    """Follow the straight line from each image to the receiver through the walls' images."""
-    lengths = np.array(room.shoebox_m)
-    distance = np.linalg.norm(to_receiver, axis=1)
-    parts: list[tuple[IntArray, FloatArray, IntArray, FloatArray]] = []
-    for axis in range(3):
-        counts = np.abs(index[:, axis])
-        path = np.repeat(np.arange(len(index)), counts)
-        # hits counted outwards from the receiver: 0 is the last one of the path
-        back = np.arange(len(path)) - np.repeat(np.cumsum(counts) - counts, counts)
-        beyond = index[path, axis] > 0
-        plane = np.where(beyond, back + 1, -back) * lengths[axis]
-        share = (plane - receiver[axis]) / -to_receiver[path, axis]
-        wall = 2 * axis + (beyond == (back % 2 == 0))
-        cosine = np.abs(to_receiver[path, axis]) / distance[path]
-        parts.append((path, -share, room.surface_material[wall], cosine))
-    path, place, material, cosine = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return reflections_in_order(path, place, material, cosine, len(index))
-
-
 def trace_images(
     scene: Scene,
     order: int,
     duration_s: float,
     scattering: Scattering,
     *,
-    with_reflections: bool = False,
     with_image_transforms: bool = False,
     budget: Budget = USUAL_BUDGET,
     progress: Progress | None = None,
@@ -438,8 +393,6 @@ def trace_images(
         Paths that take longer are left out.
     scattering : Scattering
         Thins a path by ``1 - s`` a hit; materials in any order.
-    with_reflections : bool
-        Keep the ordered hits with their angles.
     with_image_transforms : bool
         Keep the product of each path's reflections, with which the paths of moved sources and
         receivers are known without another search, see `Paths`.
@@ -470,7 +423,14 @@ def trace_images(
         per_image = 150.0 + 6.0 * len(room.materials) + 108.0 * with_image_transforms
     else:
         count, per_image = _expected_cost(room, order, max_length_m)
-    _refuse_above(budget.memory_bytes, len(scene.pairs) * count, per_image)
+    count *= len(scene.pairs)
+    if count * per_image > budget.memory_bytes:
+        raise InputError(
+            "too many image sources for the memory",
+            found=f"about {count:.3g} images, {count * per_image / 2**30:.3g} GiB",
+            needed=f"at most {budget.memory_bytes / 2**30:.3g} GiB",
+            hint="lower image_order or duration_s and leave the rest to rays",
+        )
 
     def of_source(source: int) -> list[ImageSet]:
         """Return the images of one source for each of its pairs, in the order of the pairs."""
@@ -482,15 +442,20 @@ def trace_images(
                 start,
                 np.array(receivers),
                 limits_of(order, max_length_m, budget),
-                with_reflections=with_reflections,
                 with_image_transforms=with_image_transforms,
                 mirrors=mirrors,
             )
-        keep = {
-            "with_reflections": with_reflections,
-            "with_image_transforms": with_image_transforms,
-        }
-        return [shoebox_images(room, start, r, order, max_length_m, **keep) for r in receivers]
+        return [
+            shoebox_images(
+                room,
+                start,
+                r,
+                order,
+                max_length_m,
+                with_image_transforms=with_image_transforms,
+            )
+            for r in receivers
+        ]
 
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
     # kernels release the interpreter, so that sources share the processors as threads
@@ -516,17 +481,6 @@ def _expected_cost(room: Room, order: int, max_length_m: float) -> tuple[float, 
     return expected_images(volume, length_m), per_image
 
 
-def _refuse_above(memory_limit_bytes: float, count: float, per_image: float) -> None:
-    needed = count * per_image
-    if needed > memory_limit_bytes:
-        raise InputError(
-            "too many image sources for the memory",
-            found=f"about {count:.3g} images, {needed / 2**30:.3g} GiB",
-            needed=f"at most {memory_limit_bytes / 2**30:.3g} GiB",
-            hint="lower image_order or duration_s and leave the rest to rays",
-        )
-
-
 def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Paths:
     counts = [len(s.length_m) for s in sets]
     length = np.concatenate([np.zeros(0), *(s.length_m for s in sets)])
@@ -534,7 +488,6 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     hits = np.concatenate([no_hits, *(s.hits for s in sets)])
     kept = np.prod((1.0 - scattering) ** hits, axis=1)
     nowhere = np.zeros((0, 3))
-    reflections = [s.reflections for s in sets if s.reflections is not None]
     transforms = [s.image_transform for s in sets if s.image_transform is not None]
     return Paths(
         len(scene.pairs),
@@ -549,6 +502,5 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         np.full(len(length), -1, dtype=np.int32),
         0,
         scattering,
-        join_reflections(reflections) if reflections else None,
         np.concatenate(transforms).astype(np.float32) if transforms else None,
     )

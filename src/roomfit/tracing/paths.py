@@ -9,27 +9,9 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from roomfit._checks import float_array, int_array
+from roomfit._checks import check_shape
 from roomfit.errors import InputError
 from roomfit.typing import BoolArray, FloatArray, IntArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Reflections:
-    """The ordered wall hits of each path, as one long list."""
-
-    offsets: IntArray  # int64 (n_paths + 1,), entries of path i: ``offsets[i]:offsets[i + 1]``
-    material: IntArray  # int32 (n_entries,), first hit of a path first
-    cosine: FloatArray  # (n_entries,), of the angle of incidence, 0 (grazing) to 1 (normal)
-
-    def __post_init__(self) -> None:
-        offsets = int_array("offsets", self.offsets, (None,), np.int64, low=0)
-        n = int(offsets[-1]) if offsets.size else 0
-        object.__setattr__(self, "offsets", offsets)
-        object.__setattr__(self, "material", int_array("material", self.material, (n,), low=0))
-        object.__setattr__(
-            self, "cosine", float_array("cosine", self.cosine, (n,), low=0.0, high=1.0)
-        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +49,6 @@ class Paths:
     batch: IntArray  #: int32 (n_paths,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int
     sampling_scattering: FloatArray  #: (n_materials,), coefficients of the trace
-    reflections: Reflections | None = None  #: Of image paths on request; rays have none
     #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
     #: image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
@@ -75,7 +56,7 @@ class Paths:
     def __post_init__(self) -> None:
         n = len(self.length_m)
         m = len(self.materials)
-        shapes = {
+        shapes: dict[str, tuple[int, ...]] = {
             "pair": (n,),
             "length_m": (n,),
             "weight_per_m2": (n,),
@@ -86,23 +67,13 @@ class Paths:
             "batch": (n,),
             "sampling_scattering": (m,),
         }
+        if self.image_transform is not None:
+            shapes["image_transform"] = (n, 3, 3)
         # Paths can be gigabytes and are made by this package only: shapes are checked and the
         # arrays set read-only in place, not copied.
         for name, shape in shapes.items():
-            array = getattr(self, name)
-            if array.shape != shape:
-                raise InputError(
-                    f"paths: {name} has the wrong shape", found=f"{array.shape}", needed=f"{shape}"
-                )
-            array.setflags(write=False)
-        if self.image_transform is not None:
-            if self.image_transform.shape != (n, 3, 3):
-                raise InputError(
-                    "paths: image_transform has the wrong shape",
-                    found=f"{self.image_transform.shape}",
-                    needed=f"{(n, 3, 3)}",
-                )
-            self.image_transform.setflags(write=False)
+            check_shape(f"paths: {name}", getattr(self, name), shape)
+            getattr(self, name).setflags(write=False)
 
     def __len__(self) -> int:
         return len(self.length_m)
@@ -122,25 +93,15 @@ def hits(paths: Paths) -> IntArray:
 
 def select(paths: Paths, keep: BoolArray | IntArray) -> Paths:
     """Return the chosen paths, by mask or index, with all that is known of them."""
-    reflections = None
-    if paths.reflections is not None:
-        old = paths.reflections
-        index = np.flatnonzero(keep) if keep.dtype == np.bool_ else keep
-        counts = np.diff(old.offsets)[index]
-        offsets = np.concatenate(([0], np.cumsum(counts)))
-        # entry numbers of each kept path, laid end to end
-        entries = np.arange(offsets[-1]) + np.repeat(old.offsets[index] - offsets[:-1], counts)
-        reflections = Reflections(offsets, old.material[entries], old.cosine[entries])
     columns: dict[str, Any] = {name: getattr(paths, name)[keep] for name in _PER_PATH}
     transform = None if paths.image_transform is None else paths.image_transform[keep]
-    return replace(paths, **columns, reflections=reflections, image_transform=transform)
+    return replace(paths, **columns, image_transform=transform)
 
 
 def concatenate(parts: Sequence[Paths]) -> Paths:
     """Return all paths of several traces of one scene as one.
 
-    Where some part has ordered reflections or image transforms, the paths of the others get empty
-    lists and zeros.
+    Where some part has image transforms, the paths of the others get zeros.
 
     Raises
     ------
@@ -162,48 +123,22 @@ def concatenate(parts: Sequence[Paths]) -> Paths:
     columns: dict[str, Any] = {
         name: np.concatenate([getattr(p, name) for p in parts]) for name in _PER_PATH
     }
+    transform = None
+    if any(p.image_transform is not None for p in parts):
+        transform = np.concatenate(
+            [
+                np.zeros((len(p), 3, 3), dtype=np.float32)
+                if p.image_transform is None
+                else p.image_transform
+                for p in parts
+            ]
+        )
     return replace(
         first,
         **columns,
         n_batches=max(p.n_batches for p in parts),
-        reflections=_reflections_of_all(parts),
-        image_transform=_joined_image_transforms(parts),
+        image_transform=transform,
     )
-
-
-def _reflections_of_all(parts: Sequence[Paths]) -> Reflections | None:
-    if all(p.reflections is None for p in parts):
-        return None
-    none = np.zeros(0, dtype=np.int32)
-    lists = [
-        Reflections(np.zeros(len(p) + 1, dtype=np.int64), none, np.zeros(0))
-        if p.reflections is None
-        else p.reflections
-        for p in parts
-    ]
-    return join_reflections(lists)
-
-
-def join_reflections(parts: Sequence[Reflections]) -> Reflections:
-    """Return the reflections of all paths of several lists, one list after the other."""
-    counts = np.concatenate([np.diff(r.offsets) for r in parts])
-    return Reflections(
-        np.concatenate(([0], np.cumsum(counts))),
-        np.concatenate([r.material for r in parts]),
-        np.concatenate([r.cosine for r in parts]),
-    )
-
-
-def _joined_image_transforms(parts: Sequence[Paths]) -> NDArray[np.float32] | None:
-    if all(p.image_transform is None for p in parts):
-        return None
-    blank = [
-        np.zeros((len(p), 3, 3), dtype=np.float32)
-        if p.image_transform is None
-        else p.image_transform
-        for p in parts
-    ]
-    return np.concatenate(blank)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -214,15 +149,17 @@ class ImageSet:
     hits: IntArray  # uint16 (n_paths, n_materials)
     departure: FloatArray  # (n_paths, 3), unit vectors away from the source
     arrival: FloatArray  # (n_paths, 3), unit vectors in which sound travels on arrival
-    reflections: Reflections | None = None  # on request
     image_transform: FloatArray | None = None  # (n_paths, 3, 3), see `Paths`, on request
-    # (n_hits, 3), from `unfolded_normals` in the order of `reflections`: the product with `arrival`
-    # is the cosine of incidence, for moved sources and receivers, too. Not for boxes.
-    normals: FloatArray | None = None
+    # The hits of each path in their order, path after path, not for boxes: path i has the entries
+    # ``first_hit[i]:first_hit[i + 1]`` of `triangle`, which are triangles of the mesh
+    first_hit: IntArray | None = None  # (n_paths + 1,)
+    triangle: IntArray | None = None  # (n_hits,)
 
 
 def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
     """Return the normals of walls in the receiver's frame, mirrored by all later hits.
+
+    Their product with the arrival is the cosine of incidence, for moved sources and receivers, too.
 
     Parameters
     ----------
@@ -241,29 +178,6 @@ def unfolded_normals(normal: FloatArray, first: IntArray) -> FloatArray:
         # A (1 - 2 n n^T) = A - 2 (A n) n^T
         later[path] -= 2.0 * own[:, :, None] * normal[hit][:, None, :]
     return unfolded
-
-
-def reflections_in_order(
-    path: IntArray, place: FloatArray, material: IntArray, cosine: FloatArray, n_paths: int
-) -> Reflections:
-    """Return hits given in any order as ordered lists.
-
-    Parameters
-    ----------
-    path : int array, shape (n_hits,)
-        To which path each hit belongs.
-    place : float array, shape (n_hits,)
-        Rises along the path from source to receiver.
-    material, cosine : arrays, shape (n_hits,)
-    """
-    order = np.lexsort((place, path))
-    counts = np.bincount(path, minlength=n_paths)
-    return Reflections(
-        np.concatenate(([0], np.cumsum(counts))),
-        material[order].astype(np.int32),
-        # a quotient of rounded lengths may pass 1 by an ulp
-        np.minimum(cosine[order], 1.0),
-    )
 
 
 Directions = Literal["fibonacci", "sobol"]

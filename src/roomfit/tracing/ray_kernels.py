@@ -21,8 +21,9 @@ from numba import prange
 from numba.extending import overload
 
 from roomfit._numba import kernel
+from roomfit.geometry.inside import Vector
 from roomfit.tracing.bvh import Tree, Walls, nearest_in_tree, next_wall, wall_material
-from roomfit.tracing.walls import Planes, Vector, after_wall, mixed, ray_key, uniform
+from roomfit.tracing.walls import Planes, after_wall, mixed, ray_key, uniform
 from roomfit.typing import FloatArray, IntArray
 
 # Up to so many spheres it is quicker to try each one than to walk through a grid (measured).

@@ -19,6 +19,7 @@ from scipy.stats import qmc
 from roomfit._checks import float_array, read_only
 from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
+from roomfit.findings import Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.materials.priors import Scattering, coefficients_in_order
 from roomfit.scene import Room, Scene
@@ -127,21 +128,10 @@ def new_tally(n_chunks: int) -> Tally:
     )
 
 
-def trace_block(
+def _trace_block(
     walls: Walls, spheres: Spheres, job: Job, directions: FloatArray, rays: range, capacity: int
 ) -> tuple[Caught, Tally]:
-    """Trace the rays of a block and return what they recorded and counted.
-
-    Parameters
-    ----------
-    directions : float array, shape (n_rays, 3)
-        Of all rays of the source.
-    rays : range
-        Those of this block.
-    capacity : int
-        Crossings that each chunk is expected to find at most. Where one finds more, the block is
-        traced a second time with memory for all; its rays take the same paths.
-    """
+    """Trace some of a source's rays, again where a chunk finds more crossings than `capacity`."""
     n_chunks = -(-len(rays) // CHUNK_RAYS)
     own = directions[rays.start : rays.stop]
     while True:
@@ -153,7 +143,7 @@ def trace_block(
         capacity = found
 
 
-def packed(caught: Caught, spheres: Spheres, directions: FloatArray, n_batches: int) -> Piece:
+def _packed(caught: Caught, spheres: Spheres, directions: FloatArray, n_batches: int) -> Piece:
     """Return the recorded crossings of a block as paths, in the order of chunks."""
     filled = np.arange(caught.ray.shape[1]) < caught.found[:, None]
     ray, sphere = caught.ray[filled], caught.sphere[filled]
@@ -170,28 +160,18 @@ def packed(caught: Caught, spheres: Spheres, directions: FloatArray, n_batches: 
     )
 
 
-def joined(pieces: list[Piece], n_materials: int) -> Piece:
+def _joined(pieces: list[Piece], n_materials: int) -> Piece:
     """Join pieces array by array, emptying the list and letting go of each array once copied."""
-    columns = [list(column) for column in zip(_no_paths(n_materials), *pieces, strict=True)]
+    no_hits, nowhere = np.empty((0, n_materials), np.uint16), np.empty((0, 3), np.float32)
+    nothing, none = np.empty(0), np.empty(0, np.int32)
+    no_paths = Piece(none, nothing, nothing, no_hits, no_hits, nowhere, nowhere, none)
+    columns = [list(column) for column in zip(no_paths, *pieces, strict=True)]
     pieces.clear()
     arrays = []
     for column in columns:
         arrays.append(np.concatenate(column))
         column.clear()
     return Piece(*arrays)
-
-
-def _no_paths(n_materials: int) -> Piece:
-    return Piece(
-        np.empty(0, np.int32),
-        np.empty(0),
-        np.empty(0),
-        np.empty((0, n_materials), np.uint16),
-        np.empty((0, n_materials), np.uint16),
-        np.empty((0, 3), np.float32),
-        np.empty((0, 3), np.float32),
-        np.empty(0, np.int32),
-    )
 
 
 def _new_caught(n_chunks: int, capacity: int, n_materials: int) -> Caught:
@@ -264,11 +244,13 @@ _BLOCK_CROSSINGS = 500_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RayTrace:
-    """Paths of rays and their statistics."""
+class Trace:
+    """Paths of a scene, and what to know about them."""
 
-    paths: Paths  # In the order of sources, then rays, then time
-    statistics: RayStatistics
+    # Image paths (batch -1) before rays, these in the order of sources, then rays, then time
+    paths: Paths
+    statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
+    findings: tuple[Finding, ...] = ()  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
 
 
 def trace_rays(
@@ -279,7 +261,7 @@ def trace_rays(
     *,
     receiver_radii_m: ArrayLike | None = None,
     memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
-) -> RayTrace:
+) -> Trace:
     """Send rays from every source that a pair needs and record each crossing of its receivers.
 
     A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
@@ -329,11 +311,11 @@ def trace_rays(
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,
-        *joined(pieces, len(coefficients)),
+        *_joined(pieces, len(coefficients)),
         n_batches=settings.n_batches,
         sampling_scattering=coefficients,
     )
-    return RayTrace(paths, ray_statistics(len(sources) * settings.n_rays, tallies))
+    return Trace(paths, ray_statistics(len(sources) * settings.n_rays, tallies))
 
 
 def _trace_source(
@@ -363,8 +345,8 @@ def _trace_source(
     per_ray = _paths_along(scene.room, receivers.radius_m, job.max_length_m, rain)
     for rays in _blocks(scene.room, per_ray, job, settings.n_rays):
         capacity = int(1.2 * per_ray * CHUNK_RAYS) + 64
-        caught, tally = trace_block(walls, receivers, job, directions, rays, capacity)
-        yield rays.stop, packed(caught, receivers, directions, settings.n_batches), tally
+        caught, tally = _trace_block(walls, receivers, job, directions, rays, capacity)
+        yield rays.stop, _packed(caught, receivers, directions, settings.n_batches), tally
 
 
 def expected_paths(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,7 +14,7 @@ from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
-from roomfit.tracing.rays import RayStatistics, RayTrace, trace_rays
+from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
@@ -22,15 +22,6 @@ _CLEARANCE = 0.999
 _SMALLEST_RADIUS_M = 0.005
 _TOLERABLE_LEAK = 1e-3
 _SHARE_OF_IMAGES = 0.1
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Trace:
-    """All paths of a scene, and what to know about them."""
-
-    paths: Paths  # Image paths (batch -1) before rays
-    statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
-    findings: tuple[Finding, ...]  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
 
 
 def trace(
@@ -91,24 +82,33 @@ def trace(
             found="image_order -1 and n_rays 0",
             needed="image_order of 0 or more, or rays",
         )
-    parts: list[Paths] = []
+    images: Paths | None = None
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
+    images_s = settings.duration_s
+    if settings.image_until_s is not None:
+        images_s = min(settings.image_until_s, images_s)
     if settings.image_order >= 0:
-        order, duration_s = settings.image_order, _images_end_s(settings)
-        parts.append(
-            trace_images(
-                scene,
-                order,
-                duration_s,
-                scattering,
-                with_image_transforms=settings.keep_image_transforms,
-                progress=part(progress, 0.0, share),
-            )
+        images = trace_images(
+            scene,
+            settings.image_order,
+            images_s,
+            scattering,
+            with_image_transforms=settings.keep_image_transforms,
+            progress=part(progress, 0.0, share),
         )
-    rays, findings = _rays_beyond_images(scene, settings, scattering, part(progress, share, 1.0))
-    parts.append(rays.paths)
-    paths = concatenate(parts) if len(parts) > 1 else rays.paths
-    return Trace(paths, rays.statistics, (*findings, *_leaks(rays.statistics)))
+    radii: FloatArray | None = None
+    findings: tuple[Finding, ...] = ()
+    if settings.n_rays:
+        radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
+    rays = trace_rays(
+        scene, settings, scattering, part(progress, share, 1.0), receiver_radii_m=radii
+    )
+    findings = (*findings, *_leaks(rays.statistics))
+    if images is None:
+        return replace(rays, findings=findings)
+    reach_m = images_s * speed_of_sound_m_s(scene.air)
+    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order, reach_m))
+    return Trace(concatenate([images, late]), rays.statistics, findings)
 
 
 def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -> BoolArray:
@@ -116,27 +116,6 @@ def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -
     specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
     near = (specular <= image_order) & (paths.length_m < reach_m)
     return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
-
-
-def _images_end_s(settings: TraceSettings) -> float:
-    if settings.image_until_s is None:
-        return settings.duration_s
-    return min(settings.image_until_s, settings.duration_s)
-
-
-def _rays_beyond_images(
-    scene: Scene, settings: TraceSettings, scattering: Scattering, progress: Progress | None
-) -> tuple[RayTrace, tuple[Finding, ...]]:
-    radii: FloatArray | None = None
-    findings: tuple[Finding, ...] = ()
-    if settings.n_rays:
-        radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
-    rays = trace_rays(scene, settings, scattering, progress, receiver_radii_m=radii)
-    if settings.image_order < 0:
-        return rays, findings
-    reach_m = _images_end_s(settings) * speed_of_sound_m_s(scene.air)
-    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order, reach_m))
-    return RayTrace(late, rays.statistics), findings
 
 
 def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:
@@ -174,19 +153,18 @@ def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Fi
                 needed=f"more than {_SMALLEST_RADIUS_M:g} m",
                 hint="correct its position",
             )
-        findings.append(_shrunk(name, near, radius_m, float(radii[r])))
+        used_m = float(radii[r])
+        fewer = (radius_m / used_m) ** 2
+        findings.append(
+            Finding(
+                Code.RECEIVER_SPHERE_SHRUNK,
+                f"The sphere of receiver {name} reached beyond {near} and was shrunk from "
+                f"{radius_m:.2f} m to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
+                {"receiver": name, "asked_m": radius_m, "used_m": used_m},
+                graded="info" if fewer < 4.0 else "warning",
+            )
+        )
     return radii, tuple(findings)
-
-
-def _shrunk(name: str, near: str, asked_m: float, used_m: float) -> Finding:
-    fewer = (asked_m / used_m) ** 2
-    return Finding(
-        Code.RECEIVER_SPHERE_SHRUNK,
-        f"The sphere of receiver {name} reached beyond {near} and was shrunk from {asked_m:.2f} m "
-        f"to {used_m:.2f} m: it catches {fewer:.1f} times fewer rays.",
-        {"receiver": name, "asked_m": asked_m, "used_m": used_m},
-        graded="info" if fewer < 4.0 else "warning",
-    )
 
 
 def _leaks(statistics: RayStatistics) -> tuple[Finding, ...]:

@@ -15,13 +15,14 @@ from __future__ import annotations
 
 import math
 from itertools import pairwise
-from typing import NamedTuple, TypeAlias
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from roomfit._numba import kernel
 from roomfit.errors import InputError
+from roomfit.geometry.inside import Vector
 from roomfit.geometry.mesh import area_vectors_m2, corners_m, is_double_sided
 from roomfit.scene import Room, triangle_material
 from roomfit.typing import BoolArray, FloatArray, IntArray
@@ -54,9 +55,6 @@ def uniform(key: np.uint64, draw: int) -> float:
     """Return draw number `draw` of a key, uniform in [0, 1) in steps of 2**-53."""
     bits = mixed(key + (np.uint64(draw) + np.uint64(1)) * _GOLDEN)
     return np.float64(bits >> _11) * _UNIT
-
-
-Vector: TypeAlias = tuple[float, float, float]
 
 
 @kernel(allocates=False)
