@@ -127,6 +127,21 @@ def export_result(
         The result cannot be read, the format is unknown, or the file exists already.
     StoreError
         The disk refuses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     result, out = Path(name) / "absorption.csv", Path(name) / "materials.txt"
+    ...     _ = result.write_text(
+    ...         "material,band_hz,absorption,lower95,upper95,identifiable\\n"
+    ...         "carpet,500,0.3,0.25,0.36,true\\n"
+    ...     )
+    ...     written = export_result(result, "isimpa", out)
+    ...     print(out.read_text().strip())
+    carpet = < 30 30 30 30 30 30 > L < 10 10 10 10 10 10 >
+    >>> [finding.code.value for finding in written.findings]
+    ['export-scattering-assumed', 'export-bands-filled']
     """
     out = Path(out)
     exported = export_materials(

@@ -130,10 +130,34 @@ def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatAr
 def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     """Write ``result.json`` and ``absorption.csv`` into a folder.
 
+    Parameters
+    ----------
+    folder : Path
+        One that exists.
+    answer : Result
+    inputs : iterable of Path
+        Files whose SHA-256 is written; the first is the campaign, relative to which the others are
+        named.
+
     Raises
     ------
     StoreError
         The disk refuses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_result(Path(folder), result, [])
+    ...     found = read_result(Path(folder) / "result.json")
+    >>> bool(np.all(found.absorption == result.absorption))
+    True
     """
     content = result_content(answer, inputs)
     write_text_atomically(folder / "absorption.csv", absorption_csv(answer))

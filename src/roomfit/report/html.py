@@ -255,6 +255,18 @@ def report_html(
     -------
     str
         Write it as UTF-8.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> page = report_html(result, scene, title="Lecture room")
+    >>> "<title>Lecture room</title>" in page, "<script" in page
+    (True, False)
     """
     choices = tuple(pair for pair in answer.pairs if has_curves(pair))
     text: str = _template().render(

@@ -48,6 +48,18 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
         not finite; a choice is missing or does not exist; a key does not belong to this kind.
     StoreError
         The disk refuses to read the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import soundfile
+    >>> decay = np.exp(-np.arange(4800) / 480.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "S1_R1.wav"
+    ...     soundfile.write(file, decay, 48000, subtype="DOUBLE")
+    ...     response, findings = read_response(ResponseSpec(file))
+    >>> response.sampling_rate_hz, bool(np.all(response.pressure == decay)), findings
+    (48000.0, True, ())
     """
     path = Path(spec.path)
     kind = path.suffix.lower()
