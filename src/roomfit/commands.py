@@ -140,8 +140,8 @@ def export_result(
     ...     written = export_result(result, "isimpa", out)
     ...     print(out.read_text().strip())
     carpet = < 30 30 30 30 30 30 > L < 10 10 10 10 10 10 >
-    >>> [finding.code.value for finding in written.findings]
-    ['export-scattering-assumed', 'export-bands-filled']
+    >>> print(written.findings[0].sentence)
+    The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
     exported = export_materials(
