@@ -13,14 +13,12 @@ from roomfit.geometry.check import examine
 from roomfit.geometry.mesh import Mesh, refuse, shoebox_mesh
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
-from roomfit.io.rooms.mesh_formats import read_ac3d, read_obj, read_ply
+from roomfit.io.rooms.mesh_formats import read_ac3d, read_glb, read_obj, read_ply, read_stl
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
     RoomModel,
     RoomSpec,
     in_metres,
-    read_glb,
-    read_stl,
 )
 from roomfit.io.rooms.tables import read_polygons
 from roomfit.scene import Room, material_findings, room_from_mesh
