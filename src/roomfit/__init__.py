@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from roomfit.io.inputs import load_campaign
     from roomfit.io.iso3382 import read_parameters
     from roomfit.io.responses import read_response
-    from roomfit.io.responses.spec import ResponseSpec
+    from roomfit.io.responses.recordings import ResponseSpec
     from roomfit.io.results import read_result, write_result
     from roomfit.io.rooms import read_room
     from roomfit.io.rooms.model import RoomSpec
@@ -122,7 +122,7 @@ _HOME = {
     "read_result": "io.results",
     "read_room": "io.rooms",
     "report_html": "report.html",
-    "ResponseSpec": "io.responses.spec",
+    "ResponseSpec": "io.responses.recordings",
     "Result": "results",
     "RoomfitError": "errors",
     "RoomSpec": "io.rooms.model",

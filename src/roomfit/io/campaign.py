@@ -22,7 +22,7 @@ from roomfit._checks import nearest
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point

@@ -10,8 +10,7 @@ from roomfit.errors import InputError, StoreError
 from roomfit.findings import Finding
 from roomfit.io.responses.formats import read_mat, read_rew, read_wav
 from roomfit.io.responses.hdf5 import read_sofa
-from roomfit.io.responses.spec import ResponseSpec
-from roomfit.io.responses.sweeps import Recording, checked, deconvolved
+from roomfit.io.responses.recordings import Recording, ResponseSpec, checked, deconvolved
 from roomfit.signals.response import ImpulseResponse
 
 _READERS = {

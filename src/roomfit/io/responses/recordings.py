@@ -1,4 +1,4 @@
-"""Recordings as readers return them, their checks, and deconvolution of recorded excitations."""
+"""Which response to take from which file, what a reader returns, its checks, and deconvolution."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.measurement import TimeZero
 from roomfit.typing import FloatArray
 
 _SHORTEST_S = 0.01
@@ -20,6 +21,31 @@ _FEW_LEVELS = 500.0
 _CREST_STEPS = 3.0
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseSpec:
+    """One response in a file, as a campaign names it."""
+
+    path: Path  # a WAV, MAT or SOFA file, or a text file of REW (.txt), recognised by its suffix
+    # WAV: channel; MAT: column. From 0; needed where there are several
+    channel: int | None = None
+    variable: str | None = None  # MAT: name of the array of responses
+    sampling_rate_variable: str | None = None  # MAT: name of the sampling rate in Hz
+    # MAT: the sampling rate itself. Elsewhere it must agree with the file
+    sampling_rate_hz: float | None = None
+    measurement: int | None = None  # SOFA: from 0; needed where there are several
+    receiver_index: int | None = None  # SOFA: from 0; needed where there are several
+    time_zero: TimeZero = "emission"  # what the beginning of the file stands for
+    # delay of the measuring chain: emission lies this long after the first sample (REW: after
+    # REW's own time zero)
+    latency_s: float = 0.0
+    # the WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
+    # impulse response; emission is the start of this file. It may be `path` itself, where another
+    # channel holds a loopback
+    excitation: Path | None = None
+    # from 0; needed where the excitation has several channels
+    excitation_channel: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
