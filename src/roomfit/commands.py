@@ -144,19 +144,19 @@ def export_result(
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
-    exported = export_materials(
+    texts, findings = export_materials(
         read_material_table(result_file),
         wanted,
         Settings().default_scattering if scattering is None else scattering,
     )
-    if "" not in exported.texts:
+    if "" not in texts:
         with whole_output_folder(out, overwrite=overwrite) as folder:
-            for name, text in exported.texts.items():
+            for name, text in texts.items():
                 write_text_atomically(folder / name, text)
-        return ExportedFiles(tuple(out / name for name in exported.texts), exported.findings)
+        return ExportedFiles(tuple(out / name for name in texts), findings)
     _check_place(out, overwrite)
-    write_text_atomically(out, exported.texts[""])
-    return ExportedFiles((out,), exported.findings)
+    write_text_atomically(out, texts[""])
+    return ExportedFiles((out,), findings)
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -431,18 +431,13 @@ def identify_to_folder(
     return answer
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoResult:
-    """An answer and the absorption with which its data were simulated."""
-
-    answer: Result
-    true_absorption: FloatArray  # (n_materials, n_bands), in the answer's order
-
-
 def run_demo(
     out: Path, seed: int, *, overwrite: bool = False, progress: Progress | None = None
-) -> DemoResult:
+) -> tuple[Result, FloatArray]:
     """Write a simulated campaign into ``out/campaign`` and its identification into ``out/result``.
+
+    Returned are the answer and the absorption with which its data were simulated, shape
+    (n_materials, n_bands), in the answer's order.
 
     Raises
     ------
@@ -467,7 +462,7 @@ def run_demo(
         true_absorption = _true_absorption(box, answer)
         picture = png(absorption_figure(answer, true_absorption))
         write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
-    return DemoResult(answer, true_absorption)
+    return answer, true_absorption
 
 
 def _true_absorption(box: MeasuredBox, answer: Result) -> FloatArray:

@@ -146,7 +146,7 @@ class Result:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         values = (self.absorption, self.lower95, self.upper95)
         rows = [

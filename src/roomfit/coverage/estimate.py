@@ -326,7 +326,7 @@ class CoverageResult:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.coverage.output import COLUMNS, coverage_numbers
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         return data_frame(COLUMNS, coverage_numbers(self), "calibration.csv")
 

@@ -106,7 +106,7 @@ class Design:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.experiment_design.output import COLUMNS, design_rows
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         return data_frame(COLUMNS, design_rows(self), "design.csv")
 

@@ -222,7 +222,7 @@ class ImpedanceResult:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         names = list(self.materials[0].columns())
         rows = [

@@ -394,19 +394,13 @@ _BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS, "rav
 _LONGEST_FILE_NAME = 60
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Exported:
-    """Files to be written."""
+def export_materials(
+    table: MaterialTable, wanted: str, scattering: float
+) -> tuple[dict[str, str], tuple[Finding, ...]]:
+    """Return the files of one format, and what their reader must know.
 
-    # File name to content. One entry named "" for a format that is a single file, whose name
-    # the user chooses.
-    texts: dict[str, str]
-    # What a reader of the files must know: filled bands, values that the data do not determine
-    findings: tuple[Finding, ...]
-
-
-def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Exported:
-    """Return the files of one format.
+    Contents by file name. A format that is a single file, whose name the user chooses, has one
+    entry named "".
 
     Parameters
     ----------
@@ -435,9 +429,9 @@ def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Ex
     if specified is None and wanted not in ("csv", "odeon"):
         findings.append(_scattering_assumed(scattering))
     if wanted == "pyroomacoustics":
-        return Exported({"": pyroomacoustics_text(table, scatter)}, tuple(findings))
+        return {"": pyroomacoustics_text(table, scatter)}, tuple(findings)
     if wanted == "csv":
-        return Exported({"": wide_csv_text(table)}, tuple(findings))
+        return {"": wide_csv_text(table)}, tuple(findings)
     bands = _BANDS[wanted]
     absorption, filled = resample(table.absorption, table.bands, bands)
     scatter, _ = resample(scatter, table.bands, bands)
@@ -445,12 +439,12 @@ def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Ex
         findings.append(_bands_filled(bands, filled))
     if wanted == "odeon":
         findings.append(_odeon_numbers(table))
-        return Exported({"": odeon_text(table.names, absorption)}, tuple(findings))
+        return {"": odeon_text(table.names, absorption)}, tuple(findings)
     longest = _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME
     names = short_names(table.names, longest)
     findings += _renamed(names)
     texts = _texts(wanted, table, names, absorption, scatter, [f.sentence for f in findings])
-    return Exported(texts, tuple(findings))
+    return texts, tuple(findings)
 
 
 def _texts(

@@ -130,7 +130,7 @@ class Predicted:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.prediction.output import COLUMNS, predicted_rows
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         rows = ((*texts, *values) for texts, values in predicted_rows(self))
         return data_frame(COLUMNS, rows, "predicted.csv")
