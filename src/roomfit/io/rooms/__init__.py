@@ -58,7 +58,8 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     ('carpet', 0)
     """
     mesh, findings = read_mesh(spec)
-    findings = (*findings, *material_findings(mesh, spec.materials), *examine(mesh).findings)
+    _, _, doubts = examine(mesh)
+    findings = (*findings, *material_findings(mesh, spec.materials), *doubts)
     refuse(findings)
     return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
 
