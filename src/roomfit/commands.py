@@ -41,12 +41,12 @@ from roomfit.prediction.campaign import PairChoice, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
-from roomfit.report.figures import write_pictures
+from roomfit.report.figures import in_file_name, write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
 from roomfit.settings import Settings
-from roomfit.synthetic.boxes import MeasuredBox, demo_plan, write_measured_box
+from roomfit.synthetic.boxes import demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 
@@ -273,7 +273,7 @@ def predict_to_folder(
         write_predicted(folder, predicted, inputs)
         shown = predicted.pairs[:_MOST_PICTURES]
         for number, pair in enumerate(shown, start=1):
-            name = f"predicted_{number:02d}_{_safe(pair.source)}_{_safe(pair.receiver)}.png"
+            name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
             write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
@@ -304,11 +304,6 @@ def estimate_coverage_to_folder(
     write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
     write_json_atomically(out / "calibration.json", coverage_json(result))
     return result
-
-
-def _safe(name: str) -> str:
-    """Return a name without characters that are special in a path."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
 def demo_text(answer: Result, true_absorption: FloatArray) -> str:
@@ -459,14 +454,9 @@ def run_demo(
         answer = identify_to_folder(
             box.campaign, folder / "result", progress=part(progress, 0.4, 1.0)
         )
-        true_absorption = _true_absorption(box, answer)
+        rows = [box.materials.index(name) for name in answer.materials]
+        columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]
+        true_absorption: FloatArray = box.absorption[np.ix_(rows, columns)]
         picture = png(absorption_figure(answer, true_absorption))
         write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
     return answer, true_absorption
-
-
-def _true_absorption(box: MeasuredBox, answer: Result) -> FloatArray:
-    """Return the true absorption in the answer's order of materials and bands."""
-    rows = [box.materials.index(name) for name in answer.materials]
-    columns = [int(np.argmin(np.abs(box.centres_hz - f))) for f in answer.bands.centres_hz]
-    return box.absorption[np.ix_(rows, columns)]

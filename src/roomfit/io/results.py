@@ -22,7 +22,7 @@ from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import FirstOrderBands
 from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.solvers.certificate import Certificate
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
@@ -64,6 +64,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
         if posterior is not None and "prior_logit_mean" in posterior:
             mean = _posterior_table(posterior, "prior_logit_mean").T
             sd = _posterior_table(posterior, "prior_logit_sd").T
+        # None of a file that does not say which priors were specified
+        flags = (posterior or {}).get("prior_specified")
         return AbsorptionPosterior(
             table.names,
             table.bands,
@@ -76,14 +78,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
             scattering=_read_scattering(content, table.names),
             directivities=_read_directivities(content),
             chi2_reduced=content.get("fit", {}).get("phi"),
-            prior_specified=_specified(content.get("posterior", {})),
+            prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
         )
-
-
-def _specified(posterior_content: dict[str, Any]) -> BoolArray | None:
-    """Return which materials' priors were specified; None of a file that does not say so."""
-    flags = posterior_content.get("prior_specified")
-    return None if flags is None else np.array(flags, dtype=np.bool_)
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
