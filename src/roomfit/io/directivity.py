@@ -131,10 +131,7 @@ def _directions(sofa: Variables, n: int, where: str) -> FloatArray:
 def _cartesian(sofa: Variables, name: str, n: int, where: str) -> FloatArray | None:
     """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
 
-    Raises
-    ------
-    InputError
-        Coordinates of another type, or in other units than metres and degrees.
+    Refused are coordinates of another type, or in other units than metres and degrees.
     """
     values = sofa_values(sofa, name)
     if values is None or values.size != 3 * n:

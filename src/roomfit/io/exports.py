@@ -37,15 +37,8 @@ def catt_text(
     """Return ``ABS`` lines for a .geo file: octaves 125 Hz to 4 kHz, a colon, 8 and 16 kHz.
 
     Percent without decimals, 1 to 99: what every version reads. The exact values follow behind a
-    semicolon, where a .geo file's comments begin.
-
-    Parameters
-    ----------
-    names : dict
-        Own name to short name, in the order of the rows.
-    absorption, scattering : float arrays, shape (n_materials, 8)
-    remarks : list of str
-        Written as comments at the top.
+    semicolon, where a .geo file's comments begin, as do the remarks at the top. `names` are own
+    and short names in the order of the rows; arrays have the shape (n_materials, 8).
     """
     lines = [f"; {remark}" for remark in remarks]
     for i, (name, short) in enumerate(names.items()):
@@ -120,11 +113,6 @@ def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     reads ODEON's own library distinguishes the two by it [1]_. The library has no scattering:
     ODEON expects it for each surface, in its list of materials.
 
-    Parameters
-    ----------
-    names : tuple of str
-    absorption : float array, shape (n_materials, 8)
-
     References
     ----------
     .. [1] R. Gueguen, Just4RIR (2018), ``physic.cpp``.
@@ -151,19 +139,10 @@ RAVEN_BANDS = Bands(
 def raven_text(
     name: str, notes: str, absorption: FloatArray, scattering: FloatArray, specified: BoolArray
 ) -> str:
-    """Return the text of one material file.
+    """Return the text of the file of one material, which bears its name; 31 third octaves.
 
     Layout and line ends are those that the ITA Toolbox writes [1]_; `specified` are the bands
     whose value was fitted: they get a 0 in ``interpol``, all others a 1.
-
-    Parameters
-    ----------
-    name : str
-        Also the name of the file, without its ending.
-    notes : str
-        One line.
-    absorption, scattering : float arrays, shape (31,)
-    specified : bool array, shape (31,)
 
     References
     ----------
@@ -392,18 +371,10 @@ _LONGEST_FILE_NAME = 60
 def export_materials(
     table: MaterialTable, wanted: str, scattering: float
 ) -> tuple[dict[str, str], tuple[Finding, ...]]:
-    """Return the files of one format, and what their reader must know.
+    """Return the files of one of `FORMATS`, and what their reader must know.
 
     Contents by file name. A format that is a single file, whose name the user chooses, has one
-    entry named "".
-
-    Parameters
-    ----------
-    table : MaterialTable
-    wanted : str
-        One of `FORMATS`.
-    scattering : float
-        Coefficient of every material in every band where the table has none, 0 to 1.
+    entry named "". `scattering`, 0 to 1, is written where the table has none.
 
     Raises
     ------

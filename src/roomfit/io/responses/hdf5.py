@@ -267,10 +267,7 @@ def sofa_values(sofa: Variables, name: str) -> FloatArray | None:
 def sofa_data(sofa: Variables, name: str, where: str) -> FloatArray | None:
     """Return data as (n_measurements, n_receivers, n), or None where there are no such.
 
-    Raises
-    ------
-    InputError
-        Several emitters at once.
+    Several emitters at once are refused.
     """
     values = sofa_values(sofa, name)
     if values is None or values.ndim not in (3, 4):

@@ -33,13 +33,7 @@ _MOST_STEPS = 10_000
 
 
 def define_names(files: list[GeoFile]) -> None:
-    """Enter constants, directives and corners of every file where its expressions find them.
-
-    Raises
-    ------
-    InputError
-        A constant is given twice, or a statement's numbers are not what they must be.
-    """
+    """Enter constants, directives and corners of every file where its expressions find them."""
     shared = files[0].shared
     for file in files:
         for kind, line in file.constants:
@@ -184,24 +178,13 @@ def split_words(text: str, mark: str = " ") -> list[str]:
 
 
 def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
-    """Return what is left of each part without the earlier ones.
+    """Return what the earlier parts leave of each part, polygons of shape (n_corners, 3).
 
-    Parameters
-    ----------
-    parts : list of float arrays, shape (n_corners, 3)
-        Polygons in one plane, of any outline, in order of precedence.
-
-    Returns
-    -------
-    list of lists of float arrays, shape (n_corners, 3)
-        For each part its polygons, oriented as the part. A part that no other covers comes back
-        whole; else the pieces are convex and meet without gaps. Pieces thinner than
-        the tolerance at which corners are welded are left out.
-
-    Notes
-    -----
-    Both polygons are cut into triangles. What a triangle leaves of a convex piece is, for each of
-    its edges in turn, the share of the piece beyond that edge and within all edges before it.
+    For each part come its polygons, oriented as the part. A part that no other covers comes back
+    whole; else the pieces are convex and meet without gaps: both polygons are cut into triangles,
+    and what a triangle leaves of a convex piece is, for each of its edges in turn, the share of
+    the piece beyond that edge and within all edges before it. Pieces thinner than the tolerance
+    at which corners are welded are left out.
     """
     left: list[list[FloatArray]] = []
     taken: list[FloatArray] = []
@@ -309,16 +292,11 @@ class GeoPlane:
 def parse_planes(line: Line) -> list[GeoPlane]:
     """Return the plane that a text between brackets describes, or the planes of a plane loop.
 
-    ``30 wall / 5 6 56 55 / brick`` ; with ``\\`` for ``/`` the other side reflects ; corners
-    5 to 8 may be written 5-8 ; ``(door / 1 2 3 4 / wood)`` for parts ; ``*5 1 panel // 1 2 8 7 /
+    ``30 wall / 5 6 56 55 / brick`` ; with ``\\`` for ``/`` the other side reflects ; corners 5 to
+    8 may be written 5-8 ; ``(door / 1 2 3 4 / wood)`` for parts ; ``*5 1 panel // 1 2 8 7 /
     wood`` for five planes, each with numbers one higher (or as the list between the two slashes
     says). A ``*`` behind a name or a material asks CATT-Acoustic for scattering at edges and an s
     behind a corner hides an edge: neither changes the room.
-
-    Raises
-    ------
-    InputError
-        It is not of this form.
     """
     head, fields, turned = _fields(line)
     times, number, name = _head(head, line)

@@ -59,17 +59,12 @@ def value_of(
     running: tuple[str, float] | None = None,
     lock: Callable[[Point, Point, Point], float] | None = None,
 ) -> float:
-    """Return the value of an expression in the names of its file.
+    """Return the value of an expression in the names of its file; refuse what is not finite.
 
     Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
-    abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner; where they are given, the
-    running number of a loop by its name, and ``lock(4 7 8)`` for the point on the plane through
-    three corners.
-
-    Raises
-    ------
-    InputError
-        Anything else, a name that is not known, or a value that is not a finite number.
+    abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner; where they are given,
+    the running number of a loop by its name, and ``lock(4 7 8)`` for the point on the plane
+    through three corners.
     """
 
     def corners(call: ast.Call, count: int) -> list[Point]:
@@ -160,16 +155,8 @@ def lock_on_plane(
 ) -> float:
     """Return the coordinate along `axis` of the point on the plane through a, b and c.
 
-    Parameters
-    ----------
-    axis : {0, 1, 2}
-    point : three floats
-        The one along `axis` is not used.
-
-    Raises
-    ------
-    InputError
-        The plane runs along the axis, or the three corners are collinear.
+    Of `point` the one along `axis` is not used. Refused is a plane that runs along the axis, and
+    three corners on one line.
     """
     u = [q - p for p, q in zip(a, b, strict=True)]
     v = [q - p for p, q in zip(a, c, strict=True)]
@@ -254,15 +241,10 @@ class GeoFile:
 
 
 def read_files(path: Path) -> list[GeoFile]:
-    """Return a file and, behind it, all that it includes.
+    """Return a file and, behind it, all that it includes; refuse one that includes itself.
 
-    An included file comes after the whole of the file that names it, so that it may use
-    constants defined below the INCLUDE.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, includes itself, or contains a statement that is not understood.
+    An included file comes after the whole of the file that names it, so that it may use constants
+    defined below the INCLUDE.
     """
     files: list[GeoFile] = []
     _gather(Path(path), (), files, Shared())
@@ -386,13 +368,7 @@ _NUMBERS_DEEPEST = 100
 
 
 def constant(file: GeoFile, name: str, where: str) -> float:
-    """Return the value of a constant, of this file or global, by its name in lower case.
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be evaluated.
-    """
+    """Return the value of a constant, of this file or global, by its name in lower case."""
     shared = file.shared
     if name not in file.local and name not in shared.constants:
         raise InputError("a constant is not defined", where=where, found=name)
@@ -404,10 +380,7 @@ def constant(file: GeoFile, name: str, where: str) -> float:
 def own_corner(file: GeoFile, number: int, where: str) -> Point:
     """Return a corner by the number that a file writes for it, before TRANSLATE.
 
-    Raises
-    ------
-    InputError
-        As `corner_of`; or TRANSLATE moves this file, and the corner is of another one.
+    Refused is a corner of another file where TRANSLATE moves this one.
     """
     x, y, z = corner_of(file.shared, number + file.offset, where)
     if not any(file.shift):
@@ -441,13 +414,7 @@ def _evaluating(shared: Shared, what: str, where: str) -> Iterator[None]:
 
 
 def corner_of(shared: Shared, number: int, where: str) -> Point:
-    """Return a corner in metres by its final number.
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be evaluated.
-    """
+    """Return a corner in metres by its final number; one that is a mirror image by its original."""
     source = shared.corners.get(number)
     if source is None:
         original = _original(shared, number)

@@ -48,12 +48,8 @@ def joined(polygons: Sequence[Polygon]) -> tuple[FloatArray, tuple[Face, ...]]:
 def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) -> FloatArray:
     """Return the vertices in metres with z up, shape (n_vertices, 3).
 
-    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored.
-
-    Raises
-    ------
-    InputError
-        The unit is unknown, or neither the caller nor the format gives one.
+    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored. Refused
+    is an unknown unit, or none where the format gives none either.
     """
     chosen = unit or model.unit
     known = ", ".join(METRES_PER_UNIT)
@@ -119,13 +115,7 @@ _LARGEST = 1e9
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the contents of a file that must exist and not be empty.
-
-    Raises
-    ------
-    InputError
-        It is missing, empty, a folder, or cannot be read.
-    """
+    """Return the contents of a file; refuse one that is missing, empty, a folder or unreadable."""
     try:
         content = Path(path).read_bytes()
     except FileNotFoundError:
@@ -141,13 +131,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Return the contents of a text file: UTF-8, or Latin-1 where it is not that.
-
-    Raises
-    ------
-    InputError
-        As `read_bytes`, or it is binary.
-    """
+    """Return a text, UTF-8 or else Latin-1; refuse what `read_bytes` refuses, and a binary file."""
     content = read_bytes(path)
     if b"\0" in content:
         raise InputError(
@@ -160,13 +144,7 @@ def read_text(path: Path) -> str:
 
 
 def finite(token: str, where: str) -> float:
-    """Return a coordinate.
-
-    Raises
-    ------
-    InputError
-        Not a number, NaN, infinite, or absurdly large.
-    """
+    """Return a coordinate; refuse what is no number, not finite, or absurdly large."""
     try:
         value = float(token)
     except ValueError:
@@ -182,13 +160,7 @@ def finite(token: str, where: str) -> float:
 
 
 def whole(token: str, where: str) -> int:
-    """Return a whole number.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+    """Return a whole number; refuse anything else."""
     try:
         return int(token)
     except ValueError:
@@ -198,13 +170,7 @@ def whole(token: str, where: str) -> int:
 
 
 def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
-    """Refuse a face with a corner that is not there; corners count from 0.
-
-    Raises
-    ------
-    InputError
-        A corner is negative or not below the number of vertices.
-    """
+    """Refuse a face with a corner that is not there; corners count from 0."""
     for corner in corners:
         if not 0 <= corner < n_vertices:
             raise InputError(
