@@ -22,7 +22,7 @@ import pyrato
 
 from roomfit.bands import Bands, bands_between
 from roomfit.io.responses import read_response
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.signals.decay import ParameterName, decay_curve, room_parameters
 from roomfit.signals.filters import FilterBank
 from roomfit.signals.response import ImpulseResponse, find_onset

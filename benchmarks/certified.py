@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from matplotlib.figure import Figure
 
 from roomfit.certified.certificate import certify
 from roomfit.certified.question import Misfit
@@ -32,6 +33,7 @@ from roomfit.suh2001.room import (
     window_energies,
 )
 from roomfit.tracing.paths import Paths
+from roomfit.typing import FloatArray
 
 _CASE = 2  # the only pair off the room's plane of symmetry
 # Gamma noise of this relative spread, as 25 independent squares have.
@@ -119,7 +121,7 @@ def _observed(problem: SquaresProblem) -> SquaresProblem:
 
 def picture(own: Paths, file: Path) -> None:
     """Draw the boxes left over for the narrow valley of Figure 5 at three values of delta."""
-    from roomfit.report.figures import boxes_figure, png
+    from roomfit.report.figures import png
 
     problem = problem_of(own, own, DIVISIONS[2], 50, case=0)
     global_problem = squares_global_problem(problem)
@@ -133,8 +135,48 @@ def picture(own: Paths, file: Path) -> None:
     errors = [error(problem, np.array(at)) for at in zip(x.ravel(), y.ravel(), strict=True)]
     grids = (x, y, np.reshape(errors, x.shape))
     truth = np.array(DIVISIONS[2].true_absorption)
-    figure = boxes_figure(covers, global_problem.coordinates, truth, grids, sorted(deltas))
+    figure = _boxes_figure(covers, global_problem.coordinates, truth, grids, sorted(deltas))
     file.write_bytes(png(figure))
+
+
+def _boxes_figure(
+    covers: dict[str, FloatArray],
+    names: tuple[str, ...],
+    true_absorption: FloatArray,
+    grids: tuple[FloatArray, FloatArray, FloatArray],
+    levels: list[float],
+) -> Figure:
+    """Return the covers on top of each other, each of shape (n_boxes, 2, 2), the widest first.
+
+    `grids`: both absorptions and the error, whose contours at `levels` bound the covers.
+    """
+    from matplotlib.collections import PatchCollection
+    from matplotlib.patches import Rectangle
+
+    from roomfit.report.figures import OKABE_ITO, new_figure
+
+    figure = new_figure(5.2, 5.0)
+    axes = figure.subplots()
+    for (label, boxes), colour in zip(covers.items(), (4, 0, 1), strict=False):
+        patches = [Rectangle((b[0, 0], b[0, 1]), *(b[1] - b[0])) for b in boxes]
+        axes.add_collection(
+            PatchCollection(patches, facecolor=OKABE_ITO[colour], edgecolor="white", linewidth=0.4)
+        )
+        noun = "box" if len(boxes) == 1 else "boxes"
+        axes.plot([], [], "s", color=OKABE_ITO[colour], label=f"{label}: {len(boxes)} {noun}")
+    axes.contour(*grids, levels=list(levels), colors="black", linewidths=1.0)
+    axes.plot([], [], "-", color="black", lw=1.0, label="where the error has just these values")
+    axes.plot(*true_absorption, "+", color="black", ms=12, mew=1.5, label="truth")
+    widest = next(iter(covers.values()))
+    low, high = widest[:, 0].min(axis=0), widest[:, 1].max(axis=0)
+    margin = 0.08 * float((high - low).max())
+    axes.set_xlim(low[0] - margin, high[0] + margin)
+    axes.set_ylim(low[1] - margin, high[1] + margin)
+    axes.set_xlabel(f"absorption of {names[0]}")
+    axes.set_ylabel(f"absorption of {names[1]}")
+    axes.set_title("What is left after the proof", fontsize=10)
+    figure.legend(loc="outside lower center", frameon=False, fontsize=9)
+    return figure
 
 
 if __name__ == "__main__":

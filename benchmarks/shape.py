@@ -1,8 +1,8 @@
 """The shape of the code in numbers: modules, lines, types, functions, and the way to the kernels.
 
 Run it with ``--frames`` to identify the demo's room as well and count how many frames of roomfit
-lie on the stack at the deepest, from `roomfit.identify` to the innermost call (compiled kernels
-are entered from there).
+lie on the stack, from `roomfit.identify` to a function that enters a compiled kernel, and to the
+innermost call of any kind.
 
     python benchmarks/shape.py [--frames]
 """
@@ -173,8 +173,23 @@ def splats(found: list[Module]) -> list[tuple[Module, int]]:
     ]
 
 
-def deepest_stack() -> list[str]:
-    """Identify the demo's room, and return the deepest stack of roomfit's own frames."""
+def entering_kernels(found: list[Module]) -> set[str]:
+    """Return the functions, as ``path:name``, that call a compiled one."""
+    compiled = {f.name for _, f in functions(found) if is_compiled(f)}
+    return {
+        f"{m.path.relative_to(SOURCE)}:{f.name}"
+        for m, f in functions(found)
+        if not is_compiled(f)
+        and any(isinstance(n, ast.Name) and n.id in compiled for n in ast.walk(f))
+    }
+
+
+def deepest_stacks() -> tuple[list[str], list[str]]:
+    """Identify the demo's room, and return the deepest stacks of roomfit's own frames.
+
+    The first ends where a compiled kernel is entered, the second with any call, down to the checks
+    of an array.
+    """
     from dataclasses import replace
     from tempfile import TemporaryDirectory
 
@@ -184,6 +199,8 @@ def deepest_stack() -> list[str]:
     from roomfit.io.inputs import load_campaign
     from roomfit.synthetic.boxes import demo_plan, write_measured_box
 
+    enters = entering_kernels(modules())
+    to_kernel: list[str] = []
     deepest: list[str] = []
 
     def watch(frame: FrameType, event: str, _argument: Any) -> None:
@@ -199,6 +216,8 @@ def deepest_stack() -> list[str]:
             at = at.f_back
         if len(stack) > len(deepest):
             deepest[:] = stack[::-1]
+        if len(stack) > len(to_kernel) and stack[0] in enters:
+            to_kernel[:] = stack[::-1]
 
     plan = demo_plan()
     plan = replace(plan, sources_m={"LS1": plan.sources_m["LS1"]})
@@ -214,7 +233,7 @@ def deepest_stack() -> list[str]:
             identify(**arguments)
         finally:
             sys.setprofile(None)
-    return deepest
+    return to_kernel, deepest
 
 
 def main() -> None:
@@ -244,13 +263,15 @@ def main() -> None:
         ("import arrows", arrows),
     ]
     if wanted.frames:
-        stack = deepest_stack()
-        rows.append(("frames of roomfit's at the deepest", len(stack)))
+        stacks = deepest_stacks()
+        rows.append(("frames to the innermost kernel", len(stacks[0])))
+        rows.append(("frames at the deepest", len(stacks[1])))
     width = max(len(text) for text, _ in rows)
     for text, number in rows:
         print(f"{text:<{width}}  {number:>7,}")
     if wanted.frames:
-        print("\n".join(f"{'  ' * i}{at}" for i, at in enumerate(stack)))
+        for stack in stacks:
+            print("\n".join(["", *(f"{'  ' * i}{at}" for i, at in enumerate(stack))]))
 
 
 if __name__ == "__main__":

@@ -181,6 +181,13 @@ def test_every_public_name_stands_in_the_reference_and_no_other():
     assert sorted(listed) == sorted(set(roomfit.__all__) - {"__version__"})
 
 
+def test_names_of_modules_in_the_reference_exist():
+    dotted = re.findall(r"^ {3}([\w.]+)\.(\w+)$", page("api.md"), re.M)
+    assert dotted
+    for module, name in dotted:
+        assert hasattr(importlib.import_module(f"roomfit.{module}"), name), f"{module}.{name}"
+
+
 def test_files_and_tests_that_a_page_names_are_there():
     for path in PAGES:
         for name in re.findall(r"`((?:tests|scripts|benchmarks)/[\w./]+)`", path.read_text()):

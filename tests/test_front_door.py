@@ -45,10 +45,22 @@ def test_every_name_is_the_thing_that_type_checkers_see(name):
     assert inspect.getdoc(found), f"{name} has no docstring"
 
 
+@pytest.mark.parametrize("name", NAMES)
+def test_every_function_shows_an_example_that_runs(name):
+    """`tests/test_docs.py` runs them."""
+    found = getattr(roomfit, name)
+    assert not inspect.isfunction(found) or ">>> " in (inspect.getdoc(found) or "")
+
+
 def test_no_module_bears_a_public_name():
     """Importing roomfit.NAME binds that name to the module: a function of it would vanish."""
     modules = {module.name for module in pkgutil.iter_modules(roomfit.__path__)}
     assert not modules & set(NAMES)
+
+
+def test_the_front_door_is_small():
+    """What a first program needs; other names stay in the modules that hold them."""
+    assert len(NAMES) <= 40
 
 
 def test_names_are_offered_for_completion_and_unknown_ones_refused():

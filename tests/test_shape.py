@@ -17,16 +17,20 @@ def test_there_are_few_modules_and_none_is_longer_than_800_lines() -> None:
     """An idea has one module that can be read in one sitting.
 
     140 modules are aimed at, beside the thin files of the commands; more than there are now need a
-    reason, and this number goes down only.
+    new capability as their reason.
     """
-    assert len([m for m in FOUND if m.name.split(".")[0] != "cli"]) <= 149
+    assert len([m for m in FOUND if m.name.split(".")[0] != "cli"]) <= 147
     assert {m.name: m.n_lines for m in FOUND if m.n_lines > 800} == {}
 
 
 def test_the_core_has_at_most_30_000_lines_and_all_of_src_does_not_grow() -> None:
-    """The core is what `identify` imports; 45,000 lines are aimed at for the whole."""
-    assert sum(m.n_lines for m in shape.core(FOUND)) <= 30_000
-    assert sum(m.n_lines for m in FOUND) <= 50_500
+    """The core is what `identify` imports; 45,000 lines are aimed at for the whole.
+
+    Records are nouns that a reader has to learn: about 150 are aimed at.
+    """
+    assert sum(m.n_lines for m in shape.core(FOUND)) <= 25_000
+    assert sum(m.n_lines for m in FOUND) <= 48_500
+    assert len(shape.dataclasses(FOUND)) <= 195
 
 
 def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> None:
@@ -80,10 +84,11 @@ def test_the_counts_see_what_they_count() -> None:
 
 
 @pytest.mark.slow
-def test_the_way_from_identify_to_the_innermost_call_grows_no_longer() -> None:
+def test_eleven_frames_at_most_lie_between_identify_and_the_innermost_kernel() -> None:
     """On the default path: responses of an omnidirectional source, pressures that add.
 
-    Every call counts, down to the checks of an array; eleven frames are aimed at.
+    Calls beside that way, down to the corners of a triangle, may lie three deeper.
     """
-    stack = shape.deepest_stack()
-    assert len(stack) <= 17, "\n".join(stack)
+    to_kernel, deepest = shape.deepest_stacks()
+    assert len(to_kernel) <= 11, "\n".join(to_kernel)
+    assert len(deepest) <= 14, "\n".join(deepest)

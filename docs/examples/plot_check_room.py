@@ -12,6 +12,7 @@ from tempfile import TemporaryDirectory
 import matplotlib.pyplot as plt
 
 import roomfit
+from roomfit.commands import check_room
 from roomfit.report.text import room_text
 
 plan = ((0, 0), (5, 0), (5, 3), (3, 3), (3, 4), (0, 4))
@@ -46,7 +47,7 @@ def obj_of(plan, height_m, *, door_is_open):
 with TemporaryDirectory() as folder:
     file = Path(folder) / "room.obj"
     file.write_text(obj_of(plan, height_m, door_is_open=False))
-    sound = roomfit.check_room(roomfit.RoomSpec(file=file, unit="m"))
+    sound = check_room(roomfit.RoomSpec(file=file, unit="m"))
 print(room_text("an L-shaped room", sound))
 
 # %%
@@ -56,5 +57,5 @@ print(room_text("an L-shaped room", sound))
 with TemporaryDirectory() as folder:
     file = Path(folder) / "room.obj"
     file.write_text(obj_of(plan, height_m, door_is_open=True))
-    leaking = roomfit.check_room(roomfit.RoomSpec(file=file, unit="m"))
+    leaking = check_room(roomfit.RoomSpec(file=file, unit="m"))
 print(room_text("the same without its south wall", leaking))

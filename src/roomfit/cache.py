@@ -39,19 +39,22 @@ def digest(*parts: object) -> str:
     Parameters
     ----------
     *parts
-        None, truth values, numbers, text, bytes, arrays, paths (by their text), and dataclasses,
-        sequences and mappings of these. Each is marked with its kind and length, so that
-        ("ab", "c") and ("a", "bc") differ, and so do 1, 1.0 and True.
+        What `save_record` takes. Kinds count: 1, 1.0 and True differ, as do shapes and types of
+        arrays.
 
     Raises
     ------
     TypeError
         A value of another kind: a fault of the calling code.
     """
-    hasher = hashlib.sha256()
-    for part in parts:
-        _feed(hasher, part)
-    return hasher.hexdigest()
+    outline = json.dumps(_outlined(parts, _array_digest), sort_keys=True)
+    return hashlib.sha256(outline.encode()).hexdigest()
+
+
+def _array_digest(array: np.ndarray[Any, Any]) -> str:
+    # zeros of either sign weigh the same but are other bytes: a needless second run, no error
+    content = hashlib.sha256(np.ascontiguousarray(array).tobytes()).hexdigest()
+    return f"{array.dtype.str} {array.shape} {content}"
 
 
 @cache
@@ -65,46 +68,6 @@ def code_digest() -> str:
     files = sorted(p for p in folder.rglob("*.py") if "__pycache__" not in p.parts)
     contents = {p.relative_to(folder).as_posix(): p.read_bytes() for p in files}
     return digest(contents, {name: version(name) for name in _LIBRARIES})
-
-
-def _feed(hasher: hashlib._Hash, value: object) -> None:
-    kind, content = _plain(value)
-    if isinstance(content, bytes):
-        hasher.update(f"{kind}:{len(content)}:".encode())
-        hasher.update(content)
-        return
-    hasher.update(f"{kind}:[{len(content)}]:".encode())
-    for item in content:
-        _feed(hasher, item)
-
-
-def _plain(value: object) -> tuple[str, bytes | list[Any]]:
-    """Return the kind of a value, and its bytes or the values that it is made of."""
-    if value is None:
-        return "none", b""
-    if isinstance(value, np.ndarray):
-        if value.dtype.hasobject:
-            raise TypeError("an array of objects has no digest")
-        # zeros of either sign weigh the same but are other bytes: a needless second run, no error
-        return f"array {value.dtype.str} {value.shape}", np.ascontiguousarray(value).tobytes()
-    if isinstance(value, bool | np.bool_):
-        return "bool", b"1" if value else b"0"
-    if isinstance(value, int | np.integer):
-        return "int", str(int(value)).encode()
-    if isinstance(value, float | np.floating):
-        return "float", struct.pack("<d", float(value))
-    if isinstance(value, str | Path):
-        return "text", str(value).encode()
-    if isinstance(value, bytes):
-        return "bytes", value
-    if is_dataclass(value) and not isinstance(value, type):
-        entries = [[f.name, getattr(value, f.name)] for f in fields(value)]
-        return f"record {type(value).__qualname__}", entries
-    if isinstance(value, Mapping):
-        return "mapping", [[k, value[k]] for k in sorted(value, key=str)]
-    if isinstance(value, list | tuple):
-        return "list", list(value)
-    raise TypeError(f"no digest for {type(value).__name__}")
 
 
 _OUTLINE = "outline"
@@ -128,7 +91,7 @@ def save_record(path: Path, value: object) -> None:
     path : Path
         Written directly, not under another name first.
     value : object
-        None, truth values, numbers, text, arrays, members of enumerations of text, and
+        None, truth values, numbers, text, bytes, arrays, members of enumerations of text, and
         dataclasses, tuples, lists and mappings (with text as keys) of these. Lists come back
         as tuples.
 
@@ -138,7 +101,13 @@ def save_record(path: Path, value: object) -> None:
         A value of another kind: a fault of the calling code.
     """
     arrays: dict[str, np.ndarray[Any, Any]] = {}
-    outline = json.dumps(_outlined(value, arrays))
+
+    def keep(array: np.ndarray[Any, Any]) -> str:
+        name = f"a{len(arrays)}"
+        arrays[name] = array
+        return name
+
+    outline = json.dumps(_outlined(value, keep))
     with path.open("wb") as stream:
         np.savez(stream, allow_pickle=False, **{_OUTLINE: np.array(outline), **arrays})
 
@@ -167,21 +136,26 @@ def load_record(path: Path, classes: Iterable[type]) -> Any:
 
 def size_bytes(value: object) -> int:
     """Return the size of a record's arrays: about what its file will take."""
-    arrays: dict[str, np.ndarray[Any, Any]] = {}
-    _outlined(value, arrays)
-    return sum(a.nbytes for a in arrays.values())
+    sizes: list[int] = []
+
+    def keep(array: np.ndarray[Any, Any]) -> str:
+        sizes.append(array.nbytes)
+        return ""
+
+    _outlined(value, keep)
+    return sum(sizes)
 
 
-def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
-    """Return what JSON can hold of a value, its arrays collected under numbers."""
+def _outlined(value: object, keep: Callable[[np.ndarray[Any, Any]], str]) -> Any:
+    """Return what JSON can hold of a value; of its arrays what `keep` returns."""
     if isinstance(value, np.ndarray):
         if value.dtype.hasobject:
             raise TypeError("an array of objects cannot be kept")
-        name = f"a{len(arrays)}"
-        arrays[name] = value
-        return {"array": name}
+        return {"array": keep(value)}
+    if isinstance(value, bytes):
+        return {"bytes": keep(np.frombuffer(value, dtype=np.uint8))}
     if isinstance(value, np.generic):
-        return _outlined(value.item(), arrays)
+        return _outlined(value.item(), keep)
     # before text: a member of an enumeration may be one, and must come back as a member
     if isinstance(value, Enum) and isinstance(value.value, str):
         return {"member": type(value).__qualname__, "value": value.value}
@@ -191,14 +165,14 @@ def _outlined(value: object, arrays: dict[str, np.ndarray[Any, Any]]) -> Any:
         entries = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
         return {
             "record": type(value).__qualname__,
-            "fields": {name: _outlined(item, arrays) for name, item in entries.items()},
+            "fields": {name: _outlined(item, keep) for name, item in entries.items()},
         }
     if isinstance(value, Mapping):
         if not all(isinstance(key, str) for key in value):
             raise TypeError("a mapping is kept only with text as keys")
-        return {"mapping": {key: _outlined(item, arrays) for key, item in value.items()}}
+        return {"mapping": {key: _outlined(item, keep) for key, item in value.items()}}
     if isinstance(value, list | tuple):
-        return [_outlined(item, arrays) for item in value]
+        return [_outlined(item, keep) for item in value]
     raise TypeError(f"{type(value).__name__} cannot be kept")
 
 
@@ -213,6 +187,8 @@ def _rebuilt(
         array = arrays[outline["array"]]
         array.setflags(write=False)
         return array
+    if "bytes" in outline:
+        return arrays[outline["bytes"]].tobytes()
     if "member" in outline:
         return known[outline["member"]](outline["value"])
     if "mapping" in outline:

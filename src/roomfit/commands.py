@@ -41,12 +41,12 @@ from roomfit.prediction.campaign import PairChoice, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
-from roomfit.report.figures import write_pictures
+from roomfit.report.figures import in_file_name, write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
 from roomfit.settings import Settings
-from roomfit.synthetic.boxes import PLAN_BANDS, BoxPlan, demo_plan, write_measured_box
+from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
 
@@ -127,21 +127,36 @@ def export_result(
         The result cannot be read, the format is unknown, or the file exists already.
     StoreError
         The disk refuses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     result, out = Path(name) / "absorption.csv", Path(name) / "materials.txt"
+    ...     _ = result.write_text(
+    ...         "material,band_hz,absorption,lower95,upper95,identifiable\\n"
+    ...         "carpet,500,0.3,0.25,0.36,true\\n"
+    ...     )
+    ...     written = export_result(result, "isimpa", out)
+    ...     print(out.read_text().strip())
+    carpet = < 30 30 30 30 30 30 > L < 10 10 10 10 10 10 >
+    >>> print(written.findings[0].sentence)
+    The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
-    exported = export_materials(
+    texts, findings = export_materials(
         read_material_table(result_file),
         wanted,
         Settings().default_scattering if scattering is None else scattering,
     )
-    if "" not in exported.texts:
+    if "" not in texts:
         with whole_output_folder(out, overwrite=overwrite) as folder:
-            for name, text in exported.texts.items():
+            for name, text in texts.items():
                 write_text_atomically(folder / name, text)
-        return ExportedFiles(tuple(out / name for name in exported.texts), exported.findings)
+        return ExportedFiles(tuple(out / name for name in texts), findings)
     _check_place(out, overwrite)
-    write_text_atomically(out, exported.texts[""])
-    return ExportedFiles((out,), exported.findings)
+    write_text_atomically(out, texts[""])
+    return ExportedFiles((out,), findings)
 
 
 def _check_place(out: Path, overwrite: bool) -> None:
@@ -258,7 +273,7 @@ def predict_to_folder(
         write_predicted(folder, predicted, inputs)
         shown = predicted.pairs[:_MOST_PICTURES]
         for number, pair in enumerate(shown, start=1):
-            name = f"predicted_{number:02d}_{_safe(pair.source)}_{_safe(pair.receiver)}.png"
+            name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"
             write_bytes_atomically(folder / name, png(predicted_decay_figure(predicted, pair)))
             if progress is not None:
                 progress(0.95 + 0.05 * number / len(shown))
@@ -289,11 +304,6 @@ def estimate_coverage_to_folder(
     write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
     write_json_atomically(out / "calibration.json", coverage_json(result))
     return result
-
-
-def _safe(name: str) -> str:
-    """Return a name without characters that are special in a path."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
 
 
 def demo_text(answer: Result, true_absorption: FloatArray) -> str:
@@ -416,18 +426,13 @@ def identify_to_folder(
     return answer
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class DemoResult:
-    """An answer and the absorption with which its data were simulated."""
-
-    answer: Result
-    true_absorption: FloatArray  # (n_materials, n_bands), in the answer's order
-
-
 def run_demo(
     out: Path, seed: int, *, overwrite: bool = False, progress: Progress | None = None
-) -> DemoResult:
+) -> tuple[Result, FloatArray]:
     """Write a simulated campaign into ``out/campaign`` and its identification into ``out/result``.
+
+    Returned are the answer and the absorption with which its data were simulated, shape
+    (n_materials, n_bands), in the answer's order.
 
     Raises
     ------
@@ -443,14 +448,9 @@ def run_demo(
         plan, rng = demo_plan(), np.random.default_rng(seed)
         campaign = write_measured_box(plan, folder / "campaign", rng, part(progress, 0.0, 0.4))
         answer = identify_to_folder(campaign, folder / "result", progress=part(progress, 0.4, 1.0))
-        true_absorption = _true_absorption(plan, answer)
+        rows = [plan.materials.index(name) for name in answer.materials]
+        at = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
+        true_absorption: FloatArray = plan.absorption[np.ix_(rows, at)]
         picture = png(absorption_figure(answer, true_absorption))
         write_bytes_atomically(folder / "result" / "absorption_and_truth.png", picture)
-    return DemoResult(answer, true_absorption)
-
-
-def _true_absorption(plan: BoxPlan, answer: Result) -> FloatArray:
-    """Return the true absorption in the answer's order of materials and bands."""
-    rows = [plan.materials.index(name) for name in answer.materials]
-    columns = [int(np.argmin(np.abs(PLAN_BANDS.centres_hz - f))) for f in answer.bands.centres_hz]
-    return plan.absorption[np.ix_(rows, columns)]
+    return answer, true_absorption

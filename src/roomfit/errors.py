@@ -1,8 +1,8 @@
 """Errors, and who can mend what went wrong.
 
 A message answers five questions: what is wrong, where, what was found, what was needed, and what
-to try. The class says who must act: the caller (`InputError`), who measures (`CannotTell`), who
-sets the method (`NotConverged`), or who owns the disk (`StoreError`).
+to try. The class says who must act: the caller (`InputError`), who measures (`CannotTell`), or who
+owns the disk (`StoreError`).
 """
 
 from __future__ import annotations
@@ -47,10 +47,6 @@ class InputError(RoomfitError):
 
 class CannotTell(RoomfitError):  # noqa: N818 -- a verdict about the data, not a fault in them
     """The measurements do not determine the answer that was asked for."""
-
-
-class NotConverged(RoomfitError):  # noqa: N818 -- reads as a sentence
-    """The method stopped before its own test of convergence was met."""
 
 
 class StoreError(RoomfitError):

@@ -146,7 +146,7 @@ class Result:
         InputError
             pandas, on which roomfit does not depend, is not installed.
         """
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         values = (self.absorption, self.lower95, self.upper95)
         rows = [
@@ -165,7 +165,15 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
 
     Examples
     --------
-    ``roomfit.predict(scene, roomfit.absorption_posterior(roomfit.identify(scene, measurements)))``
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> found = absorption_posterior(result)
+    >>> found.materials, found.logit_covariance.shape
+    (('plaster',), (1, 1, 1))
     """
     covariance = answer.logit_covariance
     if covariance is None:

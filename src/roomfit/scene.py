@@ -25,10 +25,13 @@ from roomfit.geometry.mesh import (
     corners_m,
     fault,
     is_double_sided,
+    mean_free_path_m,
     place,
     refuse,
     shoebox_mesh,
+    surface_area_m2,
     triangle_areas_m2,
+    volume_m3,
 )
 from roomfit.typing import FloatArray, IntArray
 
@@ -267,19 +270,19 @@ def check_mesh(
     (('plaster', 66.0), ('floor', 30.0), ('ceiling', 30.0))
     """
     bare = material_findings(mesh, materials)
-    examination = examine(mesh)
+    closed, leak, doubts = examine(mesh)
     x, y, z = np.ptp(mesh.vertices_m, axis=0).tolist()
     return RoomCheck(
-        volume_m3=examination.volume_m3,
-        surface_m2=examination.surface_m2,
-        mean_free_path_m=examination.mean_free_path_m,
+        volume_m3=volume_m3(mesh),
+        surface_m2=surface_area_m2(mesh),
+        mean_free_path_m=mean_free_path_m(mesh),
         size_m=(x, y, z),
         n_triangles=len(mesh.triangles),
         n_surfaces=len(mesh.surfaces),
-        closed=examination.closed,
-        leak=examination.leak,
+        closed=closed,
+        leak=leak,
         material_areas_m2=tuple(material_areas(mesh, materials).items()),
-        findings=(*earlier, *bare, *examination.findings),
+        findings=(*earlier, *bare, *doubts),
     )
 
 

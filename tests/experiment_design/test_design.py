@@ -27,6 +27,7 @@ from roomfit.experiment_design.candidates import (
     spread_positions,
 )
 from roomfit.experiment_design.choose import Rules, allowed, choose, random_design, score
+from roomfit.experiment_design.design import Design
 from roomfit.experiment_design.information import (
     PairInformation,
     about_geometry,
@@ -39,6 +40,7 @@ from roomfit.experiment_design.information import (
 from roomfit.experiment_design.prior import Unknowns
 from roomfit.findings import Code
 from roomfit.io.campaign import Campaign
+from roomfit.scene import Scene
 from roomfit.suh2001.room import paper_scene
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 from small_campaign import run_command, write_campaign
@@ -278,9 +280,7 @@ UNMEASURED = tuple(
 )
 
 
-def designed(
-    campaign: Campaign, result: AbsorptionPosterior | None = None, **options
-) -> roomfit.Design:
+def designed(campaign: Campaign, result: AbsorptionPosterior | None = None, **options) -> Design:
     return roomfit.design(**design_arguments(campaign, result, options))
 
 
@@ -325,7 +325,7 @@ def test_records_in_memory_are_designed_as_a_campaign_is(small):
     """A room, two points and what was measured: the same choice, and no file."""
     _, campaign, found = small
     given = design_arguments(campaign, changed={"n_candidates": 12, "number": 3, "n_random": 1})
-    scene = roomfit.Scene(
+    scene = Scene(
         given["scene"].room, campaign.sources, campaign.receivers, [[0, 0], [0, 1]], campaign.air
     )
     own = roomfit.design(

@@ -19,7 +19,7 @@ from roomfit.findings import Code
 from roomfit.io.responses import hdf5 as mat73
 from roomfit.io.responses import read_response
 from roomfit.io.responses.hdf5 import read_sofa_variables
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 
 RATE_HZ = 8000
 
@@ -438,14 +438,14 @@ def test_a_sofa_file_is_read_as_sofar_reads_it(tmp_path, convention):
     path = tmp_path / "a.sofa"
     sofar.write_sofa(str(path), sofa)
     theirs = sofar.read_sofa(str(path), verify=False, verbose=False)
-    ours = read_sofa_variables(path.read_bytes(), "a.sofa")
-    assert ours.data_type == theirs.GLOBAL_DataType == "FIR"
+    ours, data_type = read_sofa_variables(path.read_bytes(), "a.sofa")
+    assert data_type == theirs.GLOBAL_DataType == "FIR"
     names = ["Data.IR", "Data.SamplingRate", "Data.Delay", "ReceiverPosition", "SourcePosition"]
     for name in [*names, "ListenerPosition", "EmitterPosition"]:
         values = np.squeeze(getattr(theirs, name.replace(".", "_")))
-        np.testing.assert_array_equal(np.squeeze(ours.variables[name].values), values)
+        np.testing.assert_array_equal(np.squeeze(ours[name].values), values)
     for name in ("SourcePosition", "ReceiverPosition"):
-        beside = ours.variables[name].attributes
+        beside = ours[name].attributes
         assert beside["Type"] == getattr(theirs, f"{name}_Type")
         assert beside["Units"] == getattr(theirs, f"{name}_Units")
 

@@ -17,8 +17,7 @@ from hypothesis import strategies as st
 from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.io.responses import read_response
-from roomfit.io.responses.spec import ResponseSpec
-from roomfit.io.responses.sweeps import band_of, regularised_quotient
+from roomfit.io.responses.recordings import ResponseSpec, band_of, regularised_quotient
 from roomfit.signals.response import ImpulseResponse, times_s
 
 RATE_HZ = 24000

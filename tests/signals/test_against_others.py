@@ -13,7 +13,7 @@ from roomfit.air import Air, attenuation_per_m
 from roomfit.bands import bands_between
 from roomfit.findings import Code
 from roomfit.io.responses import read_response
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.signals.decay import (
     RoomParameters,
     check_decay_range,

@@ -26,6 +26,8 @@ def run(options: argparse.Namespace) -> None:
 
     out: Path = options.out
     with progress_line("simulating and identifying") as progress:
-        result = run_demo(out, options.seed, overwrite=options.overwrite, progress=progress)
-    say(demo_text(result.answer, result.true_absorption))
+        answer, true_absorption = run_demo(
+            out, options.seed, overwrite=options.overwrite, progress=progress
+        )
+    say(demo_text(answer, true_absorption))
     say(f"\nThe campaign is in {out / 'campaign'}, result and pictures in {out / 'result'}.")

@@ -326,7 +326,7 @@ class CoverageResult:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.coverage.output import COLUMNS, coverage_numbers
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         return data_frame(COLUMNS, coverage_numbers(self), "calibration.csv")
 
@@ -380,8 +380,37 @@ def estimate_coverage(
 
     Examples
     --------
-    ``print(roomfit.estimate_coverage(roomfit.read_campaign("campaign.toml"), Path("coverage")))``
-    is what ``roomfit coverage`` does.
+    One replicate, too few for a statement; ``roomfit coverage`` makes 200.
+
+    >>> import tempfile
+    >>> import roomfit
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... materials = { walls = "felt", ceiling = "felt" }
+    ... [materials]
+    ... felt.absorption = 0.8
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [identify]
+    ... from_hz = 1000
+    ... to_hz = 1000
+    ... [settings]
+    ... n_rays = 2000
+    ... [[measurements]]
+    ... parameters = "measured.csv"
+    ... '''
+    >>> table = "source,receiver,parameter,1000\\nS,R,T30,0.2\\n"
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     _ = file.with_name("measured.csv").write_text(table)
+    ...     settings = roomfit.CoverageSettings(replicates=1)
+    ...     result = estimate_coverage(roomfit.read_campaign(file), Path(folder) / "out", settings)
+    >>> result.done
+    1
     """
     settings = CoverageSettings() if settings is None else settings
     _check_folder(out)

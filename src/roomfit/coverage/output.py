@@ -20,7 +20,7 @@ from roomfit.coverage.statistics import (
 )
 from roomfit.io.encoding import number_or_null
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.report.frames import html_table
+from roomfit.report.wording import html_table
 
 if TYPE_CHECKING:
     from roomfit.coverage.estimate import CoverageResult

@@ -24,7 +24,7 @@ from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.trace_plan import plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.response.directivity import FirstOrder, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings

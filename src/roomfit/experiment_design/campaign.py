@@ -62,6 +62,31 @@ def design_arguments(
     InputError
         The room or a table cannot be read, an option is out of range, the result and the campaign
         have no band in common, or the absorption of a material is unspecified.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import roomfit
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [identify]
+    ... from_hz = 1000
+    ... to_hz = 1000
+    ... [design]
+    ... criterion = "mean"
+    ... '''
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "campaign.toml"
+    ...     _ = file.write_text(text)
+    ...     campaign = roomfit.read_campaign(file, to_fit=False)
+    >>> design_arguments(campaign, changed={"number": 4})["options"].criterion
+    'mean'
     """
     room = campaign_room(campaign)
     bands, absorption = campaign.bands, None

@@ -106,7 +106,7 @@ class Design:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.experiment_design.output import COLUMNS, design_rows
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         return data_frame(COLUMNS, design_rows(self), "design.csv")
 
@@ -169,8 +169,18 @@ def design(
 
     Examples
     --------
-    ``roomfit.design(scene, options=roomfit.DesignOptions(number=4))`` in a room of which nothing is
-    known; ``roomfit.design(**roomfit.design_arguments(campaign))`` is what the command line does.
+    In a room of which nothing is known:
+
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=500)
+    >>> options = roomfit.DesignOptions(number=2, n_candidates=10, n_draws=1)
+    >>> plan = roomfit.design(scene, bands=octave, options=options, settings=few)
+    >>> len(plan.chosen)
+    2
+
+    ``roomfit.design(**roomfit.design_arguments(campaign))`` is what the command line does.
     """
     began = time.perf_counter()
     options = DesignOptions() if options is None else options

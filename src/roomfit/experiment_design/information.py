@@ -47,7 +47,6 @@ from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m
-from roomfit.settings import SPEED_OF_SOUND_SD
 from roomfit.signals.filters import (
     FilterBank,
     SpreadingKernel,

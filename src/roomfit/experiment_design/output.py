@@ -16,9 +16,9 @@ from matplotlib.ticker import MaxNLocator
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import OKABE_ITO, new_figure
-from roomfit.report.frames import html_findings, html_table
 from roomfit.report.room_figure import outline_m
 from roomfit.report.text import findings_text
+from roomfit.report.wording import html_findings, html_table
 from roomfit.typing import FloatArray
 
 if TYPE_CHECKING:

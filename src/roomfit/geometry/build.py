@@ -5,9 +5,9 @@ What was wrong with the polygons is reported in findings.
 
 from __future__ import annotations
 
-from collections import deque
+from collections import defaultdict, deque
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
@@ -20,7 +20,6 @@ from roomfit.geometry.mesh import (
     Edges,
     Mesh,
     Surface,
-    Triangulation,
     area_vectors_m2,
     corners_m,
     edges_of,
@@ -45,17 +44,8 @@ class Face(NamedTuple):
     surface: Surface
 
 
-@dataclass(slots=True)
-class _Doubts:
-    """Where each kind of fault occurs, as (surface name, position), while a mesh is built."""
-
-    no_area: list[tuple[str, str]]
-    seams: list[tuple[str, str]]
-    repeated: list[tuple[str, str]]
-    back_to_back: list[tuple[str, str]]
-    crossing: list[tuple[str, str]]
-    warped: list[tuple[str, str]]
-    most_warped_m: float = 0.0
+# Where each kind of fault occurs, as (surface name, position), while a mesh is built.
+_Spots = dict[Code, list[tuple[str, str]]]
 
 
 def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tuple[Finding, ...]]:
@@ -86,12 +76,13 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
     vertices = float_array("vertices", vertices_m, (None, 3), low=-1e6, high=1e6, unit="m")
     _check_faces(faces, len(vertices))
     representative = weld(vertices) if len(vertices) else np.zeros(0, dtype=np.int64)
-    doubts = _Doubts([], [], [], [], [], [])
+    spots: _Spots = defaultdict(list)
+    most_warped_m = 0.0
     flat: list[tuple[IntArray, Surface]] = []
     triangles: list[IntArray] = []
     owner: list[int] = []
     surfaces: dict[Surface, int] = {}
-    for corners, surface in _distinct(faces, representative, vertices, doubts):
+    for corners, surface in _distinct(faces, representative, vertices, spots):
         if len(corners) < 3:
             flat.append((corners, surface))
             continue
@@ -99,7 +90,12 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         if not len(cut.triangles):
             flat.append((corners, surface))
             continue
-        _note(cut, surface, vertices[corners], doubts)
+        spot = _spot(surface, vertices[corners])
+        if cut.crosses_itself:
+            spots[Code.SELF_INTERSECTING_POLYGON].append(spot)
+        if cut.off_plane_m > WARPED_FROM_M:
+            spots[Code.WARPED_POLYGON].append(spot)
+            most_warped_m = max(most_warped_m, cut.off_plane_m)
         index = surfaces.setdefault(surface, len(surfaces))
         triangles.append(corners[cut.triangles])
         owner.extend([index] * len(cut.triangles))
@@ -109,9 +105,9 @@ def build_mesh(vertices_m: FloatArray, faces: Sequence[Face]) -> tuple[Mesh, tup
         # Programs that cut surfaces into triangles leave faces without area where the corners of
         # other faces stand on a long edge; the mesh is as tight without them. Such a face with a
         # corner of its own is a mistake.
-        kind = doubts.seams if np.isin(corners, used).all() else doubts.no_area
-        kind.append(_spot(surface, vertices[corners]))
-    findings = _findings(doubts)
+        code = Code.SEAM_FACES if np.isin(corners, used).all() else Code.ZERO_AREA_FACE
+        spots[code].append(_spot(surface, vertices[corners]))
+    findings = _findings(spots, most_warped_m)
     if not triangles:
         refuse(findings)
         raise InputError("the room has no faces", needed="at least four faces with an area")
@@ -139,7 +135,7 @@ def _check_faces(faces: Sequence[Face], n_vertices: int) -> None:
 
 
 def _distinct(
-    faces: Iterable[Face], representative: IntArray, vertices: FloatArray, doubts: _Doubts
+    faces: Iterable[Face], representative: IntArray, vertices: FloatArray, spots: _Spots
 ) -> Iterable[tuple[IntArray, Surface]]:
     """Yield welded corners and surface of each face that does not repeat an earlier one.
 
@@ -154,7 +150,7 @@ def _distinct(
         if len(corners) < 3:
             points = vertices[list(face.corners)]
             if len(np.unique(points, axis=0)) < 3:
-                doubts.no_area.append(_spot(face.surface, points))
+                spots[Code.ZERO_AREA_FACE].append(_spot(face.surface, points))
             else:
                 yield np.unique(welded)[:2], face.surface
             continue
@@ -164,9 +160,9 @@ def _distinct(
         if earlier is turn:
             yield np.array(corners), face.surface
         elif earlier == turn or face.surface.double_sided:
-            doubts.repeated.append(_spot(face.surface, vertices[corners]))
+            spots[Code.REPEATED_FACE].append(_spot(face.surface, vertices[corners]))
         else:
-            doubts.back_to_back.append(_spot(face.surface, vertices[corners]))
+            spots[Code.BACK_TO_BACK_FACES].append(_spot(face.surface, vertices[corners]))
             yield np.array(corners), face.surface
 
 
@@ -179,66 +175,52 @@ def _spot(surface: Surface, corners_m: FloatArray) -> tuple[str, str]:
     return surface.name, place(corners_m.mean(axis=0))
 
 
-def _note(cut: Triangulation, surface: Surface, corners_m: FloatArray, doubts: _Doubts) -> None:
-    spot = _spot(surface, corners_m)
-    if cut.crosses_itself:
-        doubts.crossing.append(spot)
-    if cut.off_plane_m > WARPED_FROM_M:
-        doubts.warped.append(spot)
-        doubts.most_warped_m = max(doubts.most_warped_m, cut.off_plane_m)
-
-
-def _findings(doubts: _Doubts) -> tuple[Finding, ...]:
+def _findings(spots: _Spots, most_warped_m: float) -> tuple[Finding, ...]:
+    sentences = {
+        Code.SEAM_FACES: "a seam without area, left out",
+        Code.REPEATED_FACE: "given twice and kept once",
+        Code.BACK_TO_BACK_FACES: "back to back with another face; which of the two materials sound "
+        "meets is open",
+        Code.SELF_INTERSECTING_POLYGON: "with an outline that crosses itself; a part may be "
+        "covered twice or not at all",
+    }
     found: list[Finding] = []
-    if doubts.no_area:
+    if no_area := spots.get(Code.ZERO_AREA_FACE):
         found.append(
             fault(
                 Code.ZERO_AREA_FACE,
                 "faces without area",
-                where=listed(doubts.no_area),
-                found=f"{len(doubts.no_area)}",
+                where=listed(no_area),
+                found=f"{len(no_area)}",
                 needed="at least three corners that do not stand on one line",
                 hint="delete these faces in the drawing program (in Blender: Degenerate Dissolve)",
             )
         )
-    if doubts.seams:
-        text = f"{_count(doubts.seams)} a seam without area, left out: {listed(doubts.seams)}."
-        found.append(Finding(Code.SEAM_FACES, text, {"places": doubts.seams}))
-    if doubts.repeated:
-        found.append(_warning(Code.REPEATED_FACE, "given twice and kept once", doubts.repeated))
-    if doubts.back_to_back:
-        sentence = "back to back with another face; which of the two materials sound meets is open"
-        found.append(_warning(Code.BACK_TO_BACK_FACES, sentence, doubts.back_to_back))
-    if doubts.crossing:
-        sentence = "with an outline that crosses itself; a part may be covered twice or not at all"
-        found.append(_warning(Code.SELF_INTERSECTING_POLYGON, sentence, doubts.crossing))
-    if doubts.warped:
-        found.append(_warped(doubts))
+    for code, sentence in sentences.items():
+        if own := spots.get(code):
+            text = f"{_count(own)} {sentence}: {listed(own)}."
+            found.append(Finding(code, text, {"places": own}))
+    if warped := spots.get(Code.WARPED_POLYGON):
+        found.append(_warped(warped, most_warped_m))
     return tuple(found)
 
 
-def _warped(doubts: _Doubts) -> Finding:
-    off_plane_m = doubts.most_warped_m
+def _warped(spots: list[tuple[str, str]], off_plane_m: float) -> Finding:
     if off_plane_m > TOO_WARPED_FROM_M:
         return fault(
             Code.POLYGON_NOT_PLANAR,
             "polygons that are not flat",
-            where=listed(doubts.warped),
+            where=listed(spots),
             found=f"corners up to {1e3 * off_plane_m:.0f} mm off their plane",
             needed=f"at most {1e3 * TOO_WARPED_FROM_M:.0f} mm",
             hint="look for a mistyped corner, or give the surface as triangles",
             off_plane_m=off_plane_m,
         )
     text = (
-        f"{_count(doubts.warped)} not flat, by up to {1e3 * off_plane_m:.1f} mm: "
-        f"{listed(doubts.warped)}. They are cut into flat triangles."
+        f"{_count(spots)} not flat, by up to {1e3 * off_plane_m:.1f} mm: {listed(spots)}. They are "
+        "cut into flat triangles."
     )
     return Finding(Code.WARPED_POLYGON, text, {"off_plane_m": off_plane_m})
-
-
-def _warning(code: Code, sentence: str, spots: list[tuple[str, str]]) -> Finding:
-    text = f"{_count(spots)} {sentence}: {listed(spots)}."
-    return Finding(code, text, {"places": spots})
 
 
 def _count(spots: Sequence[object]) -> str:

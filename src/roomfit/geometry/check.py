@@ -26,9 +26,7 @@ from roomfit.geometry.mesh import (
     corners_m,
     edges_of,
     fault,
-    mean_free_path_m,
     place,
-    surface_area_m2,
     triangle_areas_m2,
     unmatched,
     volume_m3,
@@ -116,34 +114,25 @@ _LEAK_TESTS = 2e8
 _LEAK_RAYS = (64, 2000)
 _LEAK_STARTS = (16, 100)
 _BOUNCES = 50
+_SEED = 1
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Examination:
-    """What a mesh is like."""
+def examine(mesh: Mesh) -> tuple[bool, float | None, tuple[Finding, ...]]:
+    """Examine a mesh that `geometry.build.oriented` returned.
 
-    volume_m3: float  # Of the air; approximate where the mesh is not closed
-    surface_m2: float
-    mean_free_path_m: float
-    closed: bool  # Every edge is matched by one that runs the other way
-    leak: float | None  # Escapes per hit of test rays; None where no point inside was found
-    findings: tuple[Finding, ...]  # Faults are serious ones
-
-
-def examine(mesh: Mesh, seed: int = 1) -> Examination:
-    """Examine an oriented mesh: closed, tight, of a room's size, without slivers.
-
-    Parameters
-    ----------
-    mesh : Mesh
-        As `geometry.build.oriented` returns it.
-    seed : int
-        Of the test rays.
+    Returns
+    -------
+    closed : bool
+        Every edge is matched by one that runs the other way.
+    leak : float or None
+        Escapes per hit of test rays; None where no point inside was found.
+    findings : tuple of Finding
+        Serious ones are faults: not closed, not tight, of no room's size, slivers.
     """
     volume = volume_m3(mesh)
     edges = edges_of(mesh)
     open_edges = unmatched(edges)
-    leak, leak_findings = _leak(mesh, seed)
+    leak, leak_findings = _leak(mesh)
     findings = [*leak_findings, *_slivers(mesh)]
     if volume > 0.0 and not 1.0 <= volume <= 1e6:
         text = f"A volume of {volume:.3g} m3 is unusual for a room: is the unit right?"
@@ -160,18 +149,11 @@ def examine(mesh: Mesh, seed: int = 1) -> Examination:
                 hint="draw floor, ceiling and all walls as faces that enclose the air",
             )
         )
-    return Examination(
-        volume,
-        surface_area_m2(mesh),
-        mean_free_path_m(mesh),
-        not len(open_edges),
-        leak,
-        tuple(findings),
-    )
+    return not len(open_edges), leak, tuple(findings)
 
 
-def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
-    rng = np.random.default_rng(seed)
+def _leak(mesh: Mesh) -> tuple[float | None, list[Finding]]:
+    rng = np.random.default_rng(_SEED)
     n_rays = int(np.clip(_LEAK_TESTS / (_BOUNCES * len(mesh.triangles)), *_LEAK_RAYS))
     points = interior_points(mesh, int(np.clip(n_rays // 4, *_LEAK_STARTS)), rng)
     if not len(points):
@@ -179,7 +161,7 @@ def _leak(mesh: Mesh, seed: int) -> tuple[float | None, list[Finding]]:
         needed = "faces that enclose a volume"
         hint = "check that walls are not all marked as double sided, and that none is missing"
         return None, [fault(Code.NO_INTERIOR, what, needed=needed, hint=hint)]
-    leak = find_leaks(mesh, points, n_rays, seed, _BOUNCES)
+    leak = find_leaks(mesh, points, n_rays, _SEED, _BOUNCES)
     if not leak.n_escapes:
         return 0.0, []
     counts = f"{leak.n_escapes} of {n_rays} rays lost in {leak.n_hits} hits"

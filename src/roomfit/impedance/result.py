@@ -160,7 +160,7 @@ class ImpedanceResult:
 
     def _repr_html_(self) -> str:
         """Return what `str` says with tables in HTML, for notebooks."""
-        from roomfit.report.frames import html_findings, html_table
+        from roomfit.report.wording import html_findings, html_table
 
         parts = [f"<p><strong>{escape(_headline(self))}</strong></p>"]
         for material in self.materials if self.evaluations else ():
@@ -203,7 +203,7 @@ class ImpedanceResult:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.impedance.output import csv_columns, csv_rows
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         return data_frame(csv_columns(self), csv_rows(self), "impedance.csv")
 

@@ -1,8 +1,6 @@
-"""A campaign in the words of the science: what a campaign file says, checked and converted.
+"""A campaign file, format_version 1: its keys, what each may hold, and what they mean.
 
-Read and check a campaign file; every complaint names the key and what was needed.
-
-The keys of a campaign file, format_version 1, and what each may hold.
+Every complaint names the key and what was needed.
 """
 
 from __future__ import annotations
@@ -22,7 +20,7 @@ from roomfit._checks import nearest
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
-from roomfit.io.responses.spec import ResponseSpec
+from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point
@@ -236,33 +234,6 @@ class CampaignTable(Table):
     design: DesignTable = DesignTable()
 
 
-def read_campaign_table(path: Path, *, to_fit: bool = True) -> CampaignTable:
-    """Return the checked contents of a campaign file.
-
-    Parameters
-    ----------
-    path : Path
-    to_fit : bool
-        Whether there must be a measurement to fit; a prediction needs none.
-
-    Raises
-    ------
-    InputError
-        The file is missing, not TOML, has an unknown key (the nearest known one is named), a value
-        of the wrong kind, or measurements that name undefined sources or receivers.
-    """
-    table = _read_toml(path)
-    try:
-        campaign = CampaignTable.model_validate(table)
-    except ValidationError as error:
-        raise _explained(path, error) from None
-    if to_fit:
-        _check_data(path, campaign)
-    _check_names(path, campaign)
-    _check_pairs(path, campaign)
-    return campaign
-
-
 def _read_toml(path: Path) -> dict[str, Any]:
     try:
         text = Path(path).read_bytes()
@@ -335,29 +306,18 @@ def _explained(path: Path, error: ValidationError) -> InputError:
 
 def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
     """Return where in the file a complaint points, without the names of union members."""
-    return tuple(part for part in complaint["loc"] if _stands_in_the_file(part))
+    return tuple(
+        part
+        for part in complaint["loc"]
+        if isinstance(part, int)
+        or not (part.endswith("Table") or "[" in part or part in _MEMBER_NAMES)
+    )
 
 
-def _stands_in_the_file(part: int | str) -> bool:
-    """Whether a part of a complaint is a key or an index, not the name of a union member."""
-    if isinstance(part, int):
-        return True
-    return not part.endswith("Table") and "[" not in part and part not in _MEMBER_NAMES
-
-
-_MEMBER_NAMES = frozenset(
-    {
-        "Spectrum",
-        "Prior",
-        "Directivity",
-        "MeasuredDirectivity",
-        "float",
-        "str",
-        "int",
-        "constrained-float",
-        "constrained-str",
-    }
-)
+_MEMBER_NAMES = {
+    *("Spectrum", "Prior", "Directivity", "MeasuredDirectivity"),
+    *("float", "str", "int", "constrained-float", "constrained-str"),
+}
 
 
 def _key_path(location: tuple[int | str, ...]) -> str:
@@ -540,7 +500,8 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     Raises
     ------
     InputError
-        See `read_campaign_table`.
+        The file is missing, not TOML, has an unknown key (the nearest known one is named), a value
+        of the wrong kind, or measurements that name undefined sources or receivers.
 
     Examples
     --------
@@ -566,20 +527,42 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     (['R'], 'auto')
     """
     path = Path(path)
-    table = read_campaign_table(path, to_fit=to_fit)
+    try:
+        table = CampaignTable.model_validate(_read_toml(path))
+    except ValidationError as error:
+        raise _explained(path, error) from None
+    if to_fit:
+        _check_data(path, table)
+    _check_names(path, table)
+    _check_pairs(path, table)
+    rows = table.measurements
     return Campaign(
         path,
-        _room_spec(path, table),
+        _room_spec(path, table.room),
         _air(path, table.air),
         _points(table.sources),
         _points(table.receivers),
-        tuple(_measured_file(path, m) for m in table.measurements if m.file is not None),
-        tuple(_measured_table(path, m) for m in table.measurements if m.parameters is not None),
+        tuple(_measured_file(path, m) for m in rows if m.file is not None),
+        tuple(
+            MeasuredTable(path.parent / m.parameters, m.source, m.receiver, m.use)
+            for m in rows
+            if m.parameters is not None
+        ),
         _bands(path, table.identify),
         dict(table.materials),
         _settings(table),
         {name: source.directivity for name, source in table.sources.items()},
-        tuple(_measured_spectrum(path, m) for m in table.measurements if m.spectrum is not None),
+        tuple(
+            MeasuredSpectrum(
+                str(m.source),
+                str(m.receiver),
+                path.parent / m.spectrum,
+                m.level if "level" in m.model_fields_set else None,
+                m.use,
+            )
+            for m in rows
+            if m.spectrum is not None
+        ),
         table.impedance,
         table.design,
     )
@@ -619,8 +602,7 @@ def input_files(campaign: Campaign) -> tuple[Path, ...]:
     return tuple(dict.fromkeys(files))
 
 
-def _room_spec(path: Path, table: CampaignTable) -> RoomSpec:
-    room = table.room
+def _room_spec(path: Path, room: RoomTable) -> RoomSpec:
     kinds = [k for k in ("file", "shoebox", "polygons") if getattr(room, k) is not None]
     if len(kinds) != 1:
         raise InputError(
@@ -660,18 +642,8 @@ def _points(tables: Mapping[str, SourceTable | ReceiverTable]) -> tuple[Point, .
     return tuple(Point(n, np.array(t.position), t.position_sd) for n, t in tables.items())
 
 
-def _measured_table(path: Path, row: MeasurementTable) -> MeasuredTable:
-    return MeasuredTable(path.parent / str(row.parameters), row.source, row.receiver, row.use)
-
-
-def _measured_spectrum(path: Path, row: MeasurementTable) -> MeasuredSpectrum:
-    level = row.level if "level" in row.model_fields_set else None
-    spectrum = path.parent / str(row.spectrum)
-    return MeasuredSpectrum(str(row.source), str(row.receiver), spectrum, level, row.use)
-
-
 def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
-    # `read_campaign_table` has made sure that all three are given
+    # `_check_names` has made sure that all three are given
     return MeasuredFile(
         str(row.source),
         str(row.receiver),

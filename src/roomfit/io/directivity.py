@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
-from roomfit.io.responses.hdf5 import Sofa, read_sofa_variables, sofa_data, sofa_values
+from roomfit.io.responses.hdf5 import Variables, read_sofa_variables, sofa_data, sofa_values
 from roomfit.response.directivity import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 from roomfit.typing import FloatArray
 
@@ -43,8 +43,8 @@ def read_directivity(
         raise InputError(
             "the directivity cannot be read", where=str(path), found=error.strerror
         ) from error
-    sofa = read_sofa_variables(content, str(path))
-    frequencies_hz, magnitude = _spectra(sofa, str(path))
+    sofa, data_type = read_sofa_variables(content, str(path))
+    frequencies_hz, magnitude = _spectra(sofa, data_type, str(path))
     directions = _directions(sofa, magnitude.shape[0], str(path))
     energy = np.empty((len(directions), len(bands)))
     for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):
@@ -55,14 +55,22 @@ def read_directivity(
     return measured_directivity(directions, energy, bands.centres_hz, loudspeaker_axes(aim, up))
 
 
-def _spectra(sofa: Sofa, where: str) -> tuple[FloatArray, FloatArray]:
+def _spectra(sofa: Variables, data_type: str, where: str) -> tuple[FloatArray, FloatArray]:
     """Return frequencies (n,) and magnitudes (n_directions, n)."""
     impulse = sofa_data(sofa, "Data.IR", where)
     rate_hz = sofa_values(sofa, "Data.SamplingRate")
     if impulse is not None and rate_hz is not None and rate_hz.size == 1:
         samples = _one_measurement(impulse, where)
         spectrum = np.abs(np.fft.rfft(samples, axis=1))
-        step_s = 1.0 / _positive_rate_hz(float(rate_hz.reshape(-1)[0]), where)
+        single_hz = float(rate_hz.reshape(-1)[0])
+        if not 0.0 < single_hz < np.inf:
+            raise InputError(
+                "the sampling rate is out of range",
+                where=f"{where}, Data.SamplingRate",
+                found=f"{single_hz:g} Hz",
+                needed="more than 0 Hz",
+            )
+        step_s = 1.0 / single_hz
         own = np.asarray(np.fft.rfftfreq(samples.shape[1], step_s), dtype=np.float64)
         return own, np.asarray(spectrum)
     real = sofa_data(sofa, "Data.Real", where)
@@ -72,7 +80,7 @@ def _spectra(sofa: Sofa, where: str) -> tuple[FloatArray, FloatArray]:
         raise InputError(
             "the SOFA file holds no directivity",
             where=where,
-            found=f"data type {sofa.data_type!r}",
+            found=f"data type {data_type!r}",
             needed="data type TF with its frequencies, or FIR with a sampling rate",
         )
     magnitude = np.hypot(_one_measurement(real, where), _one_measurement(imaginary, where))
@@ -83,17 +91,6 @@ def _spectra(sofa: Sofa, where: str) -> tuple[FloatArray, FloatArray]:
             found=f"{frequencies.size} and {magnitude.shape[1]}",
         )
     return np.asarray(frequencies.reshape(-1)), np.asarray(magnitude)
-
-
-def _positive_rate_hz(rate_hz: float, where: str) -> float:
-    if not 0.0 < rate_hz < np.inf:
-        raise InputError(
-            "the sampling rate is out of range",
-            where=f"{where}, Data.SamplingRate",
-            found=f"{rate_hz:g} Hz",
-            needed="more than 0 Hz",
-        )
-    return rate_hz
 
 
 def _one_measurement(data: FloatArray, where: str) -> FloatArray:
@@ -108,7 +105,7 @@ def _one_measurement(data: FloatArray, where: str) -> FloatArray:
     )
 
 
-def _directions(sofa: Sofa, n: int, where: str) -> FloatArray:
+def _directions(sofa: Variables, n: int, where: str) -> FloatArray:
     """Return directions in the loudspeaker's own frame: x front, y left, z top."""
     positions = _cartesian(sofa, "ReceiverPosition", n, where)
     if positions is None:
@@ -131,13 +128,10 @@ def _directions(sofa: Sofa, n: int, where: str) -> FloatArray:
     return np.asarray(positions @ axes.T)
 
 
-def _cartesian(sofa: Sofa, name: str, n: int, where: str) -> FloatArray | None:
+def _cartesian(sofa: Variables, name: str, n: int, where: str) -> FloatArray | None:
     """Return n positions as (n, 3) in Cartesian coordinates (m), or None if not so many.
 
-    Raises
-    ------
-    InputError
-        Coordinates of another type, or in other units than metres and degrees.
+    Refused are coordinates of another type, or in other units than metres and degrees.
     """
     values = sofa_values(sofa, name)
     if values is None or values.size != 3 * n:
@@ -146,7 +140,7 @@ def _cartesian(sofa: Sofa, name: str, n: int, where: str) -> FloatArray | None:
         values = np.moveaxis(values, 1, 2)
     values = values.reshape(n, 3)
     spherical = _is_spherical(sofa, name, where)
-    units = sofa.variables[name].attributes.get("Units")
+    units = sofa[name].attributes.get("Units")
     # the length of a direction in Cartesian coordinates has no unit that matters
     if units is not None and (spherical or name.endswith("Position")):
         _check_units(str(units), spherical, f"{where}, {name}")
@@ -158,9 +152,9 @@ def _cartesian(sofa: Sofa, name: str, n: int, where: str) -> FloatArray | None:
     return np.stack([across * np.cos(azimuth), across * np.sin(azimuth), height], axis=1)
 
 
-def _is_spherical(sofa: Sofa, name: str, where: str) -> bool:
-    kind = sofa.variables[name].attributes.get("Type")
-    view = sofa.variables.get(name.replace("Up", "View"))
+def _is_spherical(sofa: Variables, name: str, where: str) -> bool:
+    kind = sofa[name].attributes.get("Type")
+    view = sofa.get(name.replace("Up", "View"))
     if kind is None and view is not None:  # an Up shares the type of the View
         kind = view.attributes.get("Type")
     if kind not in (None, "cartesian", "spherical"):

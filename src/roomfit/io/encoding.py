@@ -74,13 +74,7 @@ def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
 
 
 def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
-    """Return the SHA-256 of every file, named relative to the folder of the first.
-
-    Raises
-    ------
-    StoreError
-        A file cannot be read again.
-    """
+    """Return the SHA-256 of every file, named relative to the folder of the first."""
     folder = inputs[0].parent if inputs else Path()
     digests = {}
     for path in inputs:

@@ -37,24 +37,18 @@ def catt_text(
     """Return ``ABS`` lines for a .geo file: octaves 125 Hz to 4 kHz, a colon, 8 and 16 kHz.
 
     Percent without decimals, 1 to 99: what every version reads. The exact values follow behind a
-    semicolon, where a .geo file's comments begin.
-
-    Parameters
-    ----------
-    names : dict
-        Own name to short name, in the order of the rows.
-    absorption, scattering : float arrays, shape (n_materials, 8)
-    remarks : list of str
-        Written as comments at the top.
+    semicolon, where a .geo file's comments begin, as do the remarks at the top. `names` are own
+    and short names in the order of the rows; arrays have the shape (n_materials, 8).
     """
     lines = [f"; {remark}" for remark in remarks]
     for i, (name, short) in enumerate(names.items()):
-        a, s = absorption[i], scattering[i]
-        r, g, b = _colour(i, len(names))
-        exact = " ".join(f"{v:.4f}" for v in a)
+        # far apart on the circle of hues
+        hue = colorsys.hsv_to_rgb(i / max(len(names), 1), 0.55, 0.85)
+        colour = " ".join(str(round(255 * part)) for part in hue)
+        exact = " ".join(f"{v:.4f}" for v in absorption[i])
         lines.append(
-            f"ABS {short} = <{_eight(a, 1)}> L <{_eight(s, 0)}> {{{r} {g} {b}}} ; "
-            f"{' '.join(name.split())}: {exact}"
+            f"ABS {short} = <{_eight(absorption[i], 1)}> L <{_eight(scattering[i], 0)}> "
+            f"{{{colour}}} ; {' '.join(name.split())}: {exact}"
         )
     return "\r\n".join(lines) + "\r\n"
 
@@ -83,12 +77,6 @@ def _eight(values: FloatArray, least: int) -> str:
 
 def _percent(values: FloatArray, least: int) -> str:
     return " ".join(str(int(np.clip(round(100.0 * v), least, 99))) for v in values)
-
-
-def _colour(number: int, count: int) -> tuple[int, int, int]:
-    """Colours far apart on the circle of hues."""
-    red, green, blue = colorsys.hsv_to_rgb(number / max(count, 1), 0.55, 0.85)
-    return round(255 * red), round(255 * green), round(255 * blue)
 
 
 def short_names(names: tuple[str, ...], longest: int) -> dict[str, str]:
@@ -125,11 +113,6 @@ def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     reads ODEON's own library distinguishes the two by it [1]_. The library has no scattering:
     ODEON expects it for each surface, in its list of materials.
 
-    Parameters
-    ----------
-    names : tuple of str
-    absorption : float array, shape (n_materials, 8)
-
     References
     ----------
     .. [1] R. Gueguen, Just4RIR (2018), ``physic.cpp``.
@@ -156,19 +139,10 @@ RAVEN_BANDS = Bands(
 def raven_text(
     name: str, notes: str, absorption: FloatArray, scattering: FloatArray, specified: BoolArray
 ) -> str:
-    """Return the text of one material file.
+    """Return the text of the file of one material, which bears its name; 31 third octaves.
 
     Layout and line ends are those that the ITA Toolbox writes [1]_; `specified` are the bands
     whose value was fitted: they get a 0 in ``interpol``, all others a 1.
-
-    Parameters
-    ----------
-    name : str
-        Also the name of the file, without its ending.
-    notes : str
-        One line.
-    absorption, scattering : float arrays, shape (31,)
-    specified : bool array, shape (31,)
 
     References
     ----------
@@ -394,27 +368,13 @@ _BANDS = {"catt": CATT_BANDS, "isimpa": ISIMPA_BANDS, "odeon": ODEON_BANDS, "rav
 _LONGEST_FILE_NAME = 60
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Exported:
-    """Files to be written."""
+def export_materials(
+    table: MaterialTable, wanted: str, scattering: float
+) -> tuple[dict[str, str], tuple[Finding, ...]]:
+    """Return the files of one of `FORMATS`, and what their reader must know.
 
-    # File name to content. One entry named "" for a format that is a single file, whose name
-    # the user chooses.
-    texts: dict[str, str]
-    # What a reader of the files must know: filled bands, values that the data do not determine
-    findings: tuple[Finding, ...]
-
-
-def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Exported:
-    """Return the files of one format.
-
-    Parameters
-    ----------
-    table : MaterialTable
-    wanted : str
-        One of `FORMATS`.
-    scattering : float
-        Coefficient of every material in every band where the table has none, 0 to 1.
+    Contents by file name. A format that is a single file, whose name the user chooses, has one
+    entry named "". `scattering`, 0 to 1, is written where the table has none.
 
     Raises
     ------
@@ -433,70 +393,59 @@ def export_materials(table: MaterialTable, wanted: str, scattering: float) -> Ex
     scatter = np.full(table.absorption.shape, scattering) if specified is None else specified
     findings = [*_not_identifiable(table)]
     if specified is None and wanted not in ("csv", "odeon"):
-        findings.append(_scattering_assumed(scattering))
+        text = f"The result has no scattering; {scattering:g} was written for every material."
+        evidence: dict[str, object] = {"scattering": scattering}
+        findings.append(Finding(Code.EXPORT_SCATTERING_ASSUMED, text, evidence))
     if wanted == "pyroomacoustics":
-        return Exported({"": pyroomacoustics_text(table, scatter)}, tuple(findings))
+        return {"": pyroomacoustics_text(table, scatter)}, tuple(findings)
     if wanted == "csv":
-        return Exported({"": wide_csv_text(table)}, tuple(findings))
+        return {"": wide_csv_text(table)}, tuple(findings)
     bands = _BANDS[wanted]
     absorption, filled = resample(table.absorption, table.bands, bands)
     scatter, _ = resample(scatter, table.bands, bands)
     if np.any(filled):
-        findings.append(_bands_filled(bands, filled))
-    if wanted == "odeon":
-        findings.append(_odeon_numbers(table))
-        return Exported({"": odeon_text(table.names, absorption)}, tuple(findings))
-    longest = _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME
-    names = short_names(table.names, longest)
-    findings += _renamed(names)
-    texts = _texts(wanted, table, names, absorption, scatter, [f.sentence for f in findings])
-    return Exported(texts, tuple(findings))
-
-
-def _texts(
-    wanted: str,
-    table: MaterialTable,
-    names: dict[str, str],
-    absorption: FloatArray,
-    scattering: FloatArray,
-    remarks: list[str],
-) -> dict[str, str]:
-    if wanted == "catt":
-        head = ["absorption in percent, fitted by roomfit; exact values behind each line"]
-        return {"": catt_text(names, absorption, scattering, [*head, *remarks])}
-    if wanted == "isimpa":
-        return {"": isimpa_text(names, absorption, scattering)}
-    fitted = np.isin(
-        np.round(RAVEN_BANDS.exact_centres_hz, 3), np.round(table.bands.exact_centres_hz, 3)
-    )
-    return {
-        f"{short}.mat": raven_text(
-            short, _raven_notes(table, i), absorption[i], scattering[i], fitted
+        listed = ", ".join(f"{f:g}" for f in bands.centres_hz[filled])
+        text = (
+            f"Nothing was fitted at {listed} Hz: the nearest band's value is used there, or one "
+            "between two neighbours."
         )
-        for i, short in enumerate(names.values())
-    }
-
-
-def _raven_notes(table: MaterialTable, material: int) -> str:
-    notes = "Fitted by roomfit; 1 in interpol: no fitted band"
-    sure = table.identifiable[material]
-    return notes if np.all(sure) else f"{notes}; not determined {_where(table.bands, ~sure)}"
+        evidence = {"bands_hz": bands.centres_hz[filled].tolist()}
+        findings.append(Finding(Code.EXPORT_BANDS_FILLED, text, evidence))
+    if wanted == "odeon":
+        last = FIRST_NUMBER + len(table.names) - 1
+        text = (
+            f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library has no "
+            "scattering: enter it in the list of materials."
+        )
+        evidence = {"first": FIRST_NUMBER, "last": last}
+        findings.append(Finding(Code.EXPORT_WITHOUT_SCATTERING, text, evidence))
+        return {"": odeon_text(table.names, absorption)}, tuple(findings)
+    names = short_names(table.names, _LONGEST_FILE_NAME if wanted == "raven" else LONGEST_NAME)
+    changed = {name: short for name, short in names.items() if name != short}
+    if changed:
+        listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
+        text = f"The other program cannot take every name; it is {listed}."
+        findings.append(Finding(Code.EXPORT_NAMES_CHANGED, text, {"names": changed}))
+    if wanted == "catt":
+        head = "absorption in percent, fitted by roomfit; exact values behind each line"
+        remarks = [head, *(f.sentence for f in findings)]
+        return {"": catt_text(names, absorption, scatter, remarks)}, tuple(findings)
+    if wanted == "isimpa":
+        return {"": isimpa_text(names, absorption, scatter)}, tuple(findings)
+    fitted = np.isin(np.round(bands.exact_centres_hz, 3), np.round(table.bands.exact_centres_hz, 3))
+    texts = {}
+    for i, short in enumerate(names.values()):
+        notes, sure = "Fitted by roomfit; 1 in interpol: no fitted band", table.identifiable[i]
+        if not np.all(sure):
+            notes += f"; not determined {_where(table.bands, ~sure)}"
+        texts[f"{short}.mat"] = raven_text(short, notes, absorption[i], scatter[i], fitted)
+    return texts, tuple(findings)
 
 
 def _where(bands: Bands, chosen: BoolArray) -> str:
     if np.all(chosen):
         return "in any band"
     return f"at {', '.join(f'{f:g}' for f in bands.centres_hz[chosen])} Hz"
-
-
-def _bands_filled(bands: Bands, filled: BoolArray) -> Finding:
-    listed = [f"{f:g}" for f in bands.centres_hz[filled]]
-    return Finding(
-        Code.EXPORT_BANDS_FILLED,
-        f"Nothing was fitted at {', '.join(listed)} Hz: the nearest band's value is used there, or "
-        "one between two neighbours.",
-        {"bands_hz": [float(f) for f in bands.centres_hz[filled]]},
-    )
 
 
 def _not_identifiable(table: MaterialTable) -> list[Finding]:
@@ -507,48 +456,13 @@ def _not_identifiable(table: MaterialTable) -> list[Finding]:
     }
     if not doubtful:
         return []
-    listed = "; ".join(
-        f"{name} {_where(table.bands, ~sure)}"
-        for name, sure in zip(table.names, table.identifiable, strict=True)
-        if not np.all(sure)
-    )
+    flags = dict(zip(table.names, table.identifiable, strict=True))
+    listed = "; ".join(f"{name} {_where(table.bands, ~flags[name])}" for name in doubtful)
     return [
         Finding(
             Code.EXPORT_NOT_IDENTIFIABLE,
             f"The measurement does not determine {listed}; the exported values there are not to "
             "be trusted one by one.",
             {"materials": doubtful},
-        )
-    ]
-
-
-def _scattering_assumed(scattering: float) -> Finding:
-    return Finding(
-        Code.EXPORT_SCATTERING_ASSUMED,
-        f"The result has no scattering; {scattering:g} was written for every material.",
-        {"scattering": scattering},
-    )
-
-
-def _odeon_numbers(table: MaterialTable) -> Finding:
-    last = FIRST_NUMBER + len(table.names) - 1
-    return Finding(
-        Code.EXPORT_WITHOUT_SCATTERING,
-        f"The materials have the numbers {FIRST_NUMBER} to {last}. ODEON's library has no "
-        "scattering: enter it in the list of materials.",
-        {"first": FIRST_NUMBER, "last": last},
-    )
-
-
-def _renamed(names: dict[str, str]) -> list[Finding]:
-    changed = {name: short for name, short in names.items() if name != short}
-    if not changed:
-        return []
-    listed = ", ".join(f"{short} for {name}" for name, short in changed.items())
-    return [
-        Finding(
-            Code.EXPORT_NAMES_CHANGED,
-            f"The other program cannot take every name; it is {listed}.",
-            {"names": changed},
         )
     ]

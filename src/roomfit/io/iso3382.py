@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import math
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -36,15 +35,8 @@ _SPREAD = "_sd"
 _HEAD = ("source", "receiver", "parameter")
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Row:
-    """One line: a parameter of a pair, or the spread of one, in every band; NaN for no value."""
-
-    source: str
-    receiver: str
-    name: ValueName
-    is_spread: bool
-    values: FloatArray
+# One line: a parameter, whether it is the spread of one, and its values by band, NaN for none.
+_Row = tuple[ValueName, bool, FloatArray]
 
 
 def read_parameters(
@@ -100,20 +92,22 @@ def read_parameters(
             needed="a line source,receiver,parameter,125,250,... and lines of values",
         )
     centres_hz = _centres_hz(lines[0][1], f"{path}, line {lines[0][0]}")
-    rows = [_row(cells, centres_hz, f"{path}, line {n}") for n, cells in lines[1:]]
-    chosen = [r for r in rows if source in (None, r.source) and receiver in (None, r.receiver)]
+    rows: dict[tuple[str, str], list[_Row]] = {}
+    for number, cells in lines[1:]:
+        pair, row = _row(cells, centres_hz, f"{path}, line {number}")
+        rows.setdefault(pair, []).append(row)
+    chosen = [pair for pair in rows if source in (None, pair[0]) and receiver in (None, pair[1])]
     if not chosen:
         raise InputError(
             "the table of room parameters has no line of this pair",
             where=str(path),
-            found=", ".join(dict.fromkeys(f"{r.source} to {r.receiver}" for r in rows)),
+            found=", ".join(" to ".join(pair) for pair in rows),
             needed=f"source {source or 'any'}, receiver {receiver or 'any'}",
         )
     found: list[MeasuredValues] = []
     findings: list[Finding] = []
-    for pair in dict.fromkeys((r.source, r.receiver) for r in chosen):
-        own = [r for r in chosen if (r.source, r.receiver) == pair]
-        values, doubts = _pair(pair, own, centres_hz, str(path))
+    for pair in chosen:
+        values, doubts = _pair(pair, rows[pair], centres_hz, str(path))
         findings += [*doubts, *contradiction_findings(values, str(path))]
         found.append(values)
     return tuple(found), tuple(findings)
@@ -144,7 +138,8 @@ def _centres_hz(cells: list[str], where: str) -> FloatArray:
     return np.array(centres)
 
 
-def _row(cells: list[str], centres_hz: FloatArray, where: str) -> _Row:
+def _row(cells: list[str], centres_hz: FloatArray, where: str) -> tuple[tuple[str, str], _Row]:
+    """Return source and receiver, and what the line says of them."""
     if len(cells) > 3 + centres_hz.size and any(c.strip() for c in cells[3 + centres_hz.size :]):
         raise InputError(
             "more values than bands",
@@ -170,7 +165,7 @@ def _row(cells: list[str], centres_hz: FloatArray, where: str) -> _Row:
             )
         if not is_spread and not math.isnan(values[band]):
             check_possible(name, float(values[band]), at)
-    return _Row(source, receiver, name, is_spread, values)
+    return (source, receiver), (name, is_spread, values)
 
 
 def _name(parameter: str, where: str) -> tuple[ValueName, bool]:
@@ -207,20 +202,19 @@ def _pair(
     """Return the values of one pair; each repetition of a parameter is another measurement."""
     counts: dict[tuple[str, bool], int] = {}
     tables: list[tuple[dict[ValueName, FloatArray], dict[ValueName, FloatArray]]] = []
-    for row in rows:
-        key = (row.name, row.is_spread)
-        number = counts.get(key, 0)
-        counts[key] = number + 1
+    for name, is_spread, values in rows:
+        number = counts.get((name, is_spread), 0)
+        counts[name, is_spread] = number + 1
         if number == len(tables):
             tables.append(({}, {}))
-        tables[number][row.is_spread][row.name] = row.values
-    for values, spread in tables:
-        for name in spread:
-            if name not in values:
-                raise InputError(
-                    "a spread without its value",
-                    where=f"{where}, {pair[0]} to {pair[1]}",
-                    found=f"{name.split('_')[0]}{_SPREAD}",
-                    needed=f"a line {name.split('_')[0]} of the same pair",
-                )
+        tables[number][is_spread][name] = values
+    for known, spread in tables:
+        for name in [name for name in spread if name not in known]:
+            symbol = name.split("_")[0]
+            raise InputError(
+                "a spread without its value",
+                where=f"{where}, {pair[0]} to {pair[1]}",
+                found=f"{symbol}{_SPREAD}",
+                needed=f"a line {symbol} of the same pair",
+            )
     return joined_values(tuple(MeasuredValues(*pair, centres_hz, v, s) for v, s in tables))

@@ -22,7 +22,7 @@ from roomfit.objective.coherent import FittedGeometry
 from roomfit.response.directivity import FirstOrder
 from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.solvers.certificate import Certificate
-from roomfit.typing import BoolArray, FloatArray
+from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import Combination, Difference
 from roomfit.uncertainty.posterior import AbsorptionPosterior, covariance_from_intervals
 
@@ -64,6 +64,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
         if posterior is not None and "prior_logit_mean" in posterior:
             mean = _posterior_table(posterior, "prior_logit_mean").T
             sd = _posterior_table(posterior, "prior_logit_sd").T
+        # None of a file that does not say which priors were specified
+        flags = (posterior or {}).get("prior_specified")
         return AbsorptionPosterior(
             table.names,
             table.bands,
@@ -76,14 +78,8 @@ def read_result(path: Path) -> AbsorptionPosterior:
             scattering=_read_scattering(content, table.names),
             directivities=_read_directivities(content),
             chi2_reduced=content.get("fit", {}).get("phi"),
-            prior_specified=_specified(content.get("posterior", {})),
+            prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
         )
-
-
-def _specified(posterior_content: dict[str, Any]) -> BoolArray | None:
-    """Return which materials' priors were specified; None of a file that does not say so."""
-    flags = posterior_content.get("prior_specified")
-    return None if flags is None else np.array(flags, dtype=np.bool_)
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
@@ -130,10 +126,34 @@ def _read_scattering(content: dict[str, Any], names: tuple[str, ...]) -> FloatAr
 def write_result(folder: Path, answer: Result, inputs: Iterable[Path]) -> None:
     """Write ``result.json`` and ``absorption.csv`` into a folder.
 
+    Parameters
+    ----------
+    folder : Path
+        One that exists.
+    answer : Result
+    inputs : iterable of Path
+        Files whose SHA-256 is written; the first is the campaign, relative to which the others are
+        named.
+
     Raises
     ------
     StoreError
         The disk refuses.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     write_result(Path(folder), result, [])
+    ...     found = read_result(Path(folder) / "result.json")
+    >>> bool(np.all(found.absorption == result.absorption))
+    True
     """
     content = result_content(answer, inputs)
     write_text_atomically(folder / "absorption.csv", absorption_csv(answer))

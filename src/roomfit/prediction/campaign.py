@@ -70,6 +70,36 @@ def predict_arguments(
     InputError
         Materials without absorption, no common band, no source, receiver or pair, an unknown
         choice of pairs, or files that cannot be read.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> from pathlib import Path
+    >>> import roomfit
+    >>> text = '''
+    ... [room]
+    ... shoebox = [6, 5, 3]
+    ... [sources.S]
+    ... position = [1.5, 1.2, 1.5]
+    ... [receivers.R]
+    ... position = [4.0, 3.5, 1.2]
+    ... [identify]
+    ... from_hz = 1000
+    ... to_hz = 1000
+    ... [room.materials]
+    ... walls = "plaster"
+    ... floor = "plaster"
+    ... ceiling = "plaster"
+    ... '''
+    >>> table = "material,band_hz,absorption,lower95,upper95,identifiable\\n"
+    >>> with tempfile.TemporaryDirectory() as name:
+    ...     campaign, result = Path(name) / "campaign.toml", Path(name) / "absorption.csv"
+    ...     _ = campaign.write_text(text)
+    ...     _ = result.write_text(table + "plaster,1000,0.3,0.25,0.36,true\\n")
+    ...     known = roomfit.read_result(result)
+    ...     arguments = predict_arguments(roomfit.read_campaign(campaign, to_fit=False), known)
+    >>> arguments["absorption"].absorption
+    array([[0.3]])
     """
     room = campaign_room(campaign)
     with located(f"{campaign.path}, identify"):

@@ -13,9 +13,8 @@ from matplotlib.figure import Figure
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
-from roomfit.report.frames import html_findings, html_table
 from roomfit.report.text import findings_text
-from roomfit.report.wording import decay_time_key, parameter
+from roomfit.report.wording import decay_time_key, html_findings, html_table, parameter
 from roomfit.signals.iso3382 import ValueName
 
 if TYPE_CHECKING:

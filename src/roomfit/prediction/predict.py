@@ -120,7 +120,7 @@ class Predicted:
             pandas, on which roomfit does not depend, is not installed.
         """
         from roomfit.prediction.output import COLUMNS, predicted_rows
-        from roomfit.report.frames import data_frame
+        from roomfit.report.wording import data_frame
 
         rows = ((*texts, *values) for texts, values in predicted_rows(self))
         return data_frame(COLUMNS, rows, "predicted.csv")
@@ -153,7 +153,7 @@ def predict(
         dimensionless. Scattering coefficients and directivities of sources come with it. A result
         of another room is brought to this form by `roomfit.prediction.campaign.room_posterior`.
     changes : sequence of Change, optional
-        What if: materials with another absorption, from `roomfit.read_change`.
+        What if: materials with another absorption, from `roomfit.prediction.changes.read_change`.
     measurements : sequence of Measurement or MeasuredValues, optional
         Of pairs of the scene, to stand beside the prediction; nothing is fitted to them.
     settings : Settings, optional
@@ -181,8 +181,18 @@ def predict(
 
     Examples
     --------
-    ``roomfit.predict(scene, roomfit.absorption_posterior(answer))`` after an identification of the
-    same room; ``roomfit.predict(**roomfit.predict_arguments(campaign, result))`` is what the
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> predicted = roomfit.predict(scene, roomfit.absorption_posterior(result), settings=few)
+    >>> time = predicted.pairs[0].parameters["T20_s"]
+    >>> bool(time.lower95[0] < time.predicted[0] < time.upper95[0])
+    True
+
+    ``roomfit.predict(**roomfit.predict_arguments(campaign, result))`` is what the
     command line does.
     """
     began = time.perf_counter()

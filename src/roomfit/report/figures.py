@@ -9,7 +9,7 @@ from __future__ import annotations
 import html
 import io
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +17,8 @@ import matplotlib as mpl
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.collections import PatchCollection
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
-from matplotlib.patches import Rectangle
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
@@ -65,15 +63,16 @@ def write_pictures(folder: Path, answer: Result, progress: Progress | None = Non
         write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
     with_decay = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
     for i, pair in with_decay[:MOST_DECAY_PICTURES]:
-        name = f"decay_{i:02d}_{_in_file_name(pair.source)}_{_in_file_name(pair.receiver)}"
-        write_bytes_atomically(folder / f"{name}.png", png(decay_figure(answer, pair)))
+        name = f"decay_{i:02d}_{in_file_name(pair.source, pair.receiver)}.png"
+        write_bytes_atomically(folder / name, png(decay_figure(answer, pair)))
         if progress is not None:
             progress(i / len(answer.pairs))
 
 
-def _in_file_name(name: str) -> str:
-    """Return a name without the characters that have a meaning in paths."""
-    return "".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60]
+def in_file_name(*names: str) -> str:
+    """Return names joined by underscores, without the characters that have a meaning in paths."""
+    plain = ("".join(c if c.isalnum() or c in "-_." else "_" for c in name)[:60] for name in names)
+    return "_".join(plain)
 
 
 MOST_PROFILES = 12
@@ -532,48 +531,3 @@ def decay_times(pair: ComparedPair, band: int) -> str:
         return ""
     measured, predicted = number(t.measured[band], 2), number(t.predicted[band], 2)
     return f"{parameter(key).symbol} {measured} → {predicted} s"
-
-
-def boxes_figure(
-    covers: Mapping[str, FloatArray],
-    names: tuple[str, ...],
-    true_absorption: FloatArray,
-    grids: tuple[FloatArray, FloatArray, FloatArray],
-    levels: Sequence[float],
-) -> Figure:
-    """Return one panel with the covers on top of each other, the widest first.
-
-    Parameters
-    ----------
-    covers : mapping of label to float array, shape (n_boxes, 2, 2)
-        Lower and upper absorption of each box. Every point whose error is below what the label
-        says is in one of them.
-    names : tuple of two str
-    true_absorption : float array, shape (2,)
-    grids : three float arrays, shape (n, n)
-        Both absorptions and the error over a grid, for its contours.
-    levels : sequence of float
-        Rising: the errors that bound the covers, the smallest cover's first.
-    """
-    figure = new_figure(5.2, 5.0)
-    axes = figure.subplots()
-    for (label, boxes), colour in zip(covers.items(), (4, 0, 1), strict=False):
-        patches = [Rectangle((b[0, 0], b[0, 1]), *(b[1] - b[0])) for b in boxes]
-        axes.add_collection(
-            PatchCollection(patches, facecolor=OKABE_ITO[colour], edgecolor="white", linewidth=0.4)
-        )
-        noun = "box" if len(boxes) == 1 else "boxes"
-        axes.plot([], [], "s", color=OKABE_ITO[colour], label=f"{label}: {len(boxes)} {noun}")
-    axes.contour(*grids, levels=list(levels), colors="black", linewidths=1.0)
-    axes.plot([], [], "-", color="black", lw=1.0, label="where the error has just these values")
-    axes.plot(*true_absorption, "+", color="black", ms=12, mew=1.5, label="truth")
-    widest = next(iter(covers.values()))
-    low, high = widest[:, 0].min(axis=0), widest[:, 1].max(axis=0)
-    margin = 0.08 * float((high - low).max())
-    axes.set_xlim(low[0] - margin, high[0] + margin)
-    axes.set_ylim(low[1] - margin, high[1] + margin)
-    axes.set_xlabel(f"absorption of {names[0]}")
-    axes.set_ylabel(f"absorption of {names[1]}")
-    axes.set_title("What is left after the proof", fontsize=10)
-    figure.legend(loc="outside lower center", frameon=False, fontsize=9)
-    return figure

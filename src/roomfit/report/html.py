@@ -6,7 +6,6 @@ A few sentences come first, then the findings with the most serious first, figur
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from importlib.metadata import version
 from typing import Any
 
@@ -70,16 +69,6 @@ _MOST_ENDS, _MOST_NAMES = 3, 8
 _REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 
 
-@dataclass(frozen=True, slots=True)
-class FindingGroup:
-    """Findings of one code: a sentence for the first, the others can be unfolded."""
-
-    code: Code
-    severity: Severity
-    sentence: str
-    others: tuple[str, ...]
-
-
 def summary_sentences(answer: Result) -> tuple[str, ...]:
     """Return what was done, what is identifiable, what is not, and how well it predicts."""
     return tuple(
@@ -105,15 +94,12 @@ def determined_in_words(answer: Result) -> tuple[tuple[str, str], ...]:
     )
 
 
-def finding_groups(findings: tuple[Finding, ...]) -> tuple[FindingGroup, ...]:
+def finding_groups(findings: tuple[Finding, ...]) -> tuple[list[Finding], ...]:
     """Return the findings by severity, those of one code together."""
     alike: dict[tuple[Severity, Code], list[Finding]] = {}
     for finding in sorted(findings, key=lambda f: _SEVERITIES.index(f.severity)):
         alike.setdefault((finding.severity, finding.code), []).append(finding)
-    return tuple(
-        FindingGroup(code, severity, same[0].sentence, tuple(f.sentence for f in same[1:]))
-        for (severity, code), same in alike.items()
-    )
+    return tuple(alike.values())
 
 
 def _what_was_done(answer: Result) -> str:
@@ -190,8 +176,7 @@ def _how_well_it_predicts(answer: Result) -> str:
     sentences = []
     known = parameter_keys(pairs)
     for key in [key for key in _REPORTED if key in known] or known:
-        errors = errors_of(pairs, key)
-        model, baseline = known_mean(errors.model), known_mean(errors.baseline)
+        model, baseline = map(known_mean, errors_of(pairs, key))
         if not np.isfinite(model):
             continue
         how = parameter(key)
@@ -215,14 +200,6 @@ def _how_many_findings(answer: Result) -> str:
     words = {"serious": "serious finding", "warning": "warning", "info": "note"}
     counted = [count(n, words[severity]) for n, severity in counts if n]
     return f"Read first: {listing(counted)} below." if counted else ""
-
-
-@dataclass(frozen=True, slots=True)
-class Drawing:
-    """A figure on the page: its SVG element and the words below it."""
-
-    svg: Markup
-    caption: str
 
 
 def report_html(
@@ -255,6 +232,18 @@ def report_html(
     -------
     str
         Write it as UTF-8.
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> room = roomfit.shoebox_room((6.0, 5.0, 3.0), "plaster")
+    >>> scene = roomfit.scene_of(room, {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)})
+    >>> measured = roomfit.MeasuredValues("S", "R", [1000.0], {"T20_s": [0.8]})
+    >>> octave, few = roomfit.bands_between("octave", 1000, 1000), roomfit.Settings(n_rays=2000)
+    >>> result = roomfit.identify(scene, [measured], bands=octave, settings=few)
+    >>> page = report_html(result, scene, title="Lecture room")
+    >>> "<title>Lecture room</title>" in page, "<script" in page
+    (True, False)
     """
     choices = tuple(pair for pair in answer.pairs if has_curves(pair))
     text: str = _template().render(
@@ -329,12 +318,14 @@ def has_curves(pair: ComparedPair) -> bool:
     return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
 
 
-def _drawing(figure: Figure, name: str, title: str, caption: str) -> Drawing:
-    # the element is made here and its words are escaped where they become SVG
-    return Drawing(Markup(svg(figure, name, title)), caption)
+def _drawing(figure: Figure, name: str, title: str, caption: str) -> Markup:
+    """Return a figure element; words become part of its SVG escaped."""
+    return Markup(
+        '<figure>\n<div class="drawing">{}</div>\n<figcaption>{}</figcaption>\n</figure>\n'
+    ).format(Markup(svg(figure, name, title)), caption)
 
 
-def _room(scene: Scene) -> Drawing:
+def _room(scene: Scene) -> Markup:
     caption = (
         "Above: the room without the walls towards the viewer, colours as in the table of "
         "materials; dotted lines lead down to the floor. Below: plan and two side views, all "
@@ -351,7 +342,7 @@ def _room(scene: Scene) -> Drawing:
     return _drawing(room_figure(scene), "room", title, caption)
 
 
-def _absorption(answer: Result) -> Drawing:
+def _absorption(answer: Result) -> Markup:
     return _drawing(
         absorption_figure(answer),
         "absorption",
@@ -364,7 +355,7 @@ def _absorption(answer: Result) -> Drawing:
     )
 
 
-def _certainty(answer: Result) -> tuple[Drawing, ...]:
+def _certainty(answer: Result) -> tuple[Markup, ...]:
     drawings = [
         _drawing(
             identifiability_figure(answer),
@@ -404,7 +395,7 @@ def _certainty(answer: Result) -> tuple[Drawing, ...]:
     return tuple(drawings)
 
 
-def _decays(answer: Result, pairs: tuple[ComparedPair, ...]) -> Drawing:
+def _decays(answer: Result, pairs: tuple[ComparedPair, ...]) -> Markup:
     caption = (
         "Energy left in the room relative to the whole, after each time; above each panel the "
         "decay time, measured → predicted."

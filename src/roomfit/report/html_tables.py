@@ -8,7 +8,6 @@ room's materials and positions; fitted directivities. `wording.Table` is what th
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -263,15 +262,6 @@ NEAR_JND, FAR_JND = 1.0, 2.0
 """Up to the first no difference is audible; above the second it is plain."""
 
 
-@dataclass(frozen=True, slots=True)
-class PairSection:
-    """What the report shows of one pair below its name."""
-
-    title: str
-    tables: tuple[Table, ...]
-    open: bool
-
-
 def pair_title(pair: ComparedPair) -> str:
     """Return "LS1 to MP2", and whether the pair was kept out of the fit."""
     return f"{pair.source} to {pair.receiver}{'' if pair.use == 'fit' else ' (not fitted)'}"
@@ -310,13 +300,10 @@ def known_mean(values: FloatArray) -> float:
     return float(known.mean()) if known.size else float("nan")
 
 
-def pair_sections(answer: Result, *, opened: int = 2) -> tuple[PairSection, ...]:
-    """Return the tables of every pair; the first few are shown unfolded."""
+def pair_sections(answer: Result) -> tuple[tuple[str, tuple[Table, ...]], ...]:
+    """Return the title and the tables of every pair."""
     keys = parameter_keys(answer.pairs)
-    return tuple(
-        PairSection(pair_title(pair), _pair_tables(answer, pair, keys), number_of < opened)
-        for number_of, pair in enumerate(answer.pairs)
-    )
+    return tuple((pair_title(pair), _pair_tables(answer, pair, keys)) for pair in answer.pairs)
 
 
 def _pair_tables(answer: Result, pair: ComparedPair, keys: Sequence[str]) -> tuple[Table, ...]:
@@ -391,20 +378,13 @@ def _overview_cell(pair: ComparedPair, key: str) -> Cell:
 WORSE = "▲"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """Absolute errors of one parameter, percent or in its unit; shape (n_pairs, n_bands).
+def errors_of(pairs: Sequence[ComparedPair], key: str) -> tuple[FloatArray, FloatArray]:
+    """Return absolute errors of a parameter by the model and by the baseline.
 
-    NaN where one of the two cannot be compared. Where any baseline exists, `model` has only what
-    `baseline` has as well, so that both are means over the same pairs.
+    Percent or in its unit, each of shape (n_pairs, n_bands); NaN where one of the two cannot be
+    compared. Where any baseline exists, the model has only what the baseline has as well, so that
+    both are means over the same pairs.
     """
-
-    model: FloatArray
-    baseline: FloatArray
-
-
-def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
-    """Return the errors of the model's and of the baseline's predictions of a parameter."""
     compared = [pair.parameters[key] for pair in pairs if key in pair.parameters]
     measured = np.array([c.measured for c in compared])
     scale = np.where(measured == 0.0, np.nan, measured) / 100.0
@@ -414,8 +394,8 @@ def errors_of(pairs: Sequence[ComparedPair], key: str) -> Errors:
     baseline = np.abs(np.array([c.null for c in compared]) - measured) / scale
     both = np.isfinite(model) & np.isfinite(baseline)
     if not both.any():
-        return Errors(model, np.full_like(model, np.nan))
-    return Errors(np.where(both, model, np.nan), np.where(both, baseline, np.nan))
+        return model, np.full_like(model, np.nan)
+    return np.where(both, model, np.nan), np.where(both, baseline, np.nan)
 
 
 def error_tables(answer: Result) -> tuple[Table, ...]:
@@ -437,15 +417,17 @@ def _tables(answer: Result, pairs: Sequence[ComparedPair], caption: str) -> tupl
     def rows(block: IntArray) -> Iterator[Row]:
         groups = [[int(j)] for j in block] + ([every] if block[-1] == every[-1] else [])
         for key in keys:
-            cells = tuple(_cell(key, found[key], group) for group in groups)
+            cells = tuple(
+                _cell(key, *(known_mean(errors[:, bands]) for errors in found[key]))
+                for bands in groups
+            )
             yield Row(parameter(key).symbol, cells, small=f"in {parameter(key).error_unit}")
 
     centres = answer.bands.centres_hz
     return band_tables(caption, "parameter", centres, rows, after=("all bands",))
 
 
-def _cell(key: str, errors: Errors, bands: list[int]) -> Cell:
-    model, baseline = known_mean(errors.model[:, bands]), known_mean(errors.baseline[:, bands])
+def _cell(key: str, model: float, baseline: float) -> Cell:
     if not np.isfinite(model):
         return Cell(DASH, ("not comparable",), "missing")
     decimals = parameter(key).error_decimals

@@ -520,7 +520,7 @@ def weigh(
     pieces = pieces_of(rows.offsets)
     energies = np.zeros((len(pieces), n_bands))
     slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
-    small = len(rows) * n_bands < _ROWS_WORTH_THREADS
+    small = rows.weight_per_m2.size * n_bands < _ROWS_WORTH_THREADS
     (weigh_serial if small else weigh_parallel)(
         pieces,
         rows.weight_per_m2,
@@ -565,8 +565,19 @@ def _checked(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return reflected energy (n_bands, n_materials) and attenuation, both ready for kernels."""
-    attenuation = float_array("air attenuation", attenuation_per_m, (None,), low=0.0, unit="1/m")
-    shape = (len(rows.materials), attenuation.size)
-    a = float_array("absorption coefficient", coefficients, shape, low=0.0, high=1.0)
     # copies, so that kernels always see writable, contiguous arrays: one compiled form
-    return np.array(1.0 - a.T, order="C"), np.array(attenuation)
+    attenuation = np.array(attenuation_per_m, dtype=np.float64)
+    a = np.array(coefficients, dtype=np.float64)
+    # tested on the spot, and named only where wrong: this is done at every evaluation of a fit
+    shape = (len(rows.materials), attenuation.size)
+    if (
+        attenuation.ndim != 1
+        or a.shape != shape
+        or not (
+            np.all(np.isfinite(attenuation) & (attenuation >= 0.0))
+            and np.all((a >= 0.0) & (a <= 1.0))
+        )
+    ):
+        float_array("air attenuation", attenuation, (None,), low=0.0, unit="1/m")
+        float_array("absorption coefficient", a, shape, low=0.0, high=1.0)
+    return np.array(1.0 - a.T, order="C"), attenuation

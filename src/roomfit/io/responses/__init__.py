@@ -10,8 +10,7 @@ from roomfit.errors import InputError, StoreError
 from roomfit.findings import Finding
 from roomfit.io.responses.formats import read_mat, read_rew, read_wav
 from roomfit.io.responses.hdf5 import read_sofa
-from roomfit.io.responses.spec import ResponseSpec
-from roomfit.io.responses.sweeps import Recording, checked, deconvolved
+from roomfit.io.responses.recordings import Recording, ResponseSpec, checked, deconvolved
 from roomfit.signals.response import ImpulseResponse
 
 _READERS = {
@@ -48,6 +47,18 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
         not finite; a choice is missing or does not exist; a key does not belong to this kind.
     StoreError
         The disk refuses to read the file.
+
+    Examples
+    --------
+    >>> import tempfile
+    >>> import soundfile
+    >>> decay = np.exp(-np.arange(4800) / 480.0)
+    >>> with tempfile.TemporaryDirectory() as folder:
+    ...     file = Path(folder) / "S1_R1.wav"
+    ...     soundfile.write(file, decay, 48000, subtype="DOUBLE")
+    ...     response, findings = read_response(ResponseSpec(file))
+    >>> response.sampling_rate_hz, bool(np.all(response.pressure == decay)), findings
+    (48000.0, True, ())
     """
     path = Path(spec.path)
     kind = path.suffix.lower()

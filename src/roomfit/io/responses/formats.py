@@ -21,8 +21,7 @@ import re
 import struct
 import zlib
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
-from pathlib import Path
+from itertools import islice
 
 import numpy as np
 import soundfile
@@ -32,22 +31,14 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.io.encoding import decoded
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
-from roomfit.io.responses.spec import ResponseSpec
-from roomfit.io.responses.sweeps import Recording, pick
+from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
 
 Variables = Mapping[str, FloatArray | str]  # what it is instead, where it is no real numbers
 
 
 def read_mat(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return one column of a variable of a MAT file.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Names the variable, the column and the source of the sampling rate.
-    content : bytes
-        The whole file.
+    """Return the column of a variable of a MAT file that is asked for.
 
     Raises
     ------
@@ -156,47 +147,32 @@ _COMPLEX_FLAG = 0x800
 _LARGEST_BYTES = 1 << 31
 
 
-@dataclass(frozen=True, slots=True)
-class _Element:
-    kind: int
-    data: bytes
-
-
 def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
-    """Return every variable of the file by name.
+    """Return every variable of a MAT file of level 5 by name.
 
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-
-    Returns
-    -------
-    dict
-        Float64 arrays of the shape they have in the file; what it is instead for text, structures,
-        cells, sparse and complex arrays.
+    Float64 arrays of the shape they have in the file; what it is instead for text, structures,
+    cells, sparse and complex arrays.
 
     Raises
     ------
     ValueError
-        The bytes are not a MAT file of level 5, or are damaged; says where.
+        The bytes are not such a file, or are damaged; says where.
     """
     order = {b"IM": "<", b"MI": ">"}.get(content[126:_HEADER_BYTES])
     if order is None:
         raise ValueError("no header of a MAT file of version 5 to 7.2")
     variables: dict[str, FloatArray | str] = {}
-    for element in _elements(content[_HEADER_BYTES:], order):
-        inner = element
-        if element.kind == _COMPRESSED:
-            inner = next(_elements(_decompressed(element.data), order), element)
-        if inner.kind == _MATRIX:
-            name, array = _variable(inner.data, order)
+    for kind, data in _elements(content[_HEADER_BYTES:], order):
+        if kind == _COMPRESSED:
+            kind, data = next(_elements(_decompressed(data), order), (kind, data))
+        if kind == _MATRIX:
+            name, array = _variable(data, order)
             variables[name] = array
     return variables
 
 
-def _elements(data: bytes, order: str) -> Iterator[_Element]:
-    """Yield the data elements in their order."""
+def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
+    """Yield kind and data of the elements in their order."""
     position = 0
     while position + 8 <= len(data):
         kind, size = struct.unpack_from(f"{order}II", data, position)
@@ -211,7 +187,7 @@ def _elements(data: bytes, order: str) -> Iterator[_Element]:
             raise ValueError(
                 f"an element of {size} bytes where {max(0, len(data) - start)} are left"
             )
-        yield _Element(kind, data[start : start + size])
+        yield kind, data[start : start + size]
         position = following
 
 
@@ -229,22 +205,23 @@ def _decompressed(data: bytes) -> bytes:
 def _variable(data: bytes, order: str) -> tuple[str, FloatArray | str]:
     """Return name and values of one array, or what it is instead."""
     parts = _elements(data, order)
-    flags, shape, name = (next(parts, None) for _ in range(3))
-    if flags is None or shape is None or name is None:
+    head = list(islice(parts, 3))
+    if len(head) < 3:
         raise ValueError("an array without flags, size or name")
-    if flags.kind != _UINT32 or len(flags.data) < 4 or shape.kind != _INT32:
+    (flags_kind, flags), (shape_kind, shape), (_, name) = head
+    if flags_kind != _UINT32 or len(flags) < 4 or shape_kind != _INT32:
         raise ValueError("an array with foreign flags or size")
-    text = name.data.decode("utf-8", errors="replace")
-    (word,) = struct.unpack_from(f"{order}I", flags.data)
+    text = name.decode("utf-8", errors="replace")
+    (word,) = struct.unpack_from(f"{order}I", flags)
     if word & 0xFF not in _NUMERIC_CLASSES:
         return text, _KINDS.get(word & 0xFF, "of a class of its own")
     if word & _COMPLEX_FLAG:
         return text, "complex numbers"
-    values = next(parts, None)
-    if values is None or values.kind not in _MAT5_NUMBERS:
+    kind, values = next(parts, (0, b""))
+    if kind not in _MAT5_NUMBERS:
         raise ValueError(f"array {text!r} without numbers")
-    lengths = np.frombuffer(shape.data, f"{order}i4").tolist()
-    numbers = np.frombuffer(values.data, order + _MAT5_NUMBERS[values.kind]).astype(np.float64)
+    lengths = np.frombuffer(shape, f"{order}i4").tolist()
+    numbers = np.frombuffer(values, order + _MAT5_NUMBERS[kind]).astype(np.float64)
     if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
         raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
     return text, numbers.reshape(lengths, order="F")
@@ -262,15 +239,6 @@ _NEEDED = {"length": "Response length", "interval_s": "Sample interval", "start_
 _MOST_HEADER_LINES = 200
 
 
-@dataclass(frozen=True, slots=True)
-class _Header:
-    """The lines above the samples."""
-
-    numbers: Mapping[str, float]
-    notes: str  # all other lines, in lower case
-    n_lines: int  # lines before the first sample
-
-
 def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     """Return the impulse response of a text file that REW wrote (File, Export, Impulse Response).
 
@@ -282,9 +250,8 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     Parameters
     ----------
     spec : ResponseSpec
-        Names the file in messages; its `time_zero` is compared with the file.
+        Its `time_zero` is compared with the file.
     content : bytes
-        The whole file.
 
     Raises
     ------
@@ -296,25 +263,46 @@ def read_rew(spec: ResponseSpec, content: bytes) -> Recording:
     if b"\0" in content:
         raise _not_rew(where, "a binary file")
     lines = decoded(content).split("\n")
-    header = _header(lines, where)
-    if "ir is the min phase version" in header.notes:
+    numbers, notes, n_header = _header(lines, where)
+    if "ir is the min phase version" in notes:
         raise InputError(
             "a minimum-phase response has lost its arrival times",
             where=where,
             hint="export the response itself, not its minimum-phase version",
         )
-    rate_hz = _rate_hz(header.numbers["interval_s"], where)
-    pressure = _samples(lines[header.n_lines :], header, where)
-    findings: list[Finding] = []
-    if "ir is normalised" in header.notes:
-        pressure, level_findings = _with_its_level(pressure, header, spec)
-        findings += level_findings
-    findings += _window_findings(header, spec)
-    findings += _clock_findings(pressure, rate_hz, header, spec)
-    return Recording(pressure, rate_hz, header.numbers["start_s"], tuple(findings))
+    rate_hz = _rate_hz(numbers["interval_s"], where)
+    pressure = _samples(lines, n_header, numbers["length"], where)
+    name, start_s, findings = spec.path.name, numbers["start_s"], []
+    if "ir is normalised" in notes:
+        peak = abs(numbers.get("peak_value", 0.0))
+        largest = float(np.abs(pressure).max(initial=0.0))
+        if peak > 0.0 and largest > 0.0:
+            pressure = pressure * (peak / largest)
+        else:
+            text = (
+                f"{name} was normalised by REW and does not say what its peak was: its level "
+                "means nothing beside that of other files."
+            )
+            findings.append(Finding(Code.LEVEL_UNKNOWN, text))
+    if "ir window has been applied" in notes:
+        text = (
+            f"{name} was exported with REW's window applied, which bends the late decay and "
+            "hides the noise; export it without the window."
+        )
+        findings.append(Finding(Code.WINDOW_APPLIED, text))
+    peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + start_s
+    if spec.time_zero == "emission" and abs(peak_s) <= 1.5 / rate_hz:
+        text = (
+            f"REW put the time zero of {name} at the peak, so it does not contain the "
+            'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
+            "reference."
+        )
+        findings.append(Finding(Code.TIME_ZERO_AT_PEAK, text, {"peak_s": peak_s}))
+    return Recording(pressure, rate_hz, start_s, tuple(findings))
 
 
-def _header(lines: list[str], where: str) -> _Header:
+def _header(lines: list[str], where: str) -> tuple[dict[str, float], str, int]:
+    """Return the numbers above the samples, other lines in lower case, and how many there are."""
     first = next((line.strip() for line in lines if line.strip()), "")
     if not first.lstrip("* ").lower().startswith(_TITLE):
         raise _not_rew(where, repr(first[:60]))
@@ -343,7 +331,7 @@ def _header(lines: list[str], where: str) -> _Header:
                 needed=f'a line "... // {label}"',
                 hint="the file may be cut off: export it again from REW",
             )
-    return _Header(numbers, "\n".join(notes), n_lines)
+    return numbers, "\n".join(notes), n_lines
 
 
 def _not_rew(where: str, found: str) -> InputError:
@@ -386,19 +374,16 @@ def _rate_hz(interval_s: float, where: str) -> float:
     return float(whole) if abs(rate_hz - whole) < 1e-6 * rate_hz else rate_hz
 
 
-def _samples(lines: list[str], header: _Header, where: str) -> FloatArray:
+def _samples(lines: list[str], n_header: int, needed: float, where: str) -> FloatArray:
+    lines = lines[n_header:]
     while lines and not lines[-1].strip():
         lines = lines[:-1]
     try:
         samples = np.array([float(line) for line in lines])
     except ValueError:
         samples = np.array(
-            [
-                _number(line, f"{where}, line {header.n_lines + k + 1}")
-                for k, line in enumerate(lines)
-            ]
+            [_number(line, f"{where}, line {n}") for n, line in enumerate(lines, n_header + 1)]
         )
-    needed = header.numbers["length"]
     if len(samples) != needed:
         raise InputError(
             "the REW file is cut off" if len(samples) < needed else "the REW file is too long",
@@ -410,86 +395,37 @@ def _samples(lines: list[str], header: _Header, where: str) -> FloatArray:
     return samples
 
 
-def _with_its_level(
-    pressure: FloatArray, header: _Header, spec: ResponseSpec
-) -> tuple[FloatArray, list[Finding]]:
-    """Undo REW's division by the peak."""
-    peak = abs(header.numbers.get("peak_value", 0.0))
-    largest = float(np.abs(pressure).max(initial=0.0))
-    if peak > 0.0 and largest > 0.0:
-        return pressure * (peak / largest), []
-    text = (
-        f"{spec.path.name} was normalised by REW and does not say what its peak was: its level "
-        "means nothing beside that of other files."
-    )
-    return pressure, [Finding(Code.LEVEL_UNKNOWN, text, {})]
-
-
-def _window_findings(header: _Header, spec: ResponseSpec) -> list[Finding]:
-    if "ir window has been applied" not in header.notes:
-        return []
-    text = (
-        f"{spec.path.name} was exported with REW's window applied, which bends the late decay and "
-        "hides the noise; export it without the window."
-    )
-    return [Finding(Code.WINDOW_APPLIED, text, {})]
-
-
-def _clock_findings(
-    pressure: FloatArray, rate_hz: float, header: _Header, spec: ResponseSpec
-) -> list[Finding]:
-    """Return a finding where REW's zero is at the peak and is taken for the time of emission."""
-    peak_s = int(np.argmax(np.abs(pressure))) / rate_hz + header.numbers["start_s"]
-    if spec.time_zero != "emission" or not abs(peak_s) <= 1.5 / rate_hz:
-        return []
-    text = (
-        f"REW put the time zero of {spec.path.name} at the peak, so it does not contain the "
-        'time of emission; specify time_zero = "direct", or measure with a loopback as timing '
-        "reference."
-    )
-    return [Finding(Code.TIME_ZERO_AT_PEAK, text, {"peak_s": peak_s})]
-
-
 _SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 _UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
 
 
-@dataclass(frozen=True, slots=True)
-class _DataChunk:
-    """Position of the samples, and their length by the header."""
-
-    size_offset: int
-    start: int
-    declared: int
-
-
 def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return one channel of a WAV file.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Names the file in messages and chooses the channel.
-    content : bytes
-        The whole file.
+    """Return the channel of a WAV file that is asked for.
 
     Raises
     ------
     InputError
         Not a WAV file, cut off, an encoding that loses what is needed, or no such channel.
     """
-    chunk = _data_chunk(content, str(spec.path))
-    available = len(content) - chunk.start
+    start, declared = _data_chunk(content, str(spec.path))
+    available = len(content) - start
     findings: tuple[Finding, ...] = ()
-    if chunk.declared in _UNKNOWN_LENGTHS and available > 0:
-        findings = (_streamed(spec.path, available),)
-        content = _with_lengths(content, chunk, available)
-    elif chunk.declared > available:
+    if declared in _UNKNOWN_LENGTHS and available > 0:
+        text = (
+            f"{spec.path.name} was written as a stream: its header does not contain its length, so "
+            "a cut end would not be noticed. Everything up to the end of the file was read."
+        )
+        findings = (Finding(Code.WAV_LENGTH_UNKNOWN, text, {"bytes_of_samples": available}),)
+        patched = bytearray(content)
+        struct.pack_into("<I", patched, 4, min(len(content) - 8, 0xFFFFFFFF))
+        struct.pack_into("<I", patched, start - 4, min(available, 0xFFFFFFFF))
+        content = bytes(patched)
+    elif declared > available:
         raise InputError(
             "the WAV file is cut off",
             where=str(spec.path),
             found=f"{available} bytes of samples",
-            needed=f"{chunk.declared} bytes, by its own header",
+            needed=f"{declared} bytes, by its own header",
             hint="copy or export the file again",
         )
     try:
@@ -514,8 +450,8 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
         raise _not_wav(str(spec.path), str(error)) from error
 
 
-def _data_chunk(content: bytes, where: str) -> _DataChunk:
-    """Walk the chunks of the file to its samples."""
+def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
+    """Return where the samples begin, and how many bytes of them the header declares."""
     form = content[:4]
     if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
         raise _not_wav(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
@@ -530,30 +466,13 @@ def _data_chunk(content: bytes, where: str) -> _DataChunk:
                 raise _not_wav(where, "samples without a format before them")
             if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
                 size = long_size
-            return _DataChunk(position + 4, position + 8, size)
+            return position + 8, size
         position += 8 + size + size % 2  # chunks are padded to even lengths
     raise InputError(
         "the WAV file holds no samples",
         where=where,
         found=f"{len(content)} bytes without a data chunk",
         hint="the file may be cut off: copy or export it again",
-    )
-
-
-def _with_lengths(content: bytes, chunk: _DataChunk, available: int) -> bytes:
-    """Return the file with the lengths that a streaming writer left open filled in."""
-    patched = bytearray(content)
-    struct.pack_into("<I", patched, 4, min(len(content) - 8, 0xFFFFFFFF))
-    struct.pack_into("<I", patched, chunk.size_offset, min(available, 0xFFFFFFFF))
-    return bytes(patched)
-
-
-def _streamed(path: Path, available: int) -> Finding:
-    return Finding(
-        Code.WAV_LENGTH_UNKNOWN,
-        f"{path.name} was written as a stream: its header does not contain its length, so a cut "
-        "end would not be noticed. Everything up to the end of the file was read.",
-        {"bytes_of_samples": available},
     )
 
 

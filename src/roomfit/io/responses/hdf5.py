@@ -15,8 +15,7 @@ from typing import Any
 import numpy as np
 
 from roomfit.errors import InputError
-from roomfit.io.responses.spec import ResponseSpec
-from roomfit.io.responses.sweeps import Recording, pick
+from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
 
 _LARGEST_BYTES = 1 << 31
@@ -49,11 +48,6 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
 
     Left out are links to elsewhere, and dimensions of netCDF without values. Everything comes back
     as plain arrays and texts: nothing refers to the file any more.
-
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
 
     Raises
     ------
@@ -152,18 +146,10 @@ def is_mat73(content: bytes) -> bool:
 
 
 def mat73_arrays(content: bytes) -> dict[str, FloatArray | str]:
-    """Return every variable of the file by name.
+    """Return every variable of a MAT file of version 7.3 by name.
 
-    Parameters
-    ----------
-    content : bytes
-        The whole file.
-
-    Returns
-    -------
-    dict
-        Float64 arrays of the shape they have in MATLAB, whose axes are reversed in the file; what
-        it is instead for text, structures, cells, sparse and complex arrays.
+    Float64 arrays of the shape they have in MATLAB, whose axes are reversed in the file; what it
+    is instead for text, structures, cells, sparse and complex arrays.
 
     Raises
     ------
@@ -198,23 +184,11 @@ def _array(name: str, variable: Hdf5Variable) -> FloatArray | str:
 _AXES = "MRNE"
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Sofa:
-    """A SOFA file, whatever its convention."""
-
-    data_type: str  # FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say
-    variables: Mapping[str, Hdf5Variable]  # by the names that AES69 gives them, such as "Data.IR"
+Variables = Mapping[str, Hdf5Variable]  # by the names of AES69, such as "Data.IR"
 
 
 def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
-    """Return one measurement at one receiver of a SOFA file.
-
-    Parameters
-    ----------
-    spec : ResponseSpec
-        Chooses measurement and receiver.
-    content : bytes
-        The whole file.
+    """Return one measurement at one receiver of a SOFA file, as `spec` chooses them.
 
     Raises
     ------
@@ -223,14 +197,14 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
         such measurement or receiver.
     """
     where = str(spec.path)
-    sofa = read_sofa_variables(content, where)
+    sofa, data_type = read_sofa_variables(content, where)
     responses = sofa_data(sofa, "Data.IR", where)
     rates_hz = sofa_values(sofa, "Data.SamplingRate")
     if responses is None or rates_hz is None:
         raise InputError(
             "the SOFA file holds no impulse responses",
             where=where,
-            found=f"data type {sofa.data_type!r}",
+            found=f"data type {data_type!r}",
             needed="data type FIR with a sampling rate",
         )
     measurement = pick("measurement", spec.measurement, responses.shape[0], "measurement", where)
@@ -241,8 +215,10 @@ def read_sofa(spec: ResponseSpec, content: bytes) -> Recording:
     return Recording(pressure, rate_hz, delay_samples / rate_hz if rate_hz > 0.0 else 0.0)
 
 
-def read_sofa_variables(content: bytes, where: str) -> Sofa:
-    """Return the variables of a SOFA file.
+def read_sofa_variables(content: bytes, where: str) -> tuple[Variables, str]:
+    """Return the variables of a SOFA file, whatever its convention, and its data type.
+
+    The type is FIR, FIR-E, TF, TF-E or SOS; "unknown" where the file does not say.
 
     Raises
     ------
@@ -277,29 +253,26 @@ def read_sofa_variables(content: bytes, where: str) -> Sofa:
                 found="an attribute scale_factor or add_offset",
                 needed="plain numbers, as AES69 has it",
             )
-    return Sofa(str(attributes.get("DataType", "unknown")), variables)
+    return variables, str(attributes.get("DataType", "unknown"))
 
 
-def sofa_values(sofa: Sofa, name: str) -> FloatArray | None:
+def sofa_values(sofa: Variables, name: str) -> FloatArray | None:
     """Return the numbers of a variable in the file's order, or None where there are none."""
-    variable = sofa.variables.get(name)
+    variable = sofa.get(name)
     if variable is None or variable.values is None or variable.values.size == 0:
         return None
     return variable.values
 
 
-def sofa_data(sofa: Sofa, name: str, where: str) -> FloatArray | None:
+def sofa_data(sofa: Variables, name: str, where: str) -> FloatArray | None:
     """Return data as (n_measurements, n_receivers, n), or None where there are no such.
 
-    Raises
-    ------
-    InputError
-        Several emitters at once.
+    Several emitters at once are refused.
     """
     values = sofa_values(sofa, name)
     if values is None or values.ndim not in (3, 4):
         return None
-    axes = sofa.variables[name].axes
+    axes = sofa[name].axes
     if sorted(axes) == sorted(_AXES):
         values = values.transpose([axes.index(axis) for axis in _AXES])
     if values.ndim == 4:
@@ -314,7 +287,7 @@ def sofa_data(sofa: Sofa, name: str, where: str) -> FloatArray | None:
     return values
 
 
-def _delay_samples(sofa: Sofa, measurement: int, receiver: int) -> float:
+def _delay_samples(sofa: Variables, measurement: int, receiver: int) -> float:
     """Return how many samples the file says its responses are to be delayed.
 
     One for all measurements, or one for each: (I or M, R) and for FIR-E an axis of emitters.

@@ -13,14 +13,12 @@ from roomfit.geometry.check import examine
 from roomfit.geometry.mesh import Mesh, refuse, shoebox_mesh
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
-from roomfit.io.rooms.mesh_formats import read_ac3d, read_obj, read_ply
+from roomfit.io.rooms.mesh_formats import read_ac3d, read_glb, read_obj, read_ply, read_stl
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
     RoomModel,
     RoomSpec,
     in_metres,
-    read_glb,
-    read_stl,
 )
 from roomfit.io.rooms.tables import read_polygons
 from roomfit.scene import Room, material_findings, room_from_mesh
@@ -60,7 +58,8 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     ('carpet', 0)
     """
     mesh, findings = read_mesh(spec)
-    findings = (*findings, *material_findings(mesh, spec.materials), *examine(mesh).findings)
+    _, _, doubts = examine(mesh)
+    findings = (*findings, *material_findings(mesh, spec.materials), *doubts)
     refuse(findings)
     return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
 

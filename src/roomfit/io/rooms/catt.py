@@ -19,7 +19,6 @@ from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
 from roomfit.io.rooms.catt_language import (
     CornerSource,
-    FileNames,
     GeoFile,
     Line,
     Shared,
@@ -27,48 +26,40 @@ from roomfit.io.rooms.catt_language import (
     read_files,
     value_of,
 )
-from roomfit.io.rooms.model import RoomModel, whole
+from roomfit.io.rooms.model import Polygon, RoomModel, joined, whole
 from roomfit.typing import FloatArray
 
 _MOST_STEPS = 10_000
 
 
-def names_of(files: list[GeoFile]) -> tuple[Shared, list[FileNames]]:
-    """Return the names that the expressions of each file may use.
-
-    Raises
-    ------
-    InputError
-        A constant is given twice, or a statement's numbers are not what they must be.
-    """
-    shared = Shared()
-    owners = [FileNames(shared, file) for file in files]
-    for owner in owners:
-        for kind, line in owner.file.constants:
+def define_names(files: list[GeoFile]) -> None:
+    """Enter constants, directives and corners of every file where its expressions find them."""
+    shared = files[0].shared
+    for file in files:
+        for kind, line in file.constants:
             name, expression = _definition(line)
-            known = shared.constants if kind == "global" else owner.local
+            known = shared.constants if kind == "global" else file.local
             if name in known:
                 raise line.error("a constant is given twice", found=name)
             if kind == "global":
-                shared.constants[name] = (owner, expression)
+                shared.constants[name] = (file, expression)
             else:
-                owner.local[name] = expression
-    for owner in owners:
-        _obey_directives(owner)
-    for owner in owners:
-        for line in owner.file.corners:
-            _add_corners(owner, line)
+                file.local[name] = expression
+    for file in files:
+        _obey_directives(file)
+    for file in files:
+        for line in file.corners:
+            _add_corners(file, line)
     _check_images(shared)
-    return shared, owners
 
 
 def _check_images(shared: Shared) -> None:
     """Two corners must not share a number, one of them as a mirror image."""
     images: dict[int, CornerSource] = {}
     for number, source in shared.corners.items():
-        if source.names.mirror is None:
+        if source.file.mirror is None:
             continue
-        image = number + source.names.mirror[0]
+        image = number + source.file.mirror[0]
         other = shared.corners.get(image) or images.get(image)
         if other is not None:
             raise InputError(
@@ -90,45 +81,40 @@ def _definition(line: Line) -> tuple[str, Line]:
     return match.group(1).lower(), Line(match.group(2), line.where)
 
 
-def _obey_directives(owner: FileNames) -> None:
+def _obey_directives(file: GeoFile) -> None:
     def numbers(word: str, count: int) -> list[float] | None:
-        line = owner.file.directives.get(word)
+        line = file.directives.get(word)
         if line is None:
             return None
         words = line.text.split()[1:]
         if len(words) != count:
             raise line.error(f"{word.upper()} needs {count} number{'s' if count > 1 else ''}")
-        return [value_of(text, owner, line.where) for text in words]
+        return [value_of(text, file, line.where) for text in words]
 
     offset = numbers("offsetco", 1)
     mirror = numbers("mirror", 2)
     shift = numbers("translate", 3)
     if offset:
-        owner.offset = _integer(offset[0], owner, "offsetco")
+        file.offset = _integer(offset[0], file, "offsetco")
     if mirror:
-        owner.mirror = (
-            _integer(mirror[0], owner, "mirror"),
-            _integer(mirror[1], owner, "mirror"),
-        )
-        owner.shared.mirrors.add(owner.mirror[0])
+        file.mirror = (_integer(mirror[0], file, "mirror"), _integer(mirror[1], file, "mirror"))
+        file.shared.mirrors.add(file.mirror[0])
     if shift:
-        if "object" not in owner.file.directives:
-            raise InputError(
-                "TRANSLATE without OBJECT", where=owner.file.directives["translate"].where
-            )
-        owner.shift = (shift[0], shift[1], shift[2])
+        if "object" not in file.directives:
+            raise InputError("TRANSLATE without OBJECT", where=file.directives["translate"].where)
+        file.shift = (shift[0], shift[1], shift[2])
 
 
-def _integer(value: float, owner: FileNames, word: str) -> int:
+def _integer(value: float, file: GeoFile, word: str) -> int:
     if value != int(value) or value < 0:
-        where = owner.file.directives[word].where
+        where = file.directives[word].where
         raise InputError("a whole number was expected", where=where, found=f"{value:g}")
     return int(value)
 
 
-def _add_corners(owner: FileNames, line: Line) -> None:
+def _add_corners(file: GeoFile, line: Line) -> None:
     if not line.text[0].isdigit():
-        _add_loop(owner, line)
+        _add_loop(file, line)
         return
     words = split_words(line.text)
     if len(words) != 4:
@@ -136,8 +122,8 @@ def _add_corners(owner: FileNames, line: Line) -> None:
             "a corner needs a number and three coordinates",
             hint="write an expression without blanks, as in 2*w-1",
         )
-    source = CornerSource(owner, (words[1], words[2], words[3]), line.where)
-    _add(owner.shared, whole(words[0], line.where) + owner.offset, source)
+    source = CornerSource(file, (words[1], words[2], words[3]), line.where)
+    _add(file.shared, whole(words[0], line.where) + file.offset, source)
 
 
 def _add(shared: Shared, number: int, source: CornerSource) -> None:
@@ -152,7 +138,7 @@ def _add(shared: Shared, number: int, source: CornerSource) -> None:
     shared.corners[number] = source
 
 
-def _add_loop(owner: FileNames, line: Line) -> None:
+def _add_loop(file: GeoFile, line: Line) -> None:
     """Read ``loop(first, i, start, stop, step, x, y, z)``: one corner for each value of i."""
     match = re.fullmatch(r"loop\s*\((.*)\)", line.text, re.ASCII | re.IGNORECASE)
     arguments = split_words(match.group(1), ",") if match else []
@@ -161,15 +147,15 @@ def _add_loop(owner: FileNames, line: Line) -> None:
             "a loop of the .geo file is not understood",
             needed="loop(first number, name, start, stop, step, x, y, z)",
         )
-    number, start, stop, step = (value_of(arguments[k], owner, line.where) for k in (0, 2, 3, 4))
+    number, start, stop, step = (value_of(arguments[k], file, line.where) for k in (0, 2, 3, 4))
     steps = (stop - start) / step if step else -1.0
     if number != int(number) or number < 0 or not 0.0 <= steps + 1e-9 <= _MOST_STEPS:
         raise InputError("a loop that does not end, or has no step", where=line.where)
     for k in range(int(steps + 1e-9) + 1):
         running = (arguments[1].lower(), start + k * step)
         expressions = (arguments[5], arguments[6], arguments[7])
-        source = CornerSource(owner, expressions, line.where, running)
-        _add(owner.shared, int(number) + k + owner.offset, source)
+        source = CornerSource(file, expressions, line.where, running)
+        _add(file.shared, int(number) + k + file.offset, source)
 
 
 def split_words(text: str, mark: str = " ") -> list[str]:
@@ -192,24 +178,13 @@ def split_words(text: str, mark: str = " ") -> list[str]:
 
 
 def cut_parts(parts: list[FloatArray]) -> list[list[FloatArray]]:
-    """Return what is left of each part without the earlier ones.
+    """Return what the earlier parts leave of each part, polygons of shape (n_corners, 3).
 
-    Parameters
-    ----------
-    parts : list of float arrays, shape (n_corners, 3)
-        Polygons in one plane, of any outline, in order of precedence.
-
-    Returns
-    -------
-    list of lists of float arrays, shape (n_corners, 3)
-        For each part its polygons, oriented as the part. A part that no other covers comes back
-        whole; else the pieces are convex and meet without gaps. Pieces thinner than
-        the tolerance at which corners are welded are left out.
-
-    Notes
-    -----
-    Both polygons are cut into triangles. What a triangle leaves of a convex piece is, for each of
-    its edges in turn, the share of the piece beyond that edge and within all edges before it.
+    For each part come its polygons, oriented as the part. A part that no other covers comes back
+    whole; else the pieces are convex and meet without gaps: both polygons are cut into triangles,
+    and what a triangle leaves of a convex piece is, for each of its edges in turn, the share of
+    the piece beyond that edge and within all edges before it. Pieces thinner than the tolerance
+    at which corners are welded are left out.
     """
     left: list[list[FloatArray]] = []
     taken: list[FloatArray] = []
@@ -317,16 +292,11 @@ class GeoPlane:
 def parse_planes(line: Line) -> list[GeoPlane]:
     """Return the plane that a text between brackets describes, or the planes of a plane loop.
 
-    ``30 wall / 5 6 56 55 / brick`` ; with ``\\`` for ``/`` the other side reflects ; corners
-    5 to 8 may be written 5-8 ; ``(door / 1 2 3 4 / wood)`` for parts ; ``*5 1 panel // 1 2 8 7 /
+    ``30 wall / 5 6 56 55 / brick`` ; with ``\\`` for ``/`` the other side reflects ; corners 5 to
+    8 may be written 5-8 ; ``(door / 1 2 3 4 / wood)`` for parts ; ``*5 1 panel // 1 2 8 7 /
     wood`` for five planes, each with numbers one higher (or as the list between the two slashes
     says). A ``*`` behind a name or a material asks CATT-Acoustic for scattering at edges and an s
     behind a corner hides an edge: neither changes the room.
-
-    Raises
-    ------
-    InputError
-        It is not of this form.
     """
     head, fields, turned = _fields(line)
     times, number, name = _head(head, line)
@@ -462,22 +432,6 @@ def _malformed(line: Line) -> InputError:
 _UNCOVERED = 1e-4  # share of a plane that its parts may leave open
 
 
-@dataclass(slots=True)
-class _Faces:
-    """Corners and faces as they come in."""
-
-    points: list[FloatArray]
-    faces: list[Face]
-    count: int = 0
-
-    def add(self, points: FloatArray, surface: Surface) -> None:
-        """Add one polygon; CATT-Acoustic's normals point into the air, roomfit's out of it."""
-        corners = tuple(reversed(range(self.count, self.count + len(points))))
-        self.points.append(points)
-        self.faces.append(Face(corners, surface))
-        self.count += len(points)
-
-
 def read_catt(path: Path) -> RoomModel:
     """Read a room from a .geo file of CATT-Acoustic and the files that it includes.
 
@@ -499,37 +453,40 @@ def read_catt(path: Path) -> RoomModel:
         cut() and others); the message has its line. Nothing that may shape the room is ignored.
     """
     files = read_files(path)
-    shared, owners = names_of(files)
-    materials, findings = _materials(owners)
-    faces = _Faces([], [])
+    define_names(files)
+    materials, findings = _materials(files)
+    polygons: list[Polygon] = []
     used: dict[int, str] = {}
-    for owner in owners:
-        for plane in _planes(owner, used):
-            _add_plane(plane, shared, materials, faces)
-    if not faces.faces:
+    for file in files:
+        for plane in _planes(file, used):
+            polygons += _polygons(plane, file.shared, materials)
+    if not polygons:
         raise InputError(
             "the room file has no planes",
             where=str(path),
             needed="PLANES, and below it [number name / corners / material]",
             hint="the file may be cut short: export it again",
         )
-    return RoomModel(np.concatenate(faces.points), _sheets(faces), findings, "m", "z")
+    vertices, faces = joined(_sheets(polygons))
+    # CATT-Acoustic's normals point into the air, roomfit's out of it
+    turned = tuple(Face(face.corners[::-1], face.surface) for face in faces)
+    return RoomModel(vertices, turned, findings, "m", "z")
 
 
-def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
+def _planes(file: GeoFile, used: dict[int, str]) -> list[GeoPlane]:
     """Return the planes of one file with final numbers of planes and corners, images included."""
-    line = owner.file.directives.get("offsetpl")
+    line = file.directives.get("offsetpl")
     words = line.text.split()[1:] if line else ["0"]
     if line and not (len(words) == 1 and re.fullmatch(r"\d{1,9}", words[0], re.ASCII)):
         raise line.error("OFFSETPL needs a whole number")
     planes = []
-    for text in owner.file.planes:
+    for text in file.planes:
         for plane in parse_planes(text):
             final = _renumbered(
-                plane, int(words[0]), lambda corners: (c + owner.offset for c in corners)
+                plane, int(words[0]), lambda corners: (c + file.offset for c in corners)
             )
             planes.append(final)
-            image = _image(final, owner)
+            image = _image(final, file)
             if image is not None:
                 planes.append(image)
     for plane in planes:
@@ -544,27 +501,27 @@ def _planes(owner: FileNames, used: dict[int, str]) -> list[GeoPlane]:
     return planes
 
 
-def _image(plane: GeoPlane, owner: FileNames) -> GeoPlane | None:
+def _image(plane: GeoPlane, file: GeoFile) -> GeoPlane | None:
     """Return the plane's image at x = 0, or None where it has none of its own."""
-    if owner.mirror is None:
+    if file.mirror is None:
         return None
-    add_corner, add_plane = owner.mirror
-    known = owner.shared.corners
+    add_corner, add_plane = file.mirror
+    known = file.shared.corners
     corners = plane.outline.corners
     if any(c not in known for c in corners):
         return None  # it names images itself
-    points = [corner_of(owner.shared, c, plane.where) for c in corners]
+    points = [corner_of(file.shared, c, plane.where) for c in corners]
     rounded = {tuple(round(v, 6) + 0.0 for v in p) for p in points}
     if rounded == {(0.0 - x, y, z) for x, y, z in rounded}:
         return None  # it is its own image
     return _renumbered(plane, add_plane, lambda corners: (c + add_corner for c in corners[::-1]))
 
 
-def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces: _Faces) -> None:
+def _polygons(plane: GeoPlane, shared: Shared, materials: dict[str, str]) -> list[Polygon]:
     outline = _points(plane.outline, shared, plane.where)
     if not plane.parts:
-        faces.add(outline, _surface(plane, plane.outline, materials))
-        return
+        return [(outline, _surface(plane, plane.outline, materials))]
+    polygons: list[Polygon] = []
     shapes = [_points(part, shared, plane.where) for part in plane.parts]
     left = cut_parts(shapes)
     for part, pieces in zip(plane.parts, left, strict=True):
@@ -575,8 +532,8 @@ def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces
                 found=f"{part.name!r} of plane {plane.number}",
                 hint="put the smaller part first",
             )
-        for piece in pieces:
-            faces.add(piece, _surface(plane, part, materials))
+        surface = _surface(plane, part, materials)
+        polygons += [(piece, surface) for piece in pieces]
     whole = area_m2([outline])
     covered = area_m2([piece for pieces in left for piece in pieces])
     if not abs(covered - whole) <= _UNCOVERED * whole:
@@ -586,6 +543,7 @@ def _add_plane(plane: GeoPlane, shared: Shared, materials: dict[str, str], faces
             found=f"{covered:.4g} m2 of parts in plane {plane.number} of {whole:.4g} m2",
             hint="give the rest a part of its own, as in (wall / 1 2 3 4 / brick)",
         )
+    return polygons
 
 
 def _points(part: Part, shared: Shared, where: str) -> FloatArray:
@@ -597,12 +555,12 @@ def _surface(plane: GeoPlane, part: Part, materials: dict[str, str]) -> Surface:
     return Surface(str(plane.number), part.name or None, materials.setdefault(key, part.material))
 
 
-def _materials(owners: list[FileNames]) -> tuple[dict[str, str], tuple[Finding, ...]]:
+def _materials(files: list[GeoFile]) -> tuple[dict[str, str], tuple[Finding, ...]]:
     """Return the name to use for each material in lower case, with "a is b" followed to its end."""
     spelling: dict[str, str] = {}
     stands_for: dict[str, str] = {}
-    for owner in owners:
-        for line in owner.file.materials:
+    for file in files:
+        for line in file.materials:
             name, rest = _absorption(line)
             if name.lower() in spelling:
                 raise line.error("a material is given twice", found=name)
@@ -637,22 +595,20 @@ def _absorption(line: Line) -> tuple[str, str]:
     return match.group(1).strip('"'), match.group(2).strip()
 
 
-def _sheets(faces: _Faces) -> tuple[Face, ...]:
+def _sheets(polygons: list[Polygon]) -> list[Polygon]:
     """Join planes on the same points, turned against each other, with one material."""
     first: dict[tuple[object, ...], int] = {}
-    kept: list[Face | None] = []
-    for face, points in zip(faces.faces, faces.points, strict=True):
+    kept: list[Polygon] = []
+    for points, surface in polygons:
         ring = [tuple(np.round(p, 6) + 0.0) for p in points]
-        back = (face.surface.file_material, *_from_smallest(ring[::-1]))
-        partner = first.pop(back, None)
+        partner = first.pop((surface.file_material, *_from_smallest(ring[::-1])), None)
         if partner is None:
-            first[(face.surface.file_material, *_from_smallest(ring))] = len(kept)
-            kept.append(face)
-            continue
-        front = kept[partner]
-        if front is not None:
-            kept[partner] = Face(front.corners, replace(front.surface, double_sided=True))
-    return tuple(face for face in kept if face is not None)
+            first[(surface.file_material, *_from_smallest(ring))] = len(kept)
+            kept.append((points, surface))
+        else:
+            front_m, front = kept[partner]
+            kept[partner] = (front_m, replace(front, double_sided=True))
+    return kept
 
 
 def _from_smallest(ring: list[tuple[float, ...]]) -> list[tuple[float, ...]]:

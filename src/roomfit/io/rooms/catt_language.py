@@ -15,11 +15,11 @@ import ast
 import math
 import operator
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import Protocol
 
 from roomfit.errors import InputError
 from roomfit.io.rooms.model import finite, read_text, whole
@@ -51,32 +51,20 @@ _OPERATIONS: dict[type[ast.operator], Callable[[float, float], float]] = {
 _AXES = ("x", "y", "z")
 
 
-class Names(Protocol):
-    """The values of the names in an expression."""
-
-    def constant(self, name: str, where: str) -> float:
-        """Return the value of a constant, its name in lower case."""
-
-    def corner(self, number: int, where: str) -> Point:
-        """Return a corner by the number that its file writes."""
-
-
 def value_of(
     text: str,
-    names: Names,
+    file: GeoFile,
     where: str,
+    *,
+    running: tuple[str, float] | None = None,
     lock: Callable[[Point, Point, Point], float] | None = None,
 ) -> float:
-    """Return the value of an expression.
+    """Return the value of an expression in the names of its file; refuse what is not finite.
 
     Numbers, constants, ``+ - * /``, brackets, sin, cos, tan, asin, acos, atan (degrees), sqrt,
-    abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner and, where `lock` is
-    given, ``lock(4 7 8)`` for the point on the plane through three corners.
-
-    Raises
-    ------
-    InputError
-        Anything else, a name that is not known, or a value that is not a finite number.
+    abs, ``x(4)``, ``y(4)``, ``z(4)`` for a coordinate of another corner; where they are given,
+    the running number of a loop by its name, and ``lock(4 7 8)`` for the point on the plane
+    through three corners.
     """
 
     def corners(call: ast.Call, count: int) -> list[Point]:
@@ -90,14 +78,15 @@ def value_of(
                 where=where,
                 found=text,
             )
-        return [names.corner(whole(str(number), where), where) for number in numbers]
+        return [own_corner(file, whole(str(number), where), where) for number in numbers]
 
     def value(node: ast.expr) -> float:
         match node:
             case ast.Constant(value=int() | float() as number):
                 return float(number)
             case ast.Name():
-                return names.constant(_name(node), where)
+                name = _name(node)
+                return running[1] if running and name == running[0] else constant(file, name, where)
             case ast.UnaryOp(operand=operand):
                 return -value(operand) if isinstance(node.op, ast.USub) else value(operand)
             case ast.BinOp(left=left, right=right) if type(node.op) in _OPERATIONS:
@@ -125,11 +114,7 @@ def value_of(
 
 
 def _in_python(text: str, where: str) -> str:
-    """Return an expression as Python writes it.
-
-    Names get an underscore in front, so that none is a word of Python; zeros in front of a number
-    go; corner numbers get a comma between them.
-    """
+    """Put an underscore before names (none is a word of Python then), commas between corners."""
     words: list[str] = []
     at, text = 0, text.rstrip()
     while at < len(text):
@@ -170,16 +155,8 @@ def lock_on_plane(
 ) -> float:
     """Return the coordinate along `axis` of the point on the plane through a, b and c.
 
-    Parameters
-    ----------
-    axis : {0, 1, 2}
-    point : three floats
-        The one along `axis` is not used.
-
-    Raises
-    ------
-    InputError
-        The plane runs along the axis, or the three corners are collinear.
+    Of `point` the one along `axis` is not used. Refused is a plane that runs along the axis, and
+    three corners on one line.
     """
     u = [q - p for p, q in zip(a, b, strict=True)]
     v = [q - p for p, q in zip(a, c, strict=True)]
@@ -224,36 +201,58 @@ class Line:
 
 
 @dataclass(slots=True)
+class CornerSource:
+    """Where a corner comes from: three expressions in the words of one file."""
+
+    file: GeoFile
+    expressions: tuple[str, str, str]
+    where: str
+    running: tuple[str, float] | None = None  # name and value of a loop's number
+    point: Point | None = None
+
+
+@dataclass(slots=True)
+class Shared:
+    """What all files share: global constants, and corners by their final number."""
+
+    constants: dict[str, tuple[GeoFile, Line]] = field(default_factory=dict)
+    corners: dict[int, CornerSource] = field(default_factory=dict)
+    under_way: list[str] = field(default_factory=list)  # what is being evaluated
+    mirrors: set[int] = field(default_factory=set)  # what any file's MIRROR adds to corners
+
+
+@dataclass(slots=True)
 class GeoFile:
-    """The statements of one file, sorted by what they are about."""
+    """The statements of one file, sorted by what they are about, and the names that it knows."""
 
     path: Path
+    shared: Shared
     constants: list[tuple[str, Line]] = field(default_factory=list)  # "global" or "local"
     materials: list[Line] = field(default_factory=list)
     directives: dict[str, Line] = field(default_factory=dict)
     corners: list[Line] = field(default_factory=list)
     planes: list[Line] = field(default_factory=list)
     includes: list[Line] = field(default_factory=list)
+    local: dict[str, Line] = field(default_factory=dict)  # constants of this file alone
+    offset: int = 0  # what OFFSETCO adds to its corner numbers
+    # what MIRROR adds to numbers of mirrored corners and planes
+    mirror: tuple[int, int] | None = None
+    shift: Point = (0.0, 0.0, 0.0)  # TRANSLATE
 
 
 def read_files(path: Path) -> list[GeoFile]:
-    """Return a file and, behind it, all that it includes.
+    """Return a file and, behind it, all that it includes; refuse one that includes itself.
 
-    An included file comes after the whole of the file that names it, so that it may use
-    constants defined below the INCLUDE.
-
-    Raises
-    ------
-    InputError
-        A file cannot be read, includes itself, or contains a statement that is not understood.
+    An included file comes after the whole of the file that names it, so that it may use constants
+    defined below the INCLUDE.
     """
     files: list[GeoFile] = []
-    _gather(Path(path), (), files)
+    _gather(Path(path), (), files, Shared())
     return files
 
 
-def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile]) -> None:
-    file = _sorted(path)
+def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile], shared: Shared) -> None:
+    file = _sorted(GeoFile(path, shared))
     files.append(file)
     if len(files) > _MOST_FILES:
         raise InputError(
@@ -263,7 +262,7 @@ def _gather(path: Path, above: tuple[Path, ...], files: list[GeoFile]) -> None:
         inner = _included(line, path.parent)
         if inner.resolve() in (*above, path.resolve()):
             raise line.error("a file includes itself", found=inner.name)
-        _gather(inner, (*above, path.resolve()), files)
+        _gather(inner, (*above, path.resolve()), files, shared)
 
 
 def _included(line: Line, folder: Path) -> Path:
@@ -286,13 +285,12 @@ def _included(line: Line, folder: Path) -> Path:
     )
 
 
-def _sorted(path: Path) -> GeoFile:
-    file = GeoFile(path)
+def _sorted(file: GeoFile) -> GeoFile:
     section = ""
     plane: list[str] = []
     began = ""
-    for number, raw in enumerate(read_text(path).split("\n"), start=1):
-        where = f"{path}, line {number}"
+    for number, raw in enumerate(read_text(file.path).split("\n"), start=1):
+        where = f"{file.path}, line {number}"
         text = raw.split(";", 1)[0].strip()
         if plane or (section == "planes" and text.startswith("[")):
             began = began or where
@@ -369,110 +367,54 @@ def _unknown(line: Line) -> InputError:
 _NUMBERS_DEEPEST = 100
 
 
-@dataclass(slots=True)
-class CornerSource:
-    """Where a corner comes from: three expressions in the words of one file."""
-
-    names: FileNames
-    expressions: tuple[str, str, str]
-    where: str
-    loop: tuple[str, float] | None = None  # name and value of the running number
-    point: Point | None = None
-
-
-@dataclass(slots=True)
-class Shared:
-    """What all files share: global constants, and corners by their final number."""
-
-    constants: dict[str, tuple[FileNames, Line]] = field(default_factory=dict)
-    corners: dict[int, CornerSource] = field(default_factory=dict)
-    under_way: list[str] = field(default_factory=list)
-    mirrors: set[int] = field(default_factory=set)  # what any file's MIRROR adds to corners
+def constant(file: GeoFile, name: str, where: str) -> float:
+    """Return the value of a constant, of this file or global, by its name in lower case."""
+    shared = file.shared
+    if name not in file.local and name not in shared.constants:
+        raise InputError("a constant is not defined", where=where, found=name)
+    owner, line = (file, file.local[name]) if name in file.local else shared.constants[name]
+    with _evaluating(shared, f"constant {name} of {owner.path.name}", where):
+        return value_of(line.text, owner, line.where)
 
 
-@dataclass(slots=True)
-class FileNames:
-    """The names that the expressions of one file know."""
+def own_corner(file: GeoFile, number: int, where: str) -> Point:
+    """Return a corner by the number that a file writes for it, before TRANSLATE.
 
-    shared: Shared
-    file: GeoFile
-    local: dict[str, Line] = field(default_factory=dict)  # constants of this file alone
-    offset: int = 0  # what OFFSETCO adds to its corner numbers
-    # What MIRROR adds to numbers of mirrored corners and planes
-    mirror: tuple[int, int] | None = None
-    shift: Point = (0.0, 0.0, 0.0)  # TRANSLATE
-
-    def constant(self, name: str, where: str) -> float:
-        """Return the value of a constant, of this file or global."""
-        owner, line = self, self.local.get(name)
-        if line is None:
-            if name not in self.shared.constants:
-                raise InputError("a constant is not defined", where=where, found=name)
-            owner, line = self.shared.constants[name]
-        with _Step(self.shared, f"constant {name} of {owner.file.path.name}", where):
-            return value_of(line.text, owner, line.where)
-
-    def corner(self, number: int, where: str) -> Point:
-        """Return a corner by the number that this file writes for it, before TRANSLATE."""
-        x, y, z = corner_of(self.shared, number + self.offset, where)
-        if not any(self.shift):
-            return x, y, z
-        source = self.shared.corners.get(number + self.offset)
-        if source is None or source.names is not self:
-            raise InputError(
-                "an object that TRANSLATE moves refers to a corner outside it",
-                where=where,
-                found=f"corner {number}",
-                needed="corners of its own file, and not their mirror images",
-            )
-        return x - self.shift[0], y - self.shift[1], z - self.shift[2]
+    Refused is a corner of another file where TRANSLATE moves this one.
+    """
+    x, y, z = corner_of(file.shared, number + file.offset, where)
+    if not any(file.shift):
+        return x, y, z
+    source = file.shared.corners.get(number + file.offset)
+    if source is None or source.file is not file:
+        raise InputError(
+            "an object that TRANSLATE moves refers to a corner outside it",
+            where=where,
+            found=f"corner {number}",
+            needed="corners of its own file, and not their mirror images",
+        )
+    return x - file.shift[0], y - file.shift[1], z - file.shift[2]
 
 
-@dataclass(frozen=True, slots=True)
-class _InLoop:
-    """The names of a file and the running number of a loop."""
-
-    names: FileNames
-    running: str
-    value: float
-
-    def constant(self, name: str, where: str) -> float:
-        return self.value if name == self.running else self.names.constant(name, where)
-
-    def corner(self, number: int, where: str) -> Point:
-        return self.names.corner(number, where)
-
-
-@dataclass(slots=True)
-class _Step:
-    """One step of an evaluation: refuses circles and endless chains."""
-
-    shared: Shared
-    what: str
-    where: str
-
-    def __enter__(self) -> None:
-        way = self.shared.under_way
-        if self.what in way or len(way) > _NUMBERS_DEEPEST:
-            raise InputError(
-                "numbers of the .geo file go in a circle, or refer to each other too often",
-                where=self.where,
-                found=" -> ".join([*way[-4:], self.what]),
-            )
-        way.append(self.what)
-
-    def __exit__(self, *error: object) -> None:
-        self.shared.under_way.pop()
+@contextmanager
+def _evaluating(shared: Shared, what: str, where: str) -> Iterator[None]:
+    """Refuse circles and endless chains."""
+    way = shared.under_way
+    if what in way or len(way) > _NUMBERS_DEEPEST:
+        raise InputError(
+            "numbers of the .geo file go in a circle, or refer to each other too often",
+            where=where,
+            found=" -> ".join([*way[-4:], what]),
+        )
+    way.append(what)
+    try:
+        yield
+    finally:
+        way.pop()
 
 
 def corner_of(shared: Shared, number: int, where: str) -> Point:
-    """Return a corner in metres by its final number.
-
-    Raises
-    ------
-    InputError
-        There is none, or it cannot be evaluated.
-    """
+    """Return a corner in metres by its final number; one that is a mirror image by its original."""
     source = shared.corners.get(number)
     if source is None:
         original = _original(shared, number)
@@ -481,7 +423,7 @@ def corner_of(shared: Shared, number: int, where: str) -> Point:
         x, y, z = corner_of(shared, original, where)
         return -x, y, z
     if source.point is None:
-        with _Step(shared, f"corner {number}", where):
+        with _evaluating(shared, f"corner {number}", where):
             source.point = _worked_out(source)
     return source.point
 
@@ -490,24 +432,25 @@ def _original(shared: Shared, number: int) -> int | None:
     """Return the number of the corner whose mirror image this number means."""
     for offset in sorted(shared.mirrors):
         source = shared.corners.get(number - offset)
-        if source and source.names.mirror and source.names.mirror[0] == offset:
+        if source and source.file.mirror and source.file.mirror[0] == offset:
             return number - offset
     return None
 
 
 def _worked_out(source: CornerSource) -> Point:
-    names: Names = source.names
-    if source.loop:
-        names = _InLoop(source.names, *source.loop)
+    def value(axis: int, lock: Callable[[Point, Point, Point], float] | None = None) -> float:
+        return value_of(
+            source.expressions[axis], source.file, source.where, running=source.running, lock=lock
+        )
+
     point = [0.0, 0.0, 0.0]
     locked = [k for k in range(3) if re.search(r"(?i)\block\s*\(", source.expressions[k])]
     if len(locked) > 1:
         raise InputError("a corner has more than one lock()", where=source.where)
     for axis in (0, 1, 2):
         if axis not in locked:
-            point[axis] = value_of(source.expressions[axis], names, source.where)
+            point[axis] = value(axis)
     for axis in locked:
-        place = partial(lock_on_plane, axis, point, where=source.where)
-        point[axis] = value_of(source.expressions[axis], names, source.where, place)
-    x, y, z = (p + s for p, s in zip(point, source.names.shift, strict=True))
+        point[axis] = value(axis, partial(lock_on_plane, axis, point, where=source.where))
+    x, y, z = (p + s for p, s in zip(point, source.file.shift, strict=True))
     return x, y, z

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -12,27 +11,21 @@ import numpy as np
 
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
-from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
-from roomfit.io.rooms.model import PARSER_ERRORS, RoomModel, check_corners, finite, read_bytes
+from roomfit.io.rooms.model import (
+    PARSER_ERRORS,
+    Polygon,
+    RoomModel,
+    check_corners,
+    finite,
+    joined,
+    read_bytes,
+)
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
 _DEEPEST = 20
 _BODIES = ("3DSOLID", "BODY", "REGION", "ACAD_PROXY_ENTITY")
 _FLAT = ("HATCH", "SOLID", "TRACE", "SPLINE", "WIPEOUT", "open LWPOLYLINE", "open POLYLINE")
-
-Corner = tuple[float, float, float]
-
-
-@dataclass(slots=True)
-class _Drawing:
-    """What has been read so far."""
-
-    path: Path
-    vertices: list[Corner] = field(default_factory=list)
-    faces: list[Face] = field(default_factory=list)
-    passed_over: Counter[str] = field(default_factory=Counter)
-    hidden: Counter[str] = field(default_factory=Counter)  # faces on layers that are off
 
 
 def read_dxf(path: Path) -> RoomModel:
@@ -57,25 +50,36 @@ def read_dxf(path: Path) -> RoomModel:
     .. [1] Autodesk, "DXF Reference" (2018).
     """
     document = _opened(path)
-    drawing = _Drawing(path)
+    polygons: list[Polygon] = []
+    ignored: Counter[str] = Counter()
+    hidden: Counter[str] = Counter()  # on layers that are off
     try:
         for entity, layer, block in _taken_apart(document.modelspace(), path):
-            if _is_off(document, layer):
-                drawing.hidden[layer] += 1
-            else:
-                _add(drawing, entity, Surface(layer, block, layer))
+            kind = str(entity.dxftype())
+            if layer in document.layers and _is_off(document.layers.get(layer)):
+                hidden[layer] += 1
+                continue
+            where = f"{path}, {kind} on layer {layer!r} (handle {entity.dxf.handle})"
+            found = _polygons(entity, kind, where)
+            if found is None:
+                ignored[f"open {kind}" if kind.endswith("POLYLINE") else kind] += 1
+                continue
+            surface = Surface(layer, block, layer)
+            for corners in found:
+                points = [[finite(str(float(value)), where) for value in c] for c in corners]
+                polygons.append((np.array(points).reshape(-1, 3), surface))
         unit = _UNITS.get(int(document.header.get("$INSUNITS", 0)))
     except PARSER_ERRORS as error:
         raise _damaged(path, error) from error
-    if not drawing.faces:
+    if not polygons:
         raise InputError(
             "the room file has no faces",
             where=str(path),
-            found=_counted(drawing.passed_over + drawing.hidden) or "an empty drawing",
+            found=_counted(ignored + hidden) or "an empty drawing",
             needed="3DFACE, polyface or MESH entities, or closed polylines, in the model space",
             hint="explode solids into faces before the export",
         )
-    return RoomModel(np.array(drawing.vertices), tuple(drawing.faces), _findings(drawing), unit)
+    return RoomModel(*joined(polygons), _findings(ignored, hidden), unit)
 
 
 def _opened(path: Path) -> Any:
@@ -148,31 +152,8 @@ def _exploded(insert: Any, where: str) -> list[Any]:
     return entities
 
 
-def _is_off(document: Any, layer: str) -> bool:
-    if layer not in document.layers:
-        return False
-    entry = document.layers.get(layer)
-    return bool(entry.is_off() or entry.is_frozen())
-
-
-def _add(drawing: _Drawing, entity: Any, surface: Surface) -> None:
-    """Add the faces of one entity, or count it as one without."""
-    kind = str(entity.dxftype())
-    where = f"{drawing.path}, {kind} on layer {surface.name!r} (handle {entity.dxf.handle})"
-    if kind in _BODIES or kind.endswith("SURFACE"):
-        raise _unreadable(where, "a body of a solid modeller, which has no faces in the file")
-    if entity.dxf.hasattr("thickness") and entity.dxf.thickness:
-        raise _unreadable(where, "a thickness: walls extruded from a line")
-    polygons = _polygons(entity, kind, where)
-    if polygons is None:
-        drawing.passed_over[f"open {kind}" if kind.endswith("POLYLINE") else kind] += 1
-        return
-    for polygon in polygons:
-        first = len(drawing.vertices)
-        for point in polygon:
-            x, y, z = (finite(str(float(value)), where) for value in point)
-            drawing.vertices.append((x, y, z))
-        drawing.faces.append(Face(tuple(range(first, len(drawing.vertices))), surface))
+def _is_off(layer: Any) -> bool:
+    return bool(layer.is_off() or layer.is_frozen())
 
 
 def _unreadable(where: str, found: str) -> InputError:
@@ -187,6 +168,10 @@ def _unreadable(where: str, found: str) -> InputError:
 
 def _polygons(entity: Any, kind: str, where: str) -> list[list[Any]] | None:
     """Return the polygons of an entity, None where it has no area."""
+    if kind in _BODIES or kind.endswith("SURFACE"):
+        raise _unreadable(where, "a body of a solid modeller, which has no faces in the file")
+    if entity.dxf.hasattr("thickness") and entity.dxf.thickness:
+        raise _unreadable(where, "a thickness: walls extruded from a line")
     if kind == "3DFACE":
         return [list(entity.wcs_vertices())]
     if kind == "MESH":
@@ -217,13 +202,12 @@ def _mesh_polygons(vertices: list[Any], faces: list[Any], where: str) -> list[li
     return [[vertices[corner] for corner in face] for face in faces]
 
 
-def _findings(drawing: _Drawing) -> tuple[Finding, ...]:
+def _findings(ignored: Counter[str], hidden: Counter[str]) -> tuple[Finding, ...]:
     found = []
-    over, hidden = drawing.passed_over, drawing.hidden
-    if over:
-        graded: Severity = "warning" if any(kind in _FLAT for kind in over) else "info"
-        text = f"The drawing has entities that are no faces, ignored: {_counted(over)}."
-        found.append(Finding(Code.ENTITIES_IGNORED, text, dict(over), graded=graded))
+    if ignored:
+        graded: Severity = "warning" if any(kind in _FLAT for kind in ignored) else "info"
+        text = f"The drawing has entities that are no faces, ignored: {_counted(ignored)}."
+        found.append(Finding(Code.ENTITIES_IGNORED, text, dict(ignored), graded=graded))
     if hidden:
         text = f"Entities on layers that are off or frozen were passed over: {_counted(hidden)}."
         found.append(Finding(Code.LAYERS_IGNORED, text, dict(hidden)))

@@ -1,11 +1,12 @@
-"""Readers of polygon meshes: AC3D (.ac), Wavefront OBJ, and Stanford PLY in text or binary.
+"""Readers of meshes: polygons of AC3D (.ac), Wavefront OBJ and Stanford PLY, triangles of STL, GLB.
 
-Read here and not by trimesh, which cuts concave polygons into a fan (an L-shaped floor of 7 m2 came
-out with 16 m2) and loses names of groups and materials.
+The first three are read here and not by trimesh, which cuts concave polygons into a fan (an
+L-shaped floor of 7 m2 came out with 16 m2) and loses names of groups and materials.
 """
 
 from __future__ import annotations
 
+import io
 import re
 import struct
 from collections.abc import Callable, Iterator
@@ -20,6 +21,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
 from roomfit.io.rooms.model import (
+    PARSER_ERRORS,
     RoomModel,
     check_corners,
     finite,
@@ -34,11 +36,7 @@ _POLYGON, _TYPE_BITS, _TWO_SIDED = 0, 0x0F, 0x20
 _LARGEST_COUNT = 10**7
 
 
-@dataclass(frozen=True, slots=True)
-class _Surf:
-    corners: tuple[int, ...]
-    material: int
-    two_sided: bool
+_Surf = tuple[tuple[int, ...], int, bool]  # corners, number of the material, two-sided
 
 
 @dataclass(slots=True)
@@ -192,7 +190,7 @@ def _read_surf(lines: _Lines) -> _Surf:
     corners = tuple(whole(lines.needed(None, 1)[0], lines.where) for _ in rows)
     if flags & _TYPE_BITS != _POLYGON:
         corners = ()
-    return _Surf(corners, material, bool(flags & _TWO_SIDED))
+    return corners, material, bool(flags & _TWO_SIDED)
 
 
 def _floats(words: list[str], n: int, lines: _Lines) -> list[float]:
@@ -211,13 +209,12 @@ def _count(words: list[str], lines: _Lines) -> int:
 
 
 def _collect(path: Path, materials: list[str], objects: list[_Object]) -> RoomModel:
-    surfs = [s for this in objects for s in this.surfs if s.corners]
-    if not surfs:
+    flags = [two_sided for this in objects for corners, _, two_sided in this.surfs if corners]
+    if not flags:
         raise InputError(
             "the room file has no faces", where=str(path), hint="the file may be cut short"
         )
-    n_sheets = sum(s.two_sided for s in surfs)
-    sheets_meant = 0 < n_sheets < len(surfs)
+    sheets_meant = 0 < sum(flags) < len(flags)
     vertices: list[FloatArray] = []
     faces: list[Face] = []
     first = 0
@@ -225,48 +222,32 @@ def _collect(path: Path, materials: list[str], objects: list[_Object]) -> RoomMo
         own = np.array(this.vertices, dtype=np.float64).reshape(-1, 3)
         with np.errstate(over="ignore", invalid="ignore"):
             vertices.append(own @ this.turn.T + this.shift)
-        for surf in (s for s in this.surfs if s.corners):
-            _check_indices(path, this, surf, len(materials))
-            material = materials[surf.material] if surf.material >= 0 else None
-            surface = Surface(
-                this.name or material or "unnamed", None, material, sheets_meant and surf.two_sided
-            )
-            faces.append(Face(tuple(c + first for c in surf.corners), surface))
+        for corners, number, two_sided in this.surfs:
+            if not corners:
+                continue
+            where = f"{path}, object {this.name!r}"
+            check_corners(corners, len(own), where)
+            if not -1 <= number < len(materials):
+                raise InputError(
+                    "a face names a material that does not exist",
+                    where=where,
+                    found=f"material {number}",
+                    needed=f"0 to {len(materials) - 1}",
+                )
+            material = materials[number] if number >= 0 else None
+            name = this.name or material or "unnamed"
+            surface = Surface(name, None, material, sheets_meant and two_sided)
+            faces.append(Face(tuple(c + first for c in corners), surface))
         first += len(own)
-    findings = (_sheets(n_sheets, len(surfs)),) if sheets_meant else ()
-    return RoomModel(np.concatenate(vertices), tuple(faces), findings)
-
-
-def _sheets(n_sheets: int, n: int) -> Finding:
-    text = (
-        f"{n_sheets} of {n} surfaces are marked as two-sided and taken as sheets in the air, such "
-        "as curtains. If they belong to the walls, unmark them."
-    )
-    return Finding(Code.TWO_SIDED_TAKEN_AS_SHEETS, text, {"sheets": n_sheets, "of": n})
-
-
-def _check_indices(path: Path, this: _Object, surf: _Surf, n_materials: int) -> None:
-    where = f"{path}, object {this.name!r}"
-    check_corners(surf.corners, len(this.vertices), where)
-    if not -1 <= surf.material < n_materials:
-        raise InputError(
-            "a face names a material that does not exist",
-            where=where,
-            found=f"material {surf.material}",
-            needed=f"0 to {n_materials - 1}",
+    findings: tuple[Finding, ...] = ()
+    if sheets_meant:
+        text = (
+            f"{sum(flags)} of {len(flags)} surfaces are marked as two-sided and taken as sheets in "
+            "the air, such as curtains. If they belong to the walls, unmark them."
         )
-
-
-@dataclass(slots=True)
-class _State:
-    """What has been read so far, and the names that apply to the next face."""
-
-    vertices: list[tuple[float, float, float]] = field(default_factory=list)
-    faces: list[Face] = field(default_factory=list)
-    lines: list[int] = field(default_factory=list)  # of each face in the file
-    object_name: str | None = None
-    group: str | None = None
-    material: str | None = None
+        evidence = {"sheets": sum(flags), "of": len(flags)}
+        findings = (Finding(Code.TWO_SIDED_TAKEN_AS_SHEETS, text, evidence),)
+    return RoomModel(np.concatenate(vertices), tuple(faces), findings)
 
 
 def read_obj(path: Path) -> RoomModel:
@@ -286,7 +267,10 @@ def read_obj(path: Path) -> RoomModel:
     ----------
     .. [1] Wavefront Technologies, "Advanced Visualizer Manual", appendix B1: Object files.
     """
-    state = _State()
+    vertices: list[tuple[float, float, float]] = []
+    faces: list[Face] = []
+    lines: list[int] = []  # of each face in the file
+    names: dict[str, str | None] = {}  # that apply to the next face
     for number, words, rest in _statements(read_text(path)):
         where = f"{path}, line {number}"
         match words[0]:
@@ -296,26 +280,35 @@ def read_obj(path: Path) -> RoomModel:
                         "a vertex needs three coordinates", where=where, found=" ".join(words)
                     )
                 x, y, z = (finite(word, where) for word in words[1:4])
-                state.vertices.append((x, y, z))
+                vertices.append((x, y, z))
             case "f" | "fo":
-                state.faces.append(_face(words, state, where))
-                state.lines.append(number)
-            case "usemtl":
-                state.material = rest or None
-            case "g":
-                state.group = rest or None
-            case "o":
-                state.object_name = rest or None
-    if not state.faces:
+                group, material = names.get("g"), names.get("usemtl")
+                name = names.get("o") or group or material or "unnamed"
+                corners = _corners(words, len(vertices), where)
+                faces.append(Face(corners, Surface(name, group, material)))
+                lines.append(number)
+            case "usemtl" | "g" | "o" as key:
+                names[key] = rest or None
+    if not faces:
         raise InputError(
             "the room file has no faces",
             where=str(path),
-            found=f"{len(state.vertices)} vertices",
+            found=f"{len(vertices)} vertices",
             needed='lines that start with "f"',
             hint="export again with faces, or check that this is an OBJ file",
         )
-    _check_corners(path, state)
-    return RoomModel(np.array(state.vertices).reshape(-1, 3), tuple(state.faces))
+    n = len(vertices)
+    for face, line in zip(faces, lines, strict=True):
+        for corner in face.corners:
+            if not 0 <= corner < n:
+                raise InputError(
+                    "a face names a corner that does not exist",
+                    where=f"{path}, line {line}",
+                    found=f"corner {corner + 1}",
+                    needed=f"1 to {n}, or -1 to -{n} counted back",
+                    hint="the file may be cut short: export it again",
+                )
+    return RoomModel(np.array(vertices).reshape(-1, 3), tuple(faces))
 
 
 def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
@@ -336,7 +329,8 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
         pending, first = "", 0
 
 
-def _face(words: list[str], state: _State, where: str) -> Face:
+def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
+    """Return the corners of a face, from 0; the file counts from 1, or back from the latest."""
     if len(words) < 4:
         raise InputError(
             "a face has fewer than three corners",
@@ -348,24 +342,9 @@ def _face(words: list[str], state: _State, where: str) -> Face:
     corners = []
     for word in words[1:]:
         index = whole(word.split("/", 1)[0], where)
-        # 1 is the first vertex, -1 the latest; 0 is nothing and is refused with the others
-        corners.append(index - 1 if index > 0 else len(state.vertices) + index if index else -1)
-    name = state.object_name or state.group or state.material or "unnamed"
-    return Face(tuple(corners), Surface(name, state.group, state.material))
-
-
-def _check_corners(path: Path, state: _State) -> None:
-    n = len(state.vertices)
-    for face, line in zip(state.faces, state.lines, strict=True):
-        for corner in face.corners:
-            if not 0 <= corner < n:
-                raise InputError(
-                    "a face names a corner that does not exist",
-                    where=f"{path}, line {line}",
-                    found=f"corner {corner + 1}",
-                    needed=f"1 to {n}, or -1 to -{n} counted back",
-                    hint="the file may be cut short: export it again",
-                )
+        # 0 is nothing and is refused with the others
+        corners.append(index - 1 if index > 0 else n_vertices + index if index else -1)
+    return tuple(corners)
 
 
 _CODES = {
@@ -392,17 +371,11 @@ _HEADER_END = b"end_header"
 
 
 @dataclass(frozen=True, slots=True)
-class _Property:
-    name: str
-    code: str  # of `struct`
-    count_code: str  # of a list's length; empty where there is one value
-
-
-@dataclass(frozen=True, slots=True)
 class _Element:
     name: str
     count: int
-    properties: list[_Property]
+    # name, code of `struct`, and that of a list's length: empty where there is one value
+    properties: list[tuple[str, str, str]] = field(default_factory=list)
 
 
 def read_ply(path: Path) -> RoomModel:
@@ -428,9 +401,9 @@ def read_ply(path: Path) -> RoomModel:
         for number in range(element.count if element.properties else 0):
             where = f"{path}, {element.name} {number}"
             row = {}
-            for p in element.properties:
-                n = max(int(take(p.count_code, 1)[0]), 0) if p.count_code else 1
-                row[p.name] = take(p.code, n)
+            for name, code, count_code in element.properties:
+                n = max(int(take(count_code, 1)[0]), 0) if count_code else 1
+                row[name] = take(code, n)
             if element.name == "vertex":
                 points.append([_coordinate(row, a, where) for a in "xyz"])
             elif element.name == "face":
@@ -466,14 +439,14 @@ def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
             case ["format", name, _] if name in _ORDERS:
                 order = _ORDERS[name]
             case ["element", name, count]:
-                elements.append(_Element(name, whole(count, where), []))
+                elements.append(_Element(name, whole(count, where)))
             case ["property", "list", count, kind, name] if elements:
                 code, count_code = _code(kind, where), _code(count, where)
                 if count_code in "fd" or (name in _CORNERS and code in "fd"):
                     raise InputError("a PLY list needs whole numbers", where=where, found=line)
-                elements[-1].properties.append(_Property(name, code, count_code))
+                elements[-1].properties.append((name, code, count_code))
             case ["property", kind, name] if elements:
-                elements[-1].properties.append(_Property(name, _code(kind, where), ""))
+                elements[-1].properties.append((name, _code(kind, where), ""))
     if order is None:
         raise InputError(
             "a PLY file of unknown format", where=str(path), needed=f"one of {', '.join(_ORDERS)}"
@@ -514,3 +487,73 @@ def _cut_short(path: Path) -> InputError:
         needed="as many numbers as its header declares",
         hint="the file is cut short: export or copy it again",
     )
+
+
+def read_stl(path: Path) -> RoomModel:
+    """Read an STL file: triangles without unit, names or materials.
+
+    There is one surface, named as the file.
+
+    Raises
+    ------
+    InputError
+        Not an STL file, cut short, or a coordinate that is not finite.
+    """
+    surface = Surface(path.stem or "unnamed")
+    return RoomModel(*_triangles(path, "stl", lambda _name, _material: surface))
+
+
+def read_glb(path: Path) -> RoomModel:
+    """Read a GLB file, the binary form of glTF 2.0 [1]_: metres, y up by its standard.
+
+    The name of a surface is its node's, its material the one the file gives it.
+
+    Raises
+    ------
+    InputError
+        Not a GLB file, cut short, or a coordinate that is not finite.
+
+    References
+    ----------
+    .. [1] ISO/IEC 12113:2022, "Runtime 3D asset delivery format (glTF 2.0)".
+    """
+    vertices, faces = _triangles(path, "glb", lambda name, material: Surface(name, None, material))
+    return RoomModel(vertices, faces, (), "m", "y")
+
+
+def _triangles(
+    path: Path, kind: str, surface_of: Callable[[str, str | None], Surface]
+) -> tuple[FloatArray, tuple[Face, ...]]:
+    """Return vertices and triangles of all parts, transformed as in the file."""
+    import trimesh
+
+    content = io.BytesIO(read_bytes(path))
+    try:
+        scene = trimesh.load_scene(content, file_type=kind, process=False)
+        parts = []
+        for node in scene.graph.nodes_geometry:
+            transform, key = scene.graph[node]
+            mesh = scene.geometry[key]
+            points = trimesh.transform_points(mesh.vertices, transform)
+            material = getattr(getattr(mesh.visual, "material", None), "name", None)
+            parts.append((points, np.asarray(mesh.faces), surface_of(str(node), material or None)))
+    except PARSER_ERRORS as error:
+        raise InputError(
+            f"this {kind.upper()} file cannot be read",
+            where=str(path),
+            found=f"{type(error).__name__}: {error}"[:200],
+            hint="the file may be damaged or cut short: export it again",
+        ) from error
+    faces: list[Face] = []
+    first = 0
+    for points, triangles, surface in parts:
+        bad = np.argwhere(~np.isfinite(points))
+        if len(bad):
+            vertex, axis = bad[0]
+            finite(str(points[vertex, axis]), f"{path}, {surface.name!r}, vertex {vertex}")
+        faces.extend(Face(tuple((t + first).tolist()), surface) for t in triangles)
+        first += len(points)
+    if not faces:
+        hint = "the file may be damaged or cut short: export it again"
+        raise InputError("the room file has no faces", where=str(path), hint=hint)
+    return np.concatenate([points for points, _, _ in parts]), tuple(faces)

@@ -1,17 +1,12 @@
-"""What the readers of rooms share: the specification, the model they return, and reading of files.
-
-Here are also the formats of triangles that trimesh reads, STL and GLB.
-"""
+"""What readers of rooms share: the specification, the model that they return, reading of files."""
 
 from __future__ import annotations
 
-import io
 import math
 import struct
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -37,15 +32,24 @@ class RoomModel:
     up: str = "z"
 
 
+Polygon = tuple[FloatArray, Surface]  # corners of shape (n_corners, 3), and whose they are
+
+
+def joined(polygons: Sequence[Polygon]) -> tuple[FloatArray, tuple[Face, ...]]:
+    """Return vertices, shape (n_vertices, 3), and faces of polygons with corners of their own."""
+    ends = np.cumsum([len(points) for points, _ in polygons])
+    faces = tuple(
+        Face(tuple(range(end - len(points), end)), surface)
+        for end, (points, surface) in zip(ends.tolist(), polygons, strict=True)
+    )
+    return np.concatenate([points for points, _ in polygons]), faces
+
+
 def in_metres(model: RoomModel, unit: str | None, up: str | None, where: str) -> FloatArray:
     """Return the vertices in metres with z up, shape (n_vertices, 3).
 
-    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored.
-
-    Raises
-    ------
-    InputError
-        The unit is unknown, or neither the caller nor the format gives one.
+    ``up = "y"`` maps (x, y, z) to (x, -z, y), which is a rotation: nothing is mirrored. Refused
+    is an unknown unit, or none where the format gives none either.
     """
     chosen = unit or model.unit
     known = ", ".join(METRES_PER_UNIT)
@@ -111,13 +115,7 @@ _LARGEST = 1e9
 
 
 def read_bytes(path: Path) -> bytes:
-    """Return the contents of a file that must exist and not be empty.
-
-    Raises
-    ------
-    InputError
-        It is missing, empty, a folder, or cannot be read.
-    """
+    """Return the contents of a file; refuse one that is missing, empty, a folder or unreadable."""
     try:
         content = Path(path).read_bytes()
     except FileNotFoundError:
@@ -133,13 +131,7 @@ def read_bytes(path: Path) -> bytes:
 
 
 def read_text(path: Path) -> str:
-    """Return the contents of a text file: UTF-8, or Latin-1 where it is not that.
-
-    Raises
-    ------
-    InputError
-        As `read_bytes`, or it is binary.
-    """
+    """Return a text, UTF-8 or else Latin-1; refuse what `read_bytes` refuses, and a binary file."""
     content = read_bytes(path)
     if b"\0" in content:
         raise InputError(
@@ -152,13 +144,7 @@ def read_text(path: Path) -> str:
 
 
 def finite(token: str, where: str) -> float:
-    """Return a coordinate.
-
-    Raises
-    ------
-    InputError
-        Not a number, NaN, infinite, or absurdly large.
-    """
+    """Return a coordinate; refuse what is no number, not finite, or absurdly large."""
     try:
         value = float(token)
     except ValueError:
@@ -174,13 +160,7 @@ def finite(token: str, where: str) -> float:
 
 
 def whole(token: str, where: str) -> int:
-    """Return a whole number.
-
-    Raises
-    ------
-    InputError
-        It is not one.
-    """
+    """Return a whole number; refuse anything else."""
     try:
         return int(token)
     except ValueError:
@@ -190,13 +170,7 @@ def whole(token: str, where: str) -> int:
 
 
 def check_corners(corners: Iterable[int], n_vertices: int, where: str) -> None:
-    """Refuse a face with a corner that is not there; corners count from 0.
-
-    Raises
-    ------
-    InputError
-        A corner is negative or not below the number of vertices.
-    """
+    """Refuse a face with a corner that is not there; corners count from 0."""
     for corner in corners:
         if not 0 <= corner < n_vertices:
             raise InputError(
@@ -212,77 +186,3 @@ PARSER_ERRORS = (
     *(ArithmeticError, AssertionError, AttributeError, EOFError, LookupError, MemoryError),
     *(NotImplementedError, OSError, RecursionError, TypeError, ValueError, struct.error),
 )
-
-
-def read_stl(path: Path) -> RoomModel:
-    """Read an STL file: triangles without unit, names or materials.
-
-    There is one surface, named as the file.
-
-    Raises
-    ------
-    InputError
-        Not an STL file, cut short, or a coordinate that is not finite.
-    """
-    parts = _load(path, "stl")
-    surface = Surface(path.stem or "unnamed")
-    return _joined(path, [(p, t, surface) for _, p, t, _ in parts])
-
-
-def read_glb(path: Path) -> RoomModel:
-    """Read a GLB file, the binary form of glTF 2.0 [1]_: metres, y up by its standard.
-
-    The name of a surface is its node's, its material the one the file gives it.
-
-    Raises
-    ------
-    InputError
-        Not a GLB file, cut short, or a coordinate that is not finite.
-
-    References
-    ----------
-    .. [1] ISO/IEC 12113:2022, "Runtime 3D asset delivery format (glTF 2.0)".
-    """
-    parts = _load(path, "glb")
-    model = _joined(path, [(p, t, Surface(name, None, m)) for name, p, t, m in parts])
-    return RoomModel(model.vertices, model.faces, model.findings, "m", "y")
-
-
-def _load(path: Path, kind: str) -> list[tuple[str, FloatArray, np.ndarray[Any, Any], str | None]]:
-    """Return name, vertices, triangles and material of every part, transformed as in the file."""
-    import trimesh
-
-    content = io.BytesIO(read_bytes(path))
-    try:
-        scene = trimesh.load_scene(content, file_type=kind, process=False)
-        parts = []
-        for node in scene.graph.nodes_geometry:
-            transform, key = scene.graph[node]
-            mesh = scene.geometry[key]
-            points = trimesh.transform_points(mesh.vertices, transform)
-            material = getattr(getattr(mesh.visual, "material", None), "name", None)
-            parts.append((str(node), points, np.asarray(mesh.faces), material or None))
-    except PARSER_ERRORS as error:
-        raise InputError(
-            f"this {kind.upper()} file cannot be read",
-            where=str(path),
-            found=f"{type(error).__name__}: {error}"[:200],
-            hint="the file may be damaged or cut short: export it again",
-        ) from error
-    return parts
-
-
-def _joined(path: Path, parts: list[tuple[FloatArray, np.ndarray[Any, Any], Surface]]) -> RoomModel:
-    faces: list[Face] = []
-    first = 0
-    for points, triangles, surface in parts:
-        bad = np.argwhere(~np.isfinite(points))
-        if len(bad):
-            vertex, axis = bad[0]
-            finite(str(points[vertex, axis]), f"{path}, {surface.name!r}, vertex {vertex}")
-        faces.extend(Face(tuple((t + first).tolist()), surface) for t in triangles)
-        first += len(points)
-    if not faces:
-        hint = "the file may be damaged or cut short: export it again"
-        raise InputError("the room file has no faces", where=str(path), hint=hint)
-    return RoomModel(np.concatenate([p for p, _, _ in parts]), tuple(faces))

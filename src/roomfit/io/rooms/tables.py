@@ -37,12 +37,8 @@ def read_corners(path: Path) -> dict[str, tuple[float, float, float]]:
     """Return the corners of one table by their number, in the table's unit.
 
     The columns are found by the heading with the words number, x, y and z. Rows without a number
-    are headings or notes and are ignored.
-
-    Raises
-    ------
-    InputError
-        No such heading, no corners, a corner twice in one table, or a coordinate that is none.
+    are headings or notes and are ignored. Refused are a table without corners, a corner that
+    stands twice, and coordinates that are none.
     """
     corners: dict[str, tuple[float, float, float]] = {}
     for where, row, heading in _rows(path, ("x", "y", "z")):
@@ -67,14 +63,10 @@ def read_planes(path: Path) -> dict[str, Plane]:
     """Return the planes of one table by their number.
 
     The columns are found by the heading with the words number and corner; "material", "area" and
-    "name" or "description" are used where they exist. The corners of a plane end at the first cell
-    that is no number, so that notes behind them do no harm. Numbers may be written as 616.0. A
-    column "sides" may have 1 or 2.
-
-    Raises
-    ------
-    InputError
-        No such heading, no planes, a plane twice in one table, or with fewer than three corners.
+    "name" or "description" are used where they exist. The corners of a plane end at the first
+    cell that is no number, so that notes behind them do no harm. Numbers may be written as 616.0.
+    A column "sides" may have 1 or 2. Refused are a table without planes, a plane that stands
+    twice, and one with fewer than three corners.
     """
     planes: dict[str, Plane] = {}
     for where, row, heading in _rows(path, ("corner",)):
@@ -189,15 +181,9 @@ Corners = dict[str, tuple[float, float, float]]
 
 
 def read_polygons(tables: PolygonSpec, unit: str | None = None) -> RoomModel:
-    """Read a room from tables.
+    """Read a room from tables; areas that they state are compared with those of the corners.
 
     The name of a surface is its plane's number, its group the plane's description.
-
-    Parameters
-    ----------
-    tables : PolygonSpec
-    unit : str, optional
-        Unit of the corners, for comparing areas with those that the table states in m2.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Recordings as readers return them, their checks, and deconvolution of recorded excitations."""
+"""Which response to take from which file, what a reader returns, its checks, and deconvolution."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.measurement import TimeZero
 from roomfit.typing import FloatArray
 
 _SHORTEST_S = 0.01
@@ -20,6 +21,31 @@ _FEW_LEVELS = 500.0
 _CREST_STEPS = 3.0
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
+
+
+@dataclass(frozen=True, slots=True)
+class ResponseSpec:
+    """One response in a file, as a campaign names it."""
+
+    path: Path  # a WAV, MAT or SOFA file, or a text file of REW (.txt), recognised by its suffix
+    # WAV: channel; MAT: column. From 0; needed where there are several
+    channel: int | None = None
+    variable: str | None = None  # MAT: name of the array of responses
+    sampling_rate_variable: str | None = None  # MAT: name of the sampling rate in Hz
+    # MAT: the sampling rate itself. Elsewhere it must agree with the file
+    sampling_rate_hz: float | None = None
+    measurement: int | None = None  # SOFA: from 0; needed where there are several
+    receiver_index: int | None = None  # SOFA: from 0; needed where there are several
+    time_zero: TimeZero = "emission"  # what the beginning of the file stands for
+    # delay of the measuring chain: emission lies this long after the first sample (REW: after
+    # REW's own time zero)
+    latency_s: float = 0.0
+    # the WAV file that was played, where `path` (WAV or MAT) is its recording and not yet an
+    # impulse response; emission is the start of this file. It may be `path` itself, where another
+    # channel holds a loopback
+    excitation: Path | None = None
+    # from 0; needed where the excitation has several channels
+    excitation_channel: int | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -34,13 +60,7 @@ class Recording:
 
 
 def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
-    """Return the index that was asked for, or 0 where there is only one to choose.
-
-    Raises
-    ------
-    InputError
-        There are several and none was named, or the named one does not exist.
-    """
+    """Return the index that was asked for, which must exist; 0 where there is only one."""
     numbers = "0" if count == 1 else f"0 to {count - 1}"
     if index is None and count == 1:
         return 0
@@ -62,13 +82,7 @@ def pick(kind: str, index: int | None, count: int, key: str, where: str) -> int:
 
 
 def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Finding, ...]]:
-    """Return the pressure without a constant offset, and a finding for every doubt.
-
-    Raises
-    ------
-    InputError
-        Too short, nan or infinite samples, or nothing but silence.
-    """
+    """Return the pressure without a constant offset, and a finding for every doubt."""
     refuse_useless(recording, where)
     pressure = recording.pressure
     offset, offset_findings = _offset(pressure, where)
@@ -77,13 +91,7 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
 
 
 def refuse_useless(recording: Recording, where: Path) -> None:
-    """Refuse what cannot be sound.
-
-    Raises
-    ------
-    InputError
-        Too short, nan or infinite samples, or nothing but silence.
-    """
+    """Refuse what cannot be sound: too short, not finite, too loud, or nothing but silence."""
     pressure, place = recording.pressure, str(where)
     duration_s = len(pressure) / recording.sampling_rate_hz
     if duration_s < _SHORTEST_S:
@@ -124,15 +132,8 @@ def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...
     """Return a finding where the peak was cut off: a run of equal samples with steep sides.
 
     A peak is one sample or two. The crest of a low tone has more samples that a coarse converter
-    takes for equal, but beside them it falls by a step or two of the converter only.
-
-    Parameters
-    ----------
-    pressure : float array, shape (n_samples,)
-        Finite, not all equal.
-    where : Path
-    harm : str
-        What it does to the result.
+    takes for equal, but beside them it falls by a step or two of the converter only. `harm` says
+    what it does to the result.
     """
     size = np.abs(pressure)
     # full scale downwards is one step farther than upwards
@@ -315,11 +316,6 @@ def band_of(excitation: FloatArray, rate_hz: float) -> tuple[float, float]:
     Its power is summed in twelfths of an octave. The band goes on, from the strongest, while
     either the power of each or its density per hertz is within 15 dB of the largest: so an
     exponential sweep (equal power in each) and a linear one (equal density) keep all they have.
-
-    Parameters
-    ----------
-    excitation : float array, shape (n_samples,)
-    rate_hz : float
     """
     n_lines = next_fast_len(max(len(excitation), int(2.0 * rate_hz)), real=True)
     power = np.abs(np.fft.rfft(excitation, n_lines)) ** 2
