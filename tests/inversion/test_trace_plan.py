@@ -60,5 +60,5 @@ def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:
     """Then rays bring most of the energy, not only what comes late."""
-    assert plan(0.15, 0.35).settings.n_rays == Settings().n_rays
-    assert plan(0.0, 2.0).settings.n_rays == Settings().n_rays_beside_images
+    assert plan(0.15, 0.35).settings.n_rays == 60_000
+    assert plan(0.0, 2.0).settings.n_rays == 20_000

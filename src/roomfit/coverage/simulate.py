@@ -48,6 +48,7 @@ from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray
 
 _OVERSAMPLING = 8
+_LEAST_RAYS = 60_000
 _NOTHING = 1e-30
 Pair = tuple[str, str]
 Pressures = dict[Pair, FloatArray]
@@ -79,9 +80,9 @@ def traced_pressures(
         replace(k, scattering=row, fit_scattering=False)
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
-    fineness = Settings(seed=int(rng.integers(2**62)))
-    planned = plan_trace(scene, priors, 0.0, duration_s, fineness, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else fineness.n_rays
+    own_rays = Settings(seed=int(rng.integers(2**62)))
+    planned = plan_trace(scene, priors, 0.0, duration_s, own_rays, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, _LEAST_RAYS)
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands

@@ -9,7 +9,7 @@ traced block by block and packed into path arrays.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -247,7 +247,7 @@ _BLOCK_CROSSINGS = 500_000
 class Trace:
     """Paths of a scene, and what to know about them."""
 
-    # Image paths (batch -1) before rays, these in the order of sources, then rays, then time
+    # Image paths (batch -1) before rays, these in the order of groups, sources, rays, and time
     paths: Paths
     statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
     findings: tuple[Finding, ...] = ()  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
@@ -274,7 +274,8 @@ def trace_rays(
     settings : TraceSettings
         A ray ends at its wall hit number `max_hits`, or when its time is up.
     scattering : Scattering
-        One coefficient for each material of the room, in any order.
+        One coefficient for each material of the room, in any order; of several groups each gets
+        as many rays, `settings.n_rays` together, rounded up.
     receiver_radii_m : array_like, shape (n_receivers,), optional
         Radius of each receiver of the scene instead of `settings.receiver_radius_m`.
     memory_limit_bytes : int
@@ -288,7 +289,7 @@ def trace_rays(
         Scattering of other materials, or too many paths for the memory.
     """
     radii = _radii(scene, settings, receiver_radii_m)
-    coefficients = coefficients_in_order(scattering, scene.room.materials)
+    coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
     expected = expected_paths(
         scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
@@ -298,24 +299,39 @@ def trace_rays(
     pieces: list[Piece] = []
     tallies: list[Tally] = []
     found = 0
-    for done, source in enumerate(sources):
-        for last, piece, tally in _trace_source(
-            scene, settings, walls, source, radii, coefficients
-        ):
+    parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
+    for done, ((own, s), source) in enumerate(parts):
+        for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
+            piece.weight_per_m2[:] /= len(coefficients)
             pieces.append(piece)
             tallies.append(tally)
             found += len(piece.length_m)
             _check_memory(scene, settings, found, memory_limit_bytes)
             if progress is not None:
-                progress((done + last / settings.n_rays) / len(sources))
+                progress((done + last / own.n_rays) / len(parts))
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,
-        *_joined(pieces, len(coefficients)),
+        *_joined(pieces, coefficients.shape[1]),
         n_batches=settings.n_batches,
         sampling_scattering=coefficients,
     )
-    return Trace(paths, ray_statistics(len(sources) * settings.n_rays, tallies))
+    return Trace(paths, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies))
+
+
+def _groups(
+    settings: TraceSettings, coefficients: FloatArray
+) -> list[tuple[TraceSettings, FloatArray]]:
+    """Return settings and coefficients of every group; the first one keeps the seed."""
+    n_rays = -(-settings.n_rays // len(coefficients))
+    seeds = [settings.seed] + [
+        int(np.random.default_rng((settings.seed, group)).integers(2**62))
+        for group in range(1, len(coefficients))
+    ]
+    return [
+        (replace(settings, n_rays=n_rays, seed=seed), row)
+        for seed, row in zip(seeds, coefficients, strict=True)
+    ]
 
 
 def _trace_source(
