@@ -15,7 +15,7 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import specified_scattering
 from roomfit.materials.priors import MaterialPrior, Scattering, sampling_scattering
 from roomfit.measurement import MeasuredPair
-from roomfit.response.scattering import sampling_groups
+from roomfit.response.scattering import effective_fractions, sampling_groups
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.tracing.image_sources import affordable_duration_s, affordable_order
@@ -64,12 +64,12 @@ _LEAST_COHERENT_S = 0.03
 # In a room where they suffice rays are so many, and fewer beside image sources of every order where
 # no wall scatters: there they bring only what is late, where interference does more to a window
 # than a Monte-Carlo error of 5 to 8 %.
-_LEAST_RAYS, _BESIDE_IMAGES = 60_000, 1.0 / 3.0
-_LEAST_RADIUS_M, _RADIUS_PER_FREE_PATH = 0.5, 0.09
-# The window that decides ends 10 dB down, where it is a tenth of the time wide. Its data err by
-# 20 % and the fluctuation of the octave of 4 kHz (least of all bands), and rays by a third of that;
-# the energies of crossings vary, so that five count as one.
-_DECIDING_WINDOW = 0.1 / 6.0
+LEAST_RAYS, _BESIDE_IMAGES = 60_000, 1.0 / 3.0
+LEAST_RADIUS_M, _RADIUS_PER_FREE_PATH = 0.5, 0.09
+# The window that decides is 10 dB down, of the 45 that are followed, and a tenth of that time wide.
+# Its data err by 20 % and the fluctuation of the octave of 4 kHz (least of all bands), and rays by a
+# third of that; the energies of crossings vary, so that five count as one.
+_DECIDING_DB, _FOLLOWED_DB, _WINDOW_PER_TIME = 10.0, 45.0, 0.1
 _MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
 _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # A trace takes about twice the memory of its paths.
@@ -113,8 +113,8 @@ def plan_trace(
     a volume V it is ``N pi a**2 c / V``. Where 60,000 rays and 0.5 m bring less, the radius is
     0.09 of the mean free path, 0.5 m at least and no more than walls and sources permit: it
     smears arrival times by 0.04 of a mean free path, less than half of the shortest window that
-    rays fill. The number of rays follows, divided by the least effective fraction of any band, up
-    to what fits into 1 GB, with a finding where that is less.
+    rays fill. The number of rays follows, divided by the least effective fraction of any band at
+    that time, up to what fits into 1 GB, with a finding where that is less.
 
     Parameters
     ----------
@@ -191,12 +191,13 @@ def _sampled_scattering(
     duration_s: float,
     settings: Settings,
 ) -> tuple[Scattering, float]:
-    """Return the coefficients to trace with, and the least effective fraction of any band."""
+    """Return the coefficients to trace with; and the least fraction of any band 10 dB down."""
     by_band = specified_scattering(priors, single, priors[0].prior_logit_mean.size)
     reach_m = speed_of_sound_m_s(scene.air) * duration_s
     hits = material_areas_m2(scene.room) * reach_m / (4.0 * volume_m3(scene.room.mesh))
     rng = np.random.default_rng(settings.seed)
-    groups, fractions = sampling_groups(by_band, single, hits, rng)
+    groups = sampling_groups(by_band, single, hits, rng)
+    fractions = effective_fractions(groups, by_band, _DECIDING_DB / _FOLLOWED_DB * hits, rng)
     sampled = groups[0] if len(groups) == 1 else groups
     return Scattering(scene.room.materials, sampled), float(fractions.min())
 
@@ -211,15 +212,15 @@ def _with_rays(
 ) -> tuple[TraceSettings, tuple[Finding, ...]]:
     """Return the settings with rays and radius: as specified, or as the room needs them."""
     volume = volume_m3(scene.room.mesh)
-    window_s = _DECIDING_WINDOW * fineness.duration_s / 0.75
+    window_s = _WINDOW_PER_TIME * _DECIDING_DB / _FOLLOWED_DB * fineness.duration_s
     own_variance = _MODEL_ERROR**2 + 1.0 / (_BANDWIDTH_HZ * window_s)
     crossings_per_s = _CROSSINGS_AS_ONE / (_OF_THE_DATA**2 * own_variance * window_s)
     # rays times the square of the radius
     needed_m2 = crossings_per_s * volume / (np.pi * speed_of_sound_m_s(scene.air) * fraction)
     radius_m = settings.receiver_radius_m
     if radius_m is None:
-        radius_m = _LEAST_RADIUS_M
-        if needed_m2 > _LEAST_RAYS * radius_m**2:
+        radius_m = LEAST_RADIUS_M
+        if needed_m2 > LEAST_RAYS * radius_m**2:
             wide_m = _RADIUS_PER_FREE_PATH * 4.0 * volume / surface_area_m2(scene.room.mesh)
             fitting_m, _ = fitting_radii_m(scene, max(wide_m, radius_m))
             radius_m = max(radius_m, float(fitting_m.min()))
@@ -227,7 +228,7 @@ def _with_rays(
     if stated is not None:
         return replace(fineness, n_rays=stated, receiver_radius_m=radius_m), ()
     needed = needed_m2 / radius_m**2 * (_BESIDE_IMAGES if beside_images else 1.0)
-    least = round(_LEAST_RAYS * (_BESIDE_IMAGES if beside_images else 1.0))
+    least = round(LEAST_RAYS * (_BESIDE_IMAGES if beside_images else 1.0))
     fineness = replace(
         fineness, n_rays=max(least, math.ceil(needed)), receiver_radius_m=radius_m
     )

@@ -205,7 +205,7 @@ def effective_sample_fraction(rows: EnergyRows, weighed: EnergyRows) -> float:
 
 def sampling_groups(
     wanted: FloatArray, single: FloatArray, hits: FloatArray, rng: np.random.Generator
-) -> tuple[FloatArray, FloatArray]:
+) -> FloatArray:
     """Return the coefficients to trace with, so that no band loses too many rays to its weights.
 
     As few groups of neighbouring bands as give every band an effective sample fraction of 0.2
@@ -226,9 +226,7 @@ def sampling_groups(
 
     Returns
     -------
-    groups : float array, shape (n_groups, n_materials)
-    fractions : float array, shape (n_bands,)
-        Effective sample fraction of the rays of all groups together, (sum f)**2 / (n sum f**2).
+    float array, shape (n_groups, n_materials)
 
     Examples
     --------
@@ -236,12 +234,14 @@ def sampling_groups(
 
     >>> wanted = np.array([[0.1, 0.1, 0.5]])
     >>> rng = np.random.default_rng(1)
-    >>> groups, fractions = sampling_groups(wanted, np.array([0.7 / 3]), np.array([50.0]), rng)
-    >>> groups.tolist(), bool(fractions.min() > 0.4)
-    ([[0.1], [0.5]], True)
+    >>> groups = sampling_groups(wanted, np.array([0.7 / 3]), np.array([50.0]), rng)
+    >>> groups.tolist()
+    [[0.1], [0.5]]
+    >>> effective_fractions(groups, wanted, np.array([50.0]), rng).round(1).tolist()
+    [0.5, 0.5, 0.5]
     """
     groups = single[None]
-    best = groups, np.zeros(wanted.shape[1])
+    best, largest = groups, 0.0
     steps = np.diff(2.0 * np.arcsin(np.sqrt(wanted)), axis=1)
     moved = np.cumsum(np.append(0.0, np.sqrt(hits @ np.square(steps))))
     n_steps = int(np.count_nonzero(np.diff(moved)))
@@ -253,10 +253,10 @@ def sampling_groups(
             groups = np.stack(
                 [_means(wanted[:, share == number]) for number in np.unique(share)]
             )
-        fractions = _mixture_fractions(groups, wanted, hits, rng)
-        if fractions.min() > best[1].min():
-            best = groups, fractions
-        if fractions.min() >= WANTED_EFFECTIVE_FRACTION:
+        fraction = float(effective_fractions(groups, wanted, hits, rng).min())
+        if fraction > largest:
+            best, largest = groups, fraction
+        if fraction >= WANTED_EFFECTIVE_FRACTION:
             break
     return best
 
@@ -266,10 +266,25 @@ def _means(rows: FloatArray) -> FloatArray:
     return np.where(np.ptp(rows, axis=1) == 0.0, rows[:, 0], rows.mean(axis=1))
 
 
-def _mixture_fractions(
+def effective_fractions(
     groups: FloatArray, wanted: FloatArray, hits: FloatArray, rng: np.random.Generator
 ) -> FloatArray:
-    """Return one over the mean weight of paths that are drawn with a band's own scattering."""
+    """Return the effective sample fraction that every band will have, shape (n_bands,).
+
+    ``(sum f)**2 / (n sum f**2)`` of the factors f of `scattering_weights` and n rays of all groups
+    together. It is one over the mean of f among paths that are drawn with the band's own
+    scattering, whose numbers of hits follow Poisson's distribution.
+
+    Parameters
+    ----------
+    groups : float array, shape (n_groups, n_materials)
+        What is traced with; all groups have as many rays.
+    wanted : float array, shape (n_materials, n_bands)
+    hits : float array, shape (n_materials,)
+        Expected hits.
+    rng : numpy.random.Generator
+        Not used for a single group.
+    """
     if len(groups) == 1:  # in closed form; drawn weights would be of few large ones
         room = np.maximum(groups[0] * (1.0 - groups[0]), 1e-300)[:, None]
         excess = np.square(wanted - groups[0][:, None]) / room
