@@ -78,7 +78,8 @@ def values_plan(
     room = shoebox_room(lengths_m, "plaster")
     place = np.array([[0.2, 0.3, 0.5]])
     rows = place + np.linspace(0.0, 1.0, n_receivers)[:, None] * [[0.5, 0.3, 0.0]]
-    receivers = {f"R{i}": tuple(p) for i, p in enumerate((rows + [[0.1, 0.1, 0.0]]) * lengths_m)}
+    rows = (rows + np.array([0.1, 0.1, 0.0])) * lengths_m
+    receivers = {f"R{i}": tuple(p) for i, p in enumerate(rows)}
     scene = named_scene(room, {"S": tuple(place[0] * lengths_m)}, receivers)
     n = len(scattering)
     prior = MaterialPrior("plaster", np.zeros(n), np.ones(n), scattering=np.array(scattering))
@@ -94,7 +95,11 @@ def crossings_per_s(planned: TracePlan, lengths_m: tuple[float, ...]) -> float:
 
 def test_small_rooms_keep_their_rays_and_large_ones_their_crossings() -> None:
     """To 300 m3 60,000 rays and 0.5 m; beyond, as many crossings a second in any volume."""
-    for lengths, decay_s in (((5.0, 4.0, 3.0), 0.4), ((8.0, 6.0, 3.5), 0.6), ((9.0, 8.0, 4.0), 1.0)):
+    for lengths, decay_s in (
+        ((5.0, 4.0, 3.0), 0.4),
+        ((8.0, 6.0, 3.5), 0.6),
+        ((9.0, 8.0, 4.0), 1.0),
+    ):
         used = values_plan(lengths, decay_s).settings
         assert (used.n_rays, used.receiver_radius_m) == (60_000, 0.5)
     halls = (13.0, 10.0, 7.0), (26.0, 16.0, 8.0), (40.0, 25.0, 12.0), (40.0, 30.0, 3.0)
@@ -117,14 +122,18 @@ def test_spheres_stay_clear_of_walls_and_the_radius_that_is_stated_is_used() -> 
     lengths = (40.0, 25.0, 12.0)
     free = values_plan(lengths, 1.5).settings
     room = shoebox_room(lengths, "plaster")
-    near = named_scene(room, {"S": (8.0, 8.0, 2.0)}, {"R": (20.0, 12.0, 0.8), "Q": (22.0, 9.0, 5.0)})
+    near = named_scene(
+        room, {"S": (8.0, 8.0, 2.0)}, {"R": (20.0, 12.0, 0.8), "Q": (22.0, 9.0, 5.0)}
+    )
     prior = MaterialPrior("plaster", np.zeros(1), np.ones(1), scattering=np.array([0.2]))
     used = plan_trace(near, (prior,), 1.5, 0.0, Settings()).settings
     assert 0.79 < used.receiver_radius_m <= 0.8 < free.receiver_radius_m
     for one in (used, values_plan(lengths, 1.5, settings=Settings(receiver_radius_m=0.6)).settings):
         ratio = one.n_rays * one.receiver_radius_m**2 / (free.n_rays * free.receiver_radius_m**2)
         assert abs(ratio - 1.0) < 1e-3
-    stated = values_plan(lengths, 1.5, settings=Settings(n_rays=700, receiver_radius_m=0.3)).settings
+    stated = values_plan(
+        lengths, 1.5, settings=Settings(n_rays=700, receiver_radius_m=0.3)
+    ).settings
     assert (stated.n_rays, stated.receiver_radius_m) == (700, 0.3)
 
 

@@ -176,7 +176,8 @@ def test_groups_keep_a_fifth_of_the_rays_for_every_band():
         n_materials = int(rng.integers(1, 8))
         ends = rng.uniform(0.02, 0.95, (n_materials, 2))
         wanted = np.clip(
-            np.linspace(ends[:, 0], ends[:, 1], 6, axis=1) + rng.normal(0.0, 0.03, (n_materials, 6)),
+            np.linspace(ends[:, 0], ends[:, 1], 6, axis=1)
+            + rng.normal(0.0, 0.03, (n_materials, 6)),
             0.0,
             1.0,
         )
@@ -217,7 +218,9 @@ def test_the_fraction_that_is_expected_is_that_of_a_trace():
             fraction = effective_sample_size(factor) / factor.size
             # of a number of hits that is known, where the rule takes it as Poisson's
             d = np.random.default_rng(3).binomial(20, s, 20_000)
-            drawn = np.mean([(g / s) ** d * ((1 - g) / (1 - s)) ** (20 - d) for g in groups[:, 0]], 0)
+            drawn = np.mean(
+                [(g / s) ** d * ((1 - g) / (1 - s)) ** (20 - d) for g in groups[:, 0]], 0
+            )
             expected = 1.0 / np.mean(1.0 / drawn)
             if expected > 0.15:
                 assert fraction == pytest.approx(expected, rel=0.1)

@@ -465,8 +465,8 @@ def _degenerate_weight_findings(
     return (
         Finding(
             Code.IMPORTANCE_WEIGHTS_DEGENERATE,
-            "Scattering differs so much from its mean over the bands, with which rays were traced, "
-            "that few of them carry the energy: their effective share is "
+            "Scattering differs so much from what rays were traced with, the mean over groups of "
+            "bands, that few of them carry the energy: their effective share is "
             f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "
             "bands by themselves.",
             {"bands_hz": bands.centres_hz[degenerate].tolist()},

@@ -66,14 +66,14 @@ _LEAST_COHERENT_S = 0.03
 # than a Monte-Carlo error of 5 to 8 %.
 LEAST_RAYS, _BESIDE_IMAGES = 60_000, 1.0 / 3.0
 LEAST_RADIUS_M, _RADIUS_PER_FREE_PATH = 0.5, 0.09
-# The window that decides is 10 dB down, of the 45 that are followed, and a tenth of that time wide.
-# Its data err by 20 % and the fluctuation of the octave of 4 kHz (least of all bands), and rays by a
-# third of that; the energies of crossings vary, so that five count as one.
+# The window that decides is 10 dB down, of the 45 that are followed, and a tenth of that time
+# wide. Its data err by 20 % and the fluctuation of the octave of 4 kHz (least of all bands), and
+# rays by a third of that; the energies of crossings vary, so that five count as one.
 _DECIDING_DB, _FOLLOWED_DB, _WINDOW_PER_TIME = 10.0, 45.0, 0.1
 _MODEL_ERROR, _BANDWIDTH_HZ = 0.2, 2828.0
 _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # A trace takes about twice the memory of its paths.
-_MOST_PATH_BYTES = 2**29
+_MOST_PATH_BYTES = 480e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -229,9 +229,7 @@ def _with_rays(
         return replace(fineness, n_rays=stated, receiver_radius_m=radius_m), ()
     needed = needed_m2 / radius_m**2 * (_BESIDE_IMAGES if beside_images else 1.0)
     least = round(LEAST_RAYS * (_BESIDE_IMAGES if beside_images else 1.0))
-    fineness = replace(
-        fineness, n_rays=max(least, math.ceil(needed)), receiver_radius_m=radius_m
-    )
+    fineness = replace(fineness, n_rays=max(least, math.ceil(needed)), receiver_radius_m=radius_m)
     n_bytes = expected_paths(scene, fineness) * path_bytes(scene)
     if n_bytes <= _MOST_PATH_BYTES:
         return fineness, ()

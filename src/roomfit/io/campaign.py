@@ -573,7 +573,8 @@ DEFAULTS = Settings()  # of what a campaign file does not say
 
 def _settings(table: CampaignTable) -> Settings:
     own = table.identify
-    stated = table.settings.model_dump(exclude_none=True)
+    stated: dict[str, Any] = table.settings.model_dump(exclude_none=True)
+    stated = {name: None if value == "auto" else value for name, value in stated.items()}
     return replace(
         DEFAULTS,
         method=own.method,
@@ -583,7 +584,7 @@ def _settings(table: CampaignTable) -> Settings:
         reflection_delays=own.wall_delays,
         smoothness_per_octave=own.smoothness_per_octave,
         temperature_sd_c=table.air.temperature_sd_c,
-        **{k: None if v == "auto" else v for k, v in stated.items()},
+        **stated,
     )
 
 

@@ -250,9 +250,7 @@ def sampling_groups(
             share = np.round(moved / moved[-1] * (n_groups - 1)).astype(np.int64)
             if n_groups == n_steps + 1:
                 share = np.cumsum(np.append(False, np.diff(moved) > 0.0))
-            groups = np.stack(
-                [_means(wanted[:, share == number]) for number in np.unique(share)]
-            )
+            groups = np.stack([_means(wanted[:, share == number]) for number in np.unique(share)])
         fraction = float(effective_fractions(groups, wanted, hits, rng).min())
         if fraction > largest:
             best, largest = groups, fraction

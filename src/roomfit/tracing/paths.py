@@ -37,8 +37,8 @@ class Paths:
     pair: IntArray  #: int32 (n_paths,)
     length_m: FloatArray  #: (n_paths,), exact; of a ray, to the point nearest to the receiver
     #: (n_paths,), spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
-    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, the mean over groups, for a ray ``chord / (n_rays * sphere
-    #: volume)``
+    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, the mean over groups, for a ray
+    #: ``chord / (n_rays * sphere volume)``
     weight_per_m2: FloatArray
     hits_specular: IntArray  #: uint16 (n_paths, n_materials), wall hits without scattering
     hits_diffuse: IntArray  #: uint16 (n_paths, n_materials), scattered ones

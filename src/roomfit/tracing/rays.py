@@ -36,7 +36,7 @@ from roomfit.tracing.ray_kernels import (
     spheres,
     trace_chunks,
 )
-from roomfit.typing import FloatArray, IntArray, Progress
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -261,13 +261,14 @@ def trace_rays(
     *,
     receiver_radii_m: ArrayLike | None = None,
     memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
+    images: Paths | None = None,
 ) -> Trace:
     """Send rays from every source that a pair needs and record each crossing of its receivers.
 
     A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
     decides whether it lies within `settings.duration_s`; its weight is the chord over number of
     rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere.
-    All rays come back, whatever `settings.image_order`.
+    All rays come back, whatever `settings.image_order`, unless image paths are given.
 
     Parameters
     ----------
@@ -282,6 +283,9 @@ def trace_rays(
         More, at `path_bytes` a path and 24 bytes a ray, is refused: before the trace where so many
         paths are expected, on the way where so many are found. The peak is that, once again the
         largest array of the paths, and about 100 MB.
+    images : Paths, optional
+        Exact paths up to `settings.image_order` and `settings.image_until_s`, which come first;
+        rays that they cover are left out.
 
     Raises
     ------
@@ -299,24 +303,44 @@ def trace_rays(
     pieces: list[Piece] = []
     tallies: list[Tally] = []
     found = 0
+    images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
+    reach_m = min(images_s, settings.duration_s) * speed_of_sound_m_s(scene.air)
     parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
     for done, ((own, s), source) in enumerate(parts):
         for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
             piece.weight_per_m2[:] /= len(coefficients)
+            if images is not None:
+                late = ~covered_by_images(piece, settings.image_order, reach_m)
+                piece = Piece._make([column[late] for column in piece])
             pieces.append(piece)
             tallies.append(tally)
             found += len(piece.length_m)
             _check_memory(scene, settings, found, memory_limit_bytes)
             if progress is not None:
                 progress((done + last / own.n_rays) / len(parts))
+    if images is not None:
+        pieces.insert(0, Piece(*(getattr(images, name) for name in Piece._fields)))
+    joined = _joined(pieces, coefficients.shape[1])
+    transform = None
+    if images is not None and images.image_transform is not None:
+        transform = np.zeros((len(joined.length_m), 3, 3), np.float32)
+        transform[: len(images)] = images.image_transform
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,
-        *_joined(pieces, coefficients.shape[1]),
+        *joined,
         n_batches=settings.n_batches,
         sampling_scattering=coefficients,
+        image_transform=transform,
     )
     return Trace(paths, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies))
+
+
+def covered_by_images(paths: Paths | Piece, image_order: int, reach_m: float = np.inf) -> BoolArray:
+    """Return which paths images up to an order and a length replace: specular only, and short."""
+    specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
+    near = (specular <= image_order) & (paths.length_m < reach_m)
+    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
 
 
 def _groups(
