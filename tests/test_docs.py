@@ -20,6 +20,7 @@ import roomfit
 from roomfit.cli import command_parsers
 from roomfit.geometry.build import TOO_WARPED_FROM_M
 from roomfit.geometry.check import LEAK_LIMIT
+from roomfit.inversion.trace_plan import LEAST_RADIUS_M, LEAST_RAYS
 from roomfit.io import campaign as schema
 from roomfit.io.inputs import material_priors
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
@@ -266,7 +267,8 @@ def test_numbers_that_the_pages_tell_are_those_of_the_code():
             f"lies between {low:.2f} and {high:.2f}",
         ],
         "how-it-works.md": [
-            f"({settings.receiver_radius_m:g} m in radius",
+            f"({LEAST_RADIUS_M:g} m in radius",
+            f"up to some 300 m³ {LEAST_RAYS:,} rays a source",
             f"{100 * fields['model_error'].default:g} % of the window's energy",
             f"{100 * fields['ringing_error'].default:g} % of what a loudspeaker",
             f"(mean {DEFAULT_MEAN:g}, standard deviation {DEFAULT_LOGIT_SD:g} in logit)",

@@ -115,6 +115,7 @@ class Code(StrEnum):
     # The trace.
 
     IMPORTANCE_WEIGHTS_DEGENERATE = "importance-weights-degenerate", "warning"
+    FEW_RAYS = "few-rays", "warning"
     CACHE_FILE_DAMAGED = "cache-file-damaged", "info"
     CACHE_NOT_WRITTEN = "cache-not-written", "info"
     RECEIVER_SPHERE_SHRUNK = "receiver-sphere-shrunk", ("info", "warning")

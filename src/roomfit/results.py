@@ -119,6 +119,9 @@ class Result:
     reasons: tuple[str, ...] = ()  # what was chosen, and why
     prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
     settings: Settings = field(default_factory=Settings)
+    # what the trace used: duration_s, n_rays (a source), receiver_radius_m, and scattering_groups
+    # of bands; empty where unknown
+    trace: Mapping[str, float] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""

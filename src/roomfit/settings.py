@@ -40,12 +40,10 @@ class Settings:
     reflection_delays: bool = True  # whether walls may delay what they reflect
     smoothness_per_octave: float | None = None  # sd of the change of logit absorption, > 0
     temperature_sd_c: float | None = None  # standard deviation of the air's temperature, K
-    n_rays: int = 60_000  # rays a source
-    # Beside image sources of every order in a room of smooth walls rays bring only what is late:
-    # the Monte-Carlo error of a window, 5 to 8 %, stays well below what interference does to it.
-    # Where walls scatter, they bring most of the energy from the first reflections on.
-    n_rays_beside_images: int = 20_000
-    receiver_radius_m: float = 0.5  # of the spheres in which rays are counted
+    # Left out, these follow volume and decay of the room (`roomfit.inversion.trace_plan`).
+    n_rays: int | None = None  # rays a source, 60,000 at least
+    n_rays_beside_images: int | None = None  # a third of them, in a room of smooth walls
+    receiver_radius_m: float | None = None  # of the spheres that catch rays, 0.5 m at least
     default_scattering: float = 0.1  # scattering coefficient of walls where it is unspecified
     n_draws: int = 128  # draws of the absorption behind a prediction's intervals
     n_random_starts: int = 3  # of energies alone: do they end in one minimum?

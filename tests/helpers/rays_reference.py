@@ -147,7 +147,7 @@ def with_scattering(paths: Paths, scattering: Scattering) -> Paths:
     return replace(
         paths,
         weight_per_m2=paths.weight_per_m2 * scattering_weights(paths, scattering),
-        sampling_scattering=scattering.coefficients.copy(),
+        sampling_scattering=scattering.coefficients[None].copy(),
     )
 
 

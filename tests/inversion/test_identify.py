@@ -266,8 +266,12 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     assert result["bands_hz"] == [500, 1000]
     assert set(result) == {
         *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
-        *("findings", "fit", "geometry", "posterior", "settings", "provenance"),
+        *("findings", "fit", "geometry", "posterior", "settings", "trace", "provenance"),
     }
+    assert result["trace"].pop("duration_s") > 0.1
+    # rays as stated, the radius as it follows a small room
+    used = {"n_rays": 4000, "receiver_radius_m": 0.5, "scattering_groups": 1}
+    assert result["trace"] == used
     for material in result["materials"].values():
         for lower, value, upper in zip(
             material["lower95"], material["absorption"], material["upper95"], strict=True

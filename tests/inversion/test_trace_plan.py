@@ -5,8 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from images_reference import BOX_MATERIALS, SPEED_M_S, box_room, scene_of
+from roomfit.findings import Code
 from roomfit.inversion.trace_plan import TracePlan, plan_trace
 from roomfit.materials.priors import MaterialPrior
+from roomfit.scene import scene_of as named_scene
+from roomfit.scene import shoebox_room
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import SyntheticBox, box_images
 from roomfit.tracing.trace import trace
@@ -60,5 +63,102 @@ def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
 
 def test_walls_that_scatter_ask_for_more_rays() -> None:
     """Then rays bring most of the energy, not only what comes late."""
-    assert plan(0.15, 0.35).settings.n_rays == Settings().n_rays
-    assert plan(0.0, 2.0).settings.n_rays == Settings().n_rays_beside_images
+    assert plan(0.15, 0.35).settings.n_rays == 60_000
+    assert plan(0.0, 2.0).settings.n_rays == 20_000
+
+
+def values_plan(
+    lengths_m: tuple[float, float, float],
+    decay_s: float,
+    scattering: tuple[float, ...] = (0.2, 0.2),
+    n_receivers: int = 1,
+    settings: Settings | None = None,
+) -> TracePlan:
+    """Return the plan for room parameters of one source, in a box of one material."""
+    room = shoebox_room(lengths_m, "plaster")
+    place = np.array([[0.2, 0.3, 0.5]])
+    rows = place + np.linspace(0.0, 1.0, n_receivers)[:, None] * [[0.5, 0.3, 0.0]]
+    rows = (rows + np.array([0.1, 0.1, 0.0])) * lengths_m
+    receivers = {f"R{i}": tuple(p) for i, p in enumerate(rows)}
+    scene = named_scene(room, {"S": tuple(place[0] * lengths_m)}, receivers)
+    n = len(scattering)
+    prior = MaterialPrior("plaster", np.zeros(n), np.ones(n), scattering=np.array(scattering))
+    return plan_trace(scene, (prior,), decay_s, 0.0, settings or Settings())
+
+
+def crossings_per_s(planned: TracePlan, lengths_m: tuple[float, ...]) -> float:
+    """Return how often a second some ray crosses a sphere in a diffuse field."""
+    used = planned.settings
+    area = np.pi * used.receiver_radius_m**2
+    return float(used.n_rays * area * SPEED_M_S / np.prod(lengths_m))
+
+
+def test_small_rooms_keep_their_rays_and_large_ones_their_crossings() -> None:
+    """To 300 m3 60,000 rays and 0.5 m; beyond, as many crossings a second in any volume."""
+    for lengths, decay_s in (
+        ((5.0, 4.0, 3.0), 0.4),
+        ((8.0, 6.0, 3.5), 0.6),
+        ((9.0, 8.0, 4.0), 1.0),
+    ):
+        used = values_plan(lengths, decay_s).settings
+        assert (used.n_rays, used.receiver_radius_m) == (60_000, 0.5)
+    halls = (13.0, 10.0, 7.0), (26.0, 16.0, 8.0), (40.0, 25.0, 12.0), (40.0, 30.0, 3.0)
+    plans = [values_plan(lengths, 1.5) for lengths in halls]
+    found = [crossings_per_s(p, lengths) for p, lengths in zip(plans, halls, strict=True)]
+    np.testing.assert_allclose(found, found[0], rtol=0.02)
+    # windows of 0.025 s, 10 dB down, of which the data know 22 %: five crossings count as one
+    own = 0.2**2 + 1.0 / (2828.0 * 0.025)
+    np.testing.assert_allclose(found[0], 9.0 * 5.0 / own / 0.025, rtol=0.03)
+    radii = [p.settings.receiver_radius_m for p in plans]
+    assert radii[0] < radii[1] < radii[2] and radii[3] == 0.5
+    for lengths, radius_m in zip(halls, radii, strict=True):
+        x, y, z = lengths
+        free_path_m = 2.0 * x * y * z / (x * y + y * z + z * x)
+        assert abs(radius_m - max(0.5, 0.09 * free_path_m)) < 1e-9
+
+
+def test_spheres_stay_clear_of_walls_and_the_radius_that_is_stated_is_used() -> None:
+    """Fewer crossings a ray mean more rays."""
+    lengths = (40.0, 25.0, 12.0)
+    free = values_plan(lengths, 1.5).settings
+    room = shoebox_room(lengths, "plaster")
+    near = named_scene(
+        room, {"S": (8.0, 8.0, 2.0)}, {"R": (20.0, 12.0, 0.8), "Q": (22.0, 9.0, 5.0)}
+    )
+    prior = MaterialPrior("plaster", np.zeros(1), np.ones(1), scattering=np.array([0.2]))
+    used = plan_trace(near, (prior,), 1.5, 0.0, Settings()).settings
+    assert 0.79 < used.receiver_radius_m <= 0.8 < free.receiver_radius_m
+    for one in (used, values_plan(lengths, 1.5, settings=Settings(receiver_radius_m=0.6)).settings):
+        ratio = one.n_rays * one.receiver_radius_m**2 / (free.n_rays * free.receiver_radius_m**2)
+        assert abs(ratio - 1.0) < 1e-3
+    stated = values_plan(
+        lengths, 1.5, settings=Settings(n_rays=700, receiver_radius_m=0.3)
+    ).settings
+    assert (stated.n_rays, stated.receiver_radius_m) == (700, 0.3)
+
+
+def test_bands_that_scatter_apart_are_traced_in_groups_with_more_rays() -> None:
+    """A ray that is worth half to some band is sent twice; equal bands are one group."""
+    lengths, octaves = (26.0, 16.0, 8.0), (0.1, 0.1, 0.15, 0.2, 0.4, 0.6)
+    alike, apart = values_plan(lengths, 1.5), values_plan(lengths, 1.5, octaves)
+    assert alike.scattering.coefficients.tolist() == [0.2]
+    assert 1 < len(apart.scattering.coefficients) < 6
+    assert 1.2 < apart.settings.n_rays / alike.settings.n_rays < 4.0
+
+
+def test_more_than_a_gigabyte_is_refused_with_the_error_that_remains() -> None:
+    """Six hundred pairs: rays are fewer, and half a gigabyte of paths makes a trace of one."""
+    lengths = (26.0, 16.0, 8.0)
+    one, many = (values_plan(lengths, 1.5, n_receivers=n) for n in (1, 600))
+    assert not one.findings
+    (finding,) = many.findings
+    assert finding.code is Code.FEW_RAYS
+    share = many.settings.n_rays / one.settings.n_rays
+    assert 0.1 < share < 0.9
+    assert abs(finding.evidence["times_wanted_error"] ** 2 * share - 1.0) < 0.01
+    # pairs times crossings times seconds times bytes a path
+    n_paths = 600 * crossings_per_s(many, lengths) * many.settings.duration_s
+    assert n_paths * 52 < 1.02 * 2**29
+    # what is stated is done
+    asked = values_plan(lengths, 1.5, n_receivers=600, settings=Settings(n_rays=60_000))
+    assert asked.settings.n_rays == 60_000 and not asked.findings

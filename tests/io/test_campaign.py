@@ -49,6 +49,17 @@ def test_a_good_campaign_is_read_with_its_defaults(tmp_path):
     assert carpet.known is None
 
 
+def test_rays_follow_the_room_unless_a_campaign_states_them(tmp_path):
+    names = ("n_rays", "n_rays_beside_images", "receiver_radius_m")
+    for stated in ("", "[settings]\n" + "\n".join(f'{name} = "auto"' for name in names)):
+        settings = campaign_from(tmp_path, GOOD + stated).settings
+        assert [getattr(settings, name) for name in names] == [None, None, None]
+        assert settings.changed() == {}
+    stated = "[settings]\nn_rays = 500\nreceiver_radius_m = 0.3"
+    settings = campaign_from(tmp_path, GOOD + stated).settings
+    assert settings.changed() == {"n_rays": 500, "receiver_radius_m": 0.3}
+
+
 @pytest.mark.parametrize(
     ("old", "new", "words"),
     [

@@ -234,7 +234,7 @@ def test_weights_thin_by_scattering_and_spread_as_a_sphere() -> None:
     paths = trace_images(scene, 3, 0.1, backwards)
     expected = np.prod((1.0 - s) ** paths.hits_specular, axis=1) / (4 * np.pi * paths.length_m**2)
     np.testing.assert_allclose(paths.weight_per_m2, expected, rtol=1e-14)
-    np.testing.assert_array_equal(paths.sampling_scattering, s)
+    np.testing.assert_array_equal(paths.sampling_scattering, s[None])
     assert np.bincount(paths.pair).tolist() == [63, 63]
     assert not paths.hits_diffuse.any()
     assert set(paths.batch.tolist()) == {-1}

@@ -31,8 +31,8 @@ from roomfit.scene import Room, Scene
 from roomfit.suh2001.room import paper_scene
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings, select
-from roomfit.tracing.rays import Trace, trace_rays
-from roomfit.tracing.trace import covered_by_images, fitting_radii_m, trace
+from roomfit.tracing.rays import Trace, covered_by_images, trace_rays
+from roomfit.tracing.trace import fitting_radii_m, trace
 from roomfit.typing import FloatArray
 
 ERRORS_ALLOWED = 5.0

@@ -21,7 +21,7 @@ from roomfit.coverage.synthetic_room import CoveragePlan, SyntheticRoom
 from roomfit.eyring import eyring_time_s
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.scattering import band_factors
-from roomfit.inversion.trace_plan import plan_trace
+from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
@@ -79,9 +79,9 @@ def traced_pressures(
         replace(k, scattering=row, fit_scattering=False)
         for k, row in zip(plan.priors, synthetic.scattering, strict=True)
     )
-    fineness = Settings(seed=int(rng.integers(2**62)))
-    planned = plan_trace(scene, priors, 0.0, duration_s, fineness, coherent=True)
-    n_rays = 0 if planned.settings.n_rays == 0 else fineness.n_rays
+    own_rays = Settings(seed=int(rng.integers(2**62)))
+    planned = plan_trace(scene, priors, 0.0, duration_s, own_rays, coherent=True)
+    n_rays = 0 if planned.settings.n_rays == 0 else max(planned.settings.n_rays, LEAST_RAYS)
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands

@@ -32,7 +32,7 @@ from roomfit.inversion.model_checks import (
     sampling_findings,
     schroeder_findings,
 )
-from roomfit.inversion.paths import TracedPaths, redirected, traced_paths
+from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with
 from roomfit.inversion.solve import (
     BandFits,
     coherent_answers,
@@ -282,6 +282,7 @@ def combine(
         directivities=fits.directivities,
         certificates=tuple(b.certificate for b in found),
         settings=settings,
+        trace=traced_with(traced),
     )
 
 

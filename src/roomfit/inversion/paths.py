@@ -26,7 +26,7 @@ from roomfit.response.directivity import FirstOrder, directivity_factors
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths, concatenate, select
+from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
 from roomfit.typing import FloatArray, Progress, part
 
 Retrace = Callable[[Scene], tuple[Paths, FloatArray | None, BinnedPaths]]
@@ -39,7 +39,7 @@ class TracedPaths:
 
     paths: Paths
     binned: BinnedPaths
-    duration_s: float  # how long sound was followed
+    settings: TraceSettings
     factors: FloatArray | None  # (n_bands, n_paths), on the weight of every path in every band
     scattering: FloatArray  # (n_materials, n_bands)
     # whether image sources of every order reach far enough to be added as pressures
@@ -69,8 +69,15 @@ def redirected(
     sources = [known.get(s.name) for s in scene.sources]
     for band in range(len(bands)):
         factors[band] *= directivity_factors(paths, sources, source_of_pair, band)
-    binned = bin_paths(scene, bands, paths, traced.duration_s, factors)
+    binned = bin_paths(scene, bands, paths, traced.settings.duration_s, factors)
     return replace(traced, factors=factors, binned=binned)
+
+
+def traced_with(traced: TracedPaths) -> dict[str, float]:
+    """Return how long, with how many rays and in how many groups of bands was traced."""
+    names = ("duration_s", "n_rays", "receiver_radius_m")
+    used = {name: getattr(traced.settings, name) for name in names}
+    return used | {"scattering_groups": len(traced.paths.sampling_scattering)}
 
 
 def _finder(
@@ -144,7 +151,7 @@ def traced_paths(
     return TracedPaths(
         paths,
         binned,
-        plan.settings.duration_s,
+        plan.settings,
         factors,
         scattering,
         plan.far_images,

@@ -85,7 +85,7 @@ class Retracer:
         best_fraction, best = 0.0, None
         for paths, binned in self._traced:
             # both kinds of reflection must have been drawn wherever the coefficient is to change
-            sampled = paths.sampling_scattering
+            (sampled,) = paths.sampling_scattering  # of one group, as traced below
             is_drawn = (sampled > 0.0) & (sampled < 1.0)
             if not np.all(is_drawn | (sampled == scattering.coefficients)):
                 continue
@@ -400,7 +400,8 @@ def specified_scattering(
 
     Parameters
     ----------
-    traced : float array, shape (n_materials,)
+    traced : float array, shape (n_materials,) or (n_groups, n_materials)
+        All groups have the same where it is unspecified.
 
     Returns
     -------
@@ -408,7 +409,7 @@ def specified_scattering(
     """
     rows = [
         np.full(n_bands, s0) if k.scattering is None else k.scattering
-        for k, s0 in zip(priors, traced, strict=True)
+        for k, s0 in zip(priors, np.atleast_2d(traced)[0], strict=True)
     ]
     return np.stack(rows)
 
@@ -432,7 +433,8 @@ def band_factors(
     """
     factors: FloatArray = np.ones((len(bands), len(paths)))
     findings: tuple[Finding, ...] = ()
-    differs = np.any(scattering != paths.sampling_scattering[:, None])
+    traced = paths.sampling_scattering
+    differs = len(traced) > 1 or np.any(scattering != traced[0][:, None])
     if differs:
         for band in range(len(bands)):
             wanted = Scattering(paths.materials, scattering[:, band])
@@ -463,8 +465,8 @@ def _degenerate_weight_findings(
     return (
         Finding(
             Code.IMPORTANCE_WEIGHTS_DEGENERATE,
-            "Scattering differs so much from its mean over the bands, with which rays were traced, "
-            "that few of them carry the energy: their effective share is "
+            "Scattering differs so much from what rays were traced with, the mean over groups of "
+            "bands, that few of them carry the energy: their effective share is "
             f"{bands_in_words(bands, degenerate, notes)}. Predictions are noisy there; fit these "
             "bands by themselves.",
             {"bands_hz": bands.centres_hz[degenerate].tolist()},

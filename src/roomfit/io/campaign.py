@@ -204,9 +204,9 @@ class DesignTable(Table):
 class SettingsTable(Table):
     """``[settings]``: constants of `roomfit.Settings` that stand behind the choices."""
 
-    n_rays: int | None = None
-    n_rays_beside_images: int | None = None
-    receiver_radius_m: float | None = None
+    n_rays: int | Literal["auto"] | None = None
+    n_rays_beside_images: int | Literal["auto"] | None = None
+    receiver_radius_m: float | Literal["auto"] | None = None
     default_scattering: float | None = None
     n_draws: int | None = None
     n_random_starts: int | None = None
@@ -573,6 +573,8 @@ DEFAULTS = Settings()  # of what a campaign file does not say
 
 def _settings(table: CampaignTable) -> Settings:
     own = table.identify
+    stated: dict[str, Any] = table.settings.model_dump(exclude_none=True)
+    stated = {name: None if value == "auto" else value for name, value in stated.items()}
     return replace(
         DEFAULTS,
         method=own.method,
@@ -582,7 +584,7 @@ def _settings(table: CampaignTable) -> Settings:
         reflection_delays=own.wall_delays,
         smoothness_per_octave=own.smoothness_per_octave,
         temperature_sd_c=table.air.temperature_sd_c,
-        **table.settings.model_dump(exclude_none=True),
+        **stated,
     )
 
 

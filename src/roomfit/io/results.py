@@ -204,6 +204,7 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
         },
         "settings": answer.settings.changed(),
+        **({"trace": answer.trace} if answer.trace else {}),
         "provenance": provenance(inputs)
         | {
             "speed_of_sound_m_s": answer.speed_of_sound_m_s,

@@ -241,17 +241,21 @@ class Scattering:
     A ray that strikes a material leaves it in a direction drawn from Lambert's law with
     probability s and specularly otherwise. Nothing is lost: after n hits a ray has the energy
     ``(1 - a) ** n`` for every s.
+
+    Coefficients of several groups of bands stand in rows: a trace divides its rays equally among
+    them, and its paths are drawn from the mixture.
     """
 
     materials: tuple[str, ...]
-    # (n_materials,), 0 <= s <= 1 (ISO 17497-1: share of reflected energy that is not specular)
+    # (n_materials,) or (n_groups, n_materials), 0 <= s <= 1 (ISO 17497-1: share of reflected energy
+    # that is not specular)
     coefficients: FloatArray
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
-        s = float_array(
-            "scattering coefficient", self.coefficients, (len(self.materials),), low=0.0, high=1.0
-        )
+        groups = (None,) if np.ndim(self.coefficients) == 2 else ()
+        shape = (*groups, len(self.materials))
+        s = float_array("scattering coefficient", self.coefficients, shape, low=0.0, high=1.0)
         object.__setattr__(self, "coefficients", s)
 
 
@@ -267,7 +271,7 @@ def uniform_scattering(materials: tuple[str, ...], coefficient: float) -> Scatte
 
 
 def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) -> FloatArray:
-    """Return a copy of the coefficients in the order of a room's materials, shape (n_materials,).
+    """Return a copy of the coefficients in the order of a room's materials, their last axis.
 
     Raises
     ------
@@ -281,4 +285,4 @@ def coefficients_in_order(scattering: Scattering, materials: tuple[str, ...]) ->
             needed=", ".join(materials),
         )
     order = [scattering.materials.index(m) for m in materials]
-    return np.array(scattering.coefficients[order])
+    return np.array(scattering.coefficients[..., order])

@@ -392,7 +392,7 @@ def trace_images(
     duration_s : float
         Paths that take longer are left out.
     scattering : Scattering
-        Thins a path by ``1 - s`` a hit; materials in any order.
+        Thins a path by ``1 - s`` a hit, in the mean over groups; materials in any order.
     with_image_transforms : bool
         Keep the product of each path's reflections, with which the paths of moved sources and
         receivers are known without another search, see `Paths`.
@@ -405,7 +405,7 @@ def trace_images(
         Other materials, a source where a receiver is, or more images than the memory or the work
         allows.
     """
-    coefficients = coefficients_in_order(scattering, scene.room.materials)
+    coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     distances = distances_m(scene)
     if distances.size and distances.min() < 1e-6:
         source, receiver = scene.pairs[int(np.argmin(distances))]
@@ -486,7 +486,7 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     length = np.concatenate([np.zeros(0), *(s.length_m for s in sets)])
     no_hits = np.zeros((0, len(scene.room.materials)), dtype=np.uint16)
     hits = np.concatenate([no_hits, *(s.hits for s in sets)])
-    kept = np.prod((1.0 - scattering) ** hits, axis=1)
+    kept = np.mean([np.prod((1.0 - s) ** hits, axis=1) for s in scattering], axis=0)
     nowhere = np.zeros((0, 3))
     transforms = [s.image_transform for s in sets if s.image_transform is not None]
     return Paths(

@@ -37,8 +37,8 @@ class Paths:
     pair: IntArray  #: int32 (n_paths,)
     length_m: FloatArray  #: (n_paths,), exact; of a ray, to the point nearest to the receiver
     #: (n_paths,), spreading and Monte-Carlo weight at the sampling scattering coefficient: for an
-    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, for a ray ``chord / (n_rays * sphere
-    #: volume)``
+    #: image path ``product (1 - s) ** hits / (4 pi r**2)``, the mean over groups, for a ray
+    #: ``chord / (n_rays * sphere volume)``
     weight_per_m2: FloatArray
     hits_specular: IntArray  #: uint16 (n_paths, n_materials), wall hits without scattering
     hits_diffuse: IntArray  #: uint16 (n_paths, n_materials), scattered ones
@@ -48,7 +48,9 @@ class Paths:
     arrival: np.ndarray[tuple[int, int], np.dtype[np.float32]]
     batch: IntArray  #: int32 (n_paths,), independent Monte-Carlo batch; -1 for exact image paths
     n_batches: int
-    sampling_scattering: FloatArray  #: (n_materials,), coefficients of the trace
+    #: (n_groups, n_materials), coefficients of the trace; weights are those of the mixture of
+    #: groups, see `roomfit.response.scattering.scattering_weights`
+    sampling_scattering: FloatArray
     #: float32 (n_paths, 3, 3), product A of a path's reflections (the last hit's leftmost), for
     #: image paths on request; zeros for rays
     image_transform: NDArray[np.float32] | None = None
@@ -56,7 +58,7 @@ class Paths:
     def __post_init__(self) -> None:
         n = len(self.length_m)
         m = len(self.materials)
-        shapes: dict[str, tuple[int, ...]] = {
+        shapes: dict[str, tuple[int | None, ...]] = {
             "pair": (n,),
             "length_m": (n,),
             "weight_per_m2": (n,),
@@ -65,7 +67,7 @@ class Paths:
             "departure": (n, 3),
             "arrival": (n, 3),
             "batch": (n,),
-            "sampling_scattering": (m,),
+            "sampling_scattering": (None, m),
         }
         if self.image_transform is not None:
             shapes["image_transform"] = (n, 3, 3)

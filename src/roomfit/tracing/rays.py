@@ -9,7 +9,7 @@ traced block by block and packed into path arrays.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeAlias
 
 import numpy as np
@@ -36,7 +36,7 @@ from roomfit.tracing.ray_kernels import (
     spheres,
     trace_chunks,
 )
-from roomfit.typing import FloatArray, IntArray, Progress
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 
 _GOLDEN_ANGLE = np.pi * (3.0 - np.sqrt(5.0))
 
@@ -247,7 +247,7 @@ _BLOCK_CROSSINGS = 500_000
 class Trace:
     """Paths of a scene, and what to know about them."""
 
-    # Image paths (batch -1) before rays, these in the order of sources, then rays, then time
+    # Image paths (batch -1) before rays, these in the order of groups, sources, rays, and time
     paths: Paths
     statistics: RayStatistics  # Of all rays, including those whose paths image paths replace
     findings: tuple[Finding, ...] = ()  # `Code.RECEIVER_SPHERE_SHRUNK`, `Code.RAYS_ESCAPED`
@@ -261,26 +261,31 @@ def trace_rays(
     *,
     receiver_radii_m: ArrayLike | None = None,
     memory_limit_bytes: int = MEMORY_LIMIT_BYTES,
+    images: Paths | None = None,
 ) -> Trace:
     """Send rays from every source that a pair needs and record each crossing of its receivers.
 
     A crossing gives a path. Its length runs to the point of the flight nearest to the centre and
     decides whether it lies within `settings.duration_s`; its weight is the chord over number of
     rays and sphere volume, so that direct sound averages ``1 / (4 pi r**2)`` over the sphere.
-    All rays come back, whatever `settings.image_order`.
+    All rays come back, whatever `settings.image_order`, unless image paths are given.
 
     Parameters
     ----------
     settings : TraceSettings
         A ray ends at its wall hit number `max_hits`, or when its time is up.
     scattering : Scattering
-        One coefficient for each material of the room, in any order.
+        One coefficient for each material of the room, in any order; of several groups each gets
+        as many rays, `settings.n_rays` together, rounded up.
     receiver_radii_m : array_like, shape (n_receivers,), optional
         Radius of each receiver of the scene instead of `settings.receiver_radius_m`.
     memory_limit_bytes : int
         More, at `path_bytes` a path and 24 bytes a ray, is refused: before the trace where so many
         paths are expected, on the way where so many are found. The peak is that, once again the
         largest array of the paths, and about 100 MB.
+    images : Paths, optional
+        Exact paths up to `settings.image_order` and `settings.image_until_s`, which come first;
+        rays that they cover are left out.
 
     Raises
     ------
@@ -288,7 +293,7 @@ def trace_rays(
         Scattering of other materials, or too many paths for the memory.
     """
     radii = _radii(scene, settings, receiver_radii_m)
-    coefficients = coefficients_in_order(scattering, scene.room.materials)
+    coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     sources = np.unique(scene.pairs[:, 0]).tolist() if settings.n_rays else []
     expected = expected_paths(
         scene, settings, receiver_radii_m=radii, scattering=float(coefficients.max(initial=0.0))
@@ -298,24 +303,59 @@ def trace_rays(
     pieces: list[Piece] = []
     tallies: list[Tally] = []
     found = 0
-    for done, source in enumerate(sources):
-        for last, piece, tally in _trace_source(
-            scene, settings, walls, source, radii, coefficients
-        ):
+    images_s = settings.duration_s if settings.image_until_s is None else settings.image_until_s
+    reach_m = min(images_s, settings.duration_s) * speed_of_sound_m_s(scene.air)
+    parts = [(row, one) for row in _groups(settings, coefficients) for one in sources]
+    for done, ((own, s), source) in enumerate(parts):
+        for last, piece, tally in _trace_source(scene, own, walls, source, radii, s):
+            piece.weight_per_m2[:] /= len(coefficients)
+            if images is not None:
+                late = ~covered_by_images(piece, settings.image_order, reach_m)
+                piece = Piece._make([column[late] for column in piece])
             pieces.append(piece)
             tallies.append(tally)
             found += len(piece.length_m)
             _check_memory(scene, settings, found, memory_limit_bytes)
             if progress is not None:
-                progress((done + last / settings.n_rays) / len(sources))
+                progress((done + last / own.n_rays) / len(parts))
+    if images is not None:
+        pieces.insert(0, Piece(*(getattr(images, name) for name in Piece._fields)))
+    joined = _joined(pieces, coefficients.shape[1])
+    transform = None
+    if images is not None and images.image_transform is not None:
+        transform = np.zeros((len(joined.length_m), 3, 3), np.float32)
+        transform[: len(images)] = images.image_transform
     paths = Paths(
         len(scene.pairs),
         scene.room.materials,
-        *_joined(pieces, len(coefficients)),
+        *joined,
         n_batches=settings.n_batches,
         sampling_scattering=coefficients,
+        image_transform=transform,
     )
-    return Trace(paths, ray_statistics(len(sources) * settings.n_rays, tallies))
+    return Trace(paths, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies))
+
+
+def covered_by_images(paths: Paths | Piece, image_order: int, reach_m: float = np.inf) -> BoolArray:
+    """Return which paths images up to an order and a length replace: specular only, and short."""
+    specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
+    near = (specular <= image_order) & (paths.length_m < reach_m)
+    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
+
+
+def _groups(
+    settings: TraceSettings, coefficients: FloatArray
+) -> list[tuple[TraceSettings, FloatArray]]:
+    """Return settings and coefficients of every group; the first one keeps the seed."""
+    n_rays = -(-settings.n_rays // len(coefficients))
+    seeds = [settings.seed] + [
+        int(np.random.default_rng((settings.seed, group)).integers(2**62))
+        for group in range(1, len(coefficients))
+    ]
+    return [
+        (replace(settings, n_rays=n_rays, seed=seed), row)
+        for seed, row in zip(seeds, coefficients, strict=True)
+    ]
 
 
 def _trace_source(

@@ -6,16 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.air import speed_of_sound_m_s
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import distance_to_walls_m
 from roomfit.materials.priors import Scattering
 from roomfit.scene import Scene, distances_m
 from roomfit.tracing.image_sources import trace_images
-from roomfit.tracing.paths import Paths, TraceSettings, concatenate, select
+from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
-from roomfit.typing import BoolArray, FloatArray, Progress, part
+from roomfit.typing import FloatArray, Progress, part
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
 _CLEARANCE = 0.999
@@ -61,7 +60,7 @@ def trace(
     An image path holds for the centre of the receiver and a ray for its sphere; the two agree in
     the mean over the sphere. One pair in a furnished room, where edges cut through spheres, may
     differ by some per cent. The sphere of a receiver nearer to a wall or a source than its radius
-    is shrunk to fit. Peak memory is twice that of the paths.
+    is shrunk to fit. Peak memory is less than twice that of the paths.
 
     Examples
     --------
@@ -101,21 +100,14 @@ def trace(
     if settings.n_rays:
         radii, findings = fitting_radii_m(scene, settings.receiver_radius_m)
     rays = trace_rays(
-        scene, settings, scattering, part(progress, share, 1.0), receiver_radii_m=radii
+        scene,
+        settings,
+        scattering,
+        part(progress, share, 1.0),
+        receiver_radii_m=radii,
+        images=images,
     )
-    findings = (*findings, *_leaks(rays.statistics))
-    if images is None:
-        return replace(rays, findings=findings)
-    reach_m = images_s * speed_of_sound_m_s(scene.air)
-    late = select(rays.paths, ~covered_by_images(rays.paths, settings.image_order, reach_m))
-    return Trace(concatenate([images, late]), rays.statistics, findings)
-
-
-def covered_by_images(paths: Paths, image_order: int, reach_m: float = np.inf) -> BoolArray:
-    """Return which paths images up to an order and a length replace: specular only, and short."""
-    specular = paths.hits_specular.sum(axis=1, dtype=np.int64)
-    near = (specular <= image_order) & (paths.length_m < reach_m)
-    return np.asarray(~paths.hits_diffuse.any(axis=1) & near)
+    return replace(rays, findings=(*findings, *_leaks(rays.statistics)))
 
 
 def fitting_radii_m(scene: Scene, radius_m: float) -> tuple[FloatArray, tuple[Finding, ...]]:
