@@ -36,6 +36,17 @@ class Change:
     sds: tuple[float, ...] = ()  # their standard deviations; left out: none
     entry: str = ""  # name in the catalogue
 
+    def __post_init__(self) -> None:
+        if not self.sds:
+            object.__setattr__(self, "sds", (0.0,) * len(self.values))
+        if len(self.sds) != len(self.values) or not all(sd >= 0.0 for sd in self.sds):
+            raise InputError(
+                "a change has not one standard deviation per value",
+                where=self.material,
+                found=f"{', '.join(f'{sd:g}' for sd in self.sds)} for {len(self.values)} values",
+                needed="none, or as many as there are values, 0 or larger",
+            )
+
 
 def read_change(text: str) -> Change:
     """Return a change as it is written on the command line.
@@ -72,7 +83,7 @@ def change_text(change: Change) -> str:
     mark = "x" if change.kind == "factor" else ""
     values = [
         f"{mark}{v:g}" + (f"+-{sd:g}" if sd else "")
-        for v, sd in zip(change.values, change.sds or (0.0,) * len(change.values), strict=True)
+        for v, sd in zip(change.values, change.sds, strict=True)
     ]
     return f"{change.material}={','.join(values)}"
 
@@ -144,18 +155,12 @@ def _index_of(material: str, materials: tuple[str, ...], where: str) -> int:
 
 
 def _per_band(change: Change, bands: Bands, high: float) -> tuple[FloatArray, FloatArray]:
-    values, sds = np.array(change.values), np.array(change.sds or (0.0,))
+    values, sds = np.array(change.values), np.array(change.sds)
     if values.size not in (1, len(bands)):
         raise InputError(
             "a change has not one value per predicted band",
             found=f"{values.size} values",
             needed=f"1 or {len(bands)}: {', '.join(f'{f:g}' for f in bands.centres_hz)} Hz",
-        )
-    if sds.size not in (1, values.size) or not np.all(sds >= 0.0):
-        raise InputError(
-            "a change has not one standard deviation per value",
-            found=f"{', '.join(f'{x:g}' for x in sds)} for {values.size} values",
-            needed="none, 1 or as many as there are values, 0 or larger",
         )
     if not (np.all(values >= 0.0) and np.all(values <= high)):
         raise InputError(
@@ -245,8 +250,9 @@ def prior_dominated(
                 f"What a change of {name} does hangs on its prior at "
                 f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
                 f"the absorption of the room is {_percents(low[i, b], high[i, b])} at "
-                f"{centres_hz[b]:g} Hz{known}. State what is known of it: [materials.{name}] "
-                f"prior = {entries}, or a mean and a standard deviation, and identify again; or "
+                f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
+                f'[materials."{name}"] prior = '
+                f"{entries}, or a mean and a standard deviation, and identify again; or "
                 "measure more pairs, which `roomfit design` with --result names.",
                 {
                     "material": name,

@@ -214,7 +214,8 @@ def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
             lines.append(["  change %", *_with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))])
         else:
             signed = form.replace(":", ":+")
-            lines.append([f"  change {label.split()[1]}", *_with_bounds(signed, *rows)])
+            unit = label.split()[1].replace("%", "points")
+            lines.append([f"  change {unit}", *_with_bounds(signed, *rows)])
     return lines
 
 

@@ -542,11 +542,14 @@ def _change(
         change, drawn = new - old, drawn_new - drawn_old
         carried, carried_draws = measured + change, measured + drawn
         scatter_sd = np.hypot(np.hypot(*scatter), measured_sd)
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
     return ValueChange(
         old,
         *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row))),
         change,
-        *np.quantile(drawn, (0.025, 0.975), axis=0),
+        # no direction is said to be determined that the likeliest absorption contradicts
+        np.minimum(low, change),
+        np.maximum(high, change),
         carried,
         *_interval(name, carried_draws, scatter_sd),
     )
