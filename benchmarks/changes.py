@@ -22,8 +22,7 @@ from pathlib import Path
 import numpy as np
 
 import room_values
-
-from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.findings import Code
 from roomfit.geometry.mesh import volume_m3
@@ -33,13 +32,14 @@ from roomfit.logit import expit, logit
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import Measurement
+from roomfit.objective.room_parameters import predicted_values
 from roomfit.prediction.campaign import room_posterior
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.results import absorption_posterior
 from roomfit.scene import Scene, material_areas_m2, scene_of, shoebox_room
 from roomfit.settings import Settings
-from roomfit.signals.iso3382 import MeasuredValues
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 
 LENGTHS_M = (4.2, 3.3, 2.6)
@@ -49,7 +49,15 @@ BANDS = bands_between("octave", 500, 1000)
 OWNERS = ("walls", "curtain", "walls", "walls", "floor", "ceiling")
 SOURCES_M = {"S1": (1.0, 1.2, 1.1), "S2": (3.1, 0.8, 1.4)}
 RECEIVERS_M = {"R1": (2.9, 2.2, 1.3), "R2": (1.6, 2.4, 1.6)}
-JUDGED = ("T20_s", "T30_s", "EDT_s", "C50_dB", "C80_dB", "D50_percent", "TS_ms")
+JUDGED: tuple[ValueName, ...] = (
+    "T20_s",
+    "T30_s",
+    "EDT_s",
+    "C50_dB",
+    "C80_dB",
+    "D50_percent",
+    "TS_ms",
+)
 SETTINGS = Settings(n_rays=5000, n_rays_beside_images=3000, n_random_starts=0)
 
 
@@ -67,7 +75,7 @@ class KnownChange:
 
 
 def known_change(seed: int, bands: Bands = BANDS) -> KnownChange:
-    """Return a box of smooth walls of random absorption; its curtain becomes three times or a third.
+    """Return a box of smooth walls, random absorption; its curtain gets three times it or a third.
 
     The absorption of every material is drawn from the broad prior of a material of which nothing is
     specified, the same in all bands, until the mean lies between 0.2 and 0.5: livelier rooms need
@@ -121,13 +129,15 @@ def values_of(
             m.measurement.source,
             m.measurement.receiver,
             bands.centres_hz,
-            {name: m.parameters.of(name) for name in JUDGED},  # type: ignore[arg-type]
+            {name: m.parameters.of(name) for name in JUDGED},
         )
         for m in found
     )
 
 
-def predicted_change(case: KnownChange, *, responses: bool = False, n_draws: int = 128) -> Predicted:
+def predicted_change(
+    case: KnownChange, *, responses: bool = False, n_draws: int = 128
+) -> Predicted:
     """Fit the box before the change, and predict it with the curtain's true new absorption."""
     smooth = [material_prior(m, case.bands, scattering=0.0) for m in case.scene.room.materials]
     data = case.before if responses else case.values_before
@@ -143,9 +153,9 @@ def predicted_change(case: KnownChange, *, responses: bool = False, n_draws: int
     )
 
 
-def mean_of(values: tuple[MeasuredValues, ...], name: str) -> np.ndarray:
+def mean_of(values: tuple[MeasuredValues, ...], name: ValueName) -> np.ndarray:
     """Return the mean over the pairs, (n_bands,)."""
-    return np.asarray(np.mean([v.values[name] for v in values], axis=0))  # type: ignore[index]
+    return np.asarray(np.mean([v.values[name] for v in values], axis=0))
 
 
 def inside(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> np.ndarray:
@@ -168,7 +178,9 @@ def sabine_after_s(
     return np.asarray(0.161 * volume / np.maximum(found, 0.01))
 
 
-def wrong_directions(predicted: Predicted, true_change: dict[str, np.ndarray]) -> tuple[int, int]:
+def wrong_directions(
+    predicted: Predicted, true_change: dict[ValueName, np.ndarray]
+) -> tuple[int, int]:
     """Return how many directions of a mean are stated, and how many of them wrongly.
 
     Parameters
@@ -178,7 +190,7 @@ def wrong_directions(predicted: Predicted, true_change: dict[str, np.ndarray]) -
     """
     n_stated = n_wrong = 0
     for name, change in true_change.items():
-        found = predicted.mean[name].change  # type: ignore[index]
+        found = predicted.mean[name].change
         if found is None:
             continue
         none = 1.0 if name in ("T20_s", "T30_s", "EDT_s") else 0.0
@@ -204,7 +216,7 @@ def boxes(n_seeds: int, *, responses: bool) -> None:
         n_stated, n_wrong = n_stated + stated, n_wrong + wrong
         n_directions += len(JUDGED) * len(BANDS)
         for name, (_, after) in true.items():
-            v = found.mean[name]  # type: ignore[index]
+            v = found.mean[name]
             c = v.change
             assert c is not None
             held.setdefault("mean, carried over", []).append(
@@ -218,8 +230,8 @@ def boxes(n_seeds: int, *, responses: bool) -> None:
                 if (m.source, m.receiver) == (pair.source, pair.receiver)
             )
             for name in JUDGED:
-                after = own.values[name]  # type: ignore[index]
-                c = pair.parameters[name].change  # type: ignore[index]
+                after = own.values[name]
+                c = pair.parameters[name].change
                 assert c is not None
                 held.setdefault("pairs, carried over", []).append(
                     inside(c.carried_lower95, after, c.carried_upper95)
@@ -240,14 +252,18 @@ def boxes(n_seeds: int, *, responses: bool) -> None:
             ("Sabine, 0.15 before", sabine_after_s(before, *room, 0.15 + 0.0 * old, new)),
         ):
             errors.setdefault(label, []).append(row / after - 1.0)
-        print(f"seed {seed}: T30 {before.round(2)} to {after.round(2)}, carried {c.carried.round(2)}"
-              f" ({c.carried_lower95.round(2)} to {c.carried_upper95.round(2)})", flush=True)  # fmt: skip
+        print(
+            f"seed {seed}: T30 {before.round(2)} to {after.round(2)}, carried {c.carried.round(2)}"
+            f" ({c.carried_lower95.round(2)} to {c.carried_upper95.round(2)})",
+            flush=True,
+        )
     print(f"\n{n_seeds} boxes, fitted to {'responses' if responses else 'ISO 3382 values'}")
     for label, rows in held.items():
-        print(f"{label:32} held {100 * np.mean(np.concatenate(rows)):5.1f} % of {np.concatenate(rows).size}")
+        print(f"{label:32} held {100 * np.concatenate(rows).mean():5.1f} %")
     for label, rows in errors.items():
         of = percent_errors(rows)
-        print(f"mean T30, {label:32} median |error| {np.median(of):5.1f} %, rms {np.sqrt(np.mean(of**2)):5.1f} %")  # fmt: skip
+        rms = np.sqrt(np.mean(of**2))
+        print(f"mean T30, {label:32} |error|: median {np.median(of):5.1f}, rms {rms:5.1f} %")
     print(f"median half width of T30 carried over {100 * np.nanmedian(widths):.1f} %")
     print(f"directions stated {n_stated} of {n_directions}, wrong {n_wrong}")
     print(f"change-prior-dominated in {n_found} of {n_seeds}")
@@ -275,7 +291,8 @@ def studio_priors(
 
 def stated_absorption(folder: Path, name: str, bands: Bands) -> np.ndarray:
     """Return the absorption that the participants were given, (n_bands,)."""
-    return room_values.stated(folder, name)[0][np.isin(room_values.BANDS.centres_hz, bands.centres_hz)]  # fmt: skip
+    at = np.isin(room_values.BANDS.centres_hz, bands.centres_hz)
+    return np.asarray(room_values.stated(folder, name)[0][at])
 
 
 def studio_measured(folder: Path) -> None:
@@ -292,7 +309,8 @@ def studio_measured(folder: Path) -> None:
         found = predict(
             case.scene, absorption_posterior(answer), changes, case.values, settings=STUDIO_SETTINGS
         )
-        print(f"\nmeasured, open; cloth as stated of the closed one; {'broad' if broad else 'stated'} priors")  # fmt: skip
+        label = "broad" if broad else "stated"
+        print(f"\nmeasured, open; cloth as stated of the closed one; {label} priors")
         print(found)
 
 
@@ -311,69 +329,100 @@ def studio_simulated(folder: Path, n_seeds: int) -> None:
         n_found = {"stated": 0, "broad": 0}
         for seed in range(n_seeds):
             rng = np.random.default_rng(seed)
-            true = {n: expit(logit(np.clip(room_values.stated(folder, n)[0], 0.01, 0.99))
-                    + STATED_LOGIT_SD * rng.standard_normal()) for n in names}  # fmt: skip
-            ratio = room_values.stated(folder, CLOTH[True])[0] / room_values.stated(folder, CLOTH[False])[0]  # fmt: skip
+            true = {
+                n: expit(
+                    logit(np.clip(room_values.stated(folder, n)[0], 0.01, 0.99))
+                    + STATED_LOGIT_SD * rng.standard_normal()
+                )
+                for n in names
+            }
+            ratio = (
+                room_values.stated(folder, CLOTH[True])[0]
+                / room_values.stated(folder, CLOTH[False])[0]
+            )
             ratio_true = ratio * max(1.0 + CHANGE_SD * rng.standard_normal(), 0.2)
             true[CLOTH[True]] = np.minimum(true[CLOTH[False]] * ratio_true, 0.99)
             tables = {}
             for closed, case in cases.items():
                 a = np.array([true[m] for m in case.scene.room.materials])
-                tables[closed] = room_values.predicted_values(case.scene, room_values.BANDS, binned[closed], a)  # fmt: skip
+                tables[closed] = predicted_values(case.scene, room_values.BANDS, binned[closed], a)
             noise = 0.3 * np.array([0.05, 0.05, 0.05, 1.0, 1.0, 5.0, 10.0, 1.0])
             data = []
             for v, row in zip(old.values, tables[was_closed], strict=True):
                 values = {}
-                for k, name in enumerate(room_values.VALUE_NAMES):
+                for k, name in enumerate(VALUE_NAMES):
                     step = noise[k] * rng.standard_normal(row.shape[1])
                     values[name] = row[k] * (1 + step) if name.endswith("_s") else row[k] + step
-                data.append(MeasuredValues(v.source, v.receiver, room_values.BANDS.centres_hz, values))  # fmt: skip
-            k = room_values.VALUE_NAMES.index("T30_s")
+                data.append(
+                    MeasuredValues(v.source, v.receiver, room_values.BANDS.centres_hz, values)
+                )
+            k = VALUE_NAMES.index("T30_s")
             after = tables[not was_closed][:, k].mean(axis=0)[at]
             before = tables[was_closed][:, k].mean(axis=0)[at]
-            area = {c: dict(zip(x.scene.room.materials, material_areas_m2(x.scene.room), strict=True))
-                    for c, x in cases.items()}  # fmt: skip
+            area = {
+                c: dict(zip(x.scene.room.materials, material_areas_m2(x.scene.room), strict=True))
+                for c, x in cases.items()
+            }
             added = 0.0
             for m in {*area[False], *area[True]}:
                 stated_a = stated_absorption(folder, m, bands)
-                added = added + (area[not was_closed].get(m, 0.0) - area[was_closed].get(m, 0.0)) * stated_a  # fmt: skip
+                added = (
+                    added
+                    + (area[not was_closed].get(m, 0.0) - area[was_closed].get(m, 0.0)) * stated_a
+                )
             volume = volume_m3(old.scene.room.mesh)
             sabine = 0.161 * volume / (0.161 * volume / before + added)
             errors.setdefault("no change", []).append(before / after - 1.0)
             errors.setdefault("Sabine, stated areas added", []).append(sabine / after - 1.0)
             factor = (1.0 / ratio if was_closed else ratio)[at]
-            change = Change(CLOTH[not was_closed], "factor", tuple(factor), tuple(CHANGE_SD * factor))  # fmt: skip
+            change = Change(
+                CLOTH[not was_closed], "factor", tuple(factor), tuple(CHANGE_SD * factor)
+            )
             for label in n_found:
                 broad = label == "broad"
                 priors = studio_priors(folder, materials, bands, old.scattering, broad=broad)
                 answer = identify(old.scene, data, priors, bands, settings=STUDIO_SETTINGS)
                 known = absorption_posterior(answer)
-                renamed = tuple(CLOTH[not was_closed] if m == CLOTH[was_closed] else m for m in known.materials)  # fmt: skip
+                renamed = tuple(
+                    CLOTH[not was_closed] if m == CLOTH[was_closed] else m for m in known.materials
+                )
                 theirs = new.scene.room.materials
                 own = studio_priors(folder, theirs, bands, new.scattering, broad=broad)
                 known = room_posterior(replace(known, materials=renamed), own, bands)
                 found = predict(new.scene, known, [change], settings=STUDIO_SETTINGS)
-                v = found.mean["T30_s"]
+                w = found.mean["T30_s"]
                 n_found[label] += Code.CHANGE_PRIOR_DOMINATED in [f.code for f in found.findings]
-                errors.setdefault(f"predicted, {label} priors", []).append(v.predicted / after - 1.0)  # fmt: skip
-                held.setdefault(f"mean T30, {label} priors", []).append(inside(v.lower95, after, v.upper95))  # fmt: skip
+                errors.setdefault(f"predicted, {label} priors", []).append(
+                    w.predicted / after - 1.0
+                )
+                held.setdefault(f"mean T30, {label} priors", []).append(
+                    inside(w.lower95, after, w.upper95)
+                )
                 for i, pair in enumerate(found.pairs):
-                    for row, name in enumerate(room_values.VALUE_NAMES):
+                    for row, name in enumerate(VALUE_NAMES):
                         w, y = pair.parameters[name], tables[not was_closed][i, row, at]
-                        held.setdefault(f"all values, {label} priors", []).append(inside(w.lower95, y, w.upper95))  # fmt: skip
-            print(f"seed {seed}: {[(k, (100 * e[-1]).round(1).tolist()) for k, e in errors.items()]}", flush=True)  # fmt: skip
-        print(f"\nstudio, simulated, {CLOTH[was_closed]} to {CLOTH[not was_closed]}, {n_seeds} seeds")
+                        held.setdefault(f"all values, {label} priors", []).append(
+                            inside(w.lower95, y, w.upper95)
+                        )
+            shown = {k: (100 * e[-1]).round(1).tolist() for k, e in errors.items()}
+            print(f"seed {seed}: {shown}", flush=True)
+        print(
+            f"\nstudio, simulated, {CLOTH[was_closed]} to {CLOTH[not was_closed]}, {n_seeds} seeds"
+        )
         for label, rows in errors.items():
             of = percent_errors(rows)
-            print(f"mean T30, {label:28} median |error| {np.median(of):5.1f} %, rms {np.sqrt(np.mean(of**2)):5.1f} %")  # fmt: skip
+            rms = np.sqrt(np.mean(of**2))
+            print(f"mean T30, {label:28} |error|: median {np.median(of):5.1f}, rms {rms:5.1f} %")
         for label, rows in held.items():
-            print(f"{label:28} held {100 * np.mean(np.concatenate(rows)):5.1f} % of {np.concatenate(rows).size}")
+            print(f"{label:28} held {100 * np.concatenate(rows).mean():5.1f} %")
         print(f"change-prior-dominated {n_found}")
 
 
 def main() -> None:
     """Run what was asked for."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)  # fmt: skip
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawTextHelpFormatter
+    )
     parser.add_argument("what", nargs="?", choices=("boxes", "studio"))
     parser.add_argument("folder", nargs="?", type=Path)
     parser.add_argument("--seeds", type=int, default=8)

@@ -1,4 +1,4 @@
-"""A room before and after one wall is changed: what is carried over, and what is left undetermined."""
+"""A room before and after one wall is changed: what is carried over, what is undetermined."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from changes import JUDGED, inside, known_change, mean_of, predicted_change, wrong_directions
 from roomfit.bands import Bands
 from roomfit.commands import check_campaign
 from roomfit.errors import InputError
@@ -93,7 +94,7 @@ def test_no_change_is_carried_over_as_it_was_and_has_no_direction(campaign):
 
 
 def test_a_direction_is_said_where_the_data_support_it_and_not_where_they_do_not(campaign):
-    """Carpet of 0.4 becomes 0.1: known within some per cent T rises; unknown, it might fall, too."""
+    """Carpet of 0.4 becomes 0.1: known within some per cent T rises; unknown, it may fall."""
     sure = changed(campaign, posterior(0.05), "carpet=0.1")
     (said,) = [f for f in sure.findings if f.code is Code.MATERIALS_CHANGED]
     assert "the mean of T30 rises at 500, 1000 Hz" in said.sentence
@@ -164,7 +165,7 @@ def test_files_and_text_hold_all_four(campaign, tmp_path):
     titles = [a.get_title() for a in change_figure(found).axes]
     assert "T30 s" in titles and "C80 dB" in titles
     plain = changed(campaign, posterior(0.1), n_draws=4)
-    assert list(csv.DictReader(predicted_csv(plain).splitlines()))[0]["carried"] == ""
+    assert next(csv.DictReader(predicted_csv(plain).splitlines()))["carried"] == ""
     assert "carried" not in predicted_content(plain, ())["mean"]["T20_s"]
 
 
@@ -176,6 +177,31 @@ def test_a_standard_deviation_may_be_left_out_and_must_fit_the_values(campaign):
     for sds in ((0.1, 0.2), (-0.1,)):
         with pytest.raises(InputError, match="one standard deviation per value"):
             Change("carpet", "value", (0.3,), sds)
+
+
+@pytest.mark.slow
+def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_is_wrong():
+    """Pressures of image sources, one wall of which gets a third of its absorption; broad priors.
+
+    Fitted to ISO 3382 values of the state before. Of eight boxes 98 % of the means and of the
+    pairs' values were held. Values of one box move together: three boxes that hold 95 of 100 each
+    hold 90 % of the values together in all but about one of seven draws of seeds; these are fixed.
+    """
+    held, n_stated = [], 0
+    for seed in (1, 2, 3):
+        case = known_change(seed)
+        found = predicted_change(case)
+        true = {n: (mean_of(case.values_before, n), mean_of(case.values_after, n)) for n in JUDGED}
+        stated, wrong = wrong_directions(found, {n: a - b for n, (b, a) in true.items()})
+        assert wrong == 0
+        n_stated += stated
+        for name, (_, after) in true.items():
+            c = found.mean[name].change
+            held.append(inside(c.carried_lower95, after, c.carried_upper95))
+        # values say nothing of single walls
+        assert Code.CHANGE_PRIOR_DOMINATED in {f.code for f in found.findings}
+    assert np.concatenate(held).mean() >= 0.9
+    assert n_stated < 3 * len(JUDGED) * 2
 
 
 # ---------------------------------------------------------------- names of materials

@@ -320,10 +320,10 @@ def suggested_entries(name: str) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> suggested_entries("Vorhang, Nordseite")[0], suggested_entries("Holztür"), suggested_entries("x")
-    ('curtain-medium-draped', ('door-wood-solid',), ())
+    >>> suggested_entries("Vorhang, Nordseite")[0], suggested_entries("Holztür")
+    ('curtain-medium-draped', ('door-wood-solid',))
     """
-    plain = name.lower().translate(str.maketrans({"ä": "ae", "ö": "oe", "ü": "ue", "_": " "}))
+    plain = name.lower().replace("ü", "ue").replace("_", " ")
     head = "".join(c for c in _BESIDE.split(plain)[0] if c.isalnum())
     found = [(head.rfind(word) + len(word), len(word), word) for word in _WORDS if word in head]
     return _WORDS[max(found)[2]] if found else ()
@@ -331,9 +331,7 @@ def suggested_entries(name: str) -> tuple[str, ...]:
 
 def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
     """Return one finding for all materials of which nothing is specified, with what they may be."""
-    broad = [
-        k.name for k in priors if k.known is None and k.tied_to is None and not k.specified
-    ]
+    broad = [k.name for k in priors if k.known is None and k.tied_to is None and not k.specified]
     if not broad:
         return ()
     entries = {name: suggested_entries(name) for name in broad}

@@ -114,7 +114,7 @@ def predicted_csv(predicted: Predicted) -> str:
 
 
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
-    found = {}
+    found: dict[str, Any] = {}
     for name, v in table.items():
         rows = asdict(v)
         rows |= rows.pop("change") or {}

@@ -349,7 +349,9 @@ def _observed_pairs(
         # the level of a measurement is a question of its calibration: G is not read from responses
         values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
         own = m.measurement
-        found.append(_ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve))
+        found.append(
+            _ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve)
+        )
     for t in measurements:
         if isinstance(t, MeasuredValues):
             findings += t.findings
@@ -424,7 +426,8 @@ def _predicted_pairs(
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
     nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
-    for names, *states in zip(_pair_names(scene), *numbers, strict=True):
+    for i, names in enumerate(_pair_names(scene)):
+        states = [of_state[i] for of_state in numbers]
         measured = [m for m in observed_pairs if (m.source, m.receiver) == names]
         rows: list[_ObservedPair | None] = [*measured] or [None]
         for m in rows:
