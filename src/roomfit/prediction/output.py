@@ -248,14 +248,14 @@ def change_figure(predicted: Predicted) -> Figure:
     InputError
         Nothing was changed, or what is replaced was not known.
     """
-    told = [(v.change, name) for name, v in predicted.mean.items() if v.change is not None]
-    if not told:
+    compared = [(v.change, name) for name, v in predicted.mean.items() if v.change is not None]
+    if not compared:
         raise InputError(
             "a picture of a change needs the room before and after it",
             found="a prediction of one state",
             needed="changes of materials whose absorption was found",
         )
-    shown = [(c, n, label) for n, label, _ in _SHOWN for c, m in told if m == n]
+    shown = [(c, n, label) for n, label, _ in _SHOWN for c, m in compared if m == n]
     shown = [row for row in shown if np.isfinite(row[0].change).any()]
     figure = new_figure(9.0, 2.2 * -(-len(shown) // 2) + 0.8)
     panels = figure.subplots(-(-len(shown) // 2), 2, sharex=True, squeeze=False).ravel()

@@ -375,8 +375,8 @@ def _is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
     return np.asarray(((variance <= 0.0) & (absorption.lower95 < absorption.upper95)).any(axis=1))
 
 
-# Of a mean one decay time, and the parameters that a change is told by.
-_TOLD: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C80_dB",), ("G_dB",))
+# Of a mean one decay time, and the parameters by which a change is described.
+_SUMMARY: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C80_dB",), ("G_dB",))
 
 
 def _what_if(
@@ -391,18 +391,18 @@ def _what_if(
     if observed:
         sentence += " Measured values beside it are those of the room as it was measured."
     directions: dict[str, dict[str, list[float]]] = {}
-    for names in _TOLD:
+    for names in _SUMMARY:
         known = [n for n in names if np.isfinite(means[n].predicted).any()]
         change = means[known[0]].change if known else None
         if change is not None:
             directions[known[0]] = _directions(bands, change, known[0])
-    told = [
+    phrases = [
         f"{name.split('_')[0]} "
         + ", ".join(f"{way} at {', '.join(f'{f:g}' for f in at)} Hz" for way, at in ways.items())
         for name, ways in directions.items()
     ]
-    if told:
-        sentence += f" At 95 % the mean of {'; of '.join(told)}."
+    if phrases:
+        sentence += f" At 95 % the mean of {'; of '.join(phrases)}."
     evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
     return (Finding(Code.MATERIALS_CHANGED, sentence, evidence),)
 
