@@ -39,6 +39,7 @@ from roomfit.prediction.predict import Predicted, predict
 from roomfit.results import absorption_posterior
 from roomfit.scene import Scene, material_areas_m2, scene_of, shoebox_room
 from roomfit.settings import Settings
+from roomfit.signals.decay import ParameterName
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.synthetic.boxes import SyntheticBox, add_noise, pressure_response
 
@@ -49,7 +50,7 @@ BANDS = bands_between("octave", 500, 1000)
 OWNERS = ("walls", "curtain", "walls", "walls", "floor", "ceiling")
 SOURCES_M = {"S1": (1.0, 1.2, 1.1), "S2": (3.1, 0.8, 1.4)}
 RECEIVERS_M = {"R1": (2.9, 2.2, 1.3), "R2": (1.6, 2.4, 1.6)}
-JUDGED: tuple[ValueName, ...] = (
+JUDGED: tuple[ParameterName, ...] = (
     "T20_s",
     "T30_s",
     "EDT_s",
@@ -161,13 +162,14 @@ def mean_of(values: tuple[MeasuredValues, ...], name: ValueName) -> np.ndarray:
 def inside(low: np.ndarray, value: np.ndarray, high: np.ndarray) -> np.ndarray:
     """Return which of the values that are known lie between two others."""
     known = np.isfinite(low) & np.isfinite(value) & np.isfinite(high)
-    return np.asarray(((low <= value) & (value <= high))[known])
+    held = (low <= value) & (value <= high)
+    return np.asarray(held[known])
 
 
 def percent_errors(rows: list[np.ndarray]) -> np.ndarray:
     """Return the sizes of relative errors that are known, in per cent."""
     of = 100 * np.abs(np.concatenate(rows))
-    return of[np.isfinite(of)]
+    return np.asarray(of[np.isfinite(of)])
 
 
 def sabine_after_s(
