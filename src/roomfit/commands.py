@@ -37,6 +37,7 @@ from roomfit.io.inputs import identify_arguments, material_priors
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.materials.catalogue import broad_prior_findings
 from roomfit.prediction.campaign import PairChoice, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -85,9 +86,9 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     if not check.traceable:
         return check
     room = room_from_mesh(mesh, spec.materials)
-    material_priors(campaign, room.materials)
+    assumed = broad_prior_findings(material_priors(campaign, room.materials))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
-    return replace(check, findings=(*check.findings, *position_doubts))
+    return replace(check, findings=(*check.findings, *position_doubts, *assumed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -230,7 +231,7 @@ def design_to_folder(
 
 
 # Written by the command, which may remove them when it overwrites an earlier prediction.
-PREDICT_FILES = ("predicted.json", "predicted.csv", "predicted_[0-9]*.png")
+PREDICT_FILES = ("predicted.json", "predicted.csv", "predicted_[0-9]*.png", "change.png")
 _MOST_PICTURES = 24
 
 
@@ -257,7 +258,7 @@ def predict_to_folder(
     StoreError
         The disk refuses.
     """
-    from roomfit.prediction.output import predicted_decay_figure
+    from roomfit.prediction.output import change_figure, predicted_decay_figure
     from roomfit.report.figures import png
 
     check_output_folder(out, overwrite=overwrite)
@@ -271,6 +272,8 @@ def predict_to_folder(
     inputs = (*input_files(campaign), Path(absorption_file))
     with whole_output_folder(out, overwrite=overwrite, own=PREDICT_FILES) as folder:
         write_predicted(folder, predicted, inputs)
+        if predicted.compares_states:
+            write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
         shown = predicted.pairs[:_MOST_PICTURES]
         for number, pair in enumerate(shown, start=1):
             name = f"predicted_{number:02d}_{in_file_name(pair.source, pair.receiver)}.png"

@@ -92,6 +92,7 @@ class Code(StrEnum):
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
     SCATTERING_FITTED = "scattering-fitted", "info"
     SCATTERING_ASSUMED = "scattering-assumed", "info"
+    BROAD_PRIOR_ASSUMED = "broad-prior-assumed", "info"
     FEW_IMAGE_SOURCES = "few-image-sources", "info"
     FEW_CANDIDATES = "few-candidates", "info"
 
@@ -156,6 +157,7 @@ class Code(StrEnum):
     # Predictions.
 
     MATERIALS_CHANGED = "materials-changed", "info"
+    CHANGE_PRIOR_DOMINATED = "change-prior-dominated", "warning"
     ABSORPTION_CLIPPED = "absorption-clipped", "warning"
     BAND_NOT_PREDICTED = "band-not-predicted", "warning"
     DECAY_NOT_FOLLOWED = "decay-not-followed", "warning"

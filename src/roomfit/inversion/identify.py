@@ -41,6 +41,7 @@ from roomfit.inversion.solve import (
 )
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.inversion.trace_plan import is_coherent
+from roomfit.materials.catalogue import broad_prior_findings
 from roomfit.materials.priors import MaterialPrior, are_specified, complete_priors, prior_logits
 from roomfit.measurement import Measurement
 from roomfit.objective.observation import (
@@ -184,6 +185,7 @@ def _findings(
         *starts_findings(bands, scene.room.materials, [e.starts for e in estimates]),
         *sampling_findings(bands, estimates),
         *prior_findings(bands, priors, estimates),
+        *broad_prior_findings(priors),
         *schroeder_findings(bands, decay_s, volume_m3(scene.room.mesh)),
     )
 

@@ -7,8 +7,9 @@ the same for a hard wall and for a soft one.
 
 from __future__ import annotations
 
+import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
@@ -20,6 +21,7 @@ from numpy.typing import ArrayLike
 from roomfit._checks import nearest, read_only
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
+from roomfit.findings import Code, Finding
 from roomfit.logit import expit, logit
 from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
 from roomfit.typing import FloatArray
@@ -265,6 +267,84 @@ def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
         for e in catalogue().entries
         if all(w in f"{e.name} {e.group} {e.description}".lower() for w in wanted)
     )
+
+
+# Words by which rooms name materials, English and German, and the entries that they may mean.
+_CURTAINS = ("curtain-medium-draped", "curtain-heavy-draped", "curtain-light-flat")
+_CARPETS = ("carpet-heavy-on-concrete", "carpet-on-underlay", "carpet-thin-on-concrete")
+_PLASTERS = ("plaster-on-masonry", "plaster-painted", "plaster-on-lath")
+_BOARDS = ("plasterboard-on-studs", "plasterboard-mineral-wool", "plasterboard-double-layer")
+_PANELS = ("wood-panelling-10-mm", "wood-panelling-20-mm", "wood-on-solid")
+_PANES = ("glass-3-4-mm", "glass-heavy", "glazing-double")
+_WOOL = ("mineral-wool-50-mm", "mineral-wool-25-mm", "mineral-wool-100-mm")
+_TILES = ("ceiling-tile-suspended", "ceiling-tile-fixed", "ceiling-fibreglass-suspended")
+_SEATS = ("seats-medium-empty", "seats-light-empty", "seats-wood-empty")
+_WORDS: Mapping[str, tuple[str, ...]] = {
+    **dict.fromkeys(("curtain", "drape", "vorhang", "gardine"), _CURTAINS),
+    **dict.fromkeys(("carpet", "teppich"), _CARPETS),
+    **dict.fromkeys(("plaster", "putz", "stucco"), _PLASTERS),
+    **dict.fromkeys(("plasterboard", "gypsum", "gips", "drywall"), _BOARDS),
+    **dict.fromkeys(("wood", "holz", "timber", "panelling"), _PANELS),
+    **dict.fromkeys(("glass", "glas", "window", "fenster", "glazing"), _PANES),
+    **dict.fromkeys(("wool", "wolle"), _WOOL),
+    **dict.fromkeys(("woodwool", "holzwolle"), ("wood-wool-25-mm", "wood-wool-50-mm")),
+    **dict.fromkeys(("ceilingtile", "akustikdecke", "suspendedceiling"), _TILES),
+    **dict.fromkeys(("seat", "chair", "stuhl", "sitz", "bestuhlung"), _SEATS),
+    **dict.fromkeys(("door", "tuer"), ("door-wood-solid",)),
+    **dict.fromkeys(("parquet", "parkett"), ("parquet-on-concrete", "wood-floor-on-joists")),
+    **dict.fromkeys(("woodfloor", "holzboden", "dielen"), ("wood-floor-on-joists",)),
+    **dict.fromkeys(("lino", "vinyl"), ("linoleum-on-concrete", "linoleum-on-underlay")),
+    **dict.fromkeys(("concrete", "beton"), ("concrete-smooth", "concrete-painted")),
+    **dict.fromkeys(("brick", "ziegel", "backstein"), ("brick-painted", "brick-unglazed")),
+    **dict.fromkeys(("marble", "marmor", "fliese", "stone"), ("tile-or-marble",)),
+    **dict.fromkeys(("foam", "schaum"), ("foam-50-mm", "foam-25-mm")),
+    **dict.fromkeys(("audience", "publikum"), ("audience-upholstered", "audience-wood-chairs")),
+    **dict.fromkeys(("cork", "kork"), ("cork-tiles",)),
+    **dict.fromkeys(("plywood", "sperrholz"), ("plywood-10-mm", "plywood-thin-with-cavity")),
+    **dict.fromkeys(
+        ("acousticplaster", "akustikputz"), ("acoustic-plaster", "acoustic-plaster-thick")
+    ),
+}
+
+# what follows says where the material is, or what is behind it
+_BESIDE = re.compile(r"\b(?:on|in|over|with|auf|vor|mit|aus)\b|[,(]")
+
+
+def suggested_entries(name: str) -> tuple[str, ...]:
+    """Return entries of the catalogue that a material of this name may be, the likeliest first.
+
+    By that of some English and German words that stands last in the name, before any "on", "auf",
+    comma or bracket: a wooden door is a door, and a carpet on concrete a carpet. Nothing where it
+    holds none of them. A name is a hint and no more: which entry it is, if any, somebody who has
+    seen the room must say.
+
+    Examples
+    --------
+    >>> suggested_entries("Vorhang, Nordseite")[0], suggested_entries("Holztür")
+    ('curtain-medium-draped', ('door-wood-solid',))
+    """
+    plain = name.lower().replace("ü", "ue").replace("_", " ")
+    head = "".join(c for c in _BESIDE.split(plain)[0] if c.isalnum())
+    found = [(head.rfind(word) + len(word), len(word), word) for word in _WORDS if word in head]
+    return _WORDS[max(found)[2]] if found else ()
+
+
+def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
+    """Return one finding for all materials of which nothing is specified, with what they may be."""
+    broad = [k.name for k in priors if k.known is None and k.tied_to is None and not k.specified]
+    if not broad:
+        return ()
+    entries = {name: suggested_entries(name) for name in broad}
+    hints = [f"{name}: {', '.join(found)}" for name, found in entries.items() if found]
+    sentence = (
+        f"Nothing is specified of {', '.join(broad)}: a broad prior was taken, 95 % of it from "
+        f'0.01 to 0.77. Where more is known, say it: prior = "ENTRY" or '
+        "{mean = [...], sd = [...]} under [materials.NAME]."
+    )
+    if hints:
+        sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
+    evidence = {"materials": broad, "entries": {n: list(e) for n, e in entries.items()}}
+    return (Finding(Code.BROAD_PRIOR_ASSUMED, sentence, evidence),)
 
 
 def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:

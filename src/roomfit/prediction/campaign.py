@@ -237,9 +237,11 @@ def room_posterior(
     at = [int(np.flatnonzero(absorption.bands.centres_hz == f)[0]) for f in bands.centres_hz]
     shape = (len(names), len(bands))
     fixed = np.full(shape, 0.5)
+    # what is only known after a change has no variance, and an interval of 0 to 1
+    lowest, highest = np.zeros(shape), np.ones(shape)
     for i, k in enumerate(priors):
         if k.known is not None:
-            fixed[i] = k.known
+            fixed[i] = lowest[i] = highest[i] = k.known
 
     def matched(values: FloatArray | None, otherwise: FloatArray) -> FloatArray:
         found = otherwise.copy()
@@ -266,8 +268,8 @@ def room_posterior(
         tuple(names),
         bands,
         matched(absorption.absorption, fixed),
-        matched(absorption.lower95, fixed),
-        matched(absorption.upper95, fixed),
+        matched(absorption.lower95, lowest),
+        matched(absorption.upper95, highest),
         covariance,
         matched(absorption.prior_logit_mean, np.zeros(shape)) if has_prior else None,
         matched(absorption.prior_logit_sd, np.ones(shape)) if has_prior else None,

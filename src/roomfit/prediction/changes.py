@@ -14,10 +14,11 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
 from roomfit.logit import expit
-from roomfit.materials.catalogue import catalogue_prior
+from roomfit.materials.catalogue import catalogue_prior, suggested_entries
 from roomfit.materials.priors import logit_prior
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.posterior import AbsorptionPosterior
+from roomfit.uncertainty.combinations import area_shares
+from roomfit.uncertainty.posterior import AbsorptionPosterior, prior_draws
 
 _NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
@@ -32,8 +33,19 @@ class Change:
     # a new absorption, a factor on the one that was found, or an entry of the catalogue
     kind: Literal["value", "factor", "catalogue"]
     values: tuple[float, ...] = ()  # one for all bands, or one a band
-    sds: tuple[float, ...] = ()  # their standard deviations
+    sds: tuple[float, ...] = ()  # their standard deviations; left out: none
     entry: str = ""  # name in the catalogue
+
+    def __post_init__(self) -> None:
+        if not self.sds:
+            object.__setattr__(self, "sds", (0.0,) * len(self.values))
+        if len(self.sds) != len(self.values) or not all(sd >= 0.0 for sd in self.sds):
+            raise InputError(
+                "a change has not one standard deviation per value",
+                where=self.material,
+                found=f"{', '.join(f'{sd:g}' for sd in self.sds)} for {len(self.values)} values",
+                needed="none, or as many as there are values, 0 or larger",
+            )
 
 
 def read_change(text: str) -> Change:
@@ -181,3 +193,83 @@ def _clipped(change: Change, wanted: FloatArray, bands: Bands) -> tuple[Finding,
             {"material": change.material, "bands_hz": bands.centres_hz[over].tolist()},
         ),
     )
+
+
+# A share that is known no better than this, and hardly better than before the measurement.
+_WIDE_RATIO = 3.0
+_LARGE_SHARE = 0.05
+_LEFT_OF_PRIOR = 0.5
+
+
+def prior_dominated(
+    posterior: AbsorptionPosterior,
+    draws: FloatArray,
+    changes: Sequence[Change],
+    areas_m2: FloatArray,
+    rng: np.random.Generator,
+) -> tuple[Finding, ...]:
+    """Return a finding for each changed material of whose weight in the room the data say little.
+
+    What a change does hangs on the share of the material in the absorption of the room before it.
+    Where the 95 % interval of that share reaches 5 %, spans more than a factor of 3, and its
+    standard deviation is above half of the prior's, the prior decides; where the posterior comes
+    without its prior, the first two count.
+
+    Parameters
+    ----------
+    draws : float array, shape (n_draws, n_materials, n_bands)
+        Of the posterior, before the change.
+    areas_m2 : float array, shape (n_materials,)
+    """
+    shares = _band_shares(areas_m2, draws)
+    low, high = np.quantile(shares, (0.025, 0.975), axis=0)
+    is_wide = (high > _WIDE_RATIO * low) & (high >= _LARGE_SHARE)
+    mean, sd = posterior.prior_logit_mean, posterior.prior_logit_sd
+    before = None
+    if mean is not None and sd is not None:
+        bands = zip(posterior.absorption.T, posterior.logit_covariance, mean.T, sd.T, strict=True)
+        drawn = np.stack([prior_draws(*band, len(draws), rng) for band in bands], axis=2)
+        prior = _band_shares(areas_m2, drawn)
+        before = np.quantile(prior, (0.025, 0.975), axis=0)
+        is_wide &= np.std(shares, axis=0) > _LEFT_OF_PRIOR * np.std(prior, axis=0)
+    found = _band_shares(areas_m2, posterior.absorption[None])[0]
+    findings = []
+    for name in (c.material for c in changes):
+        i = posterior.materials.index(name)
+        at = np.flatnonzero(is_wide[i])
+        if not at.size:
+            continue
+        b = int(at[np.argmax(high[i, at] - low[i, at])])
+        centres_hz = posterior.bands.centres_hz
+        known = "" if before is None else f" ({_percents(before[0, i, b], before[1, i, b])} before "
+        known += "" if before is None else "anything was measured)"
+        entries = ", ".join(f'"{e}"' for e in suggested_entries(name)) or "a name of the catalogue"
+        findings.append(
+            Finding(
+                Code.CHANGE_PRIOR_DOMINATED,
+                f"What a change of {name} does hangs on its prior at "
+                f"{', '.join(f'{f:g}' for f in centres_hz[at])} Hz: before the change its share in "
+                f"the absorption of the room is {_percents(low[i, b], high[i, b])} at "
+                f"{centres_hz[b]:g} Hz{known}. State what is known of it: "
+                f'[materials."{name}"] prior = '
+                f"{entries}, or a mean and a standard deviation, and identify again; or "
+                "measure more pairs, which `roomfit design` with --result names.",
+                {
+                    "material": name,
+                    "bands_hz": centres_hz[at].tolist(),
+                    "share": found[i, at].tolist(),
+                    "share_lower95": low[i, at].tolist(),
+                    "share_upper95": high[i, at].tolist(),
+                },
+            )
+        )
+    return tuple(findings)
+
+
+def _band_shares(areas_m2: FloatArray, draws: FloatArray) -> FloatArray:
+    parts = areas_m2[:, None] * draws
+    return np.stack([area_shares(parts[:, :, b]) for b in range(parts.shape[2])], axis=2)
+
+
+def _percents(low: float, high: float) -> str:
+    return f"{100 * low:.0f} to {100 * high:.0f} %"

@@ -157,6 +157,7 @@ class PredictedDecay:
     lower_db: FloatArray  # 95 % of the draws of absorption lie between these two
     upper_db: FloatArray
     measured_db: FloatArray | None = None  # NaN beyond its usable part
+    before_db: FloatArray | None = None  # before a change of materials
 
 
 @dataclass(frozen=True, slots=True, eq=False)

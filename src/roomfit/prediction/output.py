@@ -11,11 +11,21 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from roomfit.cache import write_json_atomically, write_text_atomically
+from roomfit.errors import InputError
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
-from roomfit.report.figures import LOWEST_DB, OKABE_ITO, band_panels, figure_legend, literal
+from roomfit.prediction.decay import RELATIVE
+from roomfit.report.figures import (
+    LOWEST_DB,
+    OKABE_ITO,
+    band_panels,
+    figure_legend,
+    literal,
+    new_figure,
+)
 from roomfit.report.text import findings_text
 from roomfit.report.wording import decay_time_key, html_findings, html_table, parameter
-from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
+from roomfit.typing import FloatArray
 
 if TYPE_CHECKING:
     from roomfit.prediction.predict import Predicted, PredictedPair, PredictedValue
@@ -23,7 +33,10 @@ if TYPE_CHECKING:
 COLUMNS = (
     *("source", "receiver", "use", "parameter", "band_hz"),
     *("predicted", "lower95", "upper95", "measured", "jnd", "mean_of_others"),
+    *("before", "before_lower95", "before_upper95", "change", "change_lower95", "change_upper95"),
+    *("carried", "carried_lower95", "carried_upper95"),
 )
+_OF_A_CHANGE = COLUMNS[11:]
 
 
 def write_predicted(folder: Path, predicted: Predicted, inputs: Iterable[Path]) -> None:
@@ -83,7 +96,9 @@ def predicted_rows(
     """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown."""
     for pair in predicted.pairs:
         for name, v in pair.parameters.items():
-            numbers_of = (v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others)
+            numbers_of = [v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others]
+            unknown = np.full(len(predicted.bands), np.nan)
+            numbers_of += [getattr(v.change, c, unknown) for c in _OF_A_CHANGE]
             for band, centre in enumerate(predicted.bands.centres_hz):
                 values = (float(centre), *(float(n[band]) for n in numbers_of))
                 yield (pair.source, pair.receiver, pair.use or "", name), values
@@ -99,10 +114,12 @@ def predicted_csv(predicted: Predicted) -> str:
 
 
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
-    return {
-        name: {key: numbers_or_null(row) for key, row in asdict(v).items()}
-        for name, v in table.items()
-    }
+    found: dict[str, Any] = {}
+    for name, v in table.items():
+        rows = asdict(v)
+        rows |= rows.pop("change") or {}
+        found[name] = {key: numbers_or_null(row) for key, row in rows.items()}
+    return found
 
 
 _SHOWN: tuple[tuple[ValueName, str, str], ...] = (
@@ -167,27 +184,48 @@ def _head(predicted: Predicted) -> str:
 
 def _justified(cells: Sequence[str]) -> str:
     first, *others = cells
-    return f"{first:<10}  " + "  ".join(f"{c:>20}" for c in others)
+    return f"{first:<17}  " + "  ".join(f"{c:>20}" for c in others)
 
 
 def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
-    """Return the cells of a line a parameter, and of a second one where it was measured."""
+    """Return the cells of a line a parameter, and of further ones: measured, before a change."""
     lines = []
     for name, label, form in _SHOWN:
         if name not in table:
             continue
-        value = table[name]
-        bounds = zip(value.predicted, value.lower95, value.upper95, strict=True)
-        cells = [
-            f"{form.format(v)} ({form.format(low)} to {form.format(high)})"
-            if np.isfinite(v)
-            else "-"
-            for v, low, high in bounds
-        ]
-        lines.append([label, *cells])
-        if np.isfinite(value.measured).any():
-            lines.append(["  measured", *_measured_cells(value, form)])
+        v = table[name]
+        lines.append([label, *_with_bounds(form, v.predicted, v.lower95, v.upper95)])
+        is_measured = np.isfinite(v.measured).any()
+        c = v.change
+        if c is None:
+            if is_measured:
+                lines.append(["  measured", *_measured_cells(v, form)])
+            continue
+        if is_measured:
+            cells = [form.format(m) if np.isfinite(m) else "-" for m in v.measured]
+            lines.append(["  measured before", *cells])
+        before = _with_bounds(form, c.before, c.before_lower95, c.before_upper95)
+        lines.append(["  model before", *before])
+        if is_measured:
+            carried = _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
+            lines.append(["  carried over", *carried])
+        rows = (c.change, c.change_lower95, c.change_upper95)
+        if RELATIVE[VALUE_NAMES.index(name)]:
+            lines.append(["  change %", *_with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))])
+        else:
+            signed = form.replace(":", ":+")
+            unit = label.split()[1].replace("%", "points")
+            lines.append([f"  change {unit}", *_with_bounds(signed, *rows)])
     return lines
+
+
+def _with_bounds(
+    form: str, values: FloatArray, lower95: FloatArray, upper95: FloatArray
+) -> list[str]:
+    return [
+        f"{form.format(v)} ({form.format(low)} to {form.format(high)})" if np.isfinite(v) else "-"
+        for v, low, high in zip(values, lower95, upper95, strict=True)
+    ]
 
 
 def _measured_cells(value: PredictedValue, form: str) -> list[str]:
@@ -197,6 +235,53 @@ def _measured_cells(value: PredictedValue, form: str) -> list[str]:
         steps_text = f" ({steps:+.1f} jnd)" if np.isfinite(steps) else ""
         cells.append(f"{form.format(m)}{steps_text}" if np.isfinite(m) else "-")
     return cells
+
+
+def change_figure(predicted: Predicted) -> Figure:
+    """Return means over the pairs before and after a change, one panel a parameter, by band.
+
+    Beside each other in every band: measured before, model before, model after, and measured before
+    carried over by the model's change; bars are 95 % intervals.
+
+    Raises
+    ------
+    InputError
+        Nothing was changed, or what is replaced was not known.
+    """
+    compared = [(v.change, name) for name, v in predicted.mean.items() if v.change is not None]
+    if not compared:
+        raise InputError(
+            "a picture of a change needs the room before and after it",
+            found="a prediction of one state",
+            needed="changes of materials whose absorption was found",
+        )
+    shown = [(c, n, label) for n, label, _ in _SHOWN for c, m in compared if m == n]
+    shown = [row for row in shown if np.isfinite(row[0].change).any()]
+    figure = new_figure(9.0, 2.2 * -(-len(shown) // 2) + 0.8)
+    panels = figure.subplots(-(-len(shown) // 2), 2, sharex=True, squeeze=False).ravel()
+    at = np.arange(len(predicted.bands))
+    for unused in panels[len(shown) :]:
+        unused.set_visible(False)
+    for axes, (c, name, label) in zip(panels, shown, strict=False):
+        v = predicted.mean[name]
+        series = (
+            ("measured before", "black", v.measured, v.measured, v.measured),
+            ("model before", OKABE_ITO[0], c.before, c.before_lower95, c.before_upper95),
+            ("model after", OKABE_ITO[1], v.predicted, v.lower95, v.upper95),
+            ("measured before, carried over", OKABE_ITO[2],
+             c.carried, c.carried_lower95, c.carried_upper95),
+        )  # fmt: skip
+        for i, (text, color, middle, low, high) in enumerate(series):
+            x = at + 0.16 * (i - 1.5)
+            axes.vlines(x, low, high, color=color, lw=1.6)
+            axes.plot(x, middle, "o", color=color, ms=4, label=text)
+        axes.set_title(label, fontsize=9)
+        axes.set_xticks(at, [f"{f:g}" for f in predicted.bands.centres_hz])
+        axes.tick_params(labelbottom=True)
+        axes.grid(alpha=0.25, axis="y")
+    figure.supxlabel("frequency (Hz)", fontsize=10)
+    figure_legend(figure, panels[0], 4, "mean with " + literal("; ".join(predicted.changes), 80))
+    return figure
 
 
 def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
@@ -214,6 +299,11 @@ def predicted_decay_figure(predicted: Predicted, pair: PredictedPair) -> Figure:
         axes.plot(
             decay.time_s, decay.predicted_db[j], color=OKABE_ITO[1], lw=1.6, label="predicted"
         )
+        if decay.before_db is not None:
+            axes.plot(
+                decay.time_s, decay.before_db[j], color=OKABE_ITO[0], lw=1.2, ls="--",
+                label="predicted before the change",
+            )  # fmt: skip
         if decay.measured_db is not None:
             axes.plot(decay.time_s, decay.measured_db[j], color="black", lw=1.4, label="measured")
         known = decay.predicted_db[j] > LOWEST_DB

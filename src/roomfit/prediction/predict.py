@@ -19,7 +19,7 @@ from roomfit.geometry.mesh import refuse
 from roomfit.inversion.measurements import observe
 from roomfit.measurement import Measurement, Use
 from roomfit.objective.room_parameters import MODEL_ERROR_JND, values_at
-from roomfit.prediction.changes import Change, change_text, changed_draws
+from roomfit.prediction.changes import Change, change_text, changed_draws, prior_dominated
 from roomfit.prediction.decay import (
     RELATIVE,
     PairNumbers,
@@ -28,11 +28,11 @@ from roomfit.prediction.decay import (
     levels_at,
     pair_numbers,
 )
-from roomfit.scene import Scene, position_findings
+from roomfit.scene import Scene, material_areas_m2, position_findings
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, in_jnd, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
-from roomfit.typing import FloatArray, Progress, part
+from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 if TYPE_CHECKING:
@@ -40,6 +40,25 @@ if TYPE_CHECKING:
 
 # Steps of equal probability by which noise widens every draw.
 _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValueChange:
+    """One room parameter before a change, and what the change does; all of shape (n_bands,)."""
+
+    before: FloatArray  # at the most likely absorption as it was found
+    before_lower95: FloatArray  # where a measurement before the change is expected
+    before_upper95: FloatArray
+    # after over before of EDT, T20 and T30, after minus before of all else; the interval is that of
+    # the absorption alone, in which what is common to both cancels
+    change: FloatArray
+    change_lower95: FloatArray
+    change_upper95: FloatArray
+    # what was measured before, carried over by the change; a measurement after it is expected
+    # between the two, NaN where nothing was measured
+    carried: FloatArray
+    carried_lower95: FloatArray
+    carried_upper95: FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,6 +75,7 @@ class PredictedValue:
     measured: FloatArray
     jnd: FloatArray  # predicted minus measured in just noticeable differences
     mean_of_others: FloatArray  # over the other fitted measurements: a baseline
+    change: ValueChange | None = None  # where materials were changed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -86,6 +106,11 @@ class Predicted:
     n_draws: int
     seed: int
     seconds: float
+
+    @property
+    def compares_states(self) -> bool:
+        """Whether the room before the change was predicted, too."""
+        return any(v.change is not None for v in self.mean.values())
 
     def __str__(self) -> str:
         """Return the mean over the pairs, every pair, and all findings."""
@@ -144,6 +169,11 @@ def predict(
     interfere, the number of rays, and half a just noticeable difference for the model. It holds no
     error of positions or of the geometry, and no spread of scattering or of the air.
 
+    With changes, the room is predicted before and after them with the same draws of all that stays
+    (`PredictedValue.change`): what is not known of both states cancels in what the change does, and
+    by this what was measured before is carried over. Where the interval of a change includes none,
+    its direction is not determined.
+
     Parameters
     ----------
     scene : Scene
@@ -200,34 +230,42 @@ def predict(
     bands, room = absorption.bands, scene.room
     _check(scene, absorption, measurements)
     rng = np.random.default_rng(settings.seed)
-    drawn = draw_absorption(absorption, settings.n_draws, rng)
-    expected, drawn, clipped = changed_draws(absorption, drawn, changes, rng)
+    found = draw_absorption(absorption, settings.n_draws, rng)
+    expected, drawn, clipped = changed_draws(absorption, found, changes, rng)
+    states = [(expected, drawn)]
+    changed = [room.materials.index(c.material) for c in changes]
+    if changes and not _is_unknown(absorption)[changed].any():
+        states.append((absorption.absorption, found))
+        areas_m2 = material_areas_m2(room)
+        clipped += prior_dominated(absorption, found, changes, areas_m2, rng)
     observed, measured_findings = _observed_pairs(scene, measurements, bands)
     binned, weighed_by, decay_findings = follow_decay(
         scene,
         absorption,
-        expected,
+        np.min([a for a, _ in states], axis=0),
         _longest_s(observed),
         settings,
         cache,
         part(progress, 0.02, 0.5),
     )
-    numbers: list[PairNumbers] = []
+    # of each state, the changed one first
+    numbers: list[list[PairNumbers]] = [[] for _ in states]
     cache_findings: list[Finding] = []
     for i in range(len(scene.pairs)):
-        one = cached(
-            cache,
-            "pair",
-            (scene, weighed_by, bands, i, expected, drawn),
-            lambda i=i: pair_numbers(scene, bands, binned, i, expected, drawn),  # type: ignore[misc]
-            (PairNumbers, PredictedDecay),
-        )
-        numbers.append(one.value)
-        cache_findings += one.findings
+        for (a, d), of_state in zip(states, numbers, strict=True):
+            one = cached(
+                cache,
+                "pair",
+                (scene, weighed_by, bands, i, a, d),
+                lambda i=i, a=a, d=d: pair_numbers(scene, bands, binned, i, a, d),  # type: ignore[misc]
+                (PairNumbers, PredictedDecay),
+            )
+            of_state.append(one.value)
+            cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
+    means = _predicted_means(scene, bands, numbers, observed)
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
-    changed = [room.materials.index(c.material) for c in changes]
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
         bands,
@@ -237,7 +275,7 @@ def predict(
         upper,
         tuple(change_text(c) for c in changes),
         _predicted_pairs(scene, bands, numbers, observed),
-        _predicted_means(scene, bands, numbers, observed),
+        means,
         (
             *room.findings,
             *absorption.findings,
@@ -245,7 +283,7 @@ def predict(
             *measured_findings,
             *decay_findings,
             *cache_findings,
-            *_what_if(changes, observed),
+            *_what_if(changes, observed, bands, means),
         ),
         len(drawn),
         settings.seed,
@@ -295,6 +333,7 @@ class _ObservedPair:
     receiver: str
     use: Use
     values: FloatArray  # (n_names, n_bands), in the order of VALUE_NAMES, NaN where unknown
+    sd: FloatArray  # (n_names, n_bands), stated with the values; 0 where none is
     curve: DecayCurve | None  # None where room parameters were measured and no response
 
 
@@ -310,12 +349,16 @@ def _observed_pairs(
         # the level of a measurement is a question of its calibration: G is not read from responses
         values = np.vstack([m.parameters.values, np.full(len(bands), np.nan)])
         own = m.measurement
-        found.append(_ObservedPair(own.source, own.receiver, own.use, values, m.curve))
+        found.append(
+            _ObservedPair(own.source, own.receiver, own.use, values, 0.0 * values, m.curve)
+        )
     for t in measurements:
         if isinstance(t, MeasuredValues):
             findings += t.findings
             values = np.stack([values_at(t, name, bands) for name in VALUE_NAMES])
-            found.append(_ObservedPair(t.source, t.receiver, t.use, values, None))
+            stated = replace(t, values=t.spread, spread={})
+            sds = np.nan_to_num([values_at(stated, name, bands) for name in VALUE_NAMES])
+            found.append(_ObservedPair(t.source, t.receiver, t.use, values, sds, None))
     return tuple(found), findings
 
 
@@ -326,76 +369,109 @@ def _longest_s(observed: Sequence[_ObservedPair]) -> float:
     return max((float(k.max()) for k in known if k.size), default=0.0)
 
 
-def _what_if(changes: Sequence[Change], observed: Sequence[_ObservedPair]) -> tuple[Finding, ...]:
+def _is_unknown(absorption: AbsorptionPosterior) -> BoolArray:
+    """Return of which materials nothing is known before a change, (n_materials,)."""
+    variance = np.diagonal(absorption.logit_covariance, axis1=1, axis2=2).T
+    return np.asarray(((variance <= 0.0) & (absorption.lower95 < absorption.upper95)).any(axis=1))
+
+
+# Of a mean one decay time, and the parameters by which a change is described.
+_SUMMARY: tuple[tuple[ValueName, ...], ...] = (("T30_s", "T20_s", "EDT_s"), ("C80_dB",), ("G_dB",))
+
+
+def _what_if(
+    changes: Sequence[Change],
+    observed: Sequence[_ObservedPair],
+    bands: Bands,
+    means: Mapping[ValueName, PredictedValue],
+) -> tuple[Finding, ...]:
     if not changes:
         return ()
-    listed = ", ".join(change_text(c) for c in changes)
-    beside = (
-        " Measured values beside it are those of the room as it was measured." if observed else ""
-    )
-    return (
-        Finding(
-            Code.MATERIALS_CHANGED,
-            f"Predicted with {listed}.{beside}",
-            {"changes": [change_text(c) for c in changes]},
-        ),
-    )
+    sentence = f"Predicted with {', '.join(change_text(c) for c in changes)}."
+    if observed:
+        sentence += " Measured values beside it are those of the room as it was measured."
+    directions: dict[str, dict[str, list[float]]] = {}
+    for names in _SUMMARY:
+        known = [n for n in names if np.isfinite(means[n].predicted).any()]
+        change = means[known[0]].change if known else None
+        if change is not None:
+            directions[known[0]] = _directions(bands, change, known[0])
+    phrases = [
+        f"{name.split('_')[0]} "
+        + ", ".join(f"{way} at {', '.join(f'{f:g}' for f in at)} Hz" for way, at in ways.items())
+        for name, ways in directions.items()
+    ]
+    if phrases:
+        sentence += f" At 95 % the mean of {'; of '.join(phrases)}."
+    evidence = {"changes": [change_text(c) for c in changes], "directions": directions}
+    return (Finding(Code.MATERIALS_CHANGED, sentence, evidence),)
+
+
+def _directions(bands: Bands, change: ValueChange, name: ValueName) -> dict[str, list[float]]:
+    """Return in which bands a value rises and falls at 95 %, and in which none of it is known."""
+    none = 1.0 if RELATIVE[VALUE_NAMES.index(name)] else 0.0
+    rises, falls = change.change_lower95 > none, change.change_upper95 < none
+    ways = {"rises": rises, "falls": falls, "has no determined direction": ~(rises | falls)}
+    known = np.isfinite(change.change)
+    found = {way: bands.centres_hz[at & known].tolist() for way, at in ways.items()}
+    return {way: at for way, at in found.items() if at}
 
 
 def _predicted_pairs(
     scene: Scene,
     bands: Bands,
-    numbers: Sequence[PairNumbers],
+    numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[_ObservedPair],
 ) -> tuple[PredictedPair, ...]:
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
-    for names, own in zip(_pair_names(scene), numbers, strict=True):
+    nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
+    for i, names in enumerate(_pair_names(scene)):
+        states = [of_state[i] for of_state in numbers]
         measured = [m for m in observed_pairs if (m.source, m.receiver) == names]
         rows: list[_ObservedPair | None] = [*measured] or [None]
         for m in rows:
-            table: dict[ValueName, PredictedValue] = {}
-            for row, name in enumerate(VALUE_NAMES):
-                others = [o.values[row] for o in observed_pairs if o.use == "fit" and o is not m]
-                nothing = np.full(len(bands), np.nan)
-                values = nothing if m is None else m.values[row]
-                mean = nothing if m is None else _mean(others, len(bands))
-                rest_sd = np.hypot(own.noise_sd[row], _model_sd(own, row))
-                drawn = own.draws[:, row]
-                table[name] = _value(name, own.values[row], drawn, rest_sd, values, mean)
+            values, sd, mean = nothing, nothing, nothing
+            if m is not None:
+                others = [o.values for o in observed_pairs if o.use == "fit" and o is not m]
+                values, sd, mean = m.values, m.sd, _mean(others, len(bands))
             use = None if m is None else m.use
-            found.append(PredictedPair(*names, use, table, _decay(own, m)))
+            decay = _decay(states[0], m)
+            if len(states) > 1:
+                decay = replace(decay, before_db=states[1].decay.predicted_db)
+            found.append(PredictedPair(*names, use, _table(states, values, sd, mean), decay))
     return tuple(found)
 
 
 def _predicted_means(
     scene: Scene,
     bands: Bands,
-    numbers: Sequence[PairNumbers],
+    numbers: Sequence[Sequence[PairNumbers]],
     observed_pairs: Sequence[_ObservedPair],
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
-    index = {names: i for i, names in enumerate(_pair_names(scene))}
-    table: dict[ValueName, PredictedValue] = {}
-    for row, name in enumerate(VALUE_NAMES):
-        measured = np.full((len(numbers), len(bands)), np.nan)
-        for i in range(len(numbers)):
-            own = [m.values[row] for m in observed_pairs if index[m.source, m.receiver] == i]
-            measured[i] = _mean(own, len(bands))
-        predicted = np.array([n.values[row] for n in numbers])
-        chosen = np.isfinite(measured) & np.isfinite(predicted)
-        chosen |= ~chosen.any(axis=0)
-        weights = chosen / chosen.sum(axis=0)
-        drawn = _weighted(weights[:, None], np.array([n.draws[:, row] for n in numbers]))
-        noise = _weighted(weights**2, np.array([n.noise_sd[row] for n in numbers]) ** 2)
-        # the model is wrong in the same way everywhere
-        model_sd = _weighted(weights, np.array([_model_sd(n, row) for n in numbers]))
-        rest_sd = np.hypot(np.sqrt(noise), model_sd)
-        observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
-        nothing = np.full(len(bands), np.nan)
-        mean = _weighted(weights, predicted)
-        table[name] = _value(name, mean, drawn, rest_sd, observed, nothing)
-    return table
+    of_pairs = [
+        [m for m in observed_pairs if (m.source, m.receiver) == p] for p in _pair_names(scene)
+    ]
+    measured = np.array([_mean([m.values for m in own], len(bands)) for own in of_pairs])
+    sd = np.nan_to_num([_mean([m.sd for m in own], len(bands)) for own in of_pairs])
+    chosen = np.isfinite(measured)
+    for of_state in numbers:
+        chosen &= np.isfinite([n.values for n in of_state])
+    chosen |= ~chosen.any(axis=0)
+    weights = chosen / chosen.sum(axis=0)
+    observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
+    states = [
+        PairNumbers(
+            _weighted(weights, np.array([n.values for n in of_state])),
+            _weighted(weights[:, None], np.array([n.draws for n in of_state])),
+            np.sqrt(_weighted(weights**2, np.array([n.noise_sd for n in of_state]) ** 2)),
+            of_state[0].decay,
+        )
+        for of_state in numbers
+    ]
+    sd = np.sqrt(_weighted(weights**2, sd**2))
+    return _table(states, observed, sd, np.full_like(observed, np.nan))
 
 
 def _weighted(weights: FloatArray, values: FloatArray) -> FloatArray:
@@ -407,36 +483,97 @@ def _model_sd(own: PairNumbers, row: int) -> FloatArray:
     return MODEL_ERROR_JND * jnd_of(VALUE_NAMES[row], own.values[row])
 
 
-def _value(
-    name: ValueName,
-    values: FloatArray,
-    draws: FloatArray,
-    rest_sd: FloatArray,
+def _table(
+    states: Sequence[PairNumbers],
     measured: FloatArray,
+    measured_sd: FloatArray,
     mean_of_others: FloatArray,
-) -> PredictedValue:
-    """Return a prediction with its interval: the quantiles of all draws, each widened by noise."""
+) -> dict[ValueName, PredictedValue]:
+    """Return predictions with their intervals, and what a change does where there are two states.
+
+    Parameters
+    ----------
+    states : sequence of PairNumbers
+        With the changes, and without where they are compared.
+    measured, measured_sd, mean_of_others : float arrays, shape (n_names, n_bands)
+    """
+    after = states[0]
+    table = {}
+    for row, name in enumerate(VALUE_NAMES):
+        # the model is wrong in the same way everywhere
+        rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row))
+        table[name] = PredictedValue(
+            after.values[row],
+            *_interval(name, after.draws[:, row], rest_sd),
+            np.std(after.draws[:, row], axis=0),
+            rest_sd,
+            measured[row],
+            in_jnd(name, measured[row], after.values[row]),
+            mean_of_others[row],
+            _change(row, states[1], after, measured[row], measured_sd[row])
+            if len(states) > 1
+            else None,
+        )
+    return table
+
+
+def _change(
+    row: int,
+    before: PairNumbers,
+    after: PairNumbers,
+    measured: FloatArray,
+    measured_sd: FloatArray,
+) -> ValueChange:
+    """Return what a change does, draw by draw: the error that both states share is in neither.
+
+    What is carried over scatters as two measurements do, each with its own interference; the error
+    of the model, common to both states, is left out.
+    """
+    name = VALUE_NAMES[row]
+    old, new, drawn_old, drawn_new = (
+        before.values[row], after.values[row], before.draws[:, row], after.draws[:, row]
+    )  # fmt: skip
+    scatter = (before.noise_sd[row], after.noise_sd[row])
+    if RELATIVE[row]:
+        with np.errstate(divide="ignore", invalid="ignore"):  # unknown values
+            change, drawn = new / old, drawn_new / drawn_old
+            relative = np.hypot(scatter[0] / old, scatter[1] / new)
+            relative = np.hypot(relative, measured_sd / measured)
+        carried, carried_draws = measured * change, measured * drawn
+        scatter_sd = carried * relative
+    else:
+        change, drawn = new - old, drawn_new - drawn_old
+        carried, carried_draws = measured + change, measured + drawn
+        scatter_sd = np.hypot(np.hypot(*scatter), measured_sd)
+    low, high = np.quantile(drawn, (0.025, 0.975), axis=0)
+    return ValueChange(
+        old,
+        *_interval(name, drawn_old, np.hypot(scatter[0], _model_sd(before, row))),
+        change,
+        # no direction is said to be determined that the likeliest absorption contradicts
+        np.minimum(low, change),
+        np.maximum(high, change),
+        carried,
+        *_interval(name, carried_draws, scatter_sd),
+    )
+
+
+def _interval(
+    name: ValueName, draws: FloatArray, rest_sd: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Return the quantiles of all draws, each widened by noise, of shape (n_bands,) each."""
     wide = draws[:, None, :] + _STEPS[:, None] * rest_sd / np.std(_STEPS)
     low, high = np.quantile(wide.reshape(-1, rest_sd.size), (0.025, 0.975), axis=0)
     if RELATIVE[VALUE_NAMES.index(name)]:
         low = np.maximum(low, 0.0)
     if name == "D50_percent":
         low, high = np.clip(low, 0.0, 100.0), np.clip(high, 0.0, 100.0)
-    return PredictedValue(
-        values,
-        low,
-        high,
-        np.std(draws, axis=0),
-        rest_sd,
-        measured,
-        in_jnd(name, measured, values),
-        mean_of_others,
-    )
+    return low, high
 
 
 def _mean(rows: Sequence[FloatArray], n_bands: int) -> FloatArray:
     """Return the mean of what is known, NaN where nothing is."""
-    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, n_bands))
+    stacked = np.ma.masked_invalid(np.array(rows).reshape(-1, len(VALUE_NAMES), n_bands))
     return np.asarray(np.ma.filled(stacked.mean(axis=0), np.nan), dtype=np.float64)
 
 

@@ -51,7 +51,7 @@ def absorption_shares(
     n = len(areas_m2)
     areas = float_array("areas", areas_m2, (n,), low=0.0, unit="m2")
     a = float_array("absorption", absorption, (n,), low=0.0, high=1.0)
-    shares = [_shares(areas * x) for x in (a[None], np.asarray(draws))]
+    shares = [area_shares(areas * x) for x in (a[None], np.asarray(draws))]
     low, high = np.quantile(shares[1], (0.025, 0.975), axis=0)
     value = shares[0][0]
     # a mode may lie outside of the quantiles of a skew law; a table that says so would be read as
@@ -59,7 +59,8 @@ def absorption_shares(
     return np.stack([value, np.minimum(low, value), np.maximum(high, value)])
 
 
-def _shares(parts: FloatArray) -> FloatArray:
+def area_shares(parts: FloatArray) -> FloatArray:
+    """Return absorption areas divided by their sum, each of shape (n_draws, n_materials)."""
     total = parts.sum(axis=1, keepdims=True)
     return np.asarray(np.divide(parts, total, out=np.zeros_like(parts), where=total > 0.0))
 
