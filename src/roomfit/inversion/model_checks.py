@@ -46,12 +46,21 @@ def fit_findings(bands: Bands, answers: Sequence[BandEstimate]) -> tuple[Finding
         findings.append(
             Finding(
                 Code.FIT_NOT_CONVERGED,
-                f"The fit did not converge at {bands_in_words(bands, slow)}: the last round still "
-                "moved it by more than a tenth of a standard deviation.",
-                {"bands_hz": bands.centres_hz[slow].tolist()},
+                "The fit did not converge within the rounds of updated weights that are allowed. "
+                f"Last moved: {bands_in_words(bands, slow, [_moved(answers[j]) for j in slow])}. "
+                "Allow more (max_rounds in [settings]), or fix what the data do not determine.",
+                {
+                    "bands_hz": bands.centres_hz[slow].tolist(),
+                    "moved": [list(answers[j].moved) for j in slow],
+                },
             )
         )
     return tuple(findings)
+
+
+def _moved(answer: BandEstimate) -> str:
+    """Return what the last round moved, in words."""
+    return ", ".join(answer.moved) or answer.ending.value[0]
 
 
 def description_findings(answers: Sequence[BandEstimate]) -> tuple[Finding, ...]:
