@@ -39,7 +39,7 @@ _PRIOR_DOMINATED = 0.9
 # standard deviations; 3 of them by chance once in 20 rooms of six bands.
 _LARGEST_MISS_JND, _MISS_SDS, _FEWEST_FOR_SCATTER = 2.0, 3.0, 3
 _TRIED_SCATTERING = (0.0, 0.1, 0.3, 0.6)
-_DECAY_DRAWS = 12
+_DECAY_DRAWS, _MOST_DRAWN_PAIRS = 12, 8
 # Relative standard deviation of a decay time times the root of bandwidth, time and number.
 _DECAY_SCATTER = {
     "T20_s": 0.88 * (1.0 + 1.90 / 10.0) ** 0.5,
@@ -180,7 +180,7 @@ def _of_fitted_pairs(
 def fitted_decay_times_s(
     measurements: Measurements, binned: BinnedPaths, absorption: FloatArray, chosen: Sequence[int]
 ) -> dict[str, FloatArray]:
-    """Return T20, T30 and EDT that paths predict, in the mean over all fitted pairs.
+    """Return T20, T30 and EDT that paths predict, in the mean over eight fitted pairs or all.
 
     Parameters
     ----------
@@ -206,7 +206,7 @@ def fitted_decay_times_s(
         room_parameters(
             predicted_curve(bands, binned, i, absorption[:, own], attenuation, float(direct_s[i]))
         )
-        for i in sorted(pairs)
+        for i in sorted(pairs)[:: -(-len(pairs) // _MOST_DRAWN_PAIRS)]
     ]
     return {
         name: np.mean([f.of(name) for f in found], axis=0) for name in ("T20_s", "T30_s", "EDT_s")

@@ -46,11 +46,9 @@ _LEAST_DIRECT_SHARE = 0.8
 _CLEAR_OF_NOISE = 10.0
 # As for windows: `EnergyTerm.model_error`, and the share of the direct sound that rings for 2 ms.
 _MODEL_ERROR, _RINGING, _RINGING_S = 0.2, 0.1, 2e-3
-# Standard deviation in dB of a source's energy between two directions. Where it is taken for
-# omnidirectional: half of the largest deviation that ISO 3382-1:2009, table 1, permits by octave;
-# where its directivity is specified or fitted: 1 dB.
-_OMNI_HZ, _OMNI_SD_DB = (125.0, 500.0, 1000.0, 2000.0, 4000.0), (0.5, 0.5, 1.5, 2.5, 3.0)
-_KNOWN_SD_DB = 1.0
+# Standard deviation in dB of a source's energy between two directions. One without a directivity is
+# taken for omnidirectional, as by the fit, and the finding says what else would explain it.
+_DIRECTIVITY_SD_DB = 1.0
 # Absorption at the few angles of these reflections differs from the mean over all angles: of one
 # measured absorber by .09 to .31 at 45 degrees (docs/decisions/0031-decay-and-reflections.md).
 _ANGLE_SD = 0.1
@@ -177,9 +175,9 @@ def _isolated(
     rung = _RINGING * hard[0] * -np.diff(np.exp(-late_s / _RINGING_S), axis=1)[:, 0]
     relative = others / hard
     ratio, back = noise / (gain * hard), expected
-    variance = 2.0 * relative * back + relative**2 / degrees + (rung / hard) ** 2
+    variance = (2.0 * relative * back + relative**2) / degrees + (rung / hard) ** 2
     variance += (ratio**2 + 2.0 * ratio * (back + relative)) / degrees
-    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / hard[0])
+    variance += back**2 * (_MODEL_ERROR**2 + 2.0 * others[0] / hard[0] / degrees)
     returned = ((energy_measured - noise) / gain - others) / hard
     source, receiver = (str(getattr(m.measurement, k)) for k in ("source", "receiver"))
     towards = (paths.departure[own] - paths.arrival[own]).astype(np.float64)
@@ -212,7 +210,7 @@ def wall_returns(
     """Return the absorption of each wall and band by its isolated reflections, two or more.
 
     Their mean, weighed by variance, the variance raised where they scatter by more than it says. To
-    its standard deviation come that of the directivity, independent from source to source, and 0.1
+    its standard deviation come 1 dB for the directivity, independent from source to source, and 0.1
     for the angles at which the wall is struck.
 
     Parameters
@@ -232,12 +230,10 @@ def wall_returns(
         mean = float(values @ weight / weight.sum())
         excess = float(weight @ (values - mean) ** 2) / (len(own) - 1)
         variance = max(excess, 1.0) / float(weight.sum())
-        omni_db = np.interp(measured.bands.centres_hz[band], _OMNI_HZ, _OMNI_SD_DB)
         sources = {r.source for r in own}
-        sds_db = [_KNOWN_SD_DB if s in known else omni_db for s in sources]
         # a factor: of the geometric mean of what is measured and predicted
-        size = np.log(10.0) / 10.0 * np.linalg.norm(sds_db) / len(sources)
-        variance += max(mean, 0.0) * own[0].predicted * float(size) ** 2
+        size = np.log(10.0) / 10.0 * _DIRECTIVITY_SD_DB
+        variance += max(mean, 0.0) * own[0].predicted * size**2 / len(sources)
         kept = 1.0 - float(scattering[measured.scene.room.materials.index(material), band])
         sd = float(np.hypot(np.sqrt(variance) / kept, _ANGLE_SD))
         out.append(
@@ -292,7 +288,7 @@ def _finding(
     names: Sequence[str],
 ) -> Finding:
     """Return the finding of one wall, over its bands."""
-    i, parts, values = names.index(own[0].material), [], []
+    i, parts, values, off_db = names.index(own[0].material), [], [], []
     for r in own:
         low, high = (float(np.clip(r.absorption + z * r.sd, 0.0, 1.0)) for z in (-Z95, Z95))
         seen, answer = float(np.clip(r.absorption, 0.0, 1.0)), [float(x[i, r.band]) for x in fitted]
@@ -300,6 +296,8 @@ def _finding(
             f"{bands.centres_hz[r.band]:g} Hz {seen:.2f} ({low:.2f} to {high:.2f}, {r.number} of "
             f"them) against {answer[0]:.2f} ({answer[1]:.2f} to {answer[2]:.2f})"
         )
+        kept = np.clip(1.0 - np.array([seen, answer[0]]), 0.01, 1.0)
+        off_db.append(f"{10.0 * np.log10(kept[0] / kept[1]):+.1f}")
         values.append([round(v, 4) for v in (seen, low, high, *answer)])
     known = all(r.has_directivity for r in own)
     name = own[0].wall if own[0].wall == own[0].material else f"{own[0].wall} ({own[0].material})"
@@ -307,8 +305,9 @@ def _finding(
         "Its absorption is not called identifiable there: the late decay may have outvoted the "
         "reflections, by another scattering, or its absorption depends on the angle."
         if known
-        else "No directivity of the sources is specified: a source that radiates less towards this "
-        "wall would do the same. Specify it, or have it fitted, before you trust either."
+        else "No directivity is specified of some source: one that radiates "
+        f"{', '.join(off_db)} dB towards this wall, relative to the receivers, would do the same. "
+        "Specify it, or have it fitted, before you trust either."
     )
     return Finding(
         Code.REFLECTION_DISAGREES,
