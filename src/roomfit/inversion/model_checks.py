@@ -24,12 +24,13 @@ from roomfit.inversion.scattering import Retracer
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.response.binned import BinnedPaths, regrouped
+from roomfit.response.energy import EnergyRows
 from roomfit.results import ComparedPair
 from roomfit.scene import distances_m
 from roomfit.settings import Settings
 from roomfit.signals.decay import room_parameters
 from roomfit.tracing.paths import TraceSettings
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, BandEstimate
 
 _FEWEST_BANDS, _LARGEST_MEDIAN_CHI2 = 3, 1.5
@@ -246,11 +247,11 @@ def certain_misses(
             trial[:, band] = np.where(np.diag(covariance) > 0.0, expit(moved), trial[:, band])
         n = traced.paths.n_batches
         counts = np.append(rng.multinomial(n, np.full(n, 1.0 / n)), 1)  # batch -1: images
-        binned = regrouped(
-            traced.binned,
-            traced.binned.edges_s,
-            lambda r, c=counts: replace(r, weight_per_m2=r.weight_per_m2 * c[r.batch]),
-        )
+
+        def resampled(rows: EnergyRows, counts: IntArray = counts) -> EnergyRows:
+            return replace(rows, weight_per_m2=rows.weight_per_m2 * counts[rows.batch])
+
+        binned = regrouped(traced.binned, traced.binned.edges_s, resampled)
         for name, times_s in fitted_decay_times_s(measurements, binned, trial, chosen).items():
             drawn[name].append(times_s)
     kept = []
