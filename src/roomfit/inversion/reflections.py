@@ -248,8 +248,8 @@ def reflection_findings(
 ) -> tuple[tuple[Finding, ...], BoolArray]:
     """Return a finding for each wall whose reflections contradict its fitted absorption.
 
-    Where the 95 % intervals of both lie apart: by chance less often than once in 20 walls and bands,
-    once in 180 where both intervals are as wide. Those of reflections allow for angles and for an
+    Where the 95 % intervals of both lie apart: by chance less often than once in 20 walls and
+    bands, once in 180 where both intervals are as wide. Those of reflections allow for angles and for an
     error of the model that simulated rooms do not have: there no right answer was doubted
     (docs/decisions/0031-decay-and-reflections.md).
 
@@ -287,17 +287,15 @@ def _finding(
     i, parts, values, off_db = names.index(own[0].material), [], [], []
     for r in own:
         low, high = (float(np.clip(r.absorption + z * r.sd, 0.0, 1.0)) for z in (-Z95, Z95))
-        observed, answer = (
-            float(np.clip(r.absorption, 0.0, 1.0)),
-            [float(x[i, r.band]) for x in fitted],
-        )
+        early = float(np.clip(r.absorption, 0.0, 1.0))
+        answer = [float(x[i, r.band]) for x in fitted]
         parts.append(
-            f"{bands.centres_hz[r.band]:g} Hz {observed:.2f} ({low:.2f} to {high:.2f}, {r.number} of "
+            f"{bands.centres_hz[r.band]:g} Hz {early:.2f} ({low:.2f} to {high:.2f}, {r.number} of "
             f"them) against {answer[0]:.2f} ({answer[1]:.2f} to {answer[2]:.2f})"
         )
-        kept = np.clip(1.0 - np.array([observed, answer[0]]), 0.01, 1.0)
+        kept = np.clip(1.0 - np.array([early, answer[0]]), 0.01, 1.0)
         off_db.append(f"{10.0 * np.log10(kept[0] / kept[1]):+.1f}")
-        values.append([round(v, 4) for v in (observed, low, high, *answer)])
+        values.append([round(v, 4) for v in (early, low, high, *answer)])
     known = all(r.has_directivity for r in own)
     name = own[0].wall if own[0].wall == own[0].material else f"{own[0].wall} ({own[0].material})"
     advice = (
