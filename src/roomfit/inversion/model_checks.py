@@ -134,7 +134,9 @@ def decay_misses(
     Where the mean over pairs of predicted minus measured is 2 just noticeable differences or more,
     and 3 of its own standard deviations: a single value of a band is random by interference, more
     so the lower the band. That scatter is the one of ISO 3382-2 for decays by an integrated
-    impulse response [1]_ or, over three pairs and more, the one observed if it is larger.
+    impulse response [1]_ or, over three pairs and more, the one observed if it is larger. T30 alone
+    does not count: its last decibels lie where next to nothing was fitted, and hang in a room of
+    smooth walls on a few flutter echoes.
 
     Parameters
     ----------
@@ -165,7 +167,7 @@ def decay_misses(
                 found[band] = DecayMiss(
                     band, {**before.jnd, name: (mean, float(sd))}, max(before.number, n)
                 )
-    return tuple(found[band] for band in sorted(found))
+    return tuple(found[band] for band in sorted(found) if not found[band].jnd.keys() <= {"T30_s"})
 
 
 def _of_fitted_pairs(
@@ -263,7 +265,7 @@ def certain_misses(
             whole = float(np.hypot(sd, more * (1.0 + 0.05 * abs(mean))))
             if not abs(mean) < _MISS_SDS * whole:
                 jnd[name] = (mean, whole)
-        if jnd:
+        if not jnd.keys() <= {"T30_s"}:
             kept.append(miss._replace(jnd=jnd))
     return tuple(kept)
 

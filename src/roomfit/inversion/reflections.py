@@ -249,8 +249,8 @@ def reflection_findings(
     """Return a finding for each wall whose reflections contradict its fitted absorption.
 
     Where the 95 % intervals of both lie apart: by chance less often than once in 20 walls and
-    bands, once in 180 where both intervals are as wide. Those of reflections allow for angles and for an
-    error of the model that simulated rooms do not have: there no right answer was doubted
+    bands, once in 180 where both intervals are as wide. Those of reflections allow for angles and
+    for an error of the model that simulated rooms do not have: no right answer was doubted there
     (docs/decisions/0031-decay-and-reflections.md).
 
     Parameters
