@@ -245,9 +245,11 @@ def certain_misses(
         trial = np.array(absorption)
         for band in chosen:
             covariance = logit_covariance[band]
-            moved = rng.multivariate_normal(free[:, band], covariance, method="eigh")
+            moved = rng.multivariate_normal(
+                free[:, band], covariance, method="eigh", check_valid="ignore"
+            )
             trial[:, band] = np.where(np.diag(covariance) > 0.0, expit(moved), trial[:, band])
-        n = traced.paths.n_batches
+        n = max(traced.paths.n_batches, 1)
         counts = np.append(rng.multinomial(n, np.full(n, 1.0 / n)), 1)  # batch -1: images
 
         def resampled(rows: EnergyRows, counts: IntArray = counts) -> EnergyRows:
@@ -261,9 +263,13 @@ def certain_misses(
         jnd = {}
         for name, (mean, sd) in miss.jnd.items():
             times_s = np.array(drawn[name])[:, i]
-            more = float(np.nanstd(times_s, ddof=1) / np.nanmean(times_s)) / 0.05
-            whole = float(np.hypot(sd, more * (1.0 + 0.05 * abs(mean))))
-            if not abs(mean) < _MISS_SDS * whole:
+            times_s = times_s[np.isfinite(times_s)]
+            if times_s.size < _DECAY_DRAWS // 2:
+                continue
+            # relative to the measured decay, as the miss is
+            more = float(times_s.std(ddof=1) / times_s.mean()) * abs(20.0 + mean)
+            whole = float(np.hypot(sd, more))
+            if abs(mean) >= _MISS_SDS * whole:
                 jnd[name] = (mean, whole)
         if not jnd.keys() <= {"T30_s"}:
             kept.append(miss._replace(jnd=jnd))
