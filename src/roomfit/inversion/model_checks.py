@@ -266,7 +266,7 @@ def certain_misses(
             times_s = times_s[np.isfinite(times_s)]
             if times_s.size < _DECAY_DRAWS // 2:
                 continue
-            # in JND of the measured decay, as the miss is; too short a prediction counts as too long
+            # in JND of the measured decay, as the miss is; too short counts as too long does
             more = float(times_s.std(ddof=1) / times_s.mean()) * (20.0 + abs(mean))
             whole = float(np.hypot(sd, more))
             if abs(mean) >= _MISS_SDS * whole:
