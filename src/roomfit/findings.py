@@ -68,6 +68,8 @@ class Code(StrEnum):
 
     MODEL_DOES_NOT_FIT = "model-does-not-fit", "warning"
     MODEL_MISFIT_ALL_BANDS = "model-misfit-all-bands", "serious", _VOIDS
+    DECAY_NOT_REPRODUCED = "decay-not-reproduced", "serious"
+    REFLECTION_DISAGREES = "reflection-disagrees", ("warning", "serious")
     FIT_NOT_CONVERGED = "fit-not-converged", "warning"
     NOT_CERTIFIED = "not-certified", "warning"
     MULTIPLE_MINIMA_CERTIFIED = "multiple-minima-certified", "warning"

@@ -177,7 +177,9 @@ def fit_bands(
             model = "energy"
         else:
             solver, refiner = _solvers(objective.parameters, method, np.random.default_rng(seed))
-            fit = fit_band(objective, solver, refiner, progress=done)
+            fit = fit_band(
+                objective, solver, refiner, max_rounds=settings.max_rounds, progress=done
+            )
             if method == "auto" and fit.vector.size and only_energies(objective) is not None:
                 fit, starts = from_random_starts(
                     objective, fit, np.random.default_rng(seed), settings.n_random_starts

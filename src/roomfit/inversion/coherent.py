@@ -48,6 +48,7 @@ from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
+    continued,
     forward_pass,
     leave_one_out_pass,
     log_likelihoods,
@@ -212,7 +213,8 @@ def rebuild(state: SequentialState) -> SequentialState:
         windows, parameters = found
         directivity, coherent = _early_and_directed(state, b, windows, geometry)
         energies = energy_objective(windows, parameters, directivity, task.values[b])
-        bands.append(CoherentBand(energies, fit_band(energies), coherent, directivity))
+        fit = fit_band(energies, max_rounds=task.settings.max_rounds)
+        bands.append(CoherentBand(energies, fit, coherent, directivity))
     misfits = [
         file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
         for b, own in enumerate(bands)
@@ -226,7 +228,8 @@ def rebuild(state: SequentialState) -> SequentialState:
                 files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
                 factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
                 energies = replace(own.energies, inflation=factor)
-                bands[b] = replace(own, energies=energies, energy_fit=fit_band(energies))
+                fit = fit_band(energies, max_rounds=task.settings.max_rounds)
+                bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
     return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
@@ -277,7 +280,7 @@ def _under_cavity_priors(
             parameters=with_directivities(own.energies.parameters, directivity.unknown),
             terms=(directed(own.coherent.energies, directivity), *own.energies.terms[1:]),
         )
-        fit = score_band(energies, start)
+        fit = score_band(energies, start, rounds=task.settings.max_rounds)
         out.append(CoherentBand(energies, fit, own.coherent, directivity))
     return out
 
@@ -410,6 +413,7 @@ def fit_coherent(
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
+    fits = [None if f is None else continued(f, settings.max_rounds) for f in fits]
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
@@ -499,7 +503,7 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             n_data = objective.measured().size
             factor = variance_inflation(windows, files, outliers, n_data)
             objective = replace(objective, inflation=factor)
-        own_fit = fit_band(objective)
+        own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
         noisy = with_tracing_noise(objective, windows, _sources(task, number), own_fit)
         air = air_error(task.scene.air, task.bands, number, windows)
         noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, air))

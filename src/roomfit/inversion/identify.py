@@ -21,7 +21,11 @@ from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.measurements import Measurements, collect_measurements, median_decay_s
 from roomfit.inversion.model_checks import (
+    certain_misses,
     check_certifiable,
+    decay_findings,
+    decay_misses,
+    decays_by_scattering,
     description_findings,
     fit_findings,
     interval_words,
@@ -33,6 +37,11 @@ from roomfit.inversion.model_checks import (
     schroeder_findings,
 )
 from roomfit.inversion.paths import TracedPaths, redirected, traced_paths, traced_with
+from roomfit.inversion.reflections import (
+    isolated_reflections,
+    reflection_findings,
+    wall_returns,
+)
 from roomfit.inversion.solve import (
     BandFits,
     coherent_answers,
@@ -208,18 +217,41 @@ def combine(
     scene, bands, found = measured.scene, measured.bands, fits.answers
     absorption = np.stack([b.absorption for b in found], axis=1)
     identifiable = np.stack([b.identifiable for b in found], axis=1)
-    misspecified = any(f.code.voids_identifiability for f in findings)
-    if misspecified:
-        identifiable &= np.array([[k.known is not None] for k in priors])
     lower, upper = (
         np.stack([getattr(b, n) for b in found], axis=1) for n in ("lower95", "upper95")
     )
+    areas = material_areas_m2(scene.room)
+    pairs = compare_all(measured, traced.binned, absorption)
+    covariance = _logit_covariance(found, absorption, priors)
+    misses = decay_misses(bands, pairs, [b.model != "prior" for b in found])
+    misses = certain_misses(measured, traced, misses, absorption, covariance, settings)
+    missed = np.zeros_like(identifiable)
+    missed[:, [m.band for m in misses]] = True
+    returns = wall_returns(
+        isolated_reflections(measured, traced, absorption), measured, traced.scattering
+    )
+    disagree, doubted = reflection_findings(returns, bands, priors, (absorption, lower, upper))
+    findings = (
+        *findings,
+        *decay_findings(
+            measured,
+            priors,
+            misses,
+            areas @ absorption / areas.sum(),
+            _eyring_start(measured),
+            decays_by_scattering(measured, traced, absorption, settings, misses),
+        ),
+        *disagree,
+    )
+    fixed = np.array([[k.known is not None] for k in priors])
+    identifiable &= fixed | ~(missed | doubted)
+    misspecified = any(f.code.voids_identifiability for f in findings)
+    if misspecified:
+        identifiable &= fixed
     ambiguous, mirrors = mirror_findings(
         measured, priors, absorption, lower, upper, [b.mirrors for b in found]
     )
     identifiable &= ~ambiguous
-    areas = material_areas_m2(scene.room)
-    covariance = _logit_covariance(found, absorption, priors)
     prior = prior_logits(priors)
     combinations, sentences, shares = determined(
         scene.room.materials,
@@ -258,7 +290,7 @@ def combine(
         cost=float(sum(b.cost for b in found)),
         evaluations=sum(b.evaluations for b in found),  # until all are counted
         converged=np.array([b.converged for b in found]),
-        pairs=compare_all(measured, traced.binned, absorption),
+        pairs=pairs,
         findings=(*findings, *mirrors, *inseparable),
         method=method_chosen(settings.method),
         model=_model_of(models),

@@ -24,7 +24,7 @@ from roomfit.objective.parameters import (
     whole_covariance,
 )
 from roomfit.objective.problem import Objective
-from roomfit.settings import SPEED_OF_SOUND_SD
+from roomfit.settings import MAX_ROUNDS, SPEED_OF_SOUND_SD
 from roomfit.solvers.least_squares import BandFit, marginal, score_band
 from roomfit.typing import FloatArray, Progress
 
@@ -48,6 +48,7 @@ class CoherentOptions:
     # where the last window ends at the latest; without a limit it ends where the decay drowns
     late_end_s: float = np.inf
     speed_sd: float = SPEED_OF_SOUND_SD  # prior relative standard deviation of the speed of sound
+    max_rounds: int = MAX_ROUNDS  # of updated weights
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,6 +207,20 @@ def leave_one_out_pass(
         start = np.concatenate((fit.fit.vector[:n], final.mean))
         again[i] = fit_in_rounds(band, start, fit.noise, joint, covariance=covariance, rounds=1)
     return again, final
+
+
+def continued(band: CoherentBandFit, max_rounds: int) -> CoherentBandFit:
+    """Return the same fit, gone on with until it converges if it has not.
+
+    The weights and the coherence of the data are as in its last round at first; the former follow
+    the answer, half of the way each round after the first few.
+    """
+    if band.fit.converged:
+        return band
+    fit = score_band(band.objective, band.fit.vector, rounds=max_rounds)
+    likelihood = float(band.objective.log_likelihood(fit.expected, fit.variance).sum())
+    made = band.fit.evaluations + fit.evaluations
+    return replace(band, fit=replace(fit, evaluations=made), log_likelihood=likelihood)
 
 
 def geometry_information(parameters: Parameters) -> FloatArray:

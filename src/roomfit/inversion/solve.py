@@ -175,6 +175,7 @@ def coherent_task(
             end_s=settings.coherent_until_s,
             late_end_s=traced.fit_until_s,
             speed_sd=prior_speed_sd(measured.scene.air, settings),
+            max_rounds=settings.max_rounds,
         ),
         _value_terms(measured, traced),
         unknown,

@@ -216,6 +216,7 @@ class SettingsTable(Table):
     most_triangles_for_images: int | None = None
     coherent_until_s: float | None = None
     speed_of_sound_sd: float | None = None
+    max_rounds: int | None = None
 
 
 class CampaignTable(Table):

@@ -88,7 +88,7 @@ def energy_terms(
                 band,
                 m,
                 coarse.edges_s,
-                _timing_sd_s(scene, m),
+                timing_sd_s(scene, m),
                 gain_labels.index(label) if label else -1,
                 periods,
             )
@@ -240,7 +240,7 @@ def unspecified_position_findings(scene: Scene) -> tuple[Finding, ...]:
     )
 
 
-def _timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
+def timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
     """Return how uncertain arrival times are, from both ends' positions along the path."""
     source, receiver = scene.pairs[m.pair]
     position_sds_m = (scene.sources[source].position_sd_m, scene.receivers[receiver].position_sd_m)

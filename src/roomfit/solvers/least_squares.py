@@ -25,6 +25,7 @@ from roomfit.objective.parameters import (
     to_free,
 )
 from roomfit.objective.problem import Objective
+from roomfit.settings import MAX_ROUNDS
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.levenberg_marquardt import (
     MarquardtSettings,
@@ -127,9 +128,9 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
     return np.concatenate(parts)
 
 
-# Of updated weights; from this round on they go only half of the way, since two answers may each
-# lead to the other's.
-_MOST_ROUNDS, _HALF_WAY_FROM = 12, 5
+# From this round on updated weights go only half of the way (the geometric mean of old and new),
+# since two answers may each lead to the other's.
+_HALF_WAY_FROM = 5
 # Of the standard deviation: two rounds whose answers differ by less agree.
 _AGREEMENT_SD = 0.1
 
@@ -152,6 +153,7 @@ class BandFit:
     log_likelihood: float
     evaluations: int  # how often the response was weighed with its derivative
     ending: Ending
+    previous: FloatArray | None = None  # (n_free,), the answer before the last round
 
     @property
     def converged(self) -> bool:
@@ -165,6 +167,7 @@ def fit_band(
     refiner: Solver = few_gauss_newton_steps,
     *,
     start: FloatArray | None = None,
+    max_rounds: int = MAX_ROUNDS,
     progress: Progress | None = None,
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
@@ -181,6 +184,8 @@ def fit_band(
         Minimise the first round's squares, and those of the rounds that follow.
     start : float array, shape (n_free,), optional
         Where the first round begins; left out: where the parameters do.
+    max_rounds : int
+        How often weights are updated at most.
 
     References
     ----------
@@ -190,25 +195,29 @@ def fit_band(
     first = start_vector(objective.parameters) if start is None else start
     residuals.compare_logarithms(objective.variance(start_vector(objective.parameters)))
     vector = solver(residuals, first).x
-    variance, ending = objective.variance(vector), Ending.OUT_OF_ROUNDS
-    for number in range(_MOST_ROUNDS):
+    variance, ending, previous = objective.variance(vector), Ending.OUT_OF_ROUNDS, vector
+    for number in range(max_rounds):
         previous = vector
         residuals.weigh(variance)
         found = refiner(residuals, vector)
         vector = found.x
         sd = np.sqrt(np.diag(np.linalg.inv(residuals.information(vector))))
         if progress is not None:
-            progress((number + 1) / _MOST_ROUNDS)
+            progress((number + 1) / max_rounds)
         if np.all(np.abs(vector - previous) <= _AGREEMENT_SD * sd):
             # a point that no damping can leave agrees with itself
             is_stuck = found.ending is Ending.OUT_OF_DAMPING
             ending = found.ending if is_stuck else Ending.CONVERGED
             break
-        new = objective.variance(vector)
-        variance = np.sqrt(variance * new) if number >= _HALF_WAY_FROM else new
+        variance = _updated(variance, objective.variance(vector), number)
     if progress is not None:
         progress(1.0)
-    return residuals.fit(vector, objective.variance(vector), ending)
+    return replace(residuals.fit(vector, objective.variance(vector), ending), previous=previous)
+
+
+def _updated(old: FloatArray, new: FloatArray, number: int) -> FloatArray:
+    """Return the variances of the next round."""
+    return np.sqrt(old * new) if number >= _HALF_WAY_FROM else new
 
 
 def score_band(
@@ -229,17 +238,20 @@ def score_band(
     """
     residuals, vector = _Residuals(objective), np.array(start)
     settings, ending = replace(_SCORING, max_steps=steps), Ending.OUT_OF_ROUNDS
-    for _ in range(rounds):
-        residuals.weigh(objective.variance(vector))
+    variance, previous = objective.variance(vector), vector
+    for number in range(rounds):
+        if number:
+            variance = _updated(variance, objective.variance(vector), number)
+        residuals.weigh(variance)
         found = levenberg_marquardt(residuals, vector, settings)
-        vector = found.x
+        previous, vector = vector, found.x
         is_short = found.ending is Ending.CONVERGED and found.steps == 1
         is_stuck = found.ending in (Ending.NO_MORE_PROGRESS, Ending.OUT_OF_DAMPING)
         if is_short or (is_stuck and found.steps == 0):
             ending = found.ending
             break
         settings = replace(settings, damping=_SCORING.damping if is_stuck else found.damping)
-    return residuals.fit(vector, objective.variance(vector), ending)
+    return replace(residuals.fit(vector, objective.variance(vector), ending), previous=previous)
 
 
 def first_round(objective: Objective, start: FloatArray) -> Minimum:

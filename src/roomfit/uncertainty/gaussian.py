@@ -39,6 +39,8 @@ WIDEST_IDENTIFIABLE = 0.2
 LARGEST_CHI2_REDUCED = 2.0
 # Data whose information is below this share of the prior's narrow its interval by less than 5 %.
 _INFORMATION_SHARE = 0.1
+# Unknowns that are named of a fit that did not converge.
+_MOST_MOVED = 3
 
 
 def is_identifiable(
@@ -236,6 +238,7 @@ class BandEstimate:
     sampling: Sampled | None = None
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
     starts: Starts | None = None  # where random starts were tried
+    moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
 
     @property
     def converged(self) -> bool:
@@ -288,6 +291,27 @@ def band_estimate(
         model,
         _directivity(parameters, fit.vector, found.covariance),
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
+        moved=() if fit.converged else _moved(parameters, fit),
+    )
+
+
+def _moved(parameters: Parameters, fit: BandFit) -> tuple[str, ...]:
+    """Return what the last round moved by a tenth of its standard deviation, most first, by name.
+
+    Absorption and gains from value to value; geometry and directivity from one number of prior
+    standard deviations to another.
+    """
+    if fit.previous is None:
+        return ()
+    sds = np.abs(fit.vector - fit.previous) / np.sqrt(np.diag(np.linalg.inv(fit.information)))
+    before, after = (physical_values(parameters, v)[0] for v in (fit.previous, fit.vector))
+    entries = [(b.name, i) for b in parameters.blocks for i in np.flatnonzero(b.fitted)]
+    labels = {b.name: b.labels for b in parameters.blocks}
+    return tuple(
+        f"{name} of {labels[name][i]} from {before[name][i]:.3g} to {after[name][i]:.3g}"
+        for n in np.argsort(-sds)[:_MOST_MOVED]
+        if sds[n] > 0.0
+        for name, i in (entries[n],)
     )
 
 
