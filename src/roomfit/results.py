@@ -10,7 +10,6 @@ from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.objective.coherent import FittedGeometry
 from roomfit.objective.directivity import FittedDirectivity
-from roomfit.response.directivity import FirstOrder
 from roomfit.settings import Settings
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import BoolArray, FloatArray
@@ -192,7 +191,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         prior_logit_mean=mean,
         prior_logit_sd=sd,
         scattering=answer.scattering,
-        directivities={d.source: FirstOrder(d.b) for d in answer.directivities},
+        directivities={n: p for d in answer.directivities for n, p in d.patterns().items()},
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
     )

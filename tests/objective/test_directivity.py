@@ -19,11 +19,18 @@ from roomfit.objective.directivity import (
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, position_of, start_vector, whole_covariance
 from roomfit.objective.problem import Objective
-from roomfit.response.directivity import FirstOrder, amplitude_and_slope, directivity_factors
+from roomfit.response.directivity import (
+    Pattern,
+    amplitude_and_slope,
+    directivity_factors,
+    pattern_basis,
+)
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
 
 B = np.array([0.5, -0.4, 0.3])
+SMALL_B = np.array([0.3, -0.2, 0.1])  # no pressure turns its sign, about any axis
+AIM = np.array([0.6, 0.0, 0.8])
 
 
 def unknown_source() -> UnknownDirectivities:
@@ -32,19 +39,19 @@ def unknown_source() -> UnknownDirectivities:
     return UnknownDirectivities(("S",), np.array([0.1, 0.0, -0.1]), root)
 
 
-def directed_case(*, coherent: bool) -> Objective:
-    """Return the small room with its one source's directivity unknown."""
+def directed_case(*, coherent: bool, aim: np.ndarray | None = None) -> Objective:
+    """Return the small room with its one source's directivity unknown, its aim known or not."""
     windows: EnergyTerm | CoherentTerm = small_term()
     unknown = unknown_source()
     _, paths = small_paths()
-    departure = tuple(paths.departure[rows.path] for rows in windows.energies.rows)
+    basis = tuple(pattern_basis(paths.departure[r.path], aim) for r in windows.energies.rows)
     if coherent:
         windows = with_coherence(windows, 0.09 * whole_covariance(small_geometry()))
     else:
         windows = windows.energies
     absorption, gain, *geometry = objective_of(windows).parameters.blocks
     blocks = (absorption, gain, directivity_block(unknown), *geometry)
-    directivity = BandDirectivities(unknown, np.zeros(2, dtype=np.int64), departure)
+    directivity = BandDirectivities(unknown, np.zeros(2, dtype=np.int64), basis, (aim, aim))
     return Objective(Parameters(blocks), (directed(windows, directivity),))
 
 
@@ -60,13 +67,16 @@ def at_b(case: Objective, b: np.ndarray) -> np.ndarray:
 
 @pytest.mark.parametrize("coherent", [False, True])
 @pytest.mark.parametrize("b", [B, 2.0 * B])
-def test_the_whole_jacobian_is_that_of_finite_differences(coherent: bool, b: np.ndarray) -> None:
+@pytest.mark.parametrize("aim", [None, AIM])
+def test_the_whole_jacobian_is_that_of_finite_differences(
+    coherent: bool, b: np.ndarray, aim: np.ndarray | None
+) -> None:
     """Absorption, gain, directivity and geometry; at |b| = 1.4 some pressures change sign.
 
     Central differences of 1e-5 of smooth functions: 1e-9 relative. Times are off by the spreading
     kernel, 1e-5 of an amplitude: its slope by some 1e-3.
     """
-    case = directed_case(coherent=coherent)
+    case = directed_case(coherent=coherent, aim=aim)
     vector = at_b(case, b)
     jacobian = case.predict(vector).jacobian
     first_time = position_of(case.parameters, "geometry")
@@ -86,21 +96,24 @@ def test_the_whole_jacobian_is_that_of_finite_differences(coherent: bool, b: np.
 def test_the_case_has_pressures_of_both_signs() -> None:
     """At |b| = 1.4 what is sent backwards is turned over; the sign is what the slopes rely on."""
     case = directed_case(coherent=True)
-    amplitude, _ = amplitude_and_slope(2.0 * B, case.terms[0].coherent_departure)
+    amplitude, _ = amplitude_and_slope(2.0 * B, case.terms[0].coherent_basis)
     assert amplitude.min() < -0.1
     assert amplitude.max() > 0.5
 
 
 @pytest.mark.parametrize("coherent", [False, True])
-def test_known_b_is_the_problem_of_weights_that_have_it(coherent: bool) -> None:
+@pytest.mark.parametrize("aim", [None, AIM])
+def test_known_b_is_the_problem_of_weights_that_have_it(
+    coherent: bool, aim: np.ndarray | None
+) -> None:
     """Means and variances equal those of paths weighed first, where no sign turns.
 
     Directions of rows are those of the trace, those of images come from their image transforms,
     both in single precision: 1e-6.
     """
-    case, b = directed_case(coherent=coherent), B
+    case, b = directed_case(coherent=coherent, aim=aim), SMALL_B
     scene, paths = small_paths()
-    factors = directivity_factors(paths, [FirstOrder(b)], scene.pairs[:, 0].tolist(), 0)
+    factors = directivity_factors(paths, [Pattern(b, aim)], scene.pairs[:, 0].tolist(), 0)
     weighted = replace(paths, weight_per_m2=paths.weight_per_m2 * factors)
     whole = small_term(paths=weighted)
     plain = objective_of(whole.energies)

@@ -25,7 +25,7 @@ from roomfit.inversion.trace_plan import LEAST_RAYS, plan_trace
 from roomfit.io.campaign import Campaign, MeasuredTable
 from roomfit.io.iso3382 import NAMES
 from roomfit.io.responses.recordings import ResponseSpec
-from roomfit.response.directivity import FirstOrder, UnknownDirectivity
+from roomfit.response.directivity import Pattern, UnknownDirectivity
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.settings import Settings
 from roomfit.signals.decay import decay_curve, room_parameters
@@ -85,7 +85,7 @@ def traced_pressures(
     settings = replace(planned.settings, n_rays=n_rays, duration_s=duration_s)
     paths = trace(scene, settings, planned.scattering).paths
     bands = plan.campaign.bands
-    drawn = {name: FirstOrder(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
+    drawn = {name: Pattern(np.tile(b, (len(bands), 1))) for name, b in synthetic.b.items()}
     directivities = {**plan.directivities, **drawn}
     factors, _ = band_factors(directivities, scene, bands, paths, synthetic.scattering)
     energy = _energies(plan, synthetic, paths, factors)
@@ -185,7 +185,7 @@ def synthetic_sound(
 def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
     """Return how the sound of a room is simulated."""
     known = [plan.directivities.get(s.name) for s in synthetic.sources]
-    first_order = all(d is None or isinstance(d, FirstOrder | UnknownDirectivity) for d in known)
+    first_order = all(d is None or isinstance(d, Pattern | UnknownDirectivity) for d in known)
     even = first_order and not any(d is not None for d in known)
     smooth = not np.any(synthetic.scattering)
     if plan.room.shoebox_m is not None:
@@ -204,7 +204,7 @@ def synthesis_of(plan: CoveragePlan, synthetic: SyntheticRoom) -> str:
 def _b(plan: CoveragePlan, synthetic: SyntheticRoom, source: str) -> FloatArray | None:
     """Return the first-order vector of a source; None where it is omnidirectional."""
     directivity = plan.directivities.get(source)
-    return directivity.b if isinstance(directivity, FirstOrder) else synthetic.b.get(source)
+    return directivity.b if isinstance(directivity, Pattern) else synthetic.b.get(source)
 
 
 def _duration_s(plan: CoveragePlan, synthetic: SyntheticRoom, synthesis: str) -> float:

@@ -368,6 +368,13 @@ def _b(plan: CoveragePlan, name: str, rng: np.random.Generator) -> FloatArray | 
     unknown = plan.directivities.get(name)
     if not isinstance(unknown, UnknownDirectivity):
         return None
+    if unknown.loudspeaker is not None:
+        raise InputError(
+            "coverage cannot be estimated with a loudspeaker that several sources share",
+            where=f"{plan.campaign.path}, sources.{name}.directivity",
+            found=f"loudspeaker {unknown.loudspeaker}",
+            needed='directivity = "fit", a file, or {aim, b}',
+        )
     mean = np.zeros(3) if unknown.mean is None else unknown.mean
     sd = DEFAULT_B_SD if unknown.sd is None else unknown.sd
     b = mean + sd * rng.standard_normal(3)

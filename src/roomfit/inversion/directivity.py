@@ -1,9 +1,10 @@
-"""First-order directivity of sources: fitted in every band, or tested where it is taken for none.
+"""Directivity of sources: fitted in every band, or tested where it is taken for none.
 
-A source has one vector b a band: its amplitude in direction u is 1 + b . u, and b correlates from
-band to band. Bands are first fitted independently; each is then fitted under the cavity prior that
-the data of all others leave (Opper and Winther, Neural Comput. 12, 2655 (2000)). A source taken
-for omnidirectional is tested by how much the likelihood would rise if b were free.
+A source has one vector b a band, alone or with all sources of its make: its amplitude is linear in
+b (`roomfit.response.directivity.pattern_basis`), and b correlates from band to band. Bands are
+first fitted independently; each is then fitted under the cavity prior that the data of all others
+leave (Opper and Winther, Neural Comput. 12, 2655 (2000)). A source taken for omnidirectional is
+tested by how much the likelihood would rise if b were free.
 """
 
 from __future__ import annotations
@@ -38,6 +39,7 @@ from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import marginal_information
 from roomfit.objective.problem import Objective
 from roomfit.response.directivity import UnknownDirectivity
+from roomfit.scene import Scene
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.solvers.least_squares import (
     BandFit,
@@ -277,6 +279,7 @@ def moved_start(fit: BandFit, old: UnknownDirectivities, new: UnknownDirectiviti
 
 
 def band_directivities(
+    scene: Scene,
     parameters: DirectivityParameters | None,
     directivities: Sequence[BandDirectivities | None],
     answers: Sequence[BandEstimate | None],
@@ -293,9 +296,13 @@ def band_directivities(
         variance = np.einsum("ij,jk,ik->i", unknown.root, covariance, unknown.root)
         vectors.append(vectors_of(unknown, free))
         deviations.append(np.sqrt(np.maximum(variance, 0.0)).reshape(-1, 3))
+    aims = parameters.aims or (None,) * len(scene.sources)
     return tuple(
         FittedDirectivity(
-            name, np.stack([b[s] for b in vectors]), np.stack([d[s] for d in deviations])
+            name,
+            np.stack([b[s] for b in vectors]),
+            np.stack([d[s] for d in deviations]),
+            {scene.sources[i].name: aims[i] for i in np.flatnonzero(parameters.of_source == s)},
         )
         for s, name in enumerate(parameters.sources)
     )
@@ -366,29 +373,33 @@ def directivity_parameters(
     ]
     if not unknown:
         return None
-    names = tuple(name for _, name, _ in unknown)
-    _check_fittable(measurements, settings, names)
-    mean = np.array([np.zeros(3) if d.mean is None else d.mean for _, _, d in unknown])
-    sd = np.array([DEFAULT_B_SD if d.sd is None else d.sd for _, _, d in unknown])
-    return DirectivityParameters(names, np.array([i for i, _, _ in unknown]), mean, sd)
+    _check_fittable(measurements, settings, unknown[0][1])
+    n = len(measurements.scene.sources)
+    aims: list[FloatArray | None] = [None] * n
+    of_source = np.full(n, -1)
+    first: dict[str, UnknownDirectivity] = {}  # of sources that share one, the first speaks
+    for i, name, directivity in unknown:
+        own = name if directivity.loudspeaker is None else directivity.loudspeaker
+        first.setdefault(own, directivity)
+        of_source[i], aims[i] = list(first).index(own), directivity.aim
+    mean = np.array([np.zeros(3) if d.mean is None else d.mean for d in first.values()])
+    sd = np.array([DEFAULT_B_SD if d.sd is None else d.sd for d in first.values()])
+    return DirectivityParameters(tuple(first), of_source, mean, sd, tuple(aims))
 
 
 def omnidirectional(measurements: Measurements) -> DirectivityParameters | None:
     """Return the sources that are taken for omnidirectional, to be tested; None without any."""
-    own = [
-        (i, s.name)
-        for i, s in enumerate(measurements.scene.sources)
-        if s.name not in measurements.directivities
-    ]
-    if not own:
+    known = [s.name in measurements.directivities for s in measurements.scene.sources]
+    names = tuple(s.name for s, k in zip(measurements.scene.sources, known, strict=True) if not k)
+    if not names:
         return None
-    number, names = np.array([i for i, _ in own]), tuple(name for _, name in own)
-    mean, sd = np.zeros((len(own), 3)), np.full(len(own), DEFAULT_B_SD)
-    return DirectivityParameters(names, number, mean, sd)
+    of_source = np.where(known, -1, np.cumsum(np.logical_not(known)) - 1)
+    mean, sd = np.zeros((len(names), 3)), np.full(len(names), DEFAULT_B_SD)
+    return DirectivityParameters(names, of_source, mean, sd)
 
 
-def _check_fittable(measurements: Measurements, settings: Settings, sources: Sequence[str]) -> None:
-    where = f"sources.{sources[0]}.directivity"
+def _check_fittable(measurements: Measurements, settings: Settings, source: str) -> None:
+    where = f"sources.{source}.directivity"
     if settings.method not in LEAST_SQUARES_METHODS:
         raise InputError(
             "directivity is fitted by least squares only",

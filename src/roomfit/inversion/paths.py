@@ -22,7 +22,7 @@ from roomfit.inversion.trace_plan import TracePlan, cached_trace, is_coherent, p
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.directivity import FittedDirectivity
 from roomfit.response.binned import BinnedPaths, bin_paths
-from roomfit.response.directivity import FirstOrder, directivity_factors
+from roomfit.response.directivity import directivity_factors
 from roomfit.scene import Scene
 from roomfit.settings import Settings
 from roomfit.tracing.image_sources import trace_images
@@ -65,7 +65,7 @@ def redirected(
     scene, bands, paths = measurements.scene, measurements.bands, traced.paths
     factors = np.ones((len(bands), len(paths))) if traced.factors is None else traced.factors.copy()
     source_of_pair = scene.pairs[:, 0].tolist()
-    known = {d.source: FirstOrder(d.b) for d in found}
+    known = {name: p for d in found for name, p in d.patterns().items()}
     sources = [known.get(s.name) for s in scene.sources]
     for band in range(len(bands)):
         factors[band] *= directivity_factors(paths, sources, source_of_pair, band)

@@ -130,7 +130,7 @@ def estimate_energies(
         shared_covariance=shared_error_covariance(measured),
     )
     estimates = tuple(refine(band, None) for band in fitted)
-    found = band_directivities(unknown, directivities, estimates)
+    found = band_directivities(measured.scene, unknown, directivities, estimates)
     return BandFits(estimates, None, source_findings(tested, scores), found)
 
 
@@ -205,7 +205,7 @@ def coherent_answers(
         refine(r, None) if e is None else e for e, r in zip(chosen, rest, strict=True)
     )
     directivities = tuple(None if b is None else b.directivity for b in fit.state.bands)
-    found = band_directivities(task.directivity_parameters, directivities, estimates)
+    found = band_directivities(task.scene, task.directivity_parameters, directivities, estimates)
     return BandFits(estimates, fit.geometry, fit.findings, found)
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic_core import ErrorDetails
 
-from roomfit._checks import nearest
+from roomfit._checks import did_you_mean, nearest
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
@@ -113,12 +113,30 @@ class MeasuredDirectivity(Table):
     up: Position = (0.0, 0.0, 1.0)
 
 
+class SharedDirectivity(Table):
+    """Directivity of a source that is one of several of a make, and where it aimed."""
+
+    loudspeaker: str
+    aim: Position
+    up: Position = (0.0, 0.0, 1.0)
+
+
+class LoudspeakerTable(Table):
+    """``[loudspeakers.NAME]``: what all sources of one make have in common."""
+
+    directivity: str = "fit"
+    b_sd: float = Field(default=0.5, gt=0.0, le=10.0)
+
+
+SourceDirectivity = str | Directivity | MeasuredDirectivity | SharedDirectivity
+
+
 class SourceTable(Table):
     """``[sources.NAME]``."""
 
     position: Position
     position_sd: float | None = Field(default=None, ge=0.0)
-    directivity: str | Directivity | MeasuredDirectivity = "omni"
+    directivity: SourceDirectivity = "omni"
 
 
 class ReceiverTable(Table):
@@ -226,6 +244,7 @@ class CampaignTable(Table):
     room: RoomTable
     air: AirTable = AirTable()
     materials: dict[str, MaterialTable] = {}
+    loudspeakers: dict[str, LoudspeakerTable] = {}
     sources: dict[str, SourceTable] = {}
     receivers: dict[str, ReceiverTable] = {}
     measurements: list[MeasurementTable] = []
@@ -316,7 +335,7 @@ def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
 
 
 _MEMBER_NAMES = {
-    *("Spectrum", "Prior", "Directivity", "MeasuredDirectivity"),
+    *("Spectrum", "Prior", "Directivity", "MeasuredDirectivity", "SharedDirectivity"),
     *("float", "str", "int", "constrained-float", "constrained-str"),
 }
 
@@ -365,6 +384,18 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
 
 
 def _check_names(path: Path, campaign: CampaignTable) -> None:
+    for own, of_source in campaign.sources.items():
+        table = of_source.directivity
+        if isinstance(table, SharedDirectivity) and table.loudspeaker not in campaign.loudspeakers:
+            defined = ", ".join(sorted(campaign.loudspeakers))
+            raise InputError(
+                "a source names a loudspeaker that is not defined",
+                where=f"{path}, sources.{own}.directivity.loudspeaker",
+                found=repr(table.loudspeaker),
+                needed=f"one of {defined}" if defined else "a table [loudspeakers.NAME]",
+                hint=did_you_mean(table.loudspeaker, campaign.loudspeakers)
+                or f"add [loudspeakers.{table.loudspeaker}]",
+            )
     for number, row in enumerate(campaign.measurements, start=1):
         where = f"{path}, measurements[{number}]"
         kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
@@ -466,6 +497,7 @@ class Campaign:
         What the file says of materials, for `material_priors`.
     settings : Settings
     directivities : mapping of source name to what the file says of its directivity
+    loudspeakers : mapping of name to LoudspeakerTable
     spectra : tuple of MeasuredSpectrum
     impedance : ImpedanceTable
     design : DesignTable
@@ -481,9 +513,8 @@ class Campaign:
     bands: Bands
     materials: dict[str, MaterialTable]
     settings: Settings = field(default_factory=Settings)
-    directivities: Mapping[str, str | Directivity | MeasuredDirectivity] = field(
-        default_factory=dict
-    )
+    directivities: Mapping[str, SourceDirectivity] = field(default_factory=dict)
+    loudspeakers: Mapping[str, LoudspeakerTable] = field(default_factory=dict)
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
@@ -553,6 +584,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         dict(table.materials),
         _settings(table),
         {name: source.directivity for name, source in table.sources.items()},
+        dict(table.loudspeakers),
         tuple(
             MeasuredSpectrum(
                 str(m.source),
@@ -638,6 +670,7 @@ def _directivity_files(campaign: Campaign) -> list[Path]:
     directivities = campaign.directivities.values()
     named = [t for t in directivities if isinstance(t, str) and t not in ("omni", "fit")]
     named += [t.file for t in directivities if isinstance(t, MeasuredDirectivity)]
+    named += [t.directivity for t in campaign.loudspeakers.values() if t.directivity != "fit"]
     return [campaign.path.parent / name for name in named]
 
 

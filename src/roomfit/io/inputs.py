@@ -14,14 +14,13 @@ from roomfit.io.campaign import (
     Campaign,
     MaterialTable,
     MeasuredFile,
+    SharedDirectivity,
+    SourceDirectivity,
     Spectrum,
     read_campaign,
 )
 from roomfit.io.campaign import (
     Directivity as FirstOrderTable,
-)
-from roomfit.io.campaign import (
-    MeasuredDirectivity as MeasuredTable,
 )
 from roomfit.io.directivity import read_directivity
 from roomfit.io.iso3382 import read_parameters
@@ -30,7 +29,12 @@ from roomfit.io.rooms import read_room
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Measurement
-from roomfit.response.directivity import Directivity, UnknownDirectivity, aimed
+from roomfit.response.directivity import (
+    Directivity,
+    UnknownDirectivity,
+    aimed,
+    unit_vector,
+)
 from roomfit.scene import Room, Scene
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
@@ -57,7 +61,7 @@ def source_directivities(
 
 
 def _directivity(
-    campaign: Campaign, table: str | FirstOrderTable | MeasuredTable, bands: Bands
+    campaign: Campaign, table: SourceDirectivity, bands: Bands
 ) -> Directivity | UnknownDirectivity | None:
     folder = campaign.path.parent
     if table == "omni":
@@ -69,6 +73,11 @@ def _directivity(
     if isinstance(table, FirstOrderTable):
         known = aimed(table.aim, table.b)
         return UnknownDirectivity(known.b, table.b_sd) if table.b_sd > 0.0 else known
+    if isinstance(table, SharedDirectivity):
+        shared = campaign.loudspeakers[table.loudspeaker]
+        if shared.directivity == "fit":
+            return UnknownDirectivity(None, shared.b_sd, unit_vector(table.aim), table.loudspeaker)
+        return read_directivity(folder / shared.directivity, bands, table.aim, table.up)
     return read_directivity(folder / table.file, bands, table.aim, table.up)
 
 

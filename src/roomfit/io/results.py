@@ -19,7 +19,7 @@ from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, prov
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
 from roomfit.objective.coherent import FittedGeometry
-from roomfit.response.directivity import FirstOrder
+from roomfit.response.directivity import Pattern
 from roomfit.results import ComparedPair, Result, certificate_distance
 from roomfit.solvers.certificate import Certificate
 from roomfit.typing import FloatArray
@@ -94,11 +94,13 @@ def _posterior_table(posterior: Any, name: str) -> FloatArray:
         ) from error
 
 
-def _read_directivities(content: dict[str, Any]) -> dict[str, FirstOrder]:
+def _read_directivities(content: dict[str, Any]) -> dict[str, Pattern]:
     """Return the directivity of every source for which it was fitted."""
     try:
         by_source = content.get("directivity", {})
-        return {name: FirstOrder(np.array(one["b"])) for name, one in by_source.items()}
+        return {
+            name: Pattern(np.array(one["b"]), one.get("aim")) for name, one in by_source.items()
+        }
     except (AttributeError, KeyError, TypeError, ValueError) as error:
         raise InputError(
             "the directivity of the result is no table of numbers",
@@ -212,7 +214,12 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         },
     }
     if answer.directivities:
-        content["directivity"] = {d.source: {"b": d.b, "sd": d.sd} for d in answer.directivities}
+        content["directivity"] = {
+            name: {"b": d.b, "sd": d.sd}
+            | ({} if p.aim is None else {"aim": p.aim, "loudspeaker": d.source})
+            for d in answer.directivities
+            for name, p in d.patterns().items()
+        }
     if answer.geometry is not None:
         content["geometry"] = _geometry(answer.geometry)
     if answer.logit_covariance is not None:

@@ -1,13 +1,14 @@
-"""Sources that radiate as first-order patterns of unknown aim and strength.
+"""Sources that radiate as patterns of few unknowns: first order, or third about a known aim.
 
-The unknowns are one vector b a source: no angles, no bounds. Their block stands behind absorption
-and gain and before the geometry, whose position at the end `marginal` relies on.
+The unknowns are one vector b a pattern, which sources of one make share: no angles, no bounds.
+Their block stands behind absorption and gain and before the geometry, whose position at the end
+`marginal` relies on.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import ClassVar, cast
 
 import numpy as np
@@ -26,11 +27,13 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import DataTerm, Objective, Rows, Values
 from roomfit.response.coherent import ImagePaths, image_energies
 from roomfit.response.directivity import (
+    Pattern,
     amplitude_and_slope,
     coherent_slopes,
     directed_images,
     directed_rows,
     image_departure,
+    pattern_basis,
 )
 from roomfit.response.energy import EnergyRows, weigh
 from roomfit.scene import Scene
@@ -42,7 +45,7 @@ DIRECTIVITY = "directivity"
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownDirectivities:
-    """Priors of the vectors b of some sources."""
+    """Priors of the vectors b of some sources, or of loudspeakers that several sources are."""
 
     sources: tuple[str, ...]
     mean: FloatArray  # (3 * n_sources,), of b, source after source
@@ -86,8 +89,9 @@ class BandDirectivities:
     # (n_observations,), which of the unknown sources each observation receives; -1 for one that is
     # known
     source: IntArray
-    # (n_rows, 3), one an observation, where the path of each row leaves its source
-    departure: tuple[NDArray[np.float32], ...]
+    # (n_rows, 3), one an observation: `pattern_basis` of where the path of each row leaves
+    basis: tuple[NDArray[np.float32] | FloatArray, ...]
+    aims: tuple[FloatArray | None, ...]  # one an observation
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,10 +101,10 @@ class DirectedTerm:
     is_gamma: ClassVar[bool] = True
     windows: EnergyTerm | CoherentTerm  # with the weights of omnidirectional sources
     directivity: BandDirectivities
-    # image_departure, coherent_departure: (n_paths, 3), where the images of coherent windows leave
-    # their source, else empty
-    image_departure: NDArray[np.float32]
-    coherent_departure: NDArray[np.float32]
+    # image_basis, coherent_basis: (n_paths, 3), the same of the images of coherent windows, else
+    # empty
+    image_basis: FloatArray
+    coherent_basis: FloatArray
 
     @property
     def energies(self) -> EnergyTerm:
@@ -134,7 +138,7 @@ class DirectedTerm:
         for o, s in enumerate(source):
             if s < 0:
                 continue
-            factor = amplitude_and_slope(b[s], self.directivity.departure[o])[0] ** 2
+            factor = amplitude_and_slope(b[s], self.directivity.basis[o])[0] ** 2
             rows[o] = directed_rows(own.rows[o], factor)
             if single:
                 squared_images[o] = directed_rows(
@@ -144,10 +148,10 @@ class DirectedTerm:
         if not isinstance(self.windows, CoherentTerm):
             return own
         images, coherent = (
-            directed_images(paths, _image_amplitudes(paths, source, departure, b)[0])
-            for paths, departure in (
-                (self.windows.images, self.image_departure),
-                (self.windows.coherent, self.coherent_departure),
+            directed_images(paths, _image_amplitudes(paths, source, basis, b)[0])
+            for paths, basis in (
+                (self.windows.images, self.image_basis),
+                (self.windows.coherent, self.coherent_basis),
             )
         )
         return replace(self.windows, energies=own, images=images, coherent=coherent)
@@ -163,8 +167,8 @@ class DirectedTerm:
         for o, observed in enumerate(own.observations):
             n, s = observed.energy.size, self.directivity.source[o]
             if s >= 0:
-                departure = self.directivity.departure[o]
-                moved = _row_slopes(own.rows[o], b[s], departure, coefficients, air)
+                basis = self.directivity.basis[o]
+                moved = _row_slopes(own.rows[o], b[s], basis, coefficients, air)
                 slopes = observed.spreading @ moved.T
                 if added:
                     slopes[: len(added[o])] += added[o]
@@ -179,7 +183,7 @@ class DirectedTerm:
         """
         plain = cast(CoherentTerm, self.windows)
         images, source = plain.coherent, self.directivity.source
-        amplitude, slope = _image_amplitudes(images, source, self.coherent_departure, b)
+        amplitude, slope = _image_amplitudes(images, source, self.coherent_basis, b)
         pressures = coherent_slopes(
             images,
             values["absorption"],
@@ -208,10 +212,17 @@ def directed(
     """Return windows weighed by their sources' directivity, or as they are without any."""
     if directivity is None:
         return windows
-    images = coherent = np.zeros((0, 3), dtype=np.float32)
+    images = coherent = np.zeros((0, 3))
     if isinstance(windows, CoherentTerm):
-        images, coherent = image_departure(windows.images), image_departure(windows.coherent)
+        images = _image_basis(windows.images, directivity.aims)
+        coherent = _image_basis(windows.coherent, directivity.aims)
     return DirectedTerm(windows, directivity, images, coherent)
+
+
+def _image_basis(images: ImagePaths, aims: tuple[FloatArray | None, ...]) -> FloatArray:
+    departure = image_departure(images)
+    parts = np.split(departure, images.offsets[1:-1])
+    return np.concatenate([pattern_basis(p, aim) for p, aim in zip(parts, aims, strict=True)])
 
 
 def energy_objective(
@@ -233,26 +244,26 @@ def vectors_of(unknown: UnknownDirectivities, free: FloatArray) -> FloatArray:
 
 
 def _image_amplitudes(
-    images: ImagePaths, source: IntArray, departure: NDArray[np.float32], b: FloatArray
+    images: ImagePaths, source: IntArray, basis: FloatArray, b: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return amplitude (n,) and slope (n, 3) of every image: 1 and 0 where b is known."""
-    amplitude, slope = np.ones(len(departure)), np.zeros((len(departure), 3))
+    amplitude, slope = np.ones(len(basis)), np.zeros((len(basis), 3))
     for o, s in enumerate(source):
         if s >= 0:
             own = slice(images.offsets[o], images.offsets[o + 1])
-            amplitude[own], slope[own] = amplitude_and_slope(b[s], departure[own])
+            amplitude[own], slope[own] = amplitude_and_slope(b[s], basis[own])
     return amplitude, slope
 
 
 def _row_slopes(
     rows: EnergyRows,
     b: FloatArray,
-    departure: NDArray[np.float32],
+    basis: NDArray[np.float32] | FloatArray,
     coefficients: FloatArray,
     air: FloatArray,
 ) -> FloatArray:
     """Return the derivative of every bin's energy by b, shape (3, n_bins)."""
-    amplitude, slope = amplitude_and_slope(b, departure)
+    amplitude, slope = amplitude_and_slope(b, basis)
     by_b = 2.0 * amplitude[:, None] * slope
     return np.stack(
         [
@@ -271,13 +282,14 @@ CORRELATION_PER_OCTAVE = 0.8
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DirectivityParameters:
-    """Sources whose directivity is to be found."""
+    """Sources whose directivity is to be found, or the loudspeakers that several of them are."""
 
-    sources: tuple[str, ...]
-    number: IntArray  # (n_sources,), of each of them in the scene
+    sources: tuple[str, ...]  # names, of loudspeakers where those are shared
+    of_source: IntArray  # (n_scene_sources,), which of them a source of the scene is; -1: none
     # mean, sd: (n_sources, 3) and (n_sources,), prior of the vectors b, the same in all bands
     mean: FloatArray
     sd: FloatArray
+    aims: tuple[FloatArray | None, ...] = ()  # of every source of the scene; empty: none is known
 
 
 def directivity_prior(directivity_parameters: DirectivityParameters) -> UnknownDirectivities:
@@ -307,21 +319,31 @@ def directed_band(
     files: Sequence[MeasuredPair],
 ) -> BandDirectivities:
     """Return where the rows of a band leave the sources, nothing known of these yet."""
-    unknown_of = {int(n): i for i, n in enumerate(directivity_parameters.number)}
-    source = np.array([unknown_of.get(int(scene.pairs[m.pair][0]), -1) for m in files])
-    departure = tuple(
-        paths.departure[rows.path] if s >= 0 else np.zeros((0, 3), dtype=np.float32)
-        for s, rows in zip(source, energies.rows, strict=True)
+    number = [int(scene.pairs[m.pair][0]) for m in files]
+    source = directivity_parameters.of_source[number]
+    known = directivity_parameters.aims or (None,) * len(scene.sources)
+    aims = tuple(known[i] for i in number)
+    basis = tuple(
+        pattern_basis(paths.departure[rows.path], aim) if s >= 0 else np.zeros((0, 3))
+        for s, rows, aim in zip(source, energies.rows, aims, strict=True)
     )
-    return BandDirectivities(directivity_prior(directivity_parameters), source, departure)
+    return BandDirectivities(directivity_prior(directivity_parameters), source, basis, aims)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FittedDirectivity:
-    """What was found of how one source radiates, as a first-order pattern."""
+    """What was found of how one source radiates, or a loudspeaker that several sources are."""
 
-    source: str
+    source: str  # or the name of the loudspeaker
     # b, sd: (n_bands, 3), amplitude ``1 + b . u`` in direction u: along the axis, of length 0 where
     # the source is omnidirectional; and the standard deviation of each component, misfit included.
     b: FloatArray
     sd: FloatArray
+    # aim of each source that shares the pattern, which then is of third order; None where it is of
+    # first order and its axis unknown
+    aims: Mapping[str, FloatArray | None] = field(default_factory=dict)
+
+    def patterns(self) -> dict[str, Pattern]:
+        """Return the directivity of each source that has it."""
+        aims = self.aims or {self.source: None}
+        return {name: Pattern(self.b, aim) for name, aim in aims.items()}

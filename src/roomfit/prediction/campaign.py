@@ -25,7 +25,7 @@ from roomfit.prediction.changes import Change
 from roomfit.response.directivity import (
     Directivities,
     Directivity,
-    FirstOrder,
+    Pattern,
     UnknownDirectivity,
 )
 from roomfit.scene import Scene
@@ -299,12 +299,12 @@ def _sources_as_found(
             known[name] = directivity
             continue
         fitted = found.get(name)
-        if isinstance(fitted, FirstOrder) and fitted.b.ndim == 2:
-            known[name] = FirstOrder(fitted.b[at])
+        if isinstance(fitted, Pattern) and fitted.b.ndim == 2:
+            known[name] = Pattern(fitted.b[at], fitted.aim)
         elif fitted is not None:
             known[name] = fitted
         elif directivity.mean is not None:
-            known[name] = FirstOrder(np.tile(directivity.mean, (len(at), 1)))
+            known[name] = Pattern(np.tile(directivity.mean, (len(at), 1)), directivity.aim)
         else:
             unfitted.append(name)
     if not unfitted:

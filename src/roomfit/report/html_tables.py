@@ -31,6 +31,7 @@ from roomfit.report.wording import (
     parameter,
     shortened,
 )
+from roomfit.response.directivity import axial_index_db
 from roomfit.results import Compared, ComparedPair, Result, Use, certificate_distance
 from roomfit.scene import Room, Scene, material_areas_m2
 from roomfit.signals.decay import in_jnd
@@ -489,7 +490,12 @@ def source_tables(answer: Result) -> tuple[Table, ...]:
         table
         for found in answer.directivities
         for table in band_tables(
-            f"Directivity of {found.source}: amplitude 1 + b cos of the angle to its axis",
+            f"Directivity of {found.source}: amplitude "
+            + (
+                "by Legendre polynomials of the cosine of the angle to the aim"
+                if _is_axial(found)
+                else "1 + b cos of the angle to its axis"
+            ),
             "b",
             answer.bands.centres_hz,
             partial(_rows, found),
@@ -497,11 +503,21 @@ def source_tables(answer: Result) -> tuple[Table, ...]:
     )
 
 
+def _is_axial(found: FittedDirectivity) -> bool:
+    return any(aim is not None for aim in found.aims.values())
+
+
 def _rows(found: FittedDirectivity, block: IntArray) -> tuple[Row, ...]:
-    length = np.linalg.norm(found.b, axis=1)
-    whole = tuple(Cell(number(float(length[j]), 2)) for j in block)
-    rows = [Row("strength |b|", whole, "0 omnidirectional, 1 cardioid")]
-    for axis, name in enumerate("xyz"):
+    if _is_axial(found):
+        index = tuple(Cell(number(axial_index_db(found.b[j]), 1)) for j in block)
+        rows = [Row("directivity index, dB", index, f"{len(found.aims)} sources")]
+        names: tuple[str, ...] = ("order 1", "order 2", "order 3")
+    else:
+        length = np.linalg.norm(found.b, axis=1)
+        whole = tuple(Cell(number(float(length[j]), 2)) for j in block)
+        rows = [Row("strength |b|", whole, "0 omnidirectional, 1 cardioid")]
+        names = ("along x", "along y", "along z")
+    for axis, name in enumerate(names):
         cells = tuple(
             Cell(
                 number(float(found.b[j, axis]), 2, signed=True),
@@ -509,5 +525,5 @@ def _rows(found: FittedDirectivity, block: IntArray) -> tuple[Row, ...]:
             )
             for j in block
         )
-        rows.append(Row(f"along {name}", cells, "± standard deviation"))
+        rows.append(Row(name, cells, "± standard deviation"))
     return tuple(rows)

@@ -11,6 +11,7 @@ from roomfit.findings import Code, Finding
 from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
+from roomfit.response.directivity import axial_index_db
 from roomfit.results import ComparedPair, Result
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
@@ -114,6 +115,17 @@ def directivity_text(answer: Result) -> str:
     """Return strength and axis of every source whose directivity was fitted, band by band."""
     lines = []
     for found in answer.directivities:
+        aimed = any(aim is not None for aim in found.aims.values())
+        if aimed:
+            lines.append(
+                f"{found.source}, {len(found.aims)} sources: amplitude by Legendre polynomials of "
+                "the cosine of the angle to the aim"
+            )
+            for centre, b, sd in zip(answer.bands.centres_hz, found.b, found.sd, strict=True):
+                numbers = ", ".join(f"{x:.2f} +- {s:.2f}" for x, s in zip(b, sd, strict=True))
+                index_db = axial_index_db(b)
+                lines.append(f"{centre:>6g} Hz  b {numbers}; directivity index {index_db:.1f} dB")
+            continue
         lines.append(f"{found.source} sends with the amplitude 1 + b cos of the angle to its axis")
         for centre, b, sd in zip(answer.bands.centres_hz, found.b, found.sd, strict=True):
             length = float(np.linalg.norm(b))

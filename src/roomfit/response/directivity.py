@@ -1,4 +1,4 @@
-"""The directivity of sources, measured or of first order, as a factor on the energy of paths.
+"""The directivity of sources, measured or of few unknowns, as a factor on the energy of paths.
 
 Factors are relative to an omnidirectional source of the same sound power: their mean over all
 directions is 1, so that an "absolute" level is that of the sound power, not that on the axis of the
@@ -45,12 +45,31 @@ def amplitude_and_slope(
     ----------
     b : float array, shape (3,)
     departure : float array, shape (n, 3)
-        Unit vectors away from the source.
+        Unit vectors away from the source, or what `pattern_basis` makes of them.
     """
-    u = departure.astype(np.float64)
-    root = np.sqrt(1.0 + b @ b / 3.0)
-    amplitude = (1.0 + u @ b) / root
-    return np.asarray(amplitude), u / root - amplitude[:, None] * b / (3.0 * root**2)
+    amplitude, slope = np.empty(len(departure)), np.empty((len(departure), 3))
+    fill_amplitudes(np.asarray(b, dtype=np.float64), departure, amplitude, slope)
+    return amplitude, slope
+
+
+@kernel()
+def fill_amplitudes(
+    b: FloatArray,
+    departure: NDArray[np.float32] | FloatArray,
+    amplitude: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """Fill amplitude (n,) and slope (n, 3) in one pass: this is done for every row of a fit."""
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    root = np.sqrt(norm)
+    for i in range(len(departure)):
+        a = 1.0
+        for k in range(3):
+            a += departure[i, k] * b[k]
+        a /= root
+        amplitude[i] = a
+        for k in range(3):
+            slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
 
 
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
@@ -282,21 +301,63 @@ def measured_factor(source: MeasuredDirectivity, departure: FloatArray, band: in
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FirstOrder:
-    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power."""
+class Pattern:
+    """A source with the amplitude ``1 + b . u`` in direction u, of unit sound power.
+
+    Where it is known where the source aims, the amplitude is ``1 + b . q`` instead, with q as
+    `pattern_basis` returns it: of third order, and alike all around the aim.
+    """
 
     # (3,), along the axis, or (n_bands, 3), as a fit finds it; length 0 is omnidirectional, 1 a
     # cardioid, far above 1 a figure of eight. Aim and order in one: three unknowns without bounds
     # and without angles.
     b: FloatArray
+    aim: FloatArray | None = None  # (3,), unit vector; None: of first order, its axis that of b
 
     def __post_init__(self) -> None:
         shape = (3,) if np.ndim(self.b) == 1 else (None, 3)
-        b = float_array("first-order directivity", self.b, shape, low=-1e3, high=1e3)
+        b = float_array("directivity", self.b, shape, low=-1e3, high=1e3)
         object.__setattr__(self, "b", b)
+        if self.aim is not None:
+            object.__setattr__(self, "aim", unit_vector(self.aim))
 
 
-def aimed(aim: ArrayLike, b: float) -> FirstOrder:
+def unit_vector(aim: ArrayLike) -> FloatArray:
+    """Return a direction as a unit vector, shape (3,); an `InputError` where it has no length."""
+    axis = float_array("aim", aim, (3,), low=-1e6, high=1e6)
+    length = float(np.linalg.norm(axis))
+    if length == 0.0:
+        raise InputError("a source aims nowhere", found="aim of length 0", needed="a direction")
+    return np.asarray(axis / length)
+
+
+# Legendre polynomials of the orders 1 to 3, scaled to the mean square 1/3 over the sphere, that of
+# the components of a unit vector: patterns of both kinds then have one formula.
+_AXIAL_SCALE = np.sqrt((2.0 * np.arange(1, 4) + 1.0) / 3.0)
+
+
+def pattern_basis(
+    departure: NDArray[np.float32] | FloatArray, aim: FloatArray | None
+) -> NDArray[np.float32] | FloatArray:
+    """Return what the amplitude of a `Pattern` is linear in, shape (n, 3).
+
+    The direction itself, or about a known aim Legendre polynomials of the cosine of the angle to
+    it: a loudspeaker of one or two ways is alike all around its axis, and narrower than any
+    pattern of first order.
+
+    Parameters
+    ----------
+    departure : float array, shape (n, 3)
+        Unit vectors away from the source.
+    aim : float array, shape (3,), or None
+    """
+    if aim is None:
+        return departure
+    cosine = np.clip(departure.astype(np.float64) @ aim, -1.0, 1.0)
+    return np.asarray(np.polynomial.legendre.legvander(cosine, 3)[:, 1:] * _AXIAL_SCALE)
+
+
+def aimed(aim: ArrayLike, b: float) -> Pattern:
     """Return the first-order directivity with an axis and a strength.
 
     Parameters
@@ -311,14 +372,16 @@ def aimed(aim: ArrayLike, b: float) -> FirstOrder:
     InputError
         The axis has no length.
     """
-    axis = float_array("aim", aim, (3,), low=-1e6, high=1e6)
-    length = float(np.linalg.norm(axis))
-    if length == 0.0:
-        raise InputError("a source aims nowhere", found="aim of length 0", needed="a direction")
-    return FirstOrder(b * axis / length)
+    return Pattern(b * unit_vector(aim))
 
 
-Directivity = FirstOrder | MeasuredDirectivity
+def axial_index_db(b: FloatArray) -> float:
+    """Return by how much a pattern about an aim, b of shape (3,), is louder on its axis, dB."""
+    on_axis = 1.0 + b @ _AXIAL_SCALE
+    return float(10.0 * np.log10(max(on_axis**2, 1e-12) / (1.0 + b @ b / 3.0)))
+
+
+Directivity = Pattern | MeasuredDirectivity
 
 
 def directivity_factors(
@@ -333,7 +396,7 @@ def directivity_factors(
     source_of_pair : sequence of int
         First column of the scene's pairs.
     band : int
-        Of a `FirstOrder.b` with bands, and of `MeasuredDirectivity.centres_hz`.
+        Of a `Pattern.b` with bands, and of `MeasuredDirectivity.centres_hz`.
     """
     factors = np.ones(len(paths))
     source_of_path = np.asarray(source_of_pair)[paths.pair]
@@ -342,9 +405,10 @@ def directivity_factors(
             continue
         own = np.flatnonzero(source_of_path == number)
         departure = paths.departure[own].astype(np.float64)
-        if isinstance(source, FirstOrder):
+        if isinstance(source, Pattern):
             b = source.b if source.b.ndim == 1 else source.b[band]
-            factors[own] = (1.0 + departure @ b) ** 2 / (1.0 + b @ b / 3.0)
+            basis = pattern_basis(departure, source.aim)
+            factors[own] = (1.0 + basis @ b) ** 2 / (1.0 + b @ b / 3.0)
         else:
             factors[own] = measured_factor(source, departure, band)
     return factors
@@ -352,10 +416,12 @@ def directivity_factors(
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UnknownDirectivity:
-    """A first-order directivity that is to be fitted, with the prior of its vector b."""
+    """A directivity that is to be fitted, a `Pattern`, with the prior of its vector b."""
 
     mean: FloatArray | None = None  # shape (3,); None: unspecified
     sd: float | None = None  # of each component of b; None: unspecified
+    aim: FloatArray | None = None  # (3,), unit vector: the pattern is of third order about it
+    loudspeaker: str | None = None  # sources of one make share b; they need an aim each
 
 
 # By source; a source that is not among them is omnidirectional.

@@ -14,7 +14,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
-from roomfit.response.directivity import Directivity, FirstOrder
+from roomfit.response.directivity import Directivity, Pattern
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 # Logits beyond +-14 mean an absorption within a millionth of 0 or 1.
@@ -94,7 +94,7 @@ def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
 
 
 def _n_bands(directivity: Directivity) -> int | None:
-    if isinstance(directivity, FirstOrder):
+    if isinstance(directivity, Pattern):
         return None if directivity.b.ndim == 1 else len(directivity.b)
     return len(directivity.centres_hz)
 
