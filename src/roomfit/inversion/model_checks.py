@@ -298,9 +298,9 @@ def decays_by_scattering(
     worst = [max(m.jnd, key=lambda name: abs(m.jnd[name][0])) for m in misses]
     fitted = fitted_decay_times_s(measurements, traced.binned, absorption, chosen)
     quick = TraceSettings(
-        traced.duration_s,
+        traced.settings.duration_s,
         n_rays=settings.n_scattering_rays,
-        receiver_radius_m=settings.receiver_radius_m,
+        receiver_radius_m=traced.settings.receiver_radius_m,
         seed=settings.seed,
     )
     retracer, found = Retracer(scene, bands, quick), {}

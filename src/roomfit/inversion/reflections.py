@@ -131,7 +131,7 @@ def _isolated(
     half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(scene, m)
     arrival_s = paths.length_m[own] / c
     windows = np.stack((arrival_s - half_s, arrival_s + half_s), axis=1)
-    inside = windows[:, 1] < min(traced.duration_s, float(m.noise.usable_end_s[band]))
+    inside = windows[:, 1] < min(traced.settings.duration_s, float(m.noise.usable_end_s[band]))
     attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
 
     # energies without absorption and scattering of the wall itself, (n,), and of all else
