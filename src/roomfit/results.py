@@ -118,6 +118,8 @@ class Result:
     prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
     reasons: tuple[str, ...] = ()  # what was chosen, and why
     prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
+    # (n_draws, n_materials, n_bands), of the posterior, as predictions take them; None: not drawn
+    draws: FloatArray | None = None
     settings: Settings = field(default_factory=Settings)
 
     def __str__(self) -> str:
@@ -192,6 +194,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         directivities={d.source: FirstOrder(d.b) for d in answer.directivities},
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
+        draws=answer.draws,
     )
 
 

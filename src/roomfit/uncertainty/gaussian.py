@@ -234,6 +234,8 @@ class BandEstimate:
     profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
     samples: FloatArray | None = None  # (n_draws, n_materials), of a posterior that converged
     sampling: Sampled | None = None
+    # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
+    draws: FloatArray | None = None
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
     starts: Starts | None = None  # where random starts were tried
 
@@ -308,6 +310,23 @@ def _directivity(
     first = position_of(parameters, DIRECTIVITY)
     own = slice(first, first + len(block.labels))
     return vector[own], covariance[own, own]
+
+
+def prior_absorptions(
+    priors: tuple[MaterialPrior, ...], band: int, n_draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of absorption from the priors alone, shape (n_draws, n_materials)."""
+    noise = rng.standard_normal((n_draws, len(priors)))
+    drawn = np.empty_like(noise)
+    names = [k.name for k in priors]
+    for i, own in enumerate(priors):
+        at = names.index(own.tied_to or own.name)
+        k = priors[at]
+        free = k.prior_logit_mean[band] + k.prior_logit_sd[band] * noise[:, at]
+        drawn[:, i] = k.lower + (k.upper - k.lower) * expit(free)
+        if k.known is not None:
+            drawn[:, i] = k.known[band]
+    return drawn
 
 
 def prior_only_band(
