@@ -23,6 +23,7 @@ _LEAST_SHARE = 0.5
 # Accepted moves a point before it is drawn from, and again before it is a second time; and how many
 # rounds of one evaluation a point they may take.
 _MOVES, _MOST_ROUNDS = 0.8, 5
+_MOST_LEVELS = 20
 # Above so many numbers the second derivatives of all windows cost more than what they save.
 _MOST_CURVATURES = 20_000
 
@@ -68,10 +69,18 @@ def posterior_draws(
     n = law.n_kept
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
-    points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
+    # gains have no prior to begin with, and energies one minimum; values alone may have several
+    from_prior = not bool(objective.is_gamma().any())
+    if from_prior:
+        size = max(n_draws, 2 * _LEAST_POINTS)
+        root = np.linalg.cholesky(np.linalg.inv(near.prior))
+        points = near.prior_mean + rng.standard_normal((size, n)) @ root.T
+        of_near = _log_prior(near, points)
+    else:
+        points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
     worth = _worth(law, points)
     evaluations, power, first_share = size, 0.0, 1.0
-    for number in range(_MOST_ROUNDS):
+    for number in range(_MOST_LEVELS):
         ratio = worth - of_near
         step = _power_step(ratio, 1.0 - power)
         if number == 0:
@@ -81,13 +90,17 @@ def posterior_draws(
         points, worth, of_near = points[chosen], worth[chosen], of_near[chosen]
         if power >= 1.0 - 1e-9:
             break
-        points, worth, of_near, _ = _walked(law, near, (points, worth, of_near), power, rng)
+        if from_prior:
+            points, worth, _ = _differed(law, points, worth, rng, (near, power))
+            of_near = _log_prior(near, points)
+        else:
+            points, worth, of_near, _ = _walked(law, near, (points, worth, of_near), power, rng)
         evaluations += size
     drawn, moves = [], []
-    for _ in range(2):
+    while sum(map(len, drawn)) < n_draws:
         moves.append(0.0)
         for number in range(_MOST_ROUNDS):
-            if number % 2:
+            if number % 2 != from_prior:
                 points, worth, taken = _differed(law, points, worth, rng)
             else:
                 here = points, worth, of_near
@@ -149,8 +162,17 @@ def _walked(
     )
 
 
+def _log_prior(near: Surrogate, points: FloatArray) -> FloatArray:
+    away = points - near.prior_mean
+    return -0.5 * np.einsum("pi,ij,pj->p", away, near.prior, away)
+
+
 def _differed(
-    law: LogPosterior, points: FloatArray, worth: FloatArray, rng: np.random.Generator
+    law: LogPosterior,
+    points: FloatArray,
+    worth: FloatArray,
+    rng: np.random.Generator,
+    tempered: tuple[Surrogate, float] | None = None,
 ) -> tuple[FloatArray, FloatArray, float]:
     """Move each half of the points by differences of two points of the other half."""
     points, worth = points.copy(), worth.copy()
@@ -158,11 +180,16 @@ def _differed(
     halves = np.array_split(rng.permutation(len(points)), 2)
     for own, other in (halves, halves[::-1]):
         pairs = np.array([rng.choice(other, 2, replace=False) for _ in own])
-        scale = 2.38 / np.sqrt(2.0 * points.shape[1])
+        scale = 2.38 / np.sqrt(2.0 * points.shape[1]) * rng.uniform(0.2, 1.0, (own.size, 1))
         there = points[own] + scale * (points[pairs[:, 0]] - points[pairs[:, 1]])
         there += 1e-5 * rng.standard_normal(there.shape)
         new = _worth(law, there)
-        better = np.log(rng.random(own.size)) < new - worth[own]
+        more = new - worth[own]
+        if tempered is not None:
+            near, power = tempered
+            by_prior = _log_prior(near, there) - _log_prior(near, points[own])
+            more = power * more + (1.0 - power) * by_prior
+        better = np.log(rng.random(own.size)) < more
         points[own[better]], worth[own[better]] = there[better], new[better]
         taken += float(better.sum()) / len(points)
     return points, worth, taken
