@@ -160,7 +160,7 @@ class ExactValues(Posynomial):
 
     sd: float = 0.02
 
-    def variance(self, vector: FloatArray) -> FloatArray:
+    def variance(self, _vector: FloatArray) -> FloatArray:
         return np.full(self.observed.size, self.sd**2)
 
     def is_gamma(self) -> BoolArray:

@@ -334,8 +334,8 @@ def _refinement(
         intervals,
         material_areas_m2(measured.scene.room),
         settings.seed,
-        settings.n_draws,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
+        settings.n_draws,
     )
 
 

@@ -46,7 +46,8 @@ _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 class PredictedValue:
     """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    predicted: FloatArray  # at the most likely absorption
+    # the median of the posterior's draws; without them, at the most likely absorption
+    predicted: FloatArray
     lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
     upper95: FloatArray
     sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
@@ -222,7 +223,9 @@ def predict(
             lambda i=i: pair_numbers(scene, bands, binned, i, expected, drawn),  # type: ignore[misc]
             (PairNumbers, PredictedDecay),
         )
-        numbers.append(one.value)
+        # of several places that explain the data alike the likeliest may lie aside of all others
+        central = replace(one.value, values=np.median(one.value.draws, axis=0))
+        numbers.append(one.value if absorption.draws is None else central)
         cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
@@ -237,7 +240,7 @@ def predict(
         upper,
         tuple(change_text(c) for c in changes),
         _predicted_pairs(scene, bands, numbers, observed),
-        _predicted_means(scene, bands, numbers, observed),
+        _predicted_means(scene, bands, numbers, observed, absorption.draws is not None),
         (
             *room.findings,
             *absorption.findings,
@@ -373,6 +376,7 @@ def _predicted_means(
     bands: Bands,
     numbers: Sequence[PairNumbers],
     observed_pairs: Sequence[_ObservedPair],
+    from_draws: bool,
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     index = {names: i for i, names in enumerate(_pair_names(scene))}
@@ -393,7 +397,7 @@ def _predicted_means(
         rest_sd = np.hypot(np.sqrt(noise), model_sd)
         observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
         nothing = np.full(len(bands), np.nan)
-        mean = _weighted(weights, predicted)
+        mean = _weighted(weights, predicted) if not from_draws else np.median(drawn, axis=0)
         table[name] = _value(name, mean, drawn, rest_sd, observed, nothing)
     return table
 

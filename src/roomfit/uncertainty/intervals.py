@@ -39,9 +39,9 @@ class Refinement:
     intervals: Literal["gaussian", "profile", "posterior"]
     areas_m2: FloatArray  # (n_materials,)
     seed: int
-    n_draws: int = 0  # of the posterior, for predictions
     # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
+    n_draws: int = 0  # of the posterior, for predictions
 
     def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""

@@ -127,9 +127,7 @@ class LogPosterior:
         vector = np.concatenate((kept, self.ridge(kept)))
         with_slopes = self.inner.size > 0 or self.held is None
         found_there = self.objective.predict(vector) if with_slopes else None
-        expected = (
-            self.objective.expected(vector) if found_there is None else found_there.expected
-        )
+        expected = self.objective.expected(vector) if found_there is None else found_there.expected
         variance = self._variance(vector, expected)
         neighbours = self.objective.correlation_length()
         each = self.objective.log_likelihood(expected, variance)
