@@ -65,7 +65,7 @@ def rows(predicted: Predicted, sources: tuple[str, ...]) -> np.ndarray:
     for pair in predicted.pairs:
         if pair.source in sources:
             for name, v in pair.parameters.items():
-                unit = jnd_of(name, v.predicted)
+                unit = jnd_of(name, v.measured)
                 table = (v.measured, v.predicted, v.lower95, v.upper95, v.mean_of_others)
                 found += [r for r in (np.array(table) / unit).T if np.isfinite(r[:4]).all()]
     return np.array(found)

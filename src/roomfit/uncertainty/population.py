@@ -1,8 +1,7 @@
 """Equal-weight draws from a band's posterior by population Monte Carlo.
 
-A population starts from a law near to the posterior that takes no evaluation, and is led from there
-to the posterior itself: weighed, resampled, and moved by Metropolis steps, for some hundred
-evaluations.
+A population starts from a law that takes no evaluation, and is led from there to the posterior
+itself: weighed, resampled, and moved by Metropolis steps, for some hundred evaluations.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import numpy as np
 
 from roomfit.objective.problem import Objective
 from roomfit.solvers.least_squares import BandFit
-from roomfit.typing import FloatArray
+from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.sampling import LogPosterior, Surrogate, log_posterior, surrogate
 
 # Each point is drawn from twice, some moves apart; fewer say little of where all have to go.
@@ -23,6 +22,7 @@ _LEAST_SHARE = 0.5
 # Accepted moves a point before it is drawn from, and again before it is a second time; and how many
 # rounds of one evaluation a point they may take.
 _MOVES, _MOST_ROUNDS = 0.8, 5
+# Powers between the first law and the posterior, at most.
 _MOST_LEVELS = 20
 # Above so many numbers the second derivatives of all windows cost more than what they save.
 _MOST_CURVATURES = 20_000
@@ -54,9 +54,10 @@ def posterior_draws(
 
     Notes
     -----
-    The law goes from surrogate to posterior by powers of their ratio, each as far as leaves half of
-    the population [1]_. Moves are walks under the surrogate, and differences of two other points
-    [2]_.
+    The law goes from the first to the posterior by powers of their ratio, each as far as leaves
+    half of the population [1]_. Moves are walks under the surrogate, and differences of two other
+    points [2]_. The first law is the surrogate about the fit for energies, which have one minimum
+    (random starts look for others), and the prior for values alone, which may have several.
 
     References
     ----------
@@ -96,8 +97,9 @@ def posterior_draws(
         else:
             points, worth, of_near, _ = _walked(law, near, (points, worth, of_near), power, rng)
         evaluations += size
-    drawn, moves = [], []
-    while sum(map(len, drawn)) < n_draws:
+    drawn: list[FloatArray] = []
+    moves: list[float] = []
+    while len(drawn) * size < n_draws:
         moves.append(0.0)
         for number in range(_MOST_ROUNDS):
             if number % 2 != from_prior:
@@ -135,11 +137,11 @@ def _power_step(ratio: FloatArray, most: float) -> float:
     return max(low, 1e-3 * most)
 
 
-def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> FloatArray:
+def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
     """Return indices of points, systematically as often as their weights ask for."""
     w = np.exp(log_weight - log_weight.max())
     at = (np.arange(w.size) + rng.random()) / w.size
-    return np.minimum(np.searchsorted(np.cumsum(w / w.sum()), at), w.size - 1)
+    return np.asarray(np.minimum(np.searchsorted(np.cumsum(w / w.sum()), at), w.size - 1))
 
 
 def _walked(
@@ -164,7 +166,7 @@ def _walked(
 
 def _log_prior(near: Surrogate, points: FloatArray) -> FloatArray:
     away = points - near.prior_mean
-    return -0.5 * np.einsum("pi,ij,pj->p", away, near.prior, away)
+    return np.asarray(-0.5 * np.einsum("pi,ij,pj->p", away, near.prior, away))
 
 
 def _differed(
