@@ -7,8 +7,8 @@ pairs of one source are fitted, by values of ISO 3382-1 alone or by responses; t
 are predicted, and once more with one wall exchanged for a known one, which is simulated, too. Each
 is predicted from the same fit with the posterior's draws, and with those of the linearised one.
 
-Errors and half widths are rms values in just noticeable differences. "at least": a null model that
-knows nothing of the room, the mean of the fitted pairs.
+Errors and half widths are rms values in just noticeable differences. "null" knows nothing of the
+room: the mean of the other measured pairs.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,7 @@ from roomfit.prediction.predict import Predicted, predict
 from roomfit.results import absorption_posterior
 from roomfit.settings import Settings
 from roomfit.signals.decay import jnd_of
-from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues
+from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.synthetic.boxes import BoxPlan, write_measured_box
 from simulated_rooms.random_boxes import random_plan
 
@@ -42,17 +43,19 @@ CHANGED_TO = 0.2
 FEW = Settings(n_rays_beside_images=10_000, n_rays=10_000)
 
 
-def simulated(plan: BoxPlan, seed: int):
+def simulated(
+    plan: BoxPlan, seed: int
+) -> tuple[dict[str, Any], list[Measurement], list[MeasuredValues]]:
     """Return scene, priors and measurements of a box, with its values as a table."""
     with tempfile.TemporaryDirectory() as name:
         campaign = read_campaign(write_measured_box(plan, Path(name), np.random.default_rng(seed)))
         arguments = identify_arguments(replace(campaign, bands=BANDS))
+    names: tuple[ValueName, ...] = ("T20_s", "T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms")
     responses = [m for m in arguments["measurements"] if isinstance(m, Measurement)]
     observed, _ = observe(arguments["scene"], responses, BANDS)
     values = []
     for m in observed:
         table = dict(zip(VALUE_NAMES, m.parameters.values, strict=False))
-        names = ("T20_s", "T30_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms")
         own = m.measurement
         kept = {n: table[n] for n in names if np.isfinite(table[n]).all()}
         values.append(MeasuredValues(own.source, own.receiver, BANDS.centres_hz, kept))

@@ -25,7 +25,7 @@ def test_draws_have_the_quantiles_of_a_quadrature(kind):
         own = {n: getattr(case, n) for n in ("weight", "hits", "observed", "shape", "parameters")}
         case = ExactValues(**own, sd=0.3)
     fit = fit_band(case)
-    law = replace(log_posterior(case, fit), held=fit)
+    law = replace(log_posterior(case, fit), fixed_weights=fit)
     found = posterior_draws(case, fit, 1024, np.random.default_rng(1))
     assert found.draws.shape == (1024, 2)
     assert found.moves >= 0.8

@@ -46,7 +46,7 @@ _STEPS = np.asarray(ndtri((np.arange(16) + 0.5) / 16.0))
 class PredictedValue:
     """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    # the median of the posterior's draws; without them, at the most likely absorption
+    # at the most likely absorption; at the nearer end of the interval where it lies outside
     predicted: FloatArray
     lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
     upper95: FloatArray
@@ -223,9 +223,7 @@ def predict(
             lambda i=i: pair_numbers(scene, bands, binned, i, expected, drawn),  # type: ignore[misc]
             (PairNumbers, PredictedDecay),
         )
-        # of several places that explain the data alike the likeliest may lie aside of all others
-        central = replace(one.value, values=np.median(one.value.draws, axis=0))
-        numbers.append(one.value if absorption.draws is None else central)
+        numbers.append(one.value)
         cache_findings += one.findings
         if progress is not None:
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
@@ -240,7 +238,7 @@ def predict(
         upper,
         tuple(change_text(c) for c in changes),
         _predicted_pairs(scene, bands, numbers, observed),
-        _predicted_means(scene, bands, numbers, observed, absorption.draws is not None),
+        _predicted_means(scene, bands, numbers, observed),
         (
             *room.findings,
             *absorption.findings,
@@ -376,7 +374,6 @@ def _predicted_means(
     bands: Bands,
     numbers: Sequence[PairNumbers],
     observed_pairs: Sequence[_ObservedPair],
-    from_draws: bool,
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     index = {names: i for i, names in enumerate(_pair_names(scene))}
@@ -397,7 +394,7 @@ def _predicted_means(
         rest_sd = np.hypot(np.sqrt(noise), model_sd)
         observed = np.where(np.isfinite(measured).any(axis=0), _weighted(weights, measured), np.nan)
         nothing = np.full(len(bands), np.nan)
-        mean = _weighted(weights, predicted) if not from_draws else np.median(drawn, axis=0)
+        mean = _weighted(weights, predicted)
         table[name] = _value(name, mean, drawn, rest_sd, observed, nothing)
     return table
 
@@ -426,6 +423,8 @@ def _value(
         low = np.maximum(low, 0.0)
     if name == "D50_percent":
         low, high = np.clip(low, 0.0, 100.0), np.clip(high, 0.0, 100.0)
+    # of several answers that explain the data alike the likeliest may lie aside of nearly all others
+    values = np.clip(values, low, high)
     return PredictedValue(
         values,
         low,

@@ -66,7 +66,7 @@ def posterior_draws(
     .. [2] C. J. F. ter Braak, "A Markov chain Monte Carlo version of the genetic algorithm
            differential evolution", Stat. Comput. 16, 239-249 (2006).
     """
-    law = replace(log_posterior(objective, fit), held=fit)
+    law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)

@@ -117,15 +117,15 @@ class LogPosterior:
     follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
     inner: FloatArray  # (n_free - n_kept, n_free - n_kept), their information, given the others
     flattening: float  # max(phi, 1)
-    # a fit whose weights are held: energies keep its shapes, all other data its variances
-    held: BandFit | None = None
+    # a fit whose weights are kept: energies keep its shapes, all other data its variances
+    fixed_weights: BandFit | None = None
 
     def __call__(self, kept: FloatArray) -> float:
         """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
         if not np.all(np.abs(kept) < FARTHEST_FREE):
             return -np.inf
         vector = np.concatenate((kept, self.ridge(kept)))
-        with_slopes = self.inner.size > 0 or self.held is None
+        with_slopes = self.inner.size > 0 or self.fixed_weights is None
         found_there = self.objective.predict(vector) if with_slopes else None
         expected = self.objective.expected(vector) if found_there is None else found_there.expected
         variance = self._variance(vector, expected)
@@ -141,11 +141,11 @@ class LogPosterior:
         return found if np.isfinite(found) else -np.inf
 
     def _variance(self, vector: FloatArray, expected: FloatArray) -> FloatArray:
-        if self.held is None:
+        if self.fixed_weights is None:
             return self.objective.variance(vector)
-        energies, before = self.objective.is_gamma(), self.held.expected
+        energies, before = self.objective.is_gamma(), self.fixed_weights.expected
         grown = np.where(energies, expected / np.where(energies, before, 1.0), 1.0)
-        return np.asarray(self.held.variance * grown**2)
+        return np.asarray(self.fixed_weights.variance * grown**2)
 
     def ridge(self, kept: FloatArray) -> FloatArray:
         """Return where arrival times follow kept numbers, shape (n_free - n_kept,)."""
