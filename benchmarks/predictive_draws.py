@@ -19,7 +19,6 @@ import tempfile
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -27,7 +26,7 @@ from roomfit.bands import bands_between
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import observe
 from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import identify_arguments
+from roomfit.io.inputs import IdentifyArguments, identify_arguments
 from roomfit.measurement import Measurement
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
@@ -45,7 +44,7 @@ FEW = Settings(n_rays_beside_images=10_000, n_rays=10_000)
 
 def simulated(
     plan: BoxPlan, seed: int
-) -> tuple[dict[str, Any], list[Measurement], list[MeasuredValues]]:
+) -> tuple[IdentifyArguments, list[Measurement], list[MeasuredValues]]:
     """Return scene, priors and measurements of a box, with its values as a table."""
     with tempfile.TemporaryDirectory() as name:
         campaign = read_campaign(write_measured_box(plan, Path(name), np.random.default_rng(seed)))

@@ -423,7 +423,7 @@ def _value(
         low = np.maximum(low, 0.0)
     if name == "D50_percent":
         low, high = np.clip(low, 0.0, 100.0), np.clip(high, 0.0, 100.0)
-    # of several answers that explain the data alike the likeliest may lie aside of nearly all others
+    # of several answers that explain the data alike the likeliest may lie aside of most others
     values = np.clip(values, low, high)
     return PredictedValue(
         values,
