@@ -116,7 +116,7 @@ def main() -> None:
             fitted = [m for m in data if m.source == "LS1"]
             began = time.perf_counter()
             answer = identify(
-                **(arguments | {"measurements": fitted, "settings": FEW}),
+                arguments["scene"], fitted, arguments["materials"], BANDS, settings=FEW
             )
             seconds.append(time.perf_counter() - began)
             posterior = absorption_posterior(answer)
