@@ -117,6 +117,8 @@ class Result:
     prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
     reasons: tuple[str, ...] = ()  # what was chosen, and why
     prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
+    # (n_draws, n_materials, n_bands), of the posterior, as predictions take them; None: not drawn
+    draws: FloatArray | None = None
     settings: Settings = field(default_factory=Settings)
     # what the trace used: duration_s, n_rays (a source), receiver_radius_m, and scattering_groups
     # of bands; empty where unknown
@@ -194,6 +196,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         directivities={n: p for d in answer.directivities for n, p in d.patterns().items()},
         prior_specified=answer.prior_specified,
         chi2_reduced=answer.chi2_reduced,
+        draws=answer.draws,
     )
 
 

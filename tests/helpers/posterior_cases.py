@@ -65,6 +65,9 @@ class Posynomial:
             jacobians["gain"] = signal[:, None] / gain * slopes["gain"]
         return Prediction(signal, signal, fitted_columns(self.parameters, jacobians))
 
+    def expected(self, vector: FloatArray) -> FloatArray:
+        return self.predict(vector).expected
+
     def variance(self, vector: FloatArray) -> FloatArray:
         return np.asarray(self.predict(vector).expected ** 2 / self.shape)
 
@@ -149,6 +152,22 @@ def exchangeable_case() -> Posynomial:
     return Posynomial(
         np.ones(hits.shape[:2]), hits, observed, 60.0, Parameters((absorption_block(2, 0.3),))
     )
+
+
+@dataclass(frozen=True, eq=False)
+class ExactValues(Posynomial):
+    """The same numbers as values with normal errors of a known standard deviation."""
+
+    sd: float = 0.02
+
+    def variance(self, _vector: FloatArray) -> FloatArray:
+        return np.full(self.observed.size, self.sd**2)
+
+    def is_gamma(self) -> BoolArray:
+        return np.zeros(self.observed.size, dtype=np.bool_)
+
+    def log_likelihood(self, expected: FloatArray, variance: FloatArray) -> FloatArray:
+        return np.asarray(-0.5 * (self.observed - expected) ** 2 / variance)
 
 
 def surrogate_log_density(near: Surrogate, kept: FloatArray) -> FloatArray:

@@ -228,15 +228,20 @@ def test_a_material_that_no_sound_meets_is_not_determined(tmp_path):
     from roomfit.uncertainty.gaussian import absorption_intervals
 
     names, one = ("met", "never met"), np.ones(2)
-    block = Block(
-        "absorption", names, "logit", 0.15 * one, one > 0, -1.7 * one, 1.5 * one, 0 * one, one
-    )
-    prior = 1.0 / 1.5**2
-    information = np.diag([prior + 400.0, prior])
-    found = absorption_intervals(Parameters((block,)), np.array([-1.0, -1.7]), information, 1.0)
-    assert (found.lower95[1], found.upper95[1]) == (0.0, 1.0)
-    assert found.upper95[0] - found.lower95[0] < 0.05
-    assert found.identifiable.tolist() == [True, False]
+    # the broad default, and a prior that was stated, of which a misfit takes nothing away
+    for mean, sd, low, high in (
+        (np.log(0.15 / 0.85), 1.5, 0.0, 1.0),
+        (0.0, 0.5, 1.0 / (1.0 + np.exp(0.979982)), 1.0 / (1.0 + np.exp(-0.979982))),
+    ):
+        block = Block(
+            "absorption", names, "logit", 0.15 * one, one > 0, mean * one, sd * one, 0 * one, one
+        )
+        information = np.diag([1.0 / sd**2 + 4000.0, 1.0 / sd**2])
+        vector = np.array([-1.0, mean])
+        found = absorption_intervals(Parameters((block,)), vector, information, 1.9)
+        assert (found.lower95[1], found.upper95[1]) == pytest.approx((low, high), abs=1e-5)
+        assert found.upper95[0] - found.lower95[0] < 0.05
+        assert found.identifiable.tolist() == [True, False]
 
 
 def test_every_evaluation_that_was_made_is_counted(tmp_path, few_rays, monkeypatch):

@@ -67,7 +67,7 @@ from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import determined, inseparable_findings
-from roomfit.uncertainty.gaussian import BandEstimate
+from roomfit.uncertainty.gaussian import BandEstimate, prior_absorptions
 from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.posterior import plain_logit_covariance
 from roomfit.uncertainty.sampling import check_sampler
@@ -301,6 +301,7 @@ def combine(
         logit_covariance=covariance,
         logit_prior=prior,
         prior_specified=are_specified(priors),
+        draws=_draws(found, priors, settings),
         combinations=combinations,
         sentences=sentences,
         shares=shares,
@@ -339,6 +340,24 @@ def _logit_covariance(
     )
 
 
+def _draws(
+    found: tuple[BandEstimate, ...], priors: tuple[MaterialPrior, ...], settings: Settings
+) -> FloatArray | None:
+    """Return draws of absorption, shape (n_draws, n_materials, n_bands), bands independent."""
+    if not settings.posterior_draws:
+        return None
+    drawn = []
+    for band, answer in enumerate(found):
+        rng = np.random.default_rng((settings.seed, band))
+        own = answer.draws
+        if answer.model == "prior":
+            own = prior_absorptions(priors, band, settings.n_draws, rng)
+        if own is None:
+            return None
+        drawn.append(rng.permutation(own))
+    return np.stack(drawn, axis=2)
+
+
 def _refinement(
     measured: Measurements, priors: tuple[MaterialPrior, ...], settings: Settings
 ) -> Refinement:
@@ -353,6 +372,7 @@ def _refinement(
         material_areas_m2(measured.scene.room),
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
+        settings.n_draws if settings.posterior_draws else 0,
     )
 
 

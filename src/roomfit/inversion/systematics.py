@@ -90,9 +90,18 @@ def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate
         upper95=upper,
         mean=mean,
         samples=None,
+        draws=_half_each(best.draws, other.draws),
         identifiable=sure,
         logit_covariance=best.logit_covariance * np.outer(sd_scale, sd_scale),
     )
+
+
+def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray | None:
+    """Return as many draws, in turn from either law."""
+    if one is None or other is None:
+        return None
+    from_other = (np.arange(len(one)) % 2 == 1)[:, None]
+    return np.where(from_other, other[: len(one)], one)
 
 
 def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> BandEstimate:
@@ -109,16 +118,19 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
     more = Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
-    samples = answer.samples
-    if samples is not None:
+
+    def moved(samples: FloatArray | None) -> FloatArray | None:
+        if samples is None:
+            return None
         noise = np.random.default_rng(1).standard_normal(samples.shape)
-        moved = expit(logit(samples, _LEAST) + noise * logit_sd)
-        samples = np.where(logit_sd > 0.0, moved, samples)
+        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise * logit_sd), samples)
+
     return replace(
         answer,
         lower95=lower95,
         upper95=upper95,
-        samples=samples,
+        samples=moved(answer.samples),
+        draws=moved(answer.draws),
         identifiable=answer.identifiable & narrow,
         logit_covariance=answer.logit_covariance + np.diag(logit_sd**2),
         mean=(

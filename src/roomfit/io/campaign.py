@@ -227,6 +227,7 @@ class SettingsTable(Table):
     receiver_radius_m: float | Literal["auto"] | None = None
     default_scattering: float | None = None
     n_draws: int | None = None
+    posterior_draws: bool | None = None
     n_random_starts: int | None = None
     n_scattering_rays: int | None = None
     most_images: int | None = None

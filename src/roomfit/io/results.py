@@ -79,6 +79,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             directivities=_read_directivities(content),
             chi2_reduced=content.get("fit", {}).get("phi"),
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
+            draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
         )
 
 
@@ -231,6 +232,8 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         if answer.logit_prior is not None:
             mean, sd = answer.logit_prior
             content["posterior"] |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
+        if answer.draws is not None:
+            content["posterior"]["draws"] = np.round(answer.draws, 5)
         if answer.prior_specified is not None:
             content["posterior"]["prior_specified"] = [bool(b) for b in answer.prior_specified]
     return content

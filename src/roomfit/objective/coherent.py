@@ -139,6 +139,10 @@ class CoherentTerm:
             by_hits.append(in_windows(observed.spreading, hits))
         return np.concatenate(energies), np.concatenate(by_hits)
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return what the model expects in every window, shape (n_windows,)."""
+        return self.predict(values)[0]
+
     def variance(self, values: Values) -> FloatArray:
         """Return the variance of every measured window energy about its expectation.
 

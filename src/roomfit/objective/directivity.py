@@ -122,6 +122,11 @@ class DirectedTerm:
         slopes = self._slopes(b, values) @ self.directivity.unknown.root
         return expected, signal, {**derivatives, DIRECTIVITY: slopes}
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return what the model expects in every window, shape (n_windows,)."""
+        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
+        return self._weighed(b, single=False).expected(values)
+
     def variance(self, values: Values) -> FloatArray:
         """Return how far every window may scatter, shape (n_windows,)."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])

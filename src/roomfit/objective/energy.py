@@ -109,6 +109,18 @@ class EnergyTerm:
         }
         return signal + np.concatenate(noises), signal, derivatives
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return what the model expects in every window, shape (n_windows,)."""
+        count_evaluation()
+        own = values["absorption"][:, None], np.array([self.attenuation_per_m])
+        gains = np.append(values["gain"], 1.0)  # index -1: absolute level
+        found = []
+        for rows, observation in zip(self.rows, self.observations, strict=True):
+            energy = weigh(rows, *own, derivative=False).energy[0]
+            signal = gains[observation.gain] * (observation.spreading @ energy)
+            found.append(signal + observation.noise)
+        return np.concatenate(found)
+
     def variance(self, values: Values) -> FloatArray:
         """Return the variance of every measured window energy about its expectation.
 

@@ -141,7 +141,7 @@ def prior_only_band_findings(bands: Bands, fitted: Sequence[bool]) -> tuple[Find
         Finding(
             Code.BAND_NOT_FITTED,
             f"Too little decay rises above the noise at {', '.join(f'{f:g}' for f in empty)} Hz: "
-            "absorption there is its prior, with the interval 0 to 1.",
+            "absorption there is its prior, with the interval 0 to 1 where none was stated.",
             {"bands_hz": empty},
         ),
     )

@@ -48,6 +48,10 @@ class DataTerm(Protocol):
         """Return what values make the model expect, and count the evaluation."""
         ...
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return the same expected data without derivatives, shape (n_data,)."""
+        ...
+
     def variance(self, values: Values) -> FloatArray:
         """Return the variance of each datum about its expectation, shape (n_data,)."""
         ...
@@ -91,6 +95,11 @@ class Objective:
         return Prediction(
             np.concatenate(expected), np.concatenate(signal), np.concatenate(jacobian)
         )
+
+    def expected(self, vector: FloatArray) -> FloatArray:
+        """Return the expected data alone, shape (n_data,): faster than `predict`."""
+        values, _ = physical_values(self.parameters, vector)
+        return np.concatenate([term.expected(values) for term in self.terms])
 
     def variance(self, vector: FloatArray) -> FloatArray:
         """Return the variance of each datum about its expectation, shape (n_data,)."""

@@ -26,7 +26,7 @@ from roomfit.objective.windows import (
 from roomfit.response.binned import BinnedPaths, regrouped, rows_at
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
 from roomfit.scene import Scene, distances_m
-from roomfit.signals.decay import echogram_decay_curve, jnd_of
+from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
 from roomfit.typing import FloatArray
@@ -98,6 +98,16 @@ class ValuesTerm:
         signal = np.concatenate(found)
         return signal, signal, {"absorption": np.concatenate(by_absorption)}
 
+    def expected(self, values: Values) -> FloatArray:
+        """Return the values that the paths predict, shape (n_values,)."""
+        count_evaluation()
+        own = values["absorption"][:, None], np.array([self.attenuation_per_m])
+        found = []
+        for i, (rows, observed) in enumerate(zip(self.rows, self.observations, strict=True)):
+            curve = _curve(self, i, weigh(rows, *own, derivative=False).energy)[0]
+            found.append(value_gradients(curve, 0, observed.names, derivative=False)[0])
+        return np.concatenate(found)
+
     def variance(self, values: Values) -> FloatArray:
         """Return the variance of every value about its prediction, shape (n_values,)."""
         covariances = value_covariances(self, values["absorption"])
@@ -159,10 +169,15 @@ def _values(
     term: ValuesTerm, i: int, energy: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Return predicted values, derivatives by spread energies, and these energies."""
-    observed = term.observations[i]
-    spread_over_time = spread_energy(term.spreading, energy)
-    curve = echogram_decay_curve(term.bands, spread_over_time, term.edges_s, observed.direct_s)
-    return *value_gradients(curve, 0, observed.names), spread_over_time[0]
+    curve, spread_over_time = _curve(term, i, energy)
+    return *value_gradients(curve, 0, term.observations[i].names), spread_over_time
+
+
+def _curve(term: ValuesTerm, i: int, energy: FloatArray) -> tuple[DecayCurve, FloatArray]:
+    """Return the decay curve of a pair, and its energies spread as by the filter."""
+    spread = spread_energy(term.spreading, energy)
+    direct_s = term.observations[i].direct_s
+    return echogram_decay_curve(term.bands, spread, term.edges_s, direct_s), spread[0]
 
 
 def _interference(
@@ -338,7 +353,7 @@ def predicted_values(
             curve = echogram_decay_curve(
                 one, spread_energy(spreading, energy), coarse.edges_s, float(direct_s[pair])
             )
-            found[pair, :, band] = value_gradients(curve, 0, names)[0]
+            found[pair, :, band] = value_gradients(curve, 0, names, derivative=False)[0]
     return found
 
 

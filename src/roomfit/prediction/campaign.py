@@ -277,6 +277,9 @@ def room_posterior(
         directivities=sources,
         prior_specified=specified,
         chi2_reduced=None if misfit is None else misfit[at],
+        draws=None
+        if absorption.draws is None
+        else np.stack([matched(drawn, fixed) for drawn in absorption.draws]),
         findings=findings,
     )
 

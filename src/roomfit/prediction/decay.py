@@ -231,7 +231,7 @@ def _draws(
         energy = np.maximum(energy, 1e-30 * energy.sum(axis=1, keepdims=True))
         curve = echogram_decay_curve(bands, energy, edges_s, direct_s)
         for band in range(len(bands)):
-            values[i, :, band] = value_gradients(curve, band, VALUE_NAMES)[0]
+            values[i, :, band] = value_gradients(curve, band, VALUE_NAMES, derivative=False)[0]
         shapes[i] = levels_at(curve, times)
     return values, shapes
 

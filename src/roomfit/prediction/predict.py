@@ -65,7 +65,8 @@ class ValueChange:
 class PredictedValue:
     """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    predicted: FloatArray  # at the most likely absorption
+    # at the most likely absorption; at the nearer end of the interval where it lies outside
+    predicted: FloatArray
     lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
     upper95: FloatArray
     sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption
@@ -502,9 +503,12 @@ def _table(
     for row, name in enumerate(VALUE_NAMES):
         # the model is wrong in the same way everywhere
         rest_sd = np.hypot(after.noise_sd[row], _model_sd(after, row))
+        low, high = _interval(name, after.draws[:, row], rest_sd)
         table[name] = PredictedValue(
             after.values[row],
-            *_interval(name, after.draws[:, row], rest_sd),
+            # of several answers that explain the data alike the likeliest may lie aside of most
+            np.fmin(low, after.values[row]),
+            np.fmax(high, after.values[row]),
             np.std(after.draws[:, row], axis=0),
             rest_sd,
             measured[row],

@@ -30,7 +30,7 @@ _EARLY_S = {"C50_dB": 0.05, "C80_dB": 0.08, "D50_percent": 0.05}
 
 
 def value_gradients(
-    curve: DecayCurve, band: int, names: Sequence[ValueName]
+    curve: DecayCurve, band: int, names: Sequence[ValueName], *, derivative: bool = True
 ) -> tuple[FloatArray, FloatArray]:
     """Return parameters of an echogram and their derivatives by the energies of its bins.
 
@@ -41,6 +41,8 @@ def value_gradients(
         source of unit power where G is asked for.
     names : sequence of str
         Of `VALUE_NAMES`.
+    derivative : bool
+        Without it the values come in half the time, and `gradients` is empty.
 
     Returns
     -------
@@ -62,9 +64,13 @@ def value_gradients(
         raise InputError("an echogram without energy has no room parameters")
     values = np.empty(len(names))
     by_left = np.zeros((len(names), len(curve.time_s)))
+    left = curve.energy_left[band]
+    level_db = np.maximum(_DB * np.log(np.maximum(left / left[0], 1e-30)), -300.0)
     for row, name in enumerate(names):
         if name in FIT_RANGES_DB:
-            values[row], by_left[row] = _decay_time_s(curve, band, FIT_RANGES_DB[name])
+            values[row], by_left[row] = _decay_time_s(
+                curve, band, FIT_RANGES_DB[name], level_db, derivative
+            )
         elif name in _EARLY_S:
             values[row], by_left[row] = _early(curve, band, name)
         elif name == "G_dB":
@@ -76,6 +82,8 @@ def value_gradients(
             raise InputError(
                 "unknown room parameter", found=repr(name), needed=", ".join(VALUE_NAMES)
             )
+    if not derivative:
+        return values, np.zeros((len(names), 0))
     tail, tail_moment_s = _tail_gradients(curve, band)
     # a bin counts at every boundary before it, and a little in what comes after the echogram
     gradients = np.cumsum(by_left, axis=1)[:, :-1]
@@ -86,11 +94,14 @@ def value_gradients(
 
 
 def _decay_time_s(
-    curve: DecayCurve, band: int, fit_range_db: tuple[float, float]
+    curve: DecayCurve,
+    band: int,
+    fit_range_db: tuple[float, float],
+    level_db: FloatArray,
+    derivative: bool,
 ) -> tuple[float, FloatArray]:
-    """Return a decay time and its derivative by the energy left at each boundary."""
+    """Return a decay time and its derivative by the energy left, zeros where it is not wanted."""
     time_s, left = curve.time_s, curve.energy_left[band]
-    level_db = np.maximum(_DB * np.log(np.maximum(left / left[0], 1e-30)), -300.0)
     begin_s, by_begin = _crossing(time_s, level_db, fit_range_db[0], curve.onset_s)
     end_s, by_end = _crossing(time_s, level_db, fit_range_db[1], curve.onset_s)
     span_s = end_s - begin_s
@@ -109,6 +120,8 @@ def _decay_time_s(
     if not slope < 0.0:
         return 60.0 * float(time_s[-1] - time_s[0]), np.zeros_like(left)
     by_level: FloatArray = np.zeros_like(left)
+    if not derivative:
+        return -60.0 / slope, by_level
     np.add.at(by_level, i, weight * (1.0 - share))
     np.add.at(by_level, i + 1, weight * share)
     # the range moves: its points climb along the curve, and its width divides the slope

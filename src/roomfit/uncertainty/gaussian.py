@@ -15,7 +15,7 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.logit import Z95, expit
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import MaterialPrior, is_default_prior
 from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
     Block,
@@ -89,7 +89,7 @@ def absorption_intervals(
     The covariance is the inverse information times max(phi, 1): a misfit widens every interval.
     These are local, Gaussian intervals: they know nothing of a second minimum, and near absorption
     0 or 1 their true coverage is not 95 %. A material of which the data determine nothing, even if
-    all others were known, has the interval 0 to 1.
+    all others were known, has the interval of the prior that was stated, 0 to 1 if none was.
     """
     covariance = np.linalg.inv(information) * max(chi2_reduced, 1.0)
     block = absorption_of(parameters)
@@ -101,11 +101,14 @@ def absorption_intervals(
     free[block.fitted] = vector[first : first + n]
     values, _ = physical_values(parameters, vector)
     absorption = values["absorption"]
+    uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
+    # a misfit says nothing against what was stated
+    sd = np.where(uninformed, block.prior_sd, sd)
     lower, upper = (
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
         for z in (-Z95, Z95)
     )
-    uninformed = _is_uninformed(block, np.diag(information)[first : first + n])
+    uninformed &= is_default_prior(block.prior_mean, block.prior_sd)
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
     sure = is_identifiable(chi2_reduced, lower, upper, sd, block.prior_sd)
     leader = leaders(block)
@@ -236,6 +239,8 @@ class BandEstimate:
     profiles: tuple[Profile, ...] = ()  # of some absorptions, `entry` counting materials
     samples: FloatArray | None = None  # (n_draws, n_materials), of a posterior that converged
     sampling: Sampled | None = None
+    # (n_draws, n_materials), of the posterior, for predictions; None: not drawn
+    draws: FloatArray | None = None
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
     starts: Starts | None = None  # where random starts were tried
     moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
@@ -334,10 +339,24 @@ def _directivity(
     return vector[own], covariance[own, own]
 
 
+def prior_absorptions(
+    priors: tuple[MaterialPrior, ...], band: int, n_draws: int, rng: np.random.Generator
+) -> FloatArray:
+    """Return draws of absorption from the priors alone, shape (n_draws, n_materials)."""
+    drawn = {k.name: np.empty(0) for k in priors}
+    for k in priors:
+        free = k.prior_logit_mean[band] + k.prior_logit_sd[band] * rng.standard_normal(n_draws)
+        known = None if k.known is None else np.full(n_draws, k.known[band])
+        drawn[k.name] = k.lower + (k.upper - k.lower) * expit(free) if known is None else known
+    return np.stack([drawn[k.tied_to or k.name] for k in priors], axis=1)
+
+
 def prior_only_band(
     priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
 ) -> BandEstimate:
-    """Return the answer of a band without data: the prior, with the interval 0 to 1."""
+    """Return the answer of a band without data: the prior, 0 to 1 where none was stated."""
+    by_name = {k.name: k for k in priors}
+    priors = tuple(by_name[k.tied_to or k.name] for k in priors)
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
     free = np.array([k.prior_logit_mean[band] for k in priors])
@@ -345,9 +364,12 @@ def prior_only_band(
     upper = np.array([k.upper for k in priors])
     expected = lower + (upper - lower) * expit(free)
     absorption = np.where(fixed, known, expected)
-    least, most = np.where(fixed, known, 0.0), np.where(fixed, known, 1.0)
-    share = areas_m2 / areas_m2.sum()
     sd = np.where(fixed, 0.0, [k.prior_logit_sd[band] for k in priors])
+    stated = np.array([k.specified for k in priors])
+    low, high = (lower + (upper - lower) * expit(free + z * sd) for z in (-Z95, Z95))
+    least = np.where(fixed, known, np.where(stated, low, 0.0))
+    most = np.where(fixed, known, np.where(stated, high, 1.0))
+    share = areas_m2 / areas_m2.sum()
     return BandEstimate(
         absorption,
         least,

@@ -21,6 +21,7 @@ from roomfit.objective.problem import Objective
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.typing import FloatArray, IntArray, Progress
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, MirrorTrial, is_identifiable
+from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.profile import may_be_bent, profile
 from roomfit.uncertainty.sampling import Sampled, log_posterior, sample, surrogate
 
@@ -40,6 +41,7 @@ class Refinement:
     seed: int
     # of materials, by a symmetry of room and positions: fitted a second time from there
     exchanges: tuple[IntArray, ...] = ()
+    n_draws: int = 0  # of the posterior, for predictions
 
     def __call__(self, band: FittedBand, progress: Progress | None = None) -> BandEstimate:
         """Return a band's estimate with better intervals, and what mirror images explain."""
@@ -49,6 +51,8 @@ class Refinement:
         trials = tuple(_mirrored(objective, fit, exchange) for exchange in self.exchanges)
         evaluations = answer.evaluations + sum(t.evaluations for t in trials)
         answer = replace(answer, mirrors=trials, evaluations=evaluations)
+        if self.n_draws:
+            answer = _drawn(objective, fit, answer, self.n_draws, self.seed)
         if self.intervals == "profile":
             return profiled(objective, fit, answer)
         if self.intervals == "posterior":
@@ -108,6 +112,46 @@ def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEs
     )
 
 
+def _drawn(
+    objective: Objective, fit: BandFit, answer: BandEstimate, n_draws: int, seed: int
+) -> BandEstimate:
+    """Return the answer with draws of the posterior."""
+    rng = np.random.default_rng(seed)
+    found = posterior_draws(objective, fit, n_draws, rng)
+    first = position_of(objective.parameters, "absorption")
+    fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
+    beyond = _beyond_fit(fit, answer, first, fitted)
+    return replace(
+        answer,
+        draws=_absorptions(objective.parameters, found.draws, answer, beyond, rng)[0],
+        evaluations=answer.evaluations + found.evaluations,
+    )
+
+
+def _absorptions(
+    parameters: Parameters,
+    draws: FloatArray,
+    answer: BandEstimate,
+    beyond: FloatArray | None,
+    rng: np.random.Generator,
+) -> tuple[FloatArray, FloatArray]:
+    """Return absorptions of draws of free vectors, and the logits they were made of.
+
+    They are scattered by the covariance `beyond`, of what the law drawn from does not include.
+    """
+    block = absorption_of(parameters)
+    first, fitted = position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+    low, high = block.lower[fitted], block.upper[fitted]
+    free = draws[:, first : first + fitted.size]
+    if beyond is not None and beyond.any():
+        size, directions = np.linalg.eigh(beyond)
+        root = directions * np.sqrt(np.maximum(size, 0.0))
+        free = free + rng.standard_normal(free.shape) @ root.T
+    found = np.tile(answer.absorption, (len(draws), 1))
+    found[:, fitted] = low + (high - low) * expit(free)
+    return found[:, leaders(block)], free
+
+
 def _beyond_fit(fit: BandFit, answer: BandEstimate, first: int, fitted: IntArray) -> FloatArray:
     """Return the covariance of an answer's fitted logits that its fit does not know of.
 
@@ -142,17 +186,9 @@ def sampled(
     if not found.converged:
         return replace(answer, sampling=found)
     block = absorption_of(parameters)
-    first, fitted = position_of(parameters, "absorption"), np.flatnonzero(block.fitted)
+    fitted = np.flatnonzero(block.fitted)
     chosen = np.linspace(0, len(found.draws) - 1, min(_DRAWS_KEPT, len(found.draws))).astype(int)
-    draws = np.tile(answer.absorption, (len(found.draws), 1))
-    low, high = block.lower[fitted], block.upper[fitted]
-    free = found.draws[:, first : first + fitted.size]
-    if beyond is not None and beyond.any():
-        size, directions = np.linalg.eigh(beyond)
-        root = directions * np.sqrt(np.maximum(size, 0.0))
-        free = free + np.random.default_rng(1).standard_normal(free.shape) @ root.T
-    draws[:, fitted] = low + (high - low) * expit(free)
-    draws = draws[:, leaders(block)]
+    draws, free = _absorptions(parameters, found.draws, answer, beyond, np.random.default_rng(1))
     lower, median, upper = np.quantile(draws, (0.025, 0.5, 0.975), axis=0)
     own = np.zeros((areas_m2.size, areas_m2.size))
     own[np.ix_(fitted, fitted)] = np.cov(free.T).reshape(fitted.size, fitted.size)

@@ -42,6 +42,9 @@ class AbsorptionPosterior:
     chi2_reduced: FloatArray | None = None  # (n_bands,), of the fit that found the absorption
     # (n_materials,), whether the prior was specified; None: unknown
     prior_specified: BoolArray | None = None
+    # (n_draws, n_materials, n_bands), equally likely, drawn with the model itself; None: by
+    # `draw_absorption` from the covariance
+    draws: FloatArray | None = None
     findings: tuple[Finding, ...] = ()  # what was doubtful in putting it together
 
     def __post_init__(self) -> None:
@@ -62,6 +65,9 @@ class AbsorptionPosterior:
         if self.prior_specified is not None:
             flags = bool_array("prior_specified", self.prior_specified, (n,))
             object.__setattr__(self, "prior_specified", flags)
+        if self.draws is not None:
+            drawn = float_array("draws", self.draws, (None, n, m), low=0.0, high=1.0)
+            object.__setattr__(self, "draws", drawn)
         covariance = float_array("logit covariance", self.logit_covariance, (m, n, n))
         largest = np.abs(covariance).max(initial=0.0)
         # numbers that went through text or an inversion are symmetric but for rounding
@@ -268,19 +274,22 @@ def draw_absorption(
 ) -> FloatArray:
     """Return draws of absorption, each band by itself.
 
-    Where the posterior has its prior, draws stay where the data are (`band_draws`);
-    without, they are Gaussian in logit absorption. Draws come in mirrored pairs.
+    Those that the posterior brings along, where it does. Otherwise, where it has its prior,
+    draws stay where the data are (`band_draws`), and are Gaussian in logit absorption without;
+    these come in mirrored pairs.
 
     Parameters
     ----------
     n_draws : int
-        2 or more; an odd number is raised by one.
+        2 or more; an odd number is raised by one. No more than the posterior brings along.
 
     Returns
     -------
     float array, shape (n_draws, n_materials, n_bands)
         0 to 1; a fixed material keeps its absorption exactly.
     """
+    if posterior.draws is not None:
+        return np.array(posterior.draws[: max(n_draws, 2)])
     n = 2 * ((max(n_draws, 2) + 1) // 2)
     draws = np.empty((n, *posterior.absorption.shape))
     for band, covariance in enumerate(posterior.logit_covariance):

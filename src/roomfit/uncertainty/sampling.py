@@ -117,24 +117,35 @@ class LogPosterior:
     follow: FloatArray  # (n_free - n_kept, n_kept), by how much arrival times follow the exponents
     inner: FloatArray  # (n_free - n_kept, n_free - n_kept), their information, given the others
     flattening: float  # max(phi, 1)
+    # a fit whose weights are kept: energies keep its shapes, all other data its variances
+    fixed_weights: BandFit | None = None
 
     def __call__(self, kept: FloatArray) -> float:
         """Return the log density at kept numbers, shape (n_kept,); minus infinity far outside."""
         if not np.all(np.abs(kept) < FARTHEST_FREE):
             return -np.inf
         vector = np.concatenate((kept, self.ridge(kept)))
-        prediction = self.objective.predict(vector)
-        variance = self.objective.variance(vector)
+        with_slopes = self.inner.size > 0 or self.fixed_weights is None
+        found_there = self.objective.predict(vector) if with_slopes else None
+        expected = self.objective.expected(vector) if found_there is None else found_there.expected
+        variance = self._variance(vector, expected)
         neighbours = self.objective.correlation_length()
-        each = self.objective.log_likelihood(prediction.expected, variance)
+        each = self.objective.log_likelihood(expected, variance)
         prior, rows = prior_residuals(self.objective.parameters, vector)
         found = float(np.sum(each / neighbours)) / self.flattening - 0.5 * float(prior @ prior)
-        if self.inner.size:
+        if self.inner.size and found_there is not None:
             spread = neighbours * variance * self.flattening
-            off = (self.objective.measured() - prediction.expected) / spread
-            slope = (prediction.jacobian.T @ off - rows.T @ prior)[self.n_kept :]
+            off = (self.objective.measured() - expected) / spread
+            slope = (found_there.jacobian.T @ off - rows.T @ prior)[self.n_kept :]
             found += 0.5 * float(slope @ np.linalg.solve(self.inner, slope))
         return found if np.isfinite(found) else -np.inf
+
+    def _variance(self, vector: FloatArray, expected: FloatArray) -> FloatArray:
+        if self.fixed_weights is None:
+            return self.objective.variance(vector)
+        energies, before = self.objective.is_gamma(), self.fixed_weights.expected
+        grown = np.where(energies, expected / np.where(energies, before, 1.0), 1.0)
+        return np.asarray(self.fixed_weights.variance * grown**2)
 
     def ridge(self, kept: FloatArray) -> FloatArray:
         """Return where arrival times follow kept numbers, shape (n_free - n_kept,)."""
@@ -489,8 +500,12 @@ def _no_windows(n: int) -> Windows:
     return Windows(none, none, none, np.zeros((0, n)), np.zeros((0, n, n)), none, flags)
 
 
-def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
-    """Return the law that proposals for a band's posterior are drawn from."""
+def surrogate(posterior: LogPosterior, fit: BandFit, *, windows: bool = True) -> Surrogate:
+    """Return the law that proposals for a band's posterior are drawn from.
+
+    Without `windows` the log-likelihood as a whole is taken as quadratic, which costs no
+    prediction.
+    """
     parameters, n = posterior.objective.parameters, posterior.n_kept
     whole = prior_information(parameters, fit.vector)
     prior = whole[:n, :n]
@@ -508,7 +523,7 @@ def surrogate(posterior: LogPosterior, fit: BandFit) -> Surrogate:
     return Surrogate(
         parameters,
         np.array(fit.vector[:n]),
-        None if inner.size else _windows(posterior, fit),
+        _windows(posterior, fit) if windows and not inner.size else None,
         data / np.outer(slope, slope),
         pull,
         prior,

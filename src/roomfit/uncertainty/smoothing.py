@@ -220,6 +220,7 @@ def _redrawn(
         # samples are valid without that assumption only
         kinds=tuple("gaussian" if k == "sampled" else k for k in answer.kinds),
         samples=None,
+        draws=None,
         logit_mean=mean,
         logit_covariance=covariance,
         mean=(whole, max(whole - Z95 * mean_sd, 0.0), min(whole + Z95 * mean_sd, 1.0)),
