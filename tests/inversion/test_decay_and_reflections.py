@@ -17,7 +17,7 @@ from roomfit.inversion.model_checks import certain_misses, decay_misses, fit_fin
 from roomfit.inversion.paths import traced_paths
 from roomfit.inversion.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.materials.priors import complete_priors
-from roomfit.response.directivity import FirstOrder
+from roomfit.response.directivity import Pattern
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
 from roomfit.solvers.ending import Ending
@@ -127,7 +127,7 @@ def test_a_floor_that_the_fit_has_far_too_hard_is_named_and_no_other(measured_bo
     fit = np.tile(TRUE[:, None], 2)
     fit[4] = 0.24
     if known:
-        patterns = {s: FirstOrder(np.zeros((2, 3))) for s in SOURCES}
+        patterns = {s: Pattern(np.zeros((2, 3))) for s in SOURCES}
         measured = replace(measured, directivities=patterns)
     seen = isolated_reflections(measured, traced, fit)
     returns = wall_returns(seen, measured, traced.scattering)

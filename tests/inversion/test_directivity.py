@@ -184,7 +184,7 @@ def coherent_answer(
     fit = fit_coherent(coherent, traced)
     directed = tuple(None if b is None else b.directivity for b in fit.state.bands)
     answers = estimates_of(fit)
-    return fit, answers, band_directivities(unknown, directed, answers)
+    return fit, answers, band_directivities(case.scene, unknown, directed, answers)
 
 
 def energy_answer(
@@ -205,7 +205,7 @@ def energy_answer(
         watch=watch,
     )
     answers = tuple(band.estimate for band in fitted)
-    found = band_directivities(unknown, directivities, answers)
+    found = band_directivities(case.scene, unknown, directivities, answers)
     return answers, found, source_findings(suspects, doubts)
 
 

@@ -31,7 +31,7 @@ def random_paths(seed: int, n: int = 500, sampling: tuple[float, ...] = (0.3, 0.
         np.zeros((n, 3), dtype=np.float32),
         rng.integers(-1, 4, n).astype(np.int32),
         4,
-        np.array(sampling),
+        np.array([sampling]),
     )
 
 
