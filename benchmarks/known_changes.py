@@ -1,0 +1,326 @@
+"""Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
+
+    python benchmarks/known_changes.py DATA [--room r3vival dechorate] [--step DEGREES]
+        [--rings 150 200] [--scattering S] [--seed SEED] [--out DIR]
+
+DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
+`dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
+
+For each room: the absorption of every wall in every state with 95 % intervals, and standardised
+differences of the walls that did not change. For the first, state R, whose walls are those of two
+other states, predicted from these: the raw model, and the measured values carried over by the
+model's change, beside Sabine's formula and the mean of the two states.
+"""
+
+from __future__ import annotations
+
+import argparse
+import csv
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import soundfile
+from matplotlib import pyplot as plt
+
+import roomfit
+from roomfit.logit import Z95, logit
+from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.prediction.predict import Predicted, predict
+from roomfit.response.directivity import UnknownDirectivity
+from roomfit.results import Result, absorption_posterior
+from roomfit.scene import Point, Scene, material_areas_m2
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+BANDS = roomfit.bands_between("octave", 125, 4000)
+WALLS = ("front", "back", "right", "left", "floor", "ceiling")
+SIDES = ("west", "east", "south", "north", "floor", "ceiling")
+R3VIVAL_M = (9.55, 5.417, 2.757)
+# Which walls of the states have turned their panels to the absorbing side.
+ABSORBING = {"000": (), "100": ("front", "back", "right", "left"), "R": ("right",)}
+SAME: dict[str, dict[tuple[str, str], tuple[str, ...]]] = {
+    "r3vival": {
+        ("000", "100"): ("floor", "ceiling"),
+        ("000", "R"): ("front", "back", "left", "floor", "ceiling"),
+        ("100", "R"): ("right", "floor", "ceiling"),
+    },
+    "dechorate": {("000000", "011111"): ("floor",)},
+}
+JUDGED_HZ = 200.0  # what is lower, single modes decide
+
+Case = tuple[Scene, list[roomfit.Measurement], Mapping[str, UnknownDirectivity]]
+
+
+def r3vival(data: Path, state: str, step: int, rings: Sequence[str]) -> Case:
+    """Return one state: loudspeakers of one make on circles about a microphone, facing it."""
+    folder = data / "r3vival"
+    with (folder / "sources.csv").open() as stream:
+        rows = [r for r in csv.DictReader(stream) if is_chosen(r["source"], step, rings)]
+    sources = [
+        Point(r["source"], np.array([float(r[k]) for k in ("x_m", "y_m", "z_m")]), 0.03)
+        for r in rows
+    ]
+    room = roomfit.shoebox_room(R3VIVAL_M, dict(zip(SIDES, WALLS, strict=True)))
+    scene = roomfit.scene_of(room, sources, [Point("M", np.array([5.38, 2.68, 1.378]), 0.03)])
+    scene = replace(scene, air=roomfit.Air(temperature_c=22.0, speed_of_sound_m_s=344.5))
+    measurements, directivities = [], {}
+    for r in rows:
+        name = r["source"]
+        samples, rate_hz = soundfile.read(folder / f"{state}_{name}.wav")
+        measurements.append(
+            roomfit.Measurement(name, "M", samples[:, 0], rate_hz, time_zero="unknown")
+        )
+        aim = np.array([float(r[k]) for k in ("aim_x", "aim_y", "aim_z")])
+        directivities[name] = UnknownDirectivity(aim=aim, loudspeaker="array")
+    return scene, measurements, directivities
+
+
+def is_chosen(source: str, step: int, rings: Sequence[str]) -> bool:
+    """Whether a source of the array, S<azimuth>_<distance>, is among those asked for."""
+    azimuth, ring = source[1:].split("_")
+    return int(azimuth) % step == 0 and ring in rings
+
+
+def dechorate(data: Path, state: str) -> Case:
+    """Return one state: loudspeakers whose aims are not known."""
+    kept = np.load(data / "dechorate_states" / "rirs.npz")
+    rows = np.flatnonzero(kept["state"] == state)
+    room = roomfit.shoebox_room(kept["room"], dict(zip(SIDES, SIDES, strict=True)))
+    points = {
+        kind: [
+            Point(f"{letter}{n}", kept[f"{kind}_pos"][rows[kept[kind][rows] == n][0]], 0.01)
+            for n in np.unique(kept[kind][rows])
+        ]
+        for kind, letter in (("src", "S"), ("mic", "M"))
+    }
+    scene = roomfit.scene_of(room, points["src"], points["mic"])
+    scene = replace(scene, air=roomfit.Air(temperature_c=24.0, speed_of_sound_m_s=346.98))
+    measurements = [
+        roomfit.Measurement(
+            f"S{kept['src'][i]}",
+            f"M{kept['mic'][i]}",
+            kept["rir"][i],
+            int(kept["fs"]),
+            level="per-source" if kept["level_kept"][i] else "per-file",
+        )
+        for i in rows
+    ]
+    return scene, measurements, {p.name: UnknownDirectivity() for p in points["src"]}
+
+
+def fitted(name: str, case: Case, scattering: float | None, settings: roomfit.Settings) -> Result:
+    """Identify one state, and print what its walls absorb."""
+    scene, measurements, directivities = case
+    priors: list[MaterialPrior] = []
+    if scattering is not None:
+        everywhere = np.full(len(BANDS), scattering)
+        priors = [
+            replace(unknown_material(m, len(BANDS)), scattering=everywhere)
+            for m in scene.room.materials
+        ]
+    began = time.process_time()
+    result = roomfit.identify(
+        scene, measurements, priors, BANDS, settings=settings, directivities=directivities
+    )
+    print(f"\n{name}: {len(measurements)} responses, {time.process_time() - began:.0f} CPU s")
+    print("reduced chi-square " + " ".join(f"{x:.2f}" for x in result.chi2_reduced))
+    print(wall_table(result))
+    for finding in result.findings:
+        if finding.severity != "info":
+            print(f"  {finding.severity}: {finding.code}: {finding.sentence[:300]}")
+    return result
+
+
+def wall_table(result: Result) -> str:
+    """Return the absorption of every wall with its interval, ? where it is not identifiable."""
+    lines = [f"{'Hz':<9}" + "".join(f"{f:>17g}" for f in result.bands.centres_hz)]
+    for m, name in enumerate(result.materials):
+        cells = [
+            f"{result.absorption[m, b]:.2f}{' ' if result.identifiable[m, b] else '?'} "
+            f"({result.lower95[m, b]:.2f}-{result.upper95[m, b]:.2f})"
+            for b in range(len(result.bands))
+        ]
+        lines.append(f"{name:<9}" + "".join(f"{c:>17}" for c in cells))
+    return "\n".join(lines)
+
+
+def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
+    """Return the rms standardised difference of walls that did not change, from 500 Hz up."""
+    at = np.flatnonzero(first.bands.centres_hz > 400.0)
+    z, half, marks = [], [], []
+    for name in walls:
+        m = first.materials.index(name)
+        logits = [logit(r.absorption[m, at]) for r in (first, second)]
+        spreads = [
+            (logit(r.upper95[m, at]) - logit(r.lower95[m, at])) / (2.0 * Z95)
+            for r in (first, second)
+        ]
+        z.append((logits[0] - logits[1]) / np.hypot(*spreads))
+        for r in (first, second):
+            half.append(0.5 * (r.upper95[m, at] - r.lower95[m, at]))
+            marks.append(r.identifiable[m, at])
+    return (
+        f"{', '.join(walls)}: standardised difference rms {np.sqrt(np.mean(np.square(z))):.2f}, "
+        f"median half width {np.median(half):.2f}, identifiable {np.sum(marks)} of {np.size(marks)}"
+    )
+
+
+def mixed(base: Result, other: Result, walls: Sequence[str]) -> AbsorptionPosterior:
+    """Return the walls of one state, those named taken from another one."""
+    one, two = absorption_posterior(base), absorption_posterior(other)
+    taken = np.array([name in walls for name in one.materials])[:, None]
+    both = taken == taken.T
+    covariance = np.where(taken, two.logit_covariance, one.logit_covariance) * both
+    absorption, lower95, upper95 = (
+        np.where(taken, getattr(two, name), getattr(one, name))
+        for name in ("absorption", "lower95", "upper95")
+    )
+    return replace(
+        one, absorption=absorption, lower95=lower95, upper95=upper95, logit_covariance=covariance
+    )
+
+
+def swap(data: Path, step: int, rings: Sequence[str], results: Mapping[str, Result]) -> None:
+    """Predict state R from the walls of 000 and 100, beside what needs no model of the room."""
+    scene = r3vival(data, "R", step, rings)[0]
+    found: dict[str, Predicted] = {}
+    for state, posterior in {
+        "000": absorption_posterior(results["000"]),
+        "100": absorption_posterior(results["100"]),
+        "R": mixed(results["000"], results["100"], ABSORBING["R"]),
+    }.items():
+        found[state] = predict(scene, posterior, measurements=r3vival(data, state, step, rings)[1])
+    bands = results["000"].bands.centres_hz
+    t = {s: (p.mean["T30_s"].measured, p.mean["T30_s"].predicted) for s, p in found.items()}
+    areas = dict(zip(scene.room.materials, material_areas_m2(scene.room), strict=True))
+    share = sum(areas[w] for w in ABSORBING["R"]) / sum(areas[w] for w in ABSORBING["100"])
+    sabine = 1.0 / (1.0 / t["000"][0] + share * (1.0 / t["100"][0] - 1.0 / t["000"][0]))
+    carried = t["R"][1] * np.sqrt(t["000"][0] / t["000"][1] * t["100"][0] / t["100"][1])
+    rows: dict[str, FloatArray] = {
+        "model of 000": t["000"][1] / t["000"][0],
+        "model of 100": t["100"][1] / t["100"][0],
+        "R, model": t["R"][1] / t["R"][0],
+        "R, carried over": carried / t["R"][0],
+        "R, Sabine": sabine / t["R"][0],
+        "R, mean of both": 0.5 * (t["000"][0] + t["100"][0]) / t["R"][0],
+    }
+    judged = bands > JUDGED_HZ
+    print("\nMean T30, predicted over measured, %  " + "".join(f"{f:>8g}" for f in bands))
+    for name, ratio in rows.items():
+        error = 100.0 * (ratio - 1.0)
+        worst = np.abs(error[judged])
+        print(
+            f"{name:<38}"
+            + "".join(f"{e:>8.1f}" for e in error)
+            + f"   median {np.median(worst):.1f}, largest {worst.max():.1f}"
+        )
+    mean = found["R"].mean["T30_s"]
+    held = (mean.lower95 <= mean.measured) & (mean.measured <= mean.upper95)
+    half = 50.0 * (mean.upper95 - mean.lower95) / mean.predicted
+    print(
+        f"mean T30 of R within its interval in {held[judged].sum()} of {judged.sum()} bands, "
+        f"median half width {np.median(half[judged]):.0f} %"
+    )
+    print(c50_text(found))
+
+
+def c50_text(found: Mapping[str, Predicted]) -> str:
+    """Return how well the change of C50 from 000 to R is predicted, pair by pair, from 250 Hz."""
+    change = {
+        kind: np.array(
+            [
+                getattr(r.parameters["C50_dB"], kind) - getattr(o.parameters["C50_dB"], kind)
+                for r, o in zip(found["R"].pairs, found["000"].pairs, strict=True)
+            ]
+        )[:, 1:]
+        for kind in ("measured", "predicted")
+    }
+    error = np.abs(change["predicted"] - change["measured"])
+    known = np.isfinite(error)
+    error, baseline = error[known], np.abs(change["measured"])[known]
+    return (
+        f"C50, change from 000 to R by pair: median error {np.median(error):.2f} dB, "
+        f"{100 * np.mean(error < 1.0):.0f} % within 1 dB "
+        f"(no change predicted: {np.median(baseline):.2f} dB, "
+        f"{100 * np.mean(baseline < 1.0):.0f} %)"
+    )
+
+
+def picture(name: str, results: Mapping[str, Result], path: Path) -> None:
+    """Draw every wall with its interval in every state."""
+    first = next(iter(results.values()))
+    figure, axes = plt.subplots(
+        2, 3, figsize=(11, 6), sharex=True, sharey=True, layout="constrained"
+    )
+    for m, axis in enumerate(axes.flat):
+        for i, ((state, r), colour) in enumerate(
+            zip(results.items(), ("#0072B2", "#D55E00", "#009E73"), strict=False)
+        ):
+            at = r.bands.centres_hz * 2.0 ** (0.12 * (i - 1))
+            below, above = r.absorption[m] - r.lower95[m], r.upper95[m] - r.absorption[m]
+            axis.errorbar(
+                at,
+                r.absorption[m],
+                np.maximum([below, above], 0.0),
+                fmt="o-",
+                color=colour,
+                capsize=2,
+                markersize=4,
+                linewidth=1,
+                label=f"state {state}",
+            )
+        axis.set_title(first.materials[m])
+        axis.set_xscale("log")
+        axis.set_xticks(first.bands.centres_hz, [f"{f:g}" for f in first.bands.centres_hz])
+        axis.minorticks_off()
+        axis.set_ylim(0, 1)
+    figure.supxlabel("octave band, Hz")
+    figure.supylabel("absorption coefficient, 95 % interval")
+    axes.flat[0].legend()
+    figure.suptitle(name)
+    path.mkdir(parents=True, exist_ok=True)
+    for kind in ("svg", "png"):
+        figure.savefig(path / f"walls_{name}.{kind}")
+    plt.close(figure)
+
+
+def main() -> None:
+    """Run the rooms that were asked for."""
+    parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
+    parser.add_argument("data", nargs="?", type=Path)
+    parser.add_argument("--room", nargs="+", choices=list(SAME), default=list(SAME))
+    parser.add_argument("--step", type=int, default=30, help="degrees between loudspeakers")
+    parser.add_argument("--rings", nargs="+", default=["150", "200"], help="distances in cm")
+    parser.add_argument("--scattering", type=float, help="of all walls; left out: chosen")
+    parser.add_argument("--seed", type=int, default=1, help="of the rays")
+    parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="energy")
+    parser.add_argument("--out", type=Path, help="folder for pictures")
+    asked = parser.parse_args()
+    if asked.data is None:
+        print("no folder of measurements given: nothing to do")
+        return
+    settings = roomfit.Settings(model=asked.model, seed=asked.seed)
+    for room in asked.room:
+        states = dict.fromkeys(state for pair in SAME[room] for state in pair)
+        results = {}
+        for state in states:
+            case = (
+                r3vival(asked.data, state, asked.step, asked.rings)
+                if room == "r3vival"
+                else dechorate(asked.data, state)
+            )
+            results[state] = fitted(f"{room} {state}", case, asked.scattering, settings)
+        print()
+        for (one, other), walls in SAME[room].items():
+            print(f"{one} and {other}, {unchanged(results[one], results[other], walls)}")
+        if room == "r3vival":
+            swap(asked.data, asked.step, asked.rings, results)
+        if asked.out is not None:
+            picture(room, results, asked.out)
+
+
+if __name__ == "__main__":
+    main()
