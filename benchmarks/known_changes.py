@@ -178,8 +178,14 @@ def mixed(base: Result, other: Result, walls: Sequence[str]) -> AbsorptionPoster
         np.where(taken, getattr(two, name), getattr(one, name))
         for name in ("absorption", "lower95", "upper95")
     )
+    # draws of one state are none of the mixed one: it is drawn from by its covariance
     return replace(
-        one, absorption=absorption, lower95=lower95, upper95=upper95, logit_covariance=covariance
+        one,
+        absorption=absorption,
+        lower95=lower95,
+        upper95=upper95,
+        logit_covariance=covariance,
+        draws=None,
     )
 
 

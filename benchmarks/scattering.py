@@ -49,7 +49,7 @@ class Outcome:
 def outcome(plan: BoxPlan, campaign: Path, specified: str, model: Model) -> Outcome:
     """Identify a campaign with what is told of scattering, and set the truth beside it."""
     text = campaign.read_text()
-    file = campaign.with_name("told.toml")
+    file = campaign.with_name("specified.toml")
     file.write_text(text.replace("scattering = 0.0", f"scattering = {specified}"))
     arguments = load_campaign(file)
     arguments["settings"] = replace(arguments["settings"], model=model)

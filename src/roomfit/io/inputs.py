@@ -77,7 +77,8 @@ def _directivity(
         shared = campaign.loudspeakers[table.loudspeaker]
         if shared.directivity == "fit":
             return UnknownDirectivity(None, shared.b_sd, unit_vector(table.aim), table.loudspeaker)
-        return read_directivity(folder / shared.directivity, bands, table.aim, table.up)
+        with located(f"loudspeakers.{table.loudspeaker}.directivity"):
+            return read_directivity(folder / shared.directivity, bands, table.aim, table.up)
     return read_directivity(folder / table.file, bands, table.aim, table.up)
 
 

@@ -65,8 +65,7 @@ class ValueChange:
 class PredictedValue:
     """One room parameter in every band; all arrays of shape (n_bands,), NaN where unknown."""
 
-    # at the most likely absorption; at the nearer end of the interval where it lies outside
-    predicted: FloatArray
+    predicted: FloatArray  # at the most likely absorption; the interval reaches to it at least
     lower95: FloatArray  # a measurement is expected between these two, 95 of 100 times
     upper95: FloatArray
     sd_absorption: FloatArray  # part of the spread, from what is not known of the absorption

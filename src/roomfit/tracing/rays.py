@@ -319,7 +319,7 @@ def trace_rays(
             if progress is not None:
                 progress((done + last / own.n_rays) / len(parts))
     if images is not None:
-        pieces.insert(0, Piece(*(getattr(images, name) for name in Piece._fields)))
+        pieces.insert(0, Piece(**{name: getattr(images, name) for name in Piece._fields}))
     joined = _joined(pieces, coefficients.shape[1])
     transform = None
     if images is not None and images.image_transform is not None:
