@@ -38,7 +38,7 @@ from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.materials.catalogue import broad_prior_findings
-from roomfit.prediction.campaign import PairChoice, predict_arguments
+from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
@@ -241,7 +241,7 @@ def predict_to_folder(
     out: Path,
     changes: Sequence[Change] = (),
     *,
-    pairs: PairChoice = "all",
+    wanted: WantedPairs | None = None,
     overwrite: bool = False,
     use_cache: bool = True,
     progress: Progress | None = None,
@@ -263,7 +263,7 @@ def predict_to_folder(
 
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
-    arguments = predict_arguments(campaign, read_result(absorption_file), changes, pairs)
+    arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
     predicted = predict(
         **arguments,
         cache=cache_of(out) if use_cache else None,

@@ -70,6 +70,7 @@ class Measurement:
     name: str = ""  # of the file, for findings
     where: str = ""  # the file and the part of it, for messages
     findings: tuple[Finding, ...] = ()  # what reading it raised
+    state: str = ""  # of the room, among its `states`; "": as the room is described
     response: ImpulseResponse = field(init=False)  # the samples, time zero by the latency alone
 
     def __post_init__(self) -> None:
@@ -109,6 +110,11 @@ class Measurement:
         object.__setattr__(
             self, "response", ImpulseResponse(pressure, float(rate_hz), self.latency_s)
         )
+
+    @property
+    def pair_name(self) -> tuple[str, str, str]:
+        """Source, receiver and state of the room."""
+        return self.source, self.receiver, self.state
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -60,6 +60,7 @@ class ComparedPair:
     use: Use  # "validate": this pair was predicted without having been fitted
     parameters: Mapping[str, Compared]  # and "G_dB", those that are known
     decay: Decay | None  # None where room parameters were measured and no response
+    state: str = ""  # of the room; "": as it is described
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,6 +124,8 @@ class Result:
     # what the trace used: duration_s, n_rays (a source), receiver_radius_m, and scattering_groups
     # of bands; empty where unknown
     trace: Mapping[str, float] = field(default_factory=dict)
+    # as `mean_absorption`, of each further state of the room by its name
+    state_means: Mapping[str, FloatArray] = field(default_factory=dict)
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""

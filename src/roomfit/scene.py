@@ -7,14 +7,14 @@ room is like, whether it can be traced, and whether sources and receivers stand 
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from roomfit._checks import float_array, int_array, nearest, unique_names
 from roomfit.air import Air
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
 from roomfit.geometry.check import examine
 from roomfit.geometry.inside import is_inside, nearest_triangles
@@ -33,7 +33,15 @@ from roomfit.geometry.mesh import (
     triangle_areas_m2,
     volume_m3,
 )
-from roomfit.typing import FloatArray, IntArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Another state of a room: the same surfaces, some of other materials."""
+
+    name: str
+    surface_material: IntArray  #: int32 (n_surfaces,), index into the room's materials
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,19 +58,24 @@ class Room:
     #: `mesh.surfaces` are then west (x = 0), east, south (y = 0), north, floor and ceiling
     shoebox_m: tuple[float, float, float] | None = None
     findings: tuple[Finding, ...] = ()  # what was repaired or doubtful in making it
+    #: Further states in which it was measured, from `with_states`; their materials are among
+    #: `materials`
+    states: tuple[State, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
             raise InputError("a room without materials", needed="at least one material")
-        owner = int_array(
-            "material of each surface",
-            self.surface_material,
-            (len(self.mesh.surfaces),),
-            low=0,
-            high=len(self.materials) - 1,
+        n_surfaces, last = len(self.mesh.surfaces), len(self.materials) - 1
+
+        def checked(owner: IntArray) -> IntArray:
+            return int_array("material of each surface", owner, (n_surfaces,), low=0, high=last)
+
+        object.__setattr__(self, "surface_material", checked(self.surface_material))
+        states = tuple(
+            replace(s, surface_material=checked(s.surface_material)) for s in self.states
         )
-        object.__setattr__(self, "surface_material", owner)
+        object.__setattr__(self, "states", states)
 
 
 def triangle_material(room: Room) -> IntArray:
@@ -70,14 +83,67 @@ def triangle_material(room: Room) -> IntArray:
     return np.asarray(room.surface_material[room.mesh.triangle_surface])
 
 
-def material_areas_m2(room: Room) -> FloatArray:
+def materials_of_surfaces(room: Room) -> IntArray:
+    """Return the material of every surface in every state, shape (1 + n_states, n_surfaces)."""
+    return np.stack([room.surface_material, *(s.surface_material for s in room.states)])
+
+
+def material_areas_m2(room: Room, state: int = 0) -> FloatArray:
     """Return the area of each material that sound can strike, shape (n_materials,).
 
-    Both sides of a double-sided sheet count.
+    Both sides of a double-sided sheet count. Materials of other states only have none.
+
+    Parameters
+    ----------
+    state : int
+        0: the room as it is described; i: its i-th further state.
     """
     areas = triangle_areas_m2(room.mesh) * np.where(is_double_sided(room.mesh), 2.0, 1.0)
-    owner = triangle_material(room)
+    owner = materials_of_surfaces(room)[state, room.mesh.triangle_surface]
     return np.asarray(np.bincount(owner, areas, len(room.materials)), dtype=np.float64)
+
+
+def with_states(room: Room, states: Mapping[str, Mapping[str, str]]) -> Room:
+    """Return a room with further states, in which some of its surfaces have other materials.
+
+    A material that several states share has one absorption in all of them.
+
+    Parameters
+    ----------
+    states : mapping from name to mapping from str to str
+        In each state, from the name of a surface, a group or a file's material to a material, as
+        of `room_from_mesh`; surfaces that are not named stay as they are.
+
+    Raises
+    ------
+    InputError
+        A key matches no surface, or a state has no name.
+
+    Examples
+    --------
+    >>> room = shoebox_room((6, 5, 3), {"walls": "plaster", "floor": "carpet"})
+    >>> two = with_states(room, {"curtains closed": {"north": "curtain"}})
+    >>> two.materials
+    ('plaster', 'carpet', 'ceiling', 'curtain')
+    >>> material_areas_m2(two, 1).tolist()
+    [48.0, 30.0, 30.0, 18.0]
+    """
+    unique_names("state", states)
+    names, found = list(room.materials), []
+    for state, materials in states.items():
+        if not state:
+            raise InputError("a state without a name", needed="a name for each state")
+        with located(f"states.{state}"):
+            _check_keys(room.mesh.surfaces, materials)
+        own = []
+        for s, before in zip(room.mesh.surfaces, room.surface_material, strict=True):
+            keys = [k for k in (s.name, s.group, s.file_material) if k is not None]
+            material = next((materials[k] for k in keys if k in materials), names[before])
+            if material not in names:
+                names.append(material)
+            own.append(names.index(material))
+        found.append(State(state, np.array(own)))
+    return replace(room, materials=tuple(names), states=(*room.states, *found))
 
 
 _SHOWN = 12
@@ -310,6 +376,9 @@ class Scene:
     receivers: tuple[Point, ...]
     pairs: IntArray  #: int32 (n_pairs, 2), index of source and of receiver of each wanted response
     air: Air
+    #: int32 (n_pairs,), state of the room in each wanted response: 0 as it is described, i its i-th
+    #: further state; left out: 0
+    pair_state: IntArray | None = None
 
     def __post_init__(self) -> None:
         unique_names("source", (s.name for s in self.sources))
@@ -318,9 +387,37 @@ class Scene:
         limits = (len(self.sources), len(self.receivers))
         for column, high in enumerate(limits):
             int_array("pair", pairs[:, column], (len(pairs),), low=0, high=high - 1)
+        if self.pair_state is not None:
+            n, last = len(pairs), len(self.room.states)
+            state = int_array("state of each pair", self.pair_state, (n,), low=0, high=last)
+            object.__setattr__(self, "pair_state", state)
         object.__setattr__(self, "sources", tuple(self.sources))
         object.__setattr__(self, "receivers", tuple(self.receivers))
         object.__setattr__(self, "pairs", pairs)
+
+
+PairName = tuple[str, str, str]
+"""Names of source, receiver and state; the room as it is described has the name ""."""
+
+
+def pair_names(scene: Scene) -> list[PairName]:
+    """Return source, receiver and state of every pair of a scene, in their order."""
+    states = ("", *(s.name for s in scene.room.states))
+    return [
+        (scene.sources[s].name, scene.receivers[r].name, states[k])
+        for (s, r), k in zip(scene.pairs, pair_states(scene), strict=True)
+    ]
+
+
+def pair_states(scene: Scene) -> IntArray:
+    """Return the state of each pair, shape (n_pairs,): 0 as described, i the i-th further state."""
+    return np.zeros(len(scene.pairs), np.int32) if scene.pair_state is None else scene.pair_state
+
+
+def select_pairs(scene: Scene, kept: BoolArray | IntArray | slice) -> Scene:
+    """Return a scene with the chosen ones of its pairs."""
+    state = None if scene.pair_state is None else scene.pair_state[kept]
+    return replace(scene, pairs=scene.pairs[kept], pair_state=state)
 
 
 def scene_of(

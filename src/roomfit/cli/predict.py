@@ -19,8 +19,8 @@ def add(commands: Commands) -> None:
     parser.add_out()
     parser.add_option(
         "--set",
-        "What if: MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the "
-        "catalogue. May be given several times.",
+        "What if: MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the "
+        "room, or a name of the catalogue. May be given several times.",
         dest="changes",
         metavar="CHANGE",
         action="append",
@@ -30,6 +30,9 @@ def add(commands: Commands) -> None:
         "all: every source with every receiver; campaign: the measured ones.",
         default="all",
     )
+    parser.add_option(
+        "--state", "State of the room among the campaign's [[states]]; left out: as described."
+    )
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Neither use nor keep intermediate results."
@@ -38,18 +41,18 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.commands import predict_to_folder
-    from roomfit.prediction.campaign import pair_choice
+    from roomfit.prediction.campaign import WantedPairs, pair_choice
     from roomfit.prediction.changes import read_change
 
     changes = [read_change(text) for text in options.changes or []]
-    pairs = pair_choice(options.pairs)
+    wanted = WantedPairs(pair_choice(options.pairs), options.state or "")
     with progress_line("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,
             options.absorption,
             options.out,
             changes,
-            pairs=pairs,
+            wanted=wanted,
             overwrite=options.overwrite,
             use_cache=not options.no_cache,
             progress=progress,

@@ -30,7 +30,15 @@ from roomfit.objective.coherent import DELAY_SD_S
 from roomfit.objective.parameters import Geometry
 from roomfit.prediction.decay import scene_decay_s
 from roomfit.response.directivity import Directivities
-from roomfit.scene import NEAREST_PAIR_M, Point, Room, Scene, distances_m, position_findings
+from roomfit.scene import (
+    NEAREST_PAIR_M,
+    Point,
+    Room,
+    Scene,
+    distances_m,
+    position_findings,
+    select_pairs,
+)
 from roomfit.settings import Settings
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
@@ -411,7 +419,7 @@ def information_of_candidates(
     sources = np.unique(scene.pairs[:, 0])
     for number, source in enumerate(sources):
         at = np.flatnonzero(scene.pairs[:, 0] == source)
-        own = replace(scene, pairs=scene.pairs[at])
+        own = select_pairs(scene, at)
         done = part(progress, number / sources.size, (number + 1) / sources.size)
         traced = trace(own, plan.settings, plan.scattering, part(done, 0.0, _TRACING))
         paths, n_bands = traced.paths, len(known.bands)
@@ -435,7 +443,7 @@ def _plan(
     """Choose how to trace: as for a fit, for as long as decays will be observed."""
     decay_s = float(scene_decay_s(scene, known.bands, known.typical).max())
     # how far image sources can be had costs several searches for them: one source stands for all
-    first = replace(scene, pairs=scene.pairs[scene.pairs[:, 0] == scene.pairs[0, 0]])
+    first = select_pairs(scene, scene.pairs[:, 0] == scene.pairs[0, 0])
     observed_s = decay_s * options.decay_range_db / 60.0
     plan = plan_trace(
         first, known.priors, decay_s, observed_s, settings, coherent=fits_pressures(settings)

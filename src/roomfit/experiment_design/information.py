@@ -46,7 +46,7 @@ from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
 from roomfit.response.energy import EnergyRows, first_rows, weigh
-from roomfit.scene import Scene, distances_m
+from roomfit.scene import Scene, distances_m, select_pairs
 from roomfit.signals.filters import (
     FilterBank,
     SpreadingKernel,
@@ -286,7 +286,7 @@ def information_of_pairs(
         caught = select(paths, own)
         caught = replace(caught, n_pairs=1, pair=np.zeros_like(caught.pair))
         weights = None if factors is None else factors[:, own]
-        alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
+        alone = select_pairs(scene, slice(pair, pair + 1))
         objectives = _objectives(alone, caught, weights, filters, known, expected)
         times = _information_on_times(objectives, expected, known.typical)
         coherent = [_coherent(objective, times) for objective in objectives]

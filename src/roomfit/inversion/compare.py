@@ -14,6 +14,7 @@ from roomfit.objective.observation import spread_over_time
 from roomfit.objective.room_parameters import predicted_values, values_at
 from roomfit.response.binned import BinnedPaths, pair_energies
 from roomfit.results import Compared, ComparedPair, Decay
+from roomfit.scene import pair_names
 from roomfit.signals.decay import (
     PARAMETER_NAMES,
     DecayCurve,
@@ -83,15 +84,15 @@ def compare_all(
     if not tabulated:
         return observed
     predicted = predicted_values(scene, bands, binned, absorption)
-    pair_of = {
-        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
-    }
-    rows = [predicted[pair_of[m.source, m.receiver]] for m in tabulated]
+    pair_of = {name: i for i, name in enumerate(pair_names(scene))}
+    rows = [predicted[pair_of[m.pair_name]] for m in tabulated]
     uses: list[Use] = ["fit" for _ in measurements.values]
     uses += ["validate" for _ in measurements.kept_values]
     tables = compared_values(tabulated, rows, measurements.values, bands)
     return observed + tuple(
-        ComparedPair(m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None)
+        ComparedPair(
+            m.source, m.receiver, use, {str(n): c for n, c in table.items()}, None, m.state
+        )
         for m, use, table in zip(tabulated, uses, tables, strict=True)
     )
 
@@ -114,7 +115,12 @@ def compare_pairs(
     for m in measured:
         curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
         predicted = room_parameters(curve)
-        others = [o.parameters for o in measured if o.measurement.use == "fit" and o is not m]
+        others = [
+            o.parameters
+            for o in measured
+            if o.measurement.use == "fit" and o.measurement.state == m.measurement.state
+            if o is not m
+        ]
         compared: dict[str, Compared] = {}
         for name in PARAMETER_NAMES:
             found, expected = m.parameters.of(name), predicted.of(name)
@@ -122,7 +128,7 @@ def compare_pairs(
             compared[name] = Compared(found, expected, null, in_jnd(name, found, expected))
         own = m.measurement
         decay = _decay(m.curve, curve)
-        out.append(ComparedPair(own.source, own.receiver, own.use, compared, decay))
+        out.append(ComparedPair(own.source, own.receiver, own.use, compared, decay, own.state))
     return tuple(out)
 
 

@@ -66,7 +66,7 @@ from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.combinations import determined, inseparable_findings
+from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
 from roomfit.uncertainty.gaussian import BandEstimate, prior_absorptions
 from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.posterior import plain_logit_covariance
@@ -263,6 +263,19 @@ def combine(
         [b.samples for b in found],
         are_specified(priors),
     )
+    state_means = {
+        state.name: determined(
+            scene.room.materials,
+            absorption,
+            covariance,
+            prior,
+            material_areas_m2(scene.room, number),
+            settings.seed,
+            [b.samples for b in found],
+            are_specified(priors),
+        )[0]
+        for number, state in enumerate(scene.room.states, start=1)
+    }
     models = tuple(b.model for b in found)
     inseparable = (
         ()
@@ -282,10 +295,7 @@ def combine(
         lower95=lower,
         upper95=upper,
         identifiable=identifiable,
-        # the first combination of a band is the mean over the whole room
-        mean_absorption=np.array(
-            [(c[0].value, c[0].lower95, c[0].upper95) for c in combinations]
-        ).T,
+        mean_absorption=_room_means(combinations),
         chi2_reduced=np.array([b.chi2_reduced for b in found]),
         cost=float(sum(b.cost for b in found)),
         evaluations=sum(b.evaluations for b in found),  # until all are counted
@@ -318,7 +328,13 @@ def combine(
         certificates=tuple(b.certificate for b in found),
         settings=settings,
         trace=traced_with(traced),
+        state_means={name: _room_means(own) for name, own in state_means.items()},
     )
+
+
+def _room_means(found: Sequence[Sequence[Combination]]) -> FloatArray:
+    """Return the mean over the whole room, the first combination of a band, with its bounds."""
+    return np.array([(c[0].value, c[0].lower95, c[0].upper95) for c in found]).T
 
 
 def _model_of(models: tuple[str, ...]) -> str:

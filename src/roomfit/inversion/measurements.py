@@ -17,7 +17,7 @@ from roomfit.geometry.mesh import refuse
 from roomfit.inversion.room_outline import outline_findings
 from roomfit.measurement import MeasuredPair, Measurement, Use
 from roomfit.response.directivity import Directivities
-from roomfit.scene import Scene, distances_m, position_findings
+from roomfit.scene import Scene, distances_m, pair_names, position_findings
 from roomfit.signals.decay import (
     ParameterName,
     check_decay_range,
@@ -224,10 +224,11 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
         A name is not in the scene; or a source or a receiver stands outside the room, in a wall,
         or upon another.
     """
-    known_names = ([s.name for s in scene.sources], [r.name for r in scene.receivers])
+    states = ["", *(s.name for s in scene.room.states)]
+    known_names = ([s.name for s in scene.sources], [r.name for r in scene.receivers], states)
     for m in measured:
         for kind, name, known in zip(
-            ("source", "receiver"), (m.source, m.receiver), known_names, strict=True
+            ("source", "receiver", "state"), m.pair_name, known_names, strict=True
         ):
             if name not in known:
                 guess = nearest(name, known)
@@ -237,15 +238,16 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
                     needed=f"one of {', '.join(known)}" if known else f"a {kind} in the scene",
                     hint=f"did you mean {guess!r}?" if guess else None,
                 )
-    wanted = list(dict.fromkeys((m.source, m.receiver) for m in measured))
+    wanted = list(dict.fromkeys(m.pair_name for m in measured))
     used_sources, used_receivers = ({pair[i] for pair in wanted} for i in (0, 1))
     sources = tuple(s for s in scene.sources if s.name in used_sources)
     receivers = tuple(r for r in scene.receivers if r.name in used_receivers)
     refuse(position_findings(scene.room, sources, receivers))
     source_at = {s.name: i for i, s in enumerate(sources)}
     receiver_at = {r.name: i for i, r in enumerate(receivers)}
-    indices = np.array([(source_at[s], receiver_at[r]) for s, r in wanted])
-    return Scene(scene.room, sources, receivers, indices, scene.air)
+    indices = np.array([(source_at[s], receiver_at[r]) for s, r, _ in wanted])
+    state = np.array([states.index(k) for _, _, k in wanted]) if scene.room.states else None
+    return Scene(scene.room, sources, receivers, indices, scene.air, state)
 
 
 def observe(
@@ -261,10 +263,8 @@ def observe(
     """
     bank = FilterBank(bands)
     c = speed_of_sound_m_s(scene.air)
-    pair_of = {
-        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
-    }
-    pairs = [pair_of[m.source, m.receiver] for m in measurements]
+    pair_of = {name: i for i, name in enumerate(pair_names(scene))}
+    pairs = [pair_of[m.pair_name] for m in measurements]
     travel_s = [float(d) for d in (distances_m(scene) / c)[pairs]]
     findings: list[Finding] = []
     for m in measurements:
@@ -307,9 +307,9 @@ def from_emission(
 ) -> list[ImpulseResponse]:
     """Return the responses on a clock that counts from emission.
 
-    ``direct``: the response's own onset is the direct sound. ``unknown``: one offset a source, the
-    median over its responses, so that a single masked onset moves nothing. Responses for validation
-    contribute only where a source has no other.
+    ``direct``: the response's own onset is the direct sound. ``unknown``: one offset a source and
+    state of the room, the median over its responses, so that a single masked onset moves nothing.
+    Responses for validation contribute only where a source has no other.
     """
     aligned = [
         m.response
@@ -317,17 +317,17 @@ def from_emission(
         else time_zero_from_direct(m.response, direct_s, m.where)
         for m, direct_s in zip(measurements, travel_s, strict=True)
     ]
-    offsets: dict[tuple[str, str], list[float]] = {}
+    offsets: dict[tuple[str, str, str], list[float]] = {}
     for m, own in zip(measurements, aligned, strict=True):
         if m.time_zero == "unknown":
-            offsets.setdefault((m.source, m.use), []).append(own.time_zero_s)
+            offsets.setdefault((m.source, m.state, m.use), []).append(own.time_zero_s)
 
-    def offset_s(source: str) -> float:
-        fitted = offsets.get((source, "fit"))
-        return float(np.median(fitted if fitted else offsets[source, "validate"]))
+    def offset_s(m: Measurement) -> float:
+        fitted = offsets.get((m.source, m.state, "fit"))
+        return float(np.median(fitted if fitted else offsets[m.source, m.state, "validate"]))
 
     return [
-        replace(own, time_zero_s=offset_s(m.source)) if m.time_zero == "unknown" else own
+        replace(own, time_zero_s=offset_s(m)) if m.time_zero == "unknown" else own
         for m, own in zip(measurements, aligned, strict=True)
     ]
 
@@ -379,12 +379,12 @@ def _joined(
     tabulated: Sequence[MeasuredValues], use: Use
 ) -> tuple[tuple[MeasuredValues, ...], tuple[Finding, ...]]:
     """Return the values of one use; a pair that stands in several tables is joined."""
-    by_pair: dict[tuple[str, str], list[MeasuredValues]] = {}
+    by_pair: dict[tuple[str, str, str], list[MeasuredValues]] = {}
     findings: list[Finding] = []
     for m in tabulated:
         if m.use == use:
             findings += m.findings
-            by_pair.setdefault((m.source, m.receiver), []).append(m)
+            by_pair.setdefault(m.pair_name, []).append(m)
     joined = []
     for repeated in by_pair.values():
         one, doubts = joined_values(tuple(_same_bands(repeated)))

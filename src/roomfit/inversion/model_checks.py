@@ -26,7 +26,7 @@ from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.response.binned import BinnedPaths, regrouped
 from roomfit.response.energy import EnergyRows
 from roomfit.results import ComparedPair
-from roomfit.scene import distances_m
+from roomfit.scene import distances_m, pair_names
 from roomfit.settings import Settings
 from roomfit.signals.decay import room_parameters
 from roomfit.tracing.paths import TraceSettings
@@ -199,11 +199,9 @@ def fitted_decay_times_s(
     bands = Bands(all_bands.kind, all_bands.centres_hz[own])
     attenuation = attenuation_per_m(scene.air, bands)
     direct_s = distances_m(scene) / speed_of_sound_m_s(scene.air)
-    tabulated = {(v.source, v.receiver) for v in measurements.values}
+    tabulated = {v.pair_name for v in measurements.values}
     pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"} | {
-        i
-        for i, (s, r) in enumerate(scene.pairs)
-        if (scene.sources[s].name, scene.receivers[r].name) in tabulated
+        i for i, name in enumerate(pair_names(scene)) if name in tabulated
     }
     found = [
         room_parameters(

@@ -19,7 +19,8 @@ from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.inversion.measurements import Measurements
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
-from roomfit.scene import Room, Scene, triangle_material
+from roomfit.scene import Room, Scene, pair_names, select_pairs, triangle_material
+from roomfit.tracing.states import parts_of
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.gaussian import MirrorTrial
 
@@ -58,6 +59,17 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
     tolerance_m : float
         How far from the surface the image of a wall may lie.
     """
+    if room.states:
+        parts, of_part = parts_of(room)
+        found_of_parts = room_symmetries(parts, tolerance_m)
+        exchanges = [
+            _of_materials(s.exchange, of_part, len(room.materials)) for s in found_of_parts
+        ]
+        return tuple(
+            replace(s, exchange=e)
+            for s, e in zip(found_of_parts, exchanges, strict=True)
+            if e is not None
+        )
     points, material = _surface_points(room, _SAMPLES)
     centre_m = _centroid_m(room)
     # isometries that differ for no point of the surface by more than twice the tolerance are one
@@ -72,6 +84,20 @@ def room_symmetries(room: Room, tolerance_m: float = TOLERANCE_M) -> tuple[Symme
         if exchange is not None:
             found.append(Symmetry(matrix, centre_m, exchange))
     return _closed(found, same)
+
+
+def _of_materials(exchange: IntArray, of_part: IntArray, n: int) -> IntArray | None:
+    """Return where materials are carried if parts are; None where a material has two images.
+
+    Parameters
+    ----------
+    of_part : int array, shape (n_states, n_parts)
+        The material of each part in each state.
+    """
+    carried = np.arange(n)
+    carried[of_part] = of_part[:, exchange]
+    is_one = np.array_equal(carried[of_part], of_part[:, exchange])
+    return carried if is_one and np.unique(carried).size == n else None
 
 
 def deviation_m(symmetry: Symmetry, scene: Scene) -> FloatArray:
@@ -247,13 +273,10 @@ def _fitted_scene(measurements: Measurements) -> Scene:
     """Return the scene of the pairs that are fitted."""
     scene = measurements.scene
     fitted_pairs = {m.pair for m in measurements.responses if m.measurement.use == "fit"}
-    tabulated = {(v.source, v.receiver) for v in measurements.values}
-    kept = [
-        i
-        for i, (s, r) in enumerate(scene.pairs)
-        if i in fitted_pairs or (scene.sources[s].name, scene.receivers[r].name) in tabulated
-    ]
-    return replace(scene, pairs=scene.pairs[kept])
+    tabulated = {v.pair_name for v in measurements.values}
+    names = pair_names(scene)
+    kept = [i for i, name in enumerate(names) if i in fitted_pairs or name in tabulated]
+    return select_pairs(scene, np.array(kept, dtype=np.int64))
 
 
 def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArray) -> bool:

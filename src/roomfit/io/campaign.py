@@ -167,6 +167,14 @@ class MeasurementTable(Table):
     latency_sd_s: float | None = Field(default=None, ge=0.0, le=0.1)
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     use: Literal["fit", "validate"] = "fit"
+    state: str = ""
+
+
+class StateTable(Table):
+    """``[[states]]``: the same room with other materials on some of its surfaces."""
+
+    name: str = Field(min_length=1)
+    materials: dict[str, str] = Field(min_length=1)
 
 
 class IdentifyTable(Table):
@@ -248,6 +256,7 @@ class CampaignTable(Table):
     loudspeakers: dict[str, LoudspeakerTable] = {}
     sources: dict[str, SourceTable] = {}
     receivers: dict[str, ReceiverTable] = {}
+    states: list[StateTable] = []
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
     settings: SettingsTable = SettingsTable()
@@ -397,8 +406,17 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
                 hint=did_you_mean(table.loudspeaker, campaign.loudspeakers)
                 or f"add [loudspeakers.{table.loudspeaker}]",
             )
+    states = [state.name for state in campaign.states]
     for number, row in enumerate(campaign.measurements, start=1):
         where = f"{path}, measurements[{number}]"
+        if row.state and row.state not in states:
+            raise InputError(
+                "a measurement names a state of the room that is not defined",
+                where=where,
+                found=repr(row.state),
+                needed=f"one of {', '.join(states)}" if states else "a table [[states]]",
+                hint=did_you_mean(row.state, states) or "leave it out for the room as described",
+            )
         kinds = [k for k in ("file", "parameters", "spectrum") if getattr(row, k) is not None]
         if len(kinds) != 1:
             raise InputError(
@@ -430,12 +448,16 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
     for number, row in enumerate(campaign.measurements, start=1):
         data = row.file or row.parameters or row.spectrum
         # a table of parameters holds many pairs, a file's channel one
-        pair = () if row.file else (row.source, row.receiver)
+        pair = () if row.file else (row.source, row.receiver, row.state)
         key = (data, row.channel, row.variable, row.measurement, row.receiver_index, *pair)
         earlier = visited.setdefault(key, number)
         if earlier != number:
             other = campaign.measurements[earlier - 1]
-            same = (row.source, row.receiver) == (other.source, other.receiver)
+            same = (row.source, row.receiver, row.state) == (
+                other.source,
+                other.receiver,
+                other.state,
+            )
             raise InputError(
                 "the same measurement stands twice" if same else "two pairs have the same response",
                 where=f"{path}, measurements[{earlier}] and measurements[{number}]",
@@ -455,6 +477,7 @@ class MeasuredFile:
     use: Use
     # how uncertain the moment of emission is; None: unspecified
     latency_sd_s: float | None = None
+    state: str = ""  # of the room, "" as it is described
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -465,6 +488,7 @@ class MeasuredTable:
     source: str | None
     receiver: str | None
     use: Use
+    state: str = ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -502,6 +526,8 @@ class Campaign:
     spectra : tuple of MeasuredSpectrum
     impedance : ImpedanceTable
     design : DesignTable
+    states : mapping of name to materials by surface
+        Further states of the room.
     """
 
     path: Path
@@ -519,6 +545,7 @@ class Campaign:
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
+    states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -577,7 +604,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         _points(table.receivers),
         tuple(_measured_file(path, m) for m in rows if m.file is not None),
         tuple(
-            MeasuredTable(path.parent / m.parameters, m.source, m.receiver, m.use)
+            MeasuredTable(path.parent / m.parameters, m.source, m.receiver, m.use, m.state)
             for m in rows
             if m.parameters is not None
         ),
@@ -599,6 +626,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         ),
         table.impedance,
         table.design,
+        {state.name: state.materials for state in table.states},
     )
 
 
@@ -700,6 +728,7 @@ def _measured_file(path: Path, row: MeasurementTable) -> MeasuredFile:
         row.level,
         row.use,
         row.latency_sd_s,
+        row.state,
     )
 
 

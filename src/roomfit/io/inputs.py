@@ -35,7 +35,7 @@ from roomfit.response.directivity import (
     aimed,
     unit_vector,
 )
-from roomfit.scene import Room, Scene
+from roomfit.scene import Room, Scene, with_states
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.typing import FloatArray
@@ -179,6 +179,7 @@ def read_file(file: MeasuredFile) -> Measurement:
         level=file.level,
         use=file.use,
         name=spec.path.name,
+        state=file.state,
         where=f"{spec.path}[{part}]" if part else str(spec.path),
         findings=findings,
     )
@@ -190,7 +191,8 @@ def _read_tables(campaign: Campaign) -> list[MeasuredValues]:
         values, findings = read_parameters(table.path, table.source, table.receiver)
         for i, own in enumerate(values):
             _check_names(campaign, own, str(table.path))
-            found.append(replace(own, use=table.use, findings=findings if i == 0 else ()))
+            doubts = findings if i == 0 else ()
+            found.append(replace(own, use=table.use, findings=doubts, state=table.state))
     return found
 
 
@@ -274,7 +276,8 @@ def identify_arguments(campaign: Campaign) -> IdentifyArguments:
 def campaign_room(campaign: Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
     room, findings = read_room(campaign.room)
-    return replace(room, findings=findings)
+    with located(str(campaign.path)):
+        return with_states(replace(room, findings=findings), campaign.states)
 
 
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:

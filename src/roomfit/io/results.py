@@ -214,6 +214,11 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             "speed_of_sound_formula": "Cramer 1993 as in pyfar, or as given by the campaign",
         },
     }
+    if answer.state_means:
+        content["states"] = {
+            name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))
+            for name, mean in answer.state_means.items()
+        }
     if answer.directivities:
         content["directivity"] = {
             name: {"b": d.b, "sd": d.sd}
@@ -374,6 +379,7 @@ def _pair(pair: ComparedPair) -> dict[str, Any]:
         "source": pair.source,
         "receiver": pair.receiver,
         "use": pair.use,
+        **({"state": pair.state} if pair.state else {}),
         "parameters": {
             name: {
                 "measured": numbers_or_null(c.measured),

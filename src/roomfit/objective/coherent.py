@@ -335,12 +335,12 @@ def campaign_geometry(
     speed = len(labels)
     labels.append("speed of sound")
     sd.append(speed_sd)
-    latency = {}
+    latency: dict[tuple[str, str], int] = {}
     for m in fitted:
-        source = int(scene.pairs[m.pair][0])
-        if source not in latency:
-            latency[source] = len(labels)
-            labels.append(f"latency {scene.sources[source].name}")
+        occasion = m.measurement.source, m.measurement.state
+        if occasion not in latency:
+            latency[occasion] = len(labels)
+            labels.append(f"latency {', '.join(filter(None, occasion))}")
             assumed = LATENCY_SD_S[m.measurement.time_zero]
             sd.append(assumed if m.measurement.latency_sd_s is None else m.measurement.latency_sd_s)
     first_delay = len(labels)
@@ -360,7 +360,7 @@ def campaign_geometry(
                 *range(source_positions, source_positions + 3),
                 *range(receiver_positions, receiver_positions + 3),
                 speed,
-                latency[s],
+                latency[m.measurement.source, m.measurement.state],
                 *range(first_delay, first_delay + len(priors)),
             ]
         )

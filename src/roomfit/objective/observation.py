@@ -250,7 +250,8 @@ def timing_sd_s(scene: Scene, m: MeasuredPair) -> float:
 
 def _gain_label(m: MeasuredPair) -> str:
     if m.measurement.level == "per-source":
-        return m.measurement.source
+        # between two states of a room, gains are set anew
+        return ", ".join(filter(None, (m.measurement.source, m.measurement.state)))
     if m.measurement.level == "per-file":
         return f"{m.measurement.source} to {m.measurement.receiver}, {m.measurement.where}"
     return ""

@@ -25,7 +25,7 @@ from roomfit.objective.windows import (
 )
 from roomfit.response.binned import BinnedPaths, regrouped, rows_at
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
-from roomfit.scene import Scene, distances_m
+from roomfit.scene import Scene, distances_m, pair_names
 from roomfit.signals.decay import DecayCurve, echogram_decay_curve, jnd_of
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName, value_gradients
@@ -372,18 +372,16 @@ def _at(centres_hz: FloatArray, row: FloatArray | None, wanted_hz: FloatArray) -
 
 
 def _pairs(scene: Scene, measured: Sequence[MeasuredValues]) -> list[int]:
-    index = {
-        (scene.sources[s].name, scene.receivers[r].name): i for i, (s, r) in enumerate(scene.pairs)
-    }
+    index = {name: i for i, name in enumerate(pair_names(scene))}
     found = []
     for m in measured:
-        key = (m.source, m.receiver)
+        key = m.pair_name
         if key not in index or index[key] in found:
             raise InputError(
                 "measured values of a pair that the scene "
                 + ("lacks" if key not in index else "has once, given twice"),
                 found=f"{m.source} to {m.receiver}",
-                needed=", ".join(f"{s} to {r}" for s, r in index),
+                needed=", ".join(f"{s} to {r}" for s, r, _ in index),
                 hint="define the source and the receiver; join what was measured twice",
             )
         found.append(index[key])

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
 from dataclasses import replace
-from typing import Literal, TypedDict
+from typing import Literal, NamedTuple, TypedDict
 
 import numpy as np
 
+from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -37,6 +38,13 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior
 PairChoice = Literal["all", "campaign"]
 
 
+class WantedPairs(NamedTuple):
+    """Which pairs of a campaign to predict, see `predict_arguments`."""
+
+    pairs: PairChoice = "all"
+    state: str = ""
+
+
 class PredictArguments(TypedDict):
     """What `roomfit.predict` takes."""
 
@@ -52,6 +60,7 @@ def predict_arguments(
     absorption: AbsorptionPosterior,
     changes: Sequence[Change] = (),
     pairs: PairChoice = "all",
+    state: str = "",
 ) -> PredictArguments:
     """Return a campaign and the absorption of a result as arguments of `roomfit.predict`.
 
@@ -64,6 +73,8 @@ def predict_arguments(
     changes : sequence of Change
     pairs : {"all", "campaign"}
         Every source with every receiver, or those that were measured.
+    state : str
+        Of the room, among the campaign's; "": as it is described.
 
     Raises
     ------
@@ -122,9 +133,22 @@ def predict_arguments(
             )
     # spectra, which hold impedances, do not hinder a prediction
     measurements = read_measurements(replace(campaign, spectra=()))
+    measurements = tuple(m for m in measurements if m.state == state)
     scene = campaign_scene(campaign, room)
+    if state:
+        names = list(campaign.states)
+        if state not in names:
+            raise InputError(
+                "the campaign does not define this state of the room",
+                where=str(campaign.path),
+                found=repr(state),
+                needed=f"one of {', '.join(names)}" if names else "a table [[states]]",
+                hint=did_you_mean(state, names),
+            )
+        at_state = np.full(len(scene.pairs), 1 + names.index(state))
+        scene = replace(scene, pair_state=at_state)
     if pair_choice(pairs) == "campaign":
-        scene = of_pairs(scene, {(m.source, m.receiver) for m in measurements})
+        scene = of_pairs(scene, {m.pair_name[:2] for m in measurements})
         if not len(scene.pairs):
             raise InputError("the campaign has measured no pair", hint="predict all pairs instead")
     return {

@@ -20,7 +20,10 @@ from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import area_shares
 from roomfit.uncertainty.posterior import AbsorptionPosterior, prior_draws
 
-_NEEDED = "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, or a name of the catalogue"
+_NEEDED = (
+    "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the room in one "
+    "of its states, or a name of the catalogue"
+)
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
 
@@ -30,11 +33,12 @@ class Change:
     """Another absorption for one material."""
 
     material: str
-    # a new absorption, a factor on the one that was found, or an entry of the catalogue
+    # a new absorption, a factor on the one that was found, or a name: of another material that was
+    # found, else of an entry of the catalogue
     kind: Literal["value", "factor", "catalogue"]
     values: tuple[float, ...] = ()  # one for all bands, or one a band
     sds: tuple[float, ...] = ()  # their standard deviations; left out: none
-    entry: str = ""  # name in the catalogue
+    entry: str = ""  # name of a material or in the catalogue
 
     def __post_init__(self) -> None:
         if not self.sds:
@@ -132,6 +136,11 @@ def changed_draws(
                 factors = np.maximum(factor + sd * z[:, None], 0.0)
                 drawn[:, index] = np.minimum(drawn[:, index] * factors, 1.0)
                 findings += _clipped(change, wanted, posterior.bands)
+            elif change.entry in posterior.materials:
+                # what was found of it, with all that it shares with the others
+                other = posterior.materials.index(change.entry)
+                absorption[index] = posterior.absorption[other]
+                drawn[:, index] = draws[:, other]
             else:
                 if change.kind == "catalogue":
                     mean, sd = catalogue_prior(change.entry, posterior.bands)

@@ -21,7 +21,14 @@ from roomfit.objective.room_parameters import predicted_values, value_covariance
 from roomfit.response.binned import BinnedPaths, bin_paths, pair_energies, regrouped
 from roomfit.response.directivity import known_directivities
 from roomfit.response.energy import regrouped_rows, thinned_rows
-from roomfit.scene import Scene, distances_m, material_areas_m2
+from roomfit.scene import (
+    Scene,
+    distances_m,
+    material_areas_m2,
+    pair_names,
+    pair_states,
+    select_pairs,
+)
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, decay_curve_db, echogram_decay_curve, room_parameters
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
@@ -91,7 +98,7 @@ def follow_decay(
 def scene_decay_s(scene: Scene, bands: Bands, absorption: FloatArray) -> FloatArray:
     """Return the reverberation time of a scene by Eyring's formula in every band, (n_bands,)."""
     mesh = scene.room.mesh
-    areas = material_areas_m2(scene.room)
+    areas = material_areas_m2(scene.room, int(pair_states(scene)[0]))
     mean = np.maximum(areas @ absorption / areas.sum(), 1e-4)
     room = (volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air))
     return eyring_time_s(mean, *room, attenuation_per_m(scene.air, bands))
@@ -185,7 +192,7 @@ def pair_numbers(
     absorption : float array, shape (n_materials, n_bands)
     draws : float array, shape (n_draws, n_materials, n_bands)
     """
-    alone = replace(scene, pairs=scene.pairs[pair : pair + 1])
+    alone = select_pairs(scene, slice(pair, pair + 1))
     bands_of = {f: (rows[pair],) for f, rows in binned.by_band.items()}
     own = BinnedPaths(binned.edges_s, (binned.rows[pair],), bands_of)
     direct_s = float(distances_m(alone)[0] / speed_of_sound_m_s(scene.air))
@@ -255,7 +262,7 @@ def _noise_sd(alone: Scene, bands: Bands, own: BinnedPaths, absorption: FloatArr
             alone.receivers[receiver].name,
             one.centres_hz,
             dict(zip(VALUE_NAMES, expected, strict=True)),
-            {},
+            state=pair_names(alone)[0][2],
         )
         (term,) = value_terms(alone, one, (as_measured,), own)
         if term is None or term.observations[0].names != VALUE_NAMES:

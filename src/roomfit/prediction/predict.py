@@ -28,7 +28,13 @@ from roomfit.prediction.decay import (
     levels_at,
     pair_numbers,
 )
-from roomfit.scene import Scene, material_areas_m2, position_findings
+from roomfit.scene import (
+    Scene,
+    material_areas_m2,
+    pair_names,
+    pair_states,
+    position_findings,
+)
 from roomfit.settings import Settings
 from roomfit.signals.decay import DecayCurve, in_jnd, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
@@ -236,7 +242,7 @@ def predict(
     changed = [room.materials.index(c.material) for c in changes]
     if changes and not _is_unknown(absorption)[changed].any():
         states.append((absorption.absorption, found))
-        areas_m2 = material_areas_m2(room)
+        areas_m2 = material_areas_m2(room, int(pair_states(scene)[0]))
         clipped += prior_dominated(absorption, found, changes, areas_m2, rng)
     observed, measured_findings = _observed_pairs(scene, measurements, bands)
     binned, weighed_by, decay_findings = follow_decay(
@@ -311,18 +317,20 @@ def _check(
     if not len(scene.pairs):
         raise InputError("the scene has no pair to predict", needed="a source and a receiver")
     refuse(position_findings(scene.room, scene.sources, scene.receivers))
-    pairs = _pair_names(scene)
+    if np.unique(pair_states(scene)).size > 1:
+        raise InputError(
+            "a prediction is of one state of the room",
+            found="pairs in several states",
+            needed="a scene whose pair_state is the same everywhere; predict each state by itself",
+        )
+    pairs = pair_names(scene)
     for m in measurements:
-        if (m.source, m.receiver) not in pairs:
+        if m.pair_name not in pairs:
             raise InputError(
                 "a measurement of a pair that is not predicted",
-                found=f"{m.source} to {m.receiver}",
-                needed="a pair of the scene",
+                found=" to ".join(m.pair_name[:2]) + (f" ({m.state})" if m.state else ""),
+                needed="a pair of the scene, in its state of the room",
             )
-
-
-def _pair_names(scene: Scene) -> list[tuple[str, str]]:
-    return [(scene.sources[s].name, scene.receivers[r].name) for s, r in scene.pairs]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -426,9 +434,9 @@ def _predicted_pairs(
     """Return every pair of the scene, once for each of its measurements, or once without."""
     found = []
     nothing = np.full((len(VALUE_NAMES), len(bands)), np.nan)
-    for i, names in enumerate(_pair_names(scene)):
+    for i, (source, receiver, _) in enumerate(pair_names(scene)):
         states = [of_state[i] for of_state in numbers]
-        measured = [m for m in observed_pairs if (m.source, m.receiver) == names]
+        measured = [m for m in observed_pairs if (m.source, m.receiver) == (source, receiver)]
         rows: list[_ObservedPair | None] = [*measured] or [None]
         for m in rows:
             values, sd, mean = nothing, nothing, nothing
@@ -439,7 +447,9 @@ def _predicted_pairs(
             decay = _decay(states[0], m)
             if len(states) > 1:
                 decay = replace(decay, before_db=states[1].decay.predicted_db)
-            found.append(PredictedPair(*names, use, _table(states, values, sd, mean), decay))
+            found.append(
+                PredictedPair(source, receiver, use, _table(states, values, sd, mean), decay)
+            )
     return tuple(found)
 
 
@@ -451,7 +461,7 @@ def _predicted_means(
 ) -> dict[ValueName, PredictedValue]:
     """Return means over the measured pairs of each band, over all where none was measured."""
     of_pairs = [
-        [m for m in observed_pairs if (m.source, m.receiver) == p] for p in _pair_names(scene)
+        [m for m in observed_pairs if (m.source, m.receiver) == p[:2]] for p in pair_names(scene)
     ]
     measured = np.array([_mean([m.values for m in own], len(bands)) for own in of_pairs])
     sd = np.nan_to_num([_mean([m.sd for m in own], len(bands)) for own in of_pairs])

@@ -63,7 +63,8 @@ def write_pictures(folder: Path, answer: Result, progress: Progress | None = Non
         write_bytes_atomically(folder / f"corner_{corner[0]:g}_hz.png", png(corner[1]))
     with_decay = [(i, p) for i, p in enumerate(answer.pairs, start=1) if p.decay]
     for i, pair in with_decay[:MOST_DECAY_PICTURES]:
-        name = f"decay_{i:02d}_{in_file_name(pair.source, pair.receiver)}.png"
+        names = filter(None, (pair.source, pair.receiver, pair.state))
+        name = f"decay_{i:02d}_{in_file_name(*names)}.png"
         write_bytes_atomically(folder / name, png(decay_figure(answer, pair)))
         if progress is not None:
             progress(i / len(answer.pairs))
@@ -500,6 +501,7 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
     title = ""
     if len(pairs) == 1:
         title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"
+        title += f", {literal(pairs[0].state)}" if pairs[0].state else ""
         title += "" if pairs[0].use == "fit" else ", not fitted"
     figure_legend(figure, panels[0], 2, title)
     return figure

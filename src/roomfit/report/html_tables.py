@@ -265,7 +265,9 @@ NEAR_JND, FAR_JND = 1.0, 2.0
 
 def pair_title(pair: ComparedPair) -> str:
     """Return "LS1 to MP2", and whether the pair was kept out of the fit."""
-    return f"{pair.source} to {pair.receiver}{'' if pair.use == 'fit' else ' (not fitted)'}"
+    state = f", {pair.state}" if pair.state else ""
+    use = "" if pair.use == "fit" else " (not fitted)"
+    return f"{pair.source} to {pair.receiver}{state}{use}"
 
 
 def parameter_keys(pairs: Iterable[ComparedPair]) -> tuple[str, ...]:
@@ -464,7 +466,16 @@ def material_table(room: Room) -> Table:
 
 
 def _surfaces(room: Room, material: int) -> str:
-    names = [room.mesh.surfaces[k].name for k in np.flatnonzero(room.surface_material == material)]
+    owners = [
+        ("", room.surface_material),
+        *((f"{s.name}: ", s.surface_material) for s in room.states),
+    ]
+    names = [
+        state + room.mesh.surfaces[k].name
+        for state, owner in owners
+        for k in np.flatnonzero(owner == material)
+        if not state or room.surface_material[k] != material
+    ]
     shown = ", ".join(shortened(name) for name in names[:_SURFACES_SHOWN])
     more = len(names) - _SURFACES_SHOWN
     return f"{shown} and {more} more" if more > 0 else shown

@@ -255,6 +255,7 @@ class MeasuredValues:
     spread: Mapping[ValueName, FloatArray] = field(default_factory=dict)
     use: Literal["fit", "validate"] = "fit"
     findings: tuple[Finding, ...] = ()  #: what reading the table raised
+    state: str = ""  #: of the room, among its `states`; "": as the room is described
 
     def __post_init__(self) -> None:
         centres = float_array("band centres", self.centres_hz, (None,), low=1.0, unit="Hz")
@@ -280,6 +281,11 @@ class MeasuredValues:
                 array.setflags(write=False)
                 table[key] = array
             object.__setattr__(self, name, MappingProxyType(table))
+
+    @property
+    def pair_name(self) -> tuple[str, str, str]:
+        """Source, receiver and state of the room."""
+        return self.source, self.receiver, self.state
 
 
 def check_possible(name: ValueName, value: float, where: str) -> None:

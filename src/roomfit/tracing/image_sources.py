@@ -29,6 +29,7 @@ from roomfit.tracing.paths import (
     Paths,
 )
 from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
+from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.typing import FloatArray, IntArray, Progress
 
 # Bytes that an image and a hit take, growing and in the sets made of them.
@@ -405,6 +406,18 @@ def trace_images(
         Other materials, a source where a receiver is, or more images than the memory or the work
         allows.
     """
+    if scene.room.states:
+        single, of_parts = as_one_state(scene, scattering)
+        traced = trace_images(
+            single,
+            order,
+            duration_s,
+            of_parts,
+            with_image_transforms=with_image_transforms,
+            budget=budget,
+            progress=progress,
+        )
+        return in_every_state(traced, single, scene, scattering)
     coefficients = np.atleast_2d(coefficients_in_order(scattering, scene.room.materials))
     distances = distances_m(scene)
     if distances.size and distances.min() < 1e-6:

@@ -14,6 +14,7 @@ from roomfit.scene import Scene, distances_m
 from roomfit.tracing.image_sources import trace_images
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.rays import RayStatistics, Trace, trace_rays
+from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.typing import FloatArray, Progress, part
 
 # A sphere so much smaller than the room it has stays clear of the wall in spite of rounding.
@@ -81,6 +82,10 @@ def trace(
             found="image_order -1 and n_rays 0",
             needed="image_order of 0 or more, or rays",
         )
+    if scene.room.states:
+        single, of_parts = as_one_state(scene, scattering)
+        found = trace(single, settings, of_parts, progress)
+        return replace(found, paths=in_every_state(found.paths, single, scene, scattering))
     images: Paths | None = None
     share = _SHARE_OF_IMAGES if settings.n_rays else 1.0
     images_s = settings.duration_s

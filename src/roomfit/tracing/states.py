@@ -1,0 +1,114 @@
+"""A room in several states traced once: its surfaces stay, and with them every path.
+
+The trace tells apart the surfaces that differ in some state; afterwards each state's pairs count
+the hits of the same paths by the materials of that state.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.materials.priors import Scattering, coefficients_in_order
+from roomfit.scene import Room, Scene, materials_of_surfaces, pair_states, select_pairs
+from roomfit.tracing.paths import Paths, select
+from roomfit.typing import IntArray
+
+
+def parts_of(room: Room) -> tuple[Room, IntArray]:
+    """Return a room with a material for each set of surfaces that are alike in every state.
+
+    Returns
+    -------
+    Room
+        Of one state; its materials are the parts.
+    int array, shape (n_states, n_parts)
+        The material of each part in each state, that of the description first.
+    """
+    owners = materials_of_surfaces(room)
+    of_part, part_of_surface = np.unique(owners, axis=1, return_inverse=True)
+    names = [" / ".join(room.materials[m] for m in column) for column in of_part.T]
+    alone = replace(
+        room, materials=tuple(names), surface_material=part_of_surface.reshape(-1), states=()
+    )
+    return alone, np.asarray(of_part)
+
+
+def as_one_state(scene: Scene, scattering: Scattering) -> tuple[Scene, Scattering]:
+    """Return what has to be traced: every source and receiver once, and the scattering of parts.
+
+    Parameters
+    ----------
+    scene : Scene
+        Of a room with further states.
+    scattering : Scattering
+        Of the room's materials, in any order.
+
+    Raises
+    ------
+    InputError
+        Two materials that replace each other scatter differently: one trace cannot hold for both.
+    """
+    room, of_part = parts_of(scene.room)
+    coefficients = coefficients_in_order(scattering, scene.room.materials)[..., of_part]
+    differs = np.any(coefficients != coefficients[..., :1, :], axis=-2).reshape(
+        -1, of_part.shape[1]
+    )
+    if differs.any():
+        part = int(np.flatnonzero(differs.any(axis=0))[0])
+        one, *others = dict.fromkeys(scene.room.materials[m] for m in of_part[:, part])
+        raise InputError(
+            "materials that replace each other between states scatter differently",
+            found=", ".join((one, *others)),
+            needed="one scattering coefficient for all of them, since the room is traced once",
+            hint=f"give {', '.join(others)} the scattering of {one}",
+        )
+    first = np.unique(scene.pairs, axis=0, return_index=True)[1]
+    single = select_pairs(scene, np.sort(first))
+    return replace(single, room=room, pair_state=None), Scattering(
+        room.materials, coefficients[..., 0, :]
+    )
+
+
+def in_every_state(paths: Paths, single: Scene, scene: Scene, scattering: Scattering) -> Paths:
+    """Return the paths of every pair of a scene from those of its sources and receivers.
+
+    Parameters
+    ----------
+    paths : Paths
+        Of `single`.
+    single : Scene
+        From `as_one_state`.
+    scene : Scene
+    scattering : Scattering
+        Of the room's materials, as in `as_one_state`.
+    """
+    _, of_part = parts_of(scene.room)
+    n_materials = len(scene.room.materials)
+    number = {tuple(pair): i for i, pair in enumerate(single.pairs.tolist())}
+    order = np.argsort(paths.pair, kind="stable")
+    ends = np.searchsorted(paths.pair[order], np.arange(len(number) + 1))
+    own, pair, specular, diffuse = [], [], [], []
+    for i, (ends_of_pair, state) in enumerate(
+        zip(scene.pairs.tolist(), pair_states(scene), strict=True)
+    ):
+        traced = number[tuple(ends_of_pair)]
+        rows = order[ends[traced] : ends[traced + 1]]
+        by_material = np.zeros((len(of_part[state]), n_materials), dtype=np.uint16)
+        by_material[np.arange(len(of_part[state])), of_part[state]] = 1
+        own.append(rows)
+        pair.append(np.full(rows.size, i, dtype=np.int32))
+        specular.append(paths.hits_specular[rows] @ by_material)
+        diffuse.append(paths.hits_diffuse[rows] @ by_material)
+    chosen = select(paths, np.concatenate(own))
+    return replace(
+        chosen,
+        n_pairs=len(scene.pairs),
+        materials=scene.room.materials,
+        pair=np.concatenate(pair),
+        hits_specular=np.concatenate(specular),
+        hits_diffuse=np.concatenate(diffuse),
+        sampling_scattering=np.atleast_2d(coefficients_in_order(scattering, scene.room.materials)),
+    )
