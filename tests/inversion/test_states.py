@@ -127,13 +127,13 @@ def test_pressures_are_fitted_in_every_state():
 
 def test_a_change_to_a_material_of_another_state_is_that_state():
     both, found = scene({"closed": CLOSED}), absorption_posterior(joint())
-    # image sources alone, since sound is followed for longer where the room is livelier before
+    # image sources alone; sound is followed for longer where the room is livelier before
     every = replace(FEW, most_images=1_500_000)
     opened = select_pairs(both, slice(0, 1))
     closed = replace(opened, pair_state=np.ones(1, dtype=np.int32))
     changed = predict(opened, found, [read_change("south=curtain")], settings=every).mean["T30_s"]
     state = predict(closed, found, settings=every).mean["T30_s"]
-    np.testing.assert_allclose(changed.predicted, state.predicted, rtol=0.01)
+    np.testing.assert_allclose(changed.predicted, state.predicted, rtol=0.03)
     # draws weigh a sample of the paths
     np.testing.assert_allclose(changed.sd_absorption, state.sd_absorption, rtol=0.5)
     assert changed.change is not None
