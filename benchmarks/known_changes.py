@@ -1,7 +1,7 @@
 """Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
 
-    python benchmarks/known_changes.py DATA [--room r3vival dechorate] [--step DEGREES]
-        [--rings 150 200] [--scattering S] [--seed SEED] [--out DIR]
+    python benchmarks/known_changes.py DATA [--room r3vival together dechorate] [--step DEGREES]
+        [--rings 150 200] [--scattering S] [--seed SEED] [--product-sd SD] [--out DIR]
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
 `dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
@@ -9,7 +9,8 @@ DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari
 For each room: the absorption of every wall in every state with 95 % intervals, and standardised
 differences of the walls that did not change. For the first, state R, whose walls are those of two
 other states, predicted from these: the raw model, and the measured values carried over by the
-model's change, beside Sabine's formula and the mean of the two states.
+model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
+states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
 """
 
 from __future__ import annotations
@@ -28,11 +29,12 @@ from matplotlib import pyplot as plt
 import roomfit
 from roomfit.logit import Z95, logit
 from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.results import Result, absorption_posterior
-from roomfit.scene import Point, Scene, material_areas_m2
-from roomfit.typing import FloatArray
+from roomfit.scene import Point, Scene, material_areas_m2, with_states
+from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
 BANDS = roomfit.bands_between("octave", 125, 4000)
@@ -78,6 +80,29 @@ def r3vival(data: Path, state: str, step: int, rings: Sequence[str]) -> Case:
     return scene, measurements, directivities
 
 
+def r3vival_together(
+    data: Path, measured: Sequence[str], predicted: Sequence[str], step: int, rings: Sequence[str]
+) -> Case:
+    """Return several states of the room as one case; nothing of the predicted ones is read.
+
+    Materials are the walls with their panels' side, as "left, absorbing".
+    """
+    first, *others = measured
+    scene, measurements, directivities = r3vival(data, first, step, rings)
+    room = roomfit.shoebox_room(R3VIVAL_M, panels(first))
+    room = with_states(room, {state: panels(state) for state in (*others, *predicted)})
+    for state in others:
+        own = r3vival(data, state, step, rings)[1]
+        measurements += [replace(m, state=state) for m in own]
+    return replace(scene, room=room), measurements, directivities
+
+
+def panels(state: str) -> dict[str, str]:
+    """Return the material of each side of the room in a state."""
+    side = {w: "absorbing" if w in ABSORBING[state] else "reflecting" for w in WALLS[:4]}
+    return {s: f"{w}, {side[w]}" if w in side else w for s, w in zip(SIDES, WALLS, strict=True)}
+
+
 def is_chosen(source: str, step: int, rings: Sequence[str]) -> bool:
     """Whether a source of the array, S<azimuth>_<distance>, is among those asked for."""
     azimuth, ring = source[1:].split("_")
@@ -111,16 +136,28 @@ def dechorate(data: Path, state: str) -> Case:
     return scene, measurements, {p.name: UnknownDirectivity() for p in points["src"]}
 
 
-def fitted(name: str, case: Case, scattering: float | None, settings: roomfit.Settings) -> Result:
-    """Identify one state, and print what its walls absorb."""
-    scene, measurements, directivities = case
-    priors: list[MaterialPrior] = []
+def material_prior(name: str, scattering: float | None, product_sd: float) -> MaterialPrior:
+    """Return the broad prior of a wall; panels turned to one side are of one product."""
+    prior = unknown_material(name, len(BANDS))
     if scattering is not None:
-        everywhere = np.full(len(BANDS), scattering)
-        priors = [
-            replace(unknown_material(m, len(BANDS)), scattering=everywhere)
-            for m in scene.room.materials
-        ]
+        prior = replace(prior, scattering=np.full(len(BANDS), scattering))
+    side = name.partition(", ")[2]
+    return replace(prior, product=side, product_sd=product_sd) if side and product_sd else prior
+
+
+def fitted(
+    name: str,
+    case: Case,
+    scattering: float | None,
+    settings: roomfit.Settings,
+    product_sd: float = 0.0,
+) -> Result:
+    """Identify one case, and print what its walls absorb."""
+    scene, measurements, directivities = case
+    priors = [
+        material_prior(scene.room.materials[m], scattering, product_sd)
+        for m in range(len(scene.room.materials))
+    ]
     began = time.process_time()
     result = roomfit.identify(
         scene, measurements, priors, BANDS, settings=settings, directivities=directivities
@@ -216,13 +253,7 @@ def swap(data: Path, step: int, rings: Sequence[str], results: Mapping[str, Resu
     judged = bands > JUDGED_HZ
     print("\nMean T30, predicted over measured, %  " + "".join(f"{f:>8g}" for f in bands))
     for name, ratio in rows.items():
-        error = 100.0 * (ratio - 1.0)
-        worst = np.abs(error[judged])
-        print(
-            f"{name:<38}"
-            + "".join(f"{e:>8.1f}" for e in error)
-            + f"   median {np.median(worst):.1f}, largest {worst.max():.1f}"
-        )
+        print(error_row(name, ratio, judged))
     mean = found["R"].mean["T30_s"]
     held = (mean.lower95 <= mean.measured) & (mean.measured <= mean.upper95)
     half = 50.0 * (mean.upper95 - mean.lower95) / mean.predicted
@@ -231,6 +262,104 @@ def swap(data: Path, step: int, rings: Sequence[str], results: Mapping[str, Resu
         f"median half width {np.median(half[judged]):.0f} %"
     )
     print(c50_text(found))
+
+
+def swap_together(
+    data: Path, case: Case, result: Result, known: Sequence[str], unknown: str
+) -> None:
+    """Predict a state from others that were fitted with it, carried over from each of them."""
+    scene, measurements, _ = case
+    posterior = absorption_posterior(result)
+    judged = result.bands.centres_hz > JUDGED_HZ
+    step_rings = [m.source for m in measurements if not m.state]
+    wanted = panels(unknown)
+    found: dict[str, Predicted] = {}
+    for state in known:
+        number = [0, *(1 + i for i, s in enumerate(scene.room.states) if s.name == state)][-1]
+        own = [m for m in measurements if m.state == ("" if number == 0 else state)]
+        at = replace(scene, pair_state=np.full(len(scene.pairs), number))
+        changes = [
+            Change(one, "catalogue", entry=other)
+            for one, other in zip(panels(state).values(), wanted.values(), strict=True)
+            if one != other
+        ]
+        found[state] = predict(at, posterior, changes, own)
+    truth = r3vival(data, unknown, 1, ("150", "200"))[1]
+    truth = [replace(m, state=unknown) for m in truth if m.source in step_rings]
+    number = 1 + [s.name for s in scene.room.states].index(unknown)
+    at = replace(scene, pair_state=np.full(len(scene.pairs), number))
+    itself = predict(at, posterior, measurements=truth)
+    measured = itself.mean["T30_s"].measured
+    print(
+        f"\nMean T30 of {unknown}, predicted over measured, %  "
+        + "".join(f"{f:>8g}" for f in result.bands.centres_hz)
+    )
+    rows = {
+        f"model of {s}": p.mean["T30_s"].change.before / p.mean["T30_s"].measured
+        for s, p in found.items()
+    }
+    rows[f"{unknown}, model"] = itself.mean["T30_s"].predicted / measured
+    carried = {s: p.mean["T30_s"].change for s, p in found.items()}
+    rows |= {f"{unknown}, carried over from {s}": c.carried / measured for s, c in carried.items()}
+    logs = {
+        k: np.mean([np.log(getattr(c, k)) for c in carried.values()], axis=0)
+        for k in ("carried", "carried_lower95", "carried_upper95")
+    }
+    both, low, high = (np.exp(logs[k]) for k in logs)
+    rows[f"{unknown}, carried over from all"] = both / measured
+    t = {s: p.mean["T30_s"].measured for s, p in found.items()}
+    first, last = known[0], known[-1]
+    areas = material_areas_m2(scene.room), scene.room.materials
+    share_of = dict(zip(areas[1], areas[0], strict=True))
+    turned = {s: sum(share_of[f"{w}, reflecting"] for w in ABSORBING[s]) for s in (last, unknown)}
+    share = turned[unknown] / turned[last]
+    sabine = 1.0 / (1.0 / t[first] + share * (1.0 / t[last] - 1.0 / t[first]))
+    rows[f"{unknown}, Sabine"] = sabine / measured
+    rows[f"{unknown}, mean of both"] = 0.5 * (t[first] + t[last]) / measured
+    for name, ratio in rows.items():
+        print(error_row(name, ratio, judged))
+    held = (low <= measured) & (measured <= high)
+    print(
+        f"carried over within its interval in {held[judged].sum()} of {judged.sum()} bands, "
+        f"median half width {np.median((50.0 * (high - low) / both)[judged]):.1f} %"
+    )
+    for state, p in found.items():
+        print(c50_of(state, unknown, p, itself))
+
+
+def error_row(name: str, ratio: FloatArray, judged: BoolArray) -> str:
+    """Return one line of errors in per cent, with their median and the largest."""
+    error = 100.0 * (ratio - 1.0)
+    worst = np.abs(error[judged])
+    cells = "".join(f"{e:>8.1f}" for e in error)
+    return f"{name:<38}{cells}   median {np.median(worst):.1f}, largest {worst.max():.1f}"
+
+
+def c50_of(state: str, unknown: str, changed: Predicted, itself: Predicted) -> str:
+    """Return how well the change of C50 from a known state is predicted, pair by pair."""
+    rows = [
+        (p.parameters["C50_dB"], q.parameters["C50_dB"])
+        for p, q in zip(changed.pairs, itself.pairs, strict=True)
+    ]
+    before, truth, change, low, high = (
+        np.array(x)[:, 1:]
+        for x in (
+            [p.measured for p, _ in rows],
+            [q.measured for _, q in rows],
+            [p.change.change for p, _ in rows],
+            [p.change.carried_lower95 for p, _ in rows],
+            [p.change.carried_upper95 for p, _ in rows],
+        )
+    )
+    known = np.isfinite(before + truth + change)
+    error, baseline = np.abs(before + change - truth)[known], np.abs(truth - before)[known]
+    held = ((low <= truth) & (truth <= high))[known]
+    return (
+        f"C50, change from {state} to {unknown} by pair: median error {np.median(error):.2f} dB, "
+        f"{100 * np.mean(error < 1.0):.0f} % within 1 dB, {100 * held.mean():.0f} % held "
+        f"(no change predicted: {np.median(baseline):.2f} dB, "
+        f"{100 * np.mean(baseline < 1.0):.0f} %)"
+    )
 
 
 def c50_text(found: Mapping[str, Predicted]) -> str:
@@ -297,7 +426,9 @@ def main() -> None:
     """Run the rooms that were asked for."""
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0] if __doc__ else None)
     parser.add_argument("data", nargs="?", type=Path)
-    parser.add_argument("--room", nargs="+", choices=list(SAME), default=list(SAME))
+    rooms = [*SAME, "together"]
+    parser.add_argument("--room", nargs="+", choices=rooms, default=rooms)
+    parser.add_argument("--product-sd", type=float, default=0.3, help="for together, in logit")
     parser.add_argument("--step", type=int, default=30, help="degrees between loudspeakers")
     parser.add_argument("--rings", nargs="+", default=["150", "200"], help="distances in cm")
     parser.add_argument("--scattering", type=float, help="of all walls; left out: chosen")
@@ -310,6 +441,14 @@ def main() -> None:
         return
     settings = roomfit.Settings(model=asked.model, seed=asked.seed)
     for room in asked.room:
+        if room == "together":
+            known = ("000", "100")
+            both = r3vival_together(asked.data, known, ("R",), asked.step, asked.rings)
+            result = fitted(
+                "r3vival 000 and 100", both, asked.scattering, settings, asked.product_sd
+            )
+            swap_together(asked.data, both, result, known, "R")
+            continue
         states = dict.fromkeys(state for pair in SAME[room] for state in pair)
         results = {}
         for state in states:
