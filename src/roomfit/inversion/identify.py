@@ -260,7 +260,7 @@ def combine(
     )
     identifiable &= ~ambiguous
     prior = prior_logit_law(priors)
-    shared = any(k.product is not None for k in priors)
+    shared = any(k.product is not None or k.tied_to is not None for k in priors)
     combinations, sentences, shares = determined(
         scene.room.materials,
         absorption,

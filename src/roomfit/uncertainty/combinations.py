@@ -131,7 +131,7 @@ def information_directions(
     n = len(prior_logit_covariance)
     covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
     prior = float_array("prior covariance of logit absorption", prior_logit_covariance, (n, n))
-    own = _own(covariance)
+    own = _own(covariance, prior)
     root = symmetric_root(prior[np.ix_(own, own)])
     scaled = root @ covariance[np.ix_(own, own)] @ root.T
     size, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
@@ -165,11 +165,13 @@ def undetermined_groups(
     return tuple(found)
 
 
-def _own(covariance: FloatArray) -> IntArray:
+def _own(covariance: FloatArray, prior: FloatArray) -> IntArray:
     """Return the materials that vary, of those tied to each other the first."""
-    free = np.flatnonzero(np.diag(covariance) > 0.0)
-    _, first = np.unique(covariance[free], axis=0, return_index=True)
-    return np.asarray(free[np.sort(first)])
+    own = np.flatnonzero(np.diag(covariance) > 0.0)
+    for rows in (covariance, prior):
+        _, first = np.unique(rows[own], axis=0, return_index=True)
+        own = own[np.sort(first)]
+    return np.asarray(own)
 
 
 def _connected(linked: BoolArray) -> list[list[int]]:

@@ -364,7 +364,7 @@ def band_draws(
     """
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, fixed)
+    own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
         mean, prior = prior_logit_mean[own], prior_logit_covariance[np.ix_(own, own)]
         answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, prior)
@@ -391,7 +391,7 @@ def prior_draws(
     """Return draws from the prior alone, fixed and tied as in `band_draws`."""
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, fixed)
+    own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
         noise = antithetic_normals(n_draws, own.size, rng)
         root = np.linalg.cholesky(prior_logit_covariance[np.ix_(own, own)])
@@ -410,17 +410,22 @@ def _gaussian_draws(
 
 
 def _own(
-    absorption: FloatArray, covariance: FloatArray, fixed: BoolArray
+    absorption: FloatArray, covariance: FloatArray, prior: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return which materials vary by themselves, and for each that varies which of them it is."""
-    varying = np.flatnonzero(~fixed)
+    """Return which materials vary by themselves, and for each that varies which of them it is.
+
+    Errors that are added to each material by itself leave a tie in the prior alone, and a file
+    without the prior's covariance holds it in that of the answer alone.
+    """
+    varying = np.flatnonzero(np.diag(covariance) > 0.0)
     own: list[int] = []
     twin: list[int] = []
     for i in varying:
         same = [
             k
             for k, j in enumerate(own)
-            if absorption[j] == absorption[i] and np.allclose(covariance[j], covariance[i])
+            if absorption[j] == absorption[i]
+            and (np.array_equal(prior[j], prior[i]) or np.allclose(covariance[j], covariance[i]))
         ]
         if not same:
             own.append(int(i))
