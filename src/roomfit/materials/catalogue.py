@@ -427,6 +427,9 @@ def material_prior(
 ) -> MaterialPrior:
     """Return what is known of a material before the measurement.
 
+    To say that materials are of one product, alike but not equal, state the same of each, and then
+    ``dataclasses.replace(prior, product="panel")``; see `MaterialPrior`.
+
     Parameters
     ----------
     name : str
