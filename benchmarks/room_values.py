@@ -40,7 +40,7 @@ from roomfit.materials.priors import (
     MaterialPrior,
     Scattering,
     logit_prior,
-    prior_logits,
+    prior_logit_law,
     unknown_material,
 )
 from roomfit.measurement import Measurement
@@ -270,7 +270,7 @@ def print_combinations(case: Case, answers: tuple[BandEstimate, ...]) -> None:
         f"identifiable by themselves: {sure.sum()} of {sure.size}; phi "
         + " ".join(f"{a.chi2_reduced:.2f}" for a in answers)
     )
-    names, priors = case.scene.room.materials, prior_logits(case.priors)
+    names, priors = case.scene.room.materials, prior_logit_law(case.priors)
     found, _, _ = determined(names, absorption, covariance, priors, areas, 1)
     for centre_hz, combinations in zip(BANDS.centres_hz, found, strict=True):
         for c in combinations:
@@ -359,11 +359,11 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
     at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
     rng = np.random.default_rng(1)
     covariances = np.stack([a.logit_covariance for a in answers])
-    prior_mean, prior_sd = prior_logits(case.priors)
+    prior_mean, prior = prior_logit_law(case.priors)
     fits = absorption_of(answers)
     draws = np.stack(
         [
-            rto_draws(fits[:, b], covariances[b], prior_mean[:, b], prior_sd[:, b], 100, rng)
+            rto_draws(fits[:, b], covariances[b], prior_mean[:, b], prior[b], 100, rng)
             for b in range(len(BANDS))
         ],
         axis=2,

@@ -37,7 +37,7 @@ from roomfit.io.inputs import identify_arguments, material_priors
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
-from roomfit.materials.catalogue import broad_prior_findings
+from roomfit.materials.catalogue import broad_prior_findings, product_findings
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -86,7 +86,8 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     if not check.traceable:
         return check
     room = room_from_mesh(mesh, spec.materials)
-    assumed = broad_prior_findings(material_priors(campaign, room.materials))
+    priors = material_priors(campaign, room.materials)
+    assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
 

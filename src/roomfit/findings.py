@@ -95,6 +95,7 @@ class Code(StrEnum):
     SCATTERING_FITTED = "scattering-fitted", "info"
     SCATTERING_ASSUMED = "scattering-assumed", "info"
     BROAD_PRIOR_ASSUMED = "broad-prior-assumed", "info"
+    PRODUCT_ASSUMED = "product-assumed", "info"
     FEW_IMAGE_SOURCES = "few-image-sources", "info"
     FEW_CANDIDATES = "few-candidates", "info"
 

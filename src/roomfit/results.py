@@ -99,6 +99,8 @@ class Result:
     # for what is fixed. None where only the intervals are known
     logit_covariance: FloatArray | None = None
     logit_prior: FloatArray | None = None  # (2, n_materials, n_bands), prior mean and sd
+    # (n_bands, n_materials, n_materials), of the same prior; None: materials are independent
+    logit_prior_covariance: FloatArray | None = None
     # by band, means over groups of materials that the data determine, the whole room first
     combinations: tuple[tuple[Combination, ...], ...] = ()
     models: tuple[str, ...] = ()  # by band, "energy", "coherent", "values", or "prior" alone
@@ -195,6 +197,7 @@ def absorption_posterior(answer: Result) -> AbsorptionPosterior:
         covariance,
         prior_logit_mean=mean,
         prior_logit_sd=sd,
+        prior_logit_covariance=answer.logit_prior_covariance,
         scattering=answer.scattering,
         directivities={n: p for d in answer.directivities for n, p in d.patterns().items()},
         prior_specified=answer.prior_specified,

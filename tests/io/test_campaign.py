@@ -197,3 +197,50 @@ def test_ties_and_delays_reach_the_knowledge_of_a_material(tmp_path):
     carpet, _ = material_priors(campaign, ("carpet", "plaster"))
     assert carpet.tied_to == "plaster"
     assert carpet.wall_delay_sd_s == pytest.approx(3e-4)
+
+
+PANELS = GOOD.replace("scattering = 0.2", 'product = "panel"\nscattering = 0.2') + (
+    '[materials.wall]\nproduct = "panel"\n[products.panel]\n'
+)
+
+
+def test_materials_of_a_product_have_the_prior_that_is_stated_once(tmp_path):
+    lines = "sd = 0.2\nprior = {mean = 0.5, sd = 0.05}\nbounds = [0.0, 0.9]\n"
+    campaign = campaign_from(tmp_path, PANELS + lines)
+    carpet, wall, other = material_priors(campaign, ("carpet", "wall", "other"))
+    for own in (carpet, wall):
+        assert (own.product, own.product_sd, own.upper, own.specified) == ("panel", 0.2, 0.9, True)
+        np.testing.assert_array_equal(own.prior_logit_sd, carpet.prior_logit_sd)
+    assert sampling_scattering(carpet) == pytest.approx(0.2)
+    assert other.product is None
+
+
+def test_a_product_of_which_nothing_is_stated_has_the_broad_prior(tmp_path):
+    campaign = campaign_from(tmp_path, PANELS)
+    carpet, wall = material_priors(campaign, ("carpet", "wall"))
+    for own in (carpet, wall):
+        assert (own.product, own.product_sd, own.specified) == ("panel", 0.3, False)
+        np.testing.assert_array_equal(own.prior_logit_sd, 1.5)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (("[products.panel]", "[products.panels]"), r"not defined(?s:.*)did you mean 'panels'"),
+        (("[products.panel]", ""), r"not defined(?s:.*)add \[products.panel\]"),
+        (("[products.panel]", "[products.panel]\nsd = 0.0"), r"products.panel.sd"),
+        (("[products.panel]", "[products.panel]\nspread = 0.3"), "unknown key"),
+        (("scattering = 0.2", "prior = {mean = 0.3, sd = 0.1}"), "prior of its own"),
+        (("scattering = 0.2", "bounds = [0.0, 0.5]"), "bounds of its own"),
+        (("scattering = 0.2", 'same_absorption_as = "wall"'), "same_absorption_as of its own"),
+    ],
+)
+def test_what_is_told_of_a_product_is_checked(tmp_path, change, words):
+    with pytest.raises(InputError, match=words):
+        campaign_from(tmp_path, PANELS.replace(*change))
+
+
+def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
+    campaign = campaign_from(tmp_path, PANELS.replace("scattering = 0.2", "absorption = 1.0"))
+    with pytest.raises(InputError, match="at its bound"):
+        material_priors(campaign, ("carpet", "wall"))

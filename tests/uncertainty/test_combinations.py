@@ -51,9 +51,9 @@ def test_two_walls_of_which_only_the_sum_is_known_become_one_combination():
     """A third wall that is known by itself stays out of it."""
     a, areas = np.array([0.2, 0.3, 0.1]), np.array([10.0, 30.0, 20.0])
     covariance = np.array([[0.01, -0.006, 0.0], [-0.006, 0.01, 0.0], [0.0, 0.0, 1e-4]])
-    mean, sd = logit(a), np.full(3, 1.5)
+    mean, prior = logit(a), 1.5**2 * np.eye(3)
     room, pair = find_combinations(
-        areas, a, covariance, mean, sd, np.random.default_rng(1), within=0.12
+        areas, a, covariance, mean, prior, np.random.default_rng(1), within=0.12
     )
 
     np.testing.assert_allclose(room.weights, areas / 60.0)
@@ -72,7 +72,7 @@ def test_where_every_material_is_known_only_the_room_is_left():
         np.full(4, 0.3),
         1e-6 * np.eye(4),
         np.zeros(4),
-        np.ones(4),
+        np.eye(4),
         np.random.default_rng(1),
     )
     assert len(found) == 1
@@ -83,7 +83,7 @@ def test_a_mode_outside_of_the_quantiles_ends_the_interval():
     """Read in a table, a value beside its own interval would pass for a mistake."""
     draws = np.random.default_rng(1).uniform(0.1, 0.2, (2048, 2))
     found = find_combinations(
-        *(np.ones(2), np.full(2, 0.25), 0.01 * np.eye(2), np.full(2, logit(0.2)), np.ones(2)),
+        *(np.ones(2), np.full(2, 0.25), 0.01 * np.eye(2), np.full(2, logit(0.2)), np.eye(2)),
         np.random.default_rng(1),
         draws=draws,
     )
@@ -99,7 +99,7 @@ def test_what_only_the_prior_tells_is_no_combination():
         np.full(3, 0.3),
         np.diag(sd**2),
         np.full(3, logit(0.3)),
-        sd,
+        np.diag(sd**2),
         np.random.default_rng(1),
     )
     assert len(found) == 1
@@ -112,7 +112,7 @@ def test_held_materials_stay_exactly_where_they_are():
         np.array([0.4, 1.0]),
         np.zeros((2, 2)),
         np.zeros(2),
-        np.ones(2),
+        np.eye(2),
         np.random.default_rng(1),
     )
     assert room.value == pytest.approx(0.7)
@@ -134,7 +134,7 @@ def test_intervals_hold_the_truth_as_often_as_they_say():
         held = []
         for _ in range(120):
             areas, truth, answer, covariance = observed_by_a_decay(rng, 5, noise)
-            prior = np.full(5, PRIOR_MEAN), np.full(5, PRIOR_SD)
+            prior = np.full(5, PRIOR_MEAN), PRIOR_SD**2 * np.eye(5)
             mean = rto_draws(answer, covariance, *prior, 512, rng) @ areas
             low, high = np.quantile(mean, (0.025, 0.975))
             held.append(low <= areas @ truth <= high)
@@ -165,7 +165,7 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
     for _ in range(80):
         truth = np.append(rng.uniform(0.01, 0.04, 4), rng.uniform(0.1, 0.6, 2))
         answer, covariance = observed_apart(rng, truth, 0.02)
-        prior = np.full(6, PRIOR_MEAN), np.full(6, PRIOR_SD)
+        prior = np.full(6, PRIOR_MEAN), PRIOR_SD**2 * np.eye(6)
         drawn = {
             "as told": rto_draws(answer, covariance, *prior, 256, rng),
             "assumed": band_draws(answer, covariance, *prior, 256, rng),
@@ -179,7 +179,7 @@ def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_
 def test_a_prior_that_somebody_told_is_taken_at_its_word():
     """The same draws with and without the doubt, where the prior is not the one for any wall."""
     a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
-    prior = np.array([-2.0, -1.0]), np.array([1.0, 0.5])
+    prior = np.array([-2.0, -1.0]), np.diag([1.0, 0.25])
     plain = rto_draws(a, covariance, *prior, 64, np.random.default_rng(4))
     drawn = band_draws(a, covariance, *prior, 64, np.random.default_rng(4))
     np.testing.assert_array_equal(drawn, plain)
@@ -188,7 +188,7 @@ def test_a_prior_that_somebody_told_is_taken_at_its_word():
 def test_a_specified_prior_is_taken_at_its_word_even_where_it_equals_the_default():
     """What was specified decides; without that, as from older files, equality with the default."""
     a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
-    prior = np.full(2, PRIOR_MEAN), np.full(2, PRIOR_SD)
+    prior = np.full(2, PRIOR_MEAN), PRIOR_SD**2 * np.eye(2)
 
     def drawn(specified):
         rng = np.random.default_rng(4)
@@ -205,7 +205,7 @@ def test_tied_materials_move_together():
     a, covariance = np.full(2, 0.2), np.full((2, 2), 0.01)
     rng = np.random.default_rng(1)
     (room,) = find_combinations(
-        np.ones(2), a, covariance, logit(a), np.full(2, 1.5), rng, within=0.5
+        np.ones(2), a, covariance, logit(a), 1.5**2 * np.eye(2), rng, within=0.5
     )
     # 0.2 * 0.8 * 0.1; 1.6 % from 2048 draws, times four
     assert room.sd == pytest.approx(0.016, rel=0.065)
@@ -214,7 +214,7 @@ def test_tied_materials_move_together():
 def test_a_room_whose_mean_alone_is_known_is_told_so():
     """Five materials, one combination within 10 %: said in words."""
     names = ("a", "b", "c", "d", "e")
-    prior = np.array([np.full((5, 1), PRIOR_MEAN), np.full((5, 1), PRIOR_SD)])
+    prior = np.full((5, 1), PRIOR_MEAN), PRIOR_SD**2 * np.eye(5)[None]
     areas, a = np.array([50.0, 40.0, 30.0, 20.0, 60.0]), np.full(5, 0.05)
     # a decay known within 1 %: its rate is the sum of -log(1 - a) by area
     slope = areas * a / (areas @ -np.log(1.0 - a))
@@ -235,7 +235,7 @@ def test_combinations_of_nothing_are_refused():
             np.full(2, 0.3),
             np.eye(2),
             np.zeros(2),
-            np.ones(2),
+            np.eye(2),
             np.random.default_rng(1),
             within=0.0,
         )

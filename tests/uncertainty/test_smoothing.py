@@ -10,6 +10,11 @@ from roomfit.errors import InputError
 from roomfit.uncertainty.smoothing import smooth_over_bands
 
 
+def diagonal(sd: np.ndarray) -> np.ndarray:
+    """Return the covariance of independent numbers, (n_bands, n, n) of (n_bands, n)."""
+    return sd[:, :, None] ** 2 * np.eye(sd.shape[1])
+
+
 class Case:
     """Data of each band about n materials, and the answers they give under separate priors."""
 
@@ -29,7 +34,7 @@ class Case:
 
     def smooth(self, sd: float, bands: Bands) -> tuple[np.ndarray, np.ndarray]:
         return smooth_over_bands(
-            self.means, self.covariances, self.prior_mean, self.prior_sd, sd, bands
+            self.means, self.covariances, self.prior_mean, diagonal(self.prior_sd), sd, bands
         )
 
 
@@ -92,7 +97,7 @@ def test_bands_without_data_take_what_their_neighbours_say_and_no_more():
     """Six answers that are their prior stay it: nothing is learnt from the same guess again."""
     bands = bands_between("octave", 125, 4000)
     mean, sd = np.full((6, 1), -1.7), np.full((6, 1), 1.5)
-    got = smooth_over_bands(mean, (sd**2)[:, :, None], mean, sd, 0.5, bands)
+    got = smooth_over_bands(mean, (sd**2)[:, :, None], mean, diagonal(sd), 0.5, bands)
     np.testing.assert_allclose(got[0], mean, atol=1e-12)
     np.testing.assert_allclose(got[1], (sd**2)[:, :, None], rtol=1e-9)
 
@@ -116,7 +121,7 @@ def test_intervals_hold_where_walls_walk_as_told():
     observed = truth + noise * rng.standard_normal(truth.shape)
     variance = 1.0 / (1.0 / noise**2 + 1.0 / spread**2)
     alone = variance * (observed / noise**2 - 1.7 / spread**2)
-    prior = np.full((6, 1), -1.7), np.full((6, 1), spread)
+    prior = np.full((6, 1), -1.7), diagonal(np.full((6, 1), spread))
     held = []
     for wall in range(n_walls):
         own = alone[:, [wall]], variance[:, wall, None, None]
@@ -130,7 +135,7 @@ def test_a_held_material_stays_and_draws_its_neighbours():
     means = np.array([[0.0], [2.0]])
     covariances = np.array([[[0.0]], [[1.0]]])
     # the free band's prior is so broad that its answer is all data
-    prior = np.zeros((2, 1)), np.full((2, 1), 1e3)
+    prior = np.zeros((2, 1)), np.full((2, 1, 1), 1e6)
     got_means, got_covariances = smooth_over_bands(means, covariances, *prior, 1.0, bands)
     # One octave apart with variance 1 each: the free band ends half way, with half the variance
     # (0.3 log2(10) = 0.9966 octaves by IEC 61260-1, hence not exactly).
@@ -141,7 +146,7 @@ def test_a_held_material_stays_and_draws_its_neighbours():
 def test_what_does_not_belong_together_is_refused():
     bands = Bands("octave", np.array([500.0, 1000.0]))
     means, covariances = np.zeros((2, 1)), np.ones((2, 1, 1))
-    prior = means, np.ones((2, 1))
+    prior = means, np.ones((2, 1, 1))
     with pytest.raises(InputError, match="no spread"):
         smooth_over_bands(means, covariances, *prior, 0.0, bands)
     with pytest.raises(InputError, match="do not belong together"):

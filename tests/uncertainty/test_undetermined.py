@@ -39,15 +39,15 @@ def posterior(rows, n: int, sd: float = 1.5):
 
 def floor_and_ceiling():
     """A decay knows 0.5 floor + 0.5 ceiling within 0.004 in logits, and the walls alone."""
-    a, sd = np.array([0.1, 0.12, 0.2]), np.full(3, 1.5)
+    a, prior = np.array([0.1, 0.12, 0.2]), 1.5**2 * np.eye(3)
     slope = a * (1.0 - a)
     rows = np.array([[0.5 * slope[0] / 0.002, 0.5 * slope[1] / 0.002, 0.0], [0.0, 0.0, 100.0]])
-    return a, np.linalg.inv(rows.T @ rows + np.eye(3) / sd**2), sd
+    return a, np.linalg.inv(rows.T @ rows + np.linalg.inv(prior)), prior
 
 
 def test_floor_and_ceiling_are_told_together_and_their_difference_as_open():
-    a, covariance, sd = floor_and_ceiling()
-    prior = np.array([np.full((3, 1), -1.7), sd[:, None]])
+    a, covariance, before = floor_and_ceiling()
+    prior = np.full((3, 1), -1.7), before[None]
     combinations, sentences, _ = determined(
         NAMES, a[:, None], covariance[None], prior, np.array([20.0, 20.0, 60.0]), 1
     )
@@ -72,19 +72,19 @@ def test_what_is_open_has_as_many_directions_as_the_data_lack(n, data):
     rng = np.random.default_rng(data.draw(st.integers(0, 1000)))
     rows = rng.uniform(0.5, 1.0, (k, n)) + 3.0 * np.eye(k, n)
     covariance = posterior(rows, n)
-    left, directions, own = information_directions(covariance, np.full(n, 1.5))
+    left, directions, own = information_directions(covariance, 1.5**2 * np.eye(n))
 
     np.testing.assert_allclose(left[k:], 1.0, rtol=1e-6)
     assert np.all(left[:k] < 1e-2)
     assert np.abs(rows @ directions[:, k:]).max(initial=0.0) < 1e-4
     assert own.tolist() == list(range(n))
-    found = undetermined_groups(covariance, np.full(n, 1.5))
+    found = undetermined_groups(covariance, 1.5**2 * np.eye(n))
     # a material's small part in a direction is not told, so whole ones may be missing at the edge
     assert abs(sum(u.directions for u in found) - (n - k)) <= (0 if k == 0 else 1)
 
 
 def test_materials_of_which_nothing_is_known_are_named_in_one_sentence():
-    found = undetermined_groups(posterior([[0.0, 0.0, 1.0]], 3), np.full(3, 1.5))
+    found = undetermined_groups(posterior([[0.0, 0.0, 1.0]], 3), 1.5**2 * np.eye(3))
     assert found == (Undetermined((0,), 1, False), Undetermined((1,), 1, False))
     assert band_sentence(NAMES, (), found) == "floor and ceiling are not in the data"
 
@@ -107,7 +107,7 @@ def test_within_a_group_they_are_named_in_one_sentence_too():
 )
 def test_what_is_open_is_said_as_what_it_is(row, words):
     rows = [row] if row[2] else [row, [0.0, 0.0, 1.0]]
-    found = undetermined_groups(posterior(rows, 3), np.full(3, 1.5))
+    found = undetermined_groups(posterior(rows, 3), 1.5**2 * np.eye(3))
     assert band_sentence(NAMES, (), found) == words
 
 
@@ -115,12 +115,12 @@ def test_held_and_tied_materials_open_nothing_by_themselves():
     """A tie is no exchange: two rows of one unknown are one direction of one material."""
     covariance = np.zeros((3, 3))
     covariance[:2, :2] = 1.5**2
-    assert undetermined_groups(covariance, np.full(3, 1.5)) == (Undetermined((0,), 1, False),)
-    assert undetermined_groups(np.zeros((3, 3)), np.ones(3)) == ()
+    assert undetermined_groups(covariance, 1.5**2 * np.eye(3)) == (Undetermined((0,), 1, False),)
+    assert undetermined_groups(np.zeros((3, 3)), np.eye(3)) == ()
 
 
 def test_where_all_is_known_nothing_is_said():
-    a, prior = np.full((3, 1), 0.3), np.array([np.zeros((3, 1)), np.ones((3, 1))])
+    a, prior = np.full((3, 1), 0.3), (np.zeros((3, 1)), np.eye(3)[None])
     _, sentences, _ = determined(NAMES, a, 1e-6 * np.eye(3)[None], prior, np.ones(3), 1)
     assert sentences == ("",)
 
@@ -155,9 +155,14 @@ def test_a_share_is_known_where_only_the_ratio_is():
 def test_text_report_and_result_tell_shares_and_what_is_open():
     scene = scene_of(NAMES)
     answer = answer_of(scene, low=500, high=1000)
-    a, covariance, sd = floor_and_ceiling()
+    a, covariance, before = floor_and_ceiling()
     group = find_combinations(
-        np.array([20.0, 20.0, 60.0]), a, covariance, np.full(3, -1.7), sd, np.random.default_rng(1)
+        np.array([20.0, 20.0, 60.0]),
+        a,
+        covariance,
+        np.full(3, -1.7),
+        before,
+        np.random.default_rng(1),
     )
     sentence = "floor and ceiling together 0.31 +- 0.02; their difference is not in the data"
     shares = np.array([np.full((3, 2), x) for x in (0.3, 0.2, 0.4)])
@@ -178,9 +183,9 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
 
 
 def test_a_difference_is_told_the_larger_less_the_smaller():
-    a, covariance, sd = floor_and_ceiling()
+    a, covariance, before = floor_and_ceiling()
     found = find_combinations(
-        np.ones(3), a, covariance, np.full(3, -1.7), sd, np.random.default_rng(1)
+        np.ones(3), a, covariance, np.full(3, -1.7), before, np.random.default_rng(1)
     )
     differences = [d for c in found for d in c.differences]
     assert all(isinstance(d, Difference) and d.value >= 0.0 for d in differences)

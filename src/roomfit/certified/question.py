@@ -127,7 +127,12 @@ def is_certifiable(energies: EnergyTerm, parameters: Parameters) -> bool:
     """Whether `energy_global_problem` accepts them: unknown are absorption and gains alone."""
     names = {b.name for b in parameters.blocks}
     alone = names == {"absorption", "gain"} and parameters.joint is None
-    return alone and energies.attenuation_per_m == 0.0
+    return alone and energies.attenuation_per_m == 0.0 and _independent(parameters)
+
+
+def _independent(parameters: Parameters) -> bool:
+    """Whether the prior is a sum over unknowns, as bounds of it over boxes are."""
+    return all(b.correlation is None for b in parameters.blocks)
 
 
 def energy_global_problem(
@@ -148,7 +153,8 @@ def energy_global_problem(
     Raises
     ------
     InputError
-        Energies are not all that is unknown or known: other blocks, a joint prior, air apart.
+        Energies are not all that is unknown or known: other blocks, a joint prior, air apart,
+        or materials of one product.
     """
     blocks = {b.name: b for b in parameters.blocks}
     if set(blocks) != {"absorption", "gain"} or parameters.joint is not None:
@@ -156,6 +162,12 @@ def energy_global_problem(
             "only energies under absorption and gains can be certified",
             found=", ".join(blocks),
             hint='fit with method = "certified" and model = "energy"',
+        )
+    if not _independent(parameters):
+        raise InputError(
+            "no bounds of a prior that materials share",
+            found="materials of one product",
+            hint='leave out the product, or use method = "least-squares"',
         )
     if energies.attenuation_per_m != 0.0:
         raise InputError("the air's loss must stand in the rows", hint="use `in_air`")

@@ -45,6 +45,7 @@ from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
 from roomfit.io.inputs import identify_arguments
 from roomfit.logit import expit
+from roomfit.materials.priors import prior_logit_law
 from roomfit.results import Result
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
@@ -255,8 +256,12 @@ def _found(plan: CoveragePlan, answer: Result) -> Found:
 
 def _prior_middle(plan: CoveragePlan) -> FloatArray:
     """Return the middle absorption of every prior, shape (n_materials, n_bands)."""
+    mean, _ = prior_logit_law(plan.priors)
     return np.array(
-        [k.lower + (k.upper - k.lower) * expit(k.prior_logit_mean) for k in plan.priors]
+        [
+            k.lower + (k.upper - k.lower) * expit(own)
+            for k, own in zip(plan.priors, mean, strict=True)
+        ]
     )
 
 

@@ -27,7 +27,7 @@ from roomfit.io.inputs import (
 )
 from roomfit.io.results import read_result
 from roomfit.logit import expit, logit
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.directivity import DEFAULT_B_SD
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.objective.room_parameters import values_at
@@ -283,15 +283,16 @@ def draw_synthetic_room(plan: CoveragePlan, rng: np.random.Generator) -> Synthet
 
 
 def _absorption(plan: CoveragePlan, rng: np.random.Generator) -> FloatArray:
-    """Draw absorption with the marginals of priors or posterior, smooth over the bands."""
+    """Draw absorption with the law of priors or posterior, smooth over the bands."""
     n, n_grid = len(plan.priors), len(plan.grid)
     lower = np.array([k.lower for k in plan.priors])[:, None]
     upper = np.array([k.upper for k in plan.priors])[:, None]
-    prior_sd = np.array([k.prior_logit_sd for k in plan.priors])
+    mean, covariance = prior_logit_law(plan.priors)
+    prior_sd = np.sqrt(np.diagonal(covariance, axis1=1, axis2=2))
     normal = _smooth_normal(plan, float(np.median(prior_sd)), n, rng)
     if plan.answer is None:
-        mean = np.array([k.prior_logit_mean for k in plan.priors])[:, plan.nearest]
-        free = mean + prior_sd[:, plan.nearest] * normal
+        roots = np.array([_root(c) for c in covariance])[plan.nearest]
+        free = mean[:, plan.nearest] + np.einsum("gij,jg->ig", roots, normal)
         drawn = lower + (upper - lower) * expit(free)
     else:
         roots = np.array([_root(c) for c in plan.answer.logit_covariance])[plan.nearest]

@@ -11,7 +11,7 @@ from roomfit._checks import float_array, int_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import expit, logit
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import leaders
 from roomfit.typing import FloatArray, IntArray
@@ -78,11 +78,15 @@ def information_from_priors(
     values spread evenly over its prior.
     """
     number, leader, free = _numbers(priors)
-    mean = np.stack([k.prior_logit_mean for k in priors])[leader]
-    sd = np.stack([k.prior_logit_sd for k in priors])[leader]
+    mean, covariance = prior_logit_law(priors)
+    own = np.flatnonzero(leader == np.arange(leader.size))
+    roots = np.linalg.cholesky(covariance[:, own[:, None], own])
     strata = rng.permuted(np.broadcast_to(np.arange(n), (*mean.shape, n)), axis=-1)
-    drawn: FloatArray = mean + sd * np.moveaxis(ndtri((strata + 0.5) / n), -1, 0)
-    prior: FloatArray = np.stack([np.diag(row) for row in sd[free].T ** -2.0])
+    even = np.moveaxis(ndtri((strata + 0.5) / n), -1, 0)
+    drawn: FloatArray = np.tile(mean, (n, 1, 1))
+    drawn[:, own] += np.einsum("bij,njb->nib", roots, even[:, own])
+    drawn = drawn[:, leader]
+    prior = np.linalg.inv(covariance[:, free[:, None], free])
     return PriorInformation(
         bands,
         priors,

@@ -50,8 +50,14 @@ from roomfit.inversion.solve import (
 )
 from roomfit.inversion.symmetry import mirror_findings, mirror_symmetries
 from roomfit.inversion.trace_plan import is_coherent
-from roomfit.materials.catalogue import broad_prior_findings
-from roomfit.materials.priors import MaterialPrior, are_specified, complete_priors, prior_logits
+from roomfit.materials.catalogue import broad_prior_findings, product_findings
+from roomfit.materials.priors import (
+    MaterialPrior,
+    are_specified,
+    complete_priors,
+    prior_logit_law,
+    prior_logits,
+)
 from roomfit.measurement import Measurement
 from roomfit.objective.observation import (
     left_out_findings,
@@ -139,10 +145,10 @@ def identify(
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
     measured = collect_measurements(scene, measurements, bands, directivities or {})
-    check_certifiable(measured, settings)
     if settings.method == "posterior":
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
+    check_certifiable(measured, settings, priors)
     start = _eyring_start(measured)
     with counted_evaluations() as made:
         traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
@@ -195,6 +201,7 @@ def _findings(
         *sampling_findings(bands, estimates),
         *prior_findings(bands, priors, estimates),
         *broad_prior_findings(priors),
+        *product_findings(priors),
         *schroeder_findings(bands, decay_s, volume_m3(scene.room.mesh)),
     )
 
@@ -252,7 +259,8 @@ def combine(
         measured, priors, absorption, lower, upper, [b.mirrors for b in found]
     )
     identifiable &= ~ambiguous
-    prior = prior_logits(priors)
+    prior = prior_logit_law(priors)
+    shared = any(k.product is not None or k.tied_to is not None for k in priors)
     combinations, sentences, shares = determined(
         scene.room.materials,
         absorption,
@@ -309,7 +317,8 @@ def combine(
         seed=settings.seed,
         seconds=0.0,
         logit_covariance=covariance,
-        logit_prior=prior,
+        logit_prior=prior_logits(priors),
+        logit_prior_covariance=prior[1] if shared else None,
         prior_specified=are_specified(priors),
         draws=_draws(found, priors, settings),
         combinations=combinations,

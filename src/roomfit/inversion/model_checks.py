@@ -22,7 +22,7 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.scattering import Retracer
 from roomfit.logit import Z95, expit, logit
-from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.materials.priors import MaterialPrior, Scattering, are_specified, prior_logits
 from roomfit.response.binned import BinnedPaths, regrouped
 from roomfit.response.energy import EnergyRows
 from roomfit.results import ComparedPair
@@ -429,12 +429,12 @@ def prior_intervals(priors: tuple[MaterialPrior, ...]) -> FloatArray:
     """
     by_name = {k.name: k for k in priors}
     rows = []
-    for prior in priors:
+    for prior, mean, sd in zip(priors, *prior_logits(priors), strict=True):
         own = by_name[prior.tied_to or prior.name]
         if own.known is not None:
             rows.append(np.tile(own.known, (3, 1)))
             continue
-        free = own.prior_logit_mean + np.outer((0.0, -Z95, Z95), own.prior_logit_sd)
+        free = mean + np.outer((0.0, -Z95, Z95), sd)
         rows.append(own.lower + (own.upper - own.lower) * expit(free))
     return np.stack(rows, axis=1)
 
@@ -448,10 +448,11 @@ def prior_findings(
     needs no finding; a specified prior makes it narrow.
     """
     findings = []
+    specified, sds = are_specified(priors), prior_logits(priors)[1]
     for i, own in enumerate(priors):
-        if own.known is not None or own.tied_to is not None or not own.specified:
+        if own.known is not None or own.tied_to is not None or not specified[i]:
             continue
-        left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / own.prior_logit_sd
+        left = np.array([np.sqrt(a.logit_covariance[i, i]) for a in answers]) / sds[i]
         fitted = np.array([a.model != "prior" for a in answers])
         bad = np.flatnonzero(fitted & (left > _PRIOR_DOMINATED))
         if not bad.size:
@@ -565,16 +566,27 @@ def reasons(method: str, bands: Bands, answers: Sequence[BandEstimate]) -> tuple
     return tuple(sentences)
 
 
-def check_certifiable(measurements: Measurements, settings: Settings) -> None:
-    """Check that a certificate is asked for only of energies of windows.
+def check_certifiable(
+    measurements: Measurements, settings: Settings, priors: tuple[MaterialPrior, ...]
+) -> None:
+    """Check that a certificate is asked for only of energies of windows and independent walls.
 
     Raises
     ------
     InputError
-        Pressures or room parameters are to be fitted: they have no bounds over boxes.
+        Pressures or room parameters are to be fitted: they have no bounds over boxes. Or
+        materials share a product: the prior is then no sum over materials.
     """
     if settings.method != "certified":
         return
+    product = next((k for k in priors if k.product is not None), None)
+    if product is not None:
+        raise InputError(
+            "a certificate exists for materials whose priors are independent only",
+            where="identify.method",
+            found=f"{product.name} is of the product {product.product!r}",
+            hint='leave out the product, or use method = "least-squares"',
+        )
     found = []
     if settings.model == "coherent":
         found.append('model = "coherent"')

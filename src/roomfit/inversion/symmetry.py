@@ -17,7 +17,7 @@ from roomfit.findings import Code, Finding
 from roomfit.geometry.inside import nearest_triangles
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
 from roomfit.inversion.measurements import Measurements
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Room, Scene, pair_names, select_pairs, triangle_material
 from roomfit.tracing.states import parts_of
@@ -280,12 +280,18 @@ def _fitted_scene(measurements: Measurements) -> Scene:
 
 
 def _priors_are_exchangeable(priors: tuple[MaterialPrior, ...], exchange: IntArray) -> bool:
-    """Whether materials are exchanged, and only such that have equal priors."""
+    """Whether materials are exchanged, and only such that have equal priors.
+
+    And are of the same products as before with all others.
+    """
+    mean, covariance = prior_logit_law(priors)
+    exchanged = covariance[:, exchange][:, :, exchange]
+    if not (np.array_equal(mean, mean[exchange]) and np.allclose(covariance, exchanged, rtol=1e-9)):
+        return False
     moved = np.flatnonzero(exchange != np.arange(exchange.size))
     return moved.size > 0 and all(
         one.known is None
         and other.known is None
-        and np.array_equal(one.prior_logit_mean, other.prior_logit_mean)
         and (one.lower, one.upper) == (other.lower, other.upper)
         for one, other in ((priors[i], priors[exchange[i]]) for i in moved)
     )

@@ -22,6 +22,7 @@ from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
+from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point
 from roomfit.settings import Settings
@@ -91,9 +92,18 @@ class MaterialTable(Table):
     prior: Prior | str | None = None
     bounds: tuple[Fraction, Fraction] | None = None
     same_absorption_as: str | None = None
+    product: str | None = None
     delay_sd_ms: float | None = Field(default=None, ge=0.0, le=5.0)
     impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
     impedance_start: dict[str, float | list[float]] | None = None
+
+
+class ProductTable(Table):
+    """``[products.NAME]``: what all materials of one product have in common."""
+
+    sd: float = Field(default=PRODUCT_SD, ge=PRODUCT_SDS[0], le=PRODUCT_SDS[1])
+    prior: Prior | str | None = None
+    bounds: tuple[Fraction, Fraction] | None = None
 
 
 class Directivity(Table):
@@ -253,6 +263,7 @@ class CampaignTable(Table):
     room: RoomTable
     air: AirTable = AirTable()
     materials: dict[str, MaterialTable] = {}
+    products: dict[str, ProductTable] = {}
     loudspeakers: dict[str, LoudspeakerTable] = {}
     sources: dict[str, SourceTable] = {}
     receivers: dict[str, ReceiverTable] = {}
@@ -393,7 +404,32 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
         )
 
 
+def _check_products(path: Path, campaign: CampaignTable) -> None:
+    for name, table in campaign.materials.items():
+        product, where = table.product, f"{path}, materials.{name}"
+        if product is None:
+            continue
+        if product not in campaign.products:
+            defined = ", ".join(sorted(campaign.products))
+            raise InputError(
+                "a material names a product that is not defined",
+                where=f"{where}.product",
+                found=repr(product),
+                needed=f"one of {defined}" if defined else "a table [products.NAME]",
+                hint=did_you_mean(product, campaign.products) or f"add [products.{product}]",
+            )
+        for key in ("prior", "bounds", "same_absorption_as"):
+            if getattr(table, key) is not None:
+                raise InputError(
+                    f"a material of a product has {key} of its own",
+                    where=f"{where}.{key}",
+                    needed=f"either product = {product!r} or {key}",
+                    hint=f"what is known of all its walls belongs to [products.{product}]",
+                )
+
+
 def _check_names(path: Path, campaign: CampaignTable) -> None:
+    _check_products(path, campaign)
     for own, of_source in campaign.sources.items():
         table = of_source.directivity
         if isinstance(table, SharedDirectivity) and table.loudspeaker not in campaign.loudspeakers:
@@ -520,6 +556,8 @@ class Campaign:
         Bands to fit.
     materials : mapping of name to MaterialTable
         What the file says of materials, for `material_priors`.
+    products : mapping of name to ProductTable
+        What materials of one product have in common, each defined.
     settings : Settings
     directivities : mapping of source name to what the file says of its directivity
     loudspeakers : mapping of name to LoudspeakerTable
@@ -542,6 +580,7 @@ class Campaign:
     settings: Settings = field(default_factory=Settings)
     directivities: Mapping[str, SourceDirectivity] = field(default_factory=dict)
     loudspeakers: Mapping[str, LoudspeakerTable] = field(default_factory=dict)
+    products: Mapping[str, ProductTable] = field(default_factory=dict)
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
@@ -613,6 +652,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         _settings(table),
         {name: source.directivity for name, source in table.sources.items()},
         dict(table.loudspeakers),
+        dict(table.products),
         tuple(
             MeasuredSpectrum(
                 str(m.source),

@@ -94,23 +94,23 @@ def material_priors(campaign: Campaign, materials: tuple[str, ...]) -> tuple[Mat
     with located(str(campaign.path)):
         return complete_priors(
             materials,
-            [
-                _material_prior(table, name, campaign.bands)
-                for name, table in campaign.materials.items()
-            ],
+            [_material_prior(campaign, table, name) for name, table in campaign.materials.items()],
             campaign.bands,
         )
 
 
-def _material_prior(table: MaterialTable, name: str, bands: Bands) -> MaterialPrior:
-    prior = table.prior
-    scattering = table.scattering
-    return material_prior(
+def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> MaterialPrior:
+    bands, scattering = campaign.bands, table.scattering
+    product = None if table.product is None else campaign.products[table.product]
+    # what is known of a product is stated with it
+    stated = table if product is None else product
+    prior = stated.prior
+    own = material_prior(
         name,
         bands,
         absorption=table.absorption,
         prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
-        bounds=table.bounds,
+        bounds=stated.bounds,
         scattering=(
             _at_bands(scattering, bands, f"materials.{name}.scattering")
             if isinstance(scattering, Spectrum)
@@ -119,6 +119,7 @@ def _material_prior(table: MaterialTable, name: str, bands: Bands) -> MaterialPr
         same_absorption_as=table.same_absorption_as,
         delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
     )
+    return own if product is None else replace(own, product=table.product, product_sd=product.sd)
 
 
 def _at_bands(table: Spectrum, bands: Bands, where: str) -> FloatArray:

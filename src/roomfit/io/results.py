@@ -60,10 +60,12 @@ def read_result(path: Path) -> AbsorptionPosterior:
             covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
         else:
             covariance = _posterior_table(posterior, "logit_covariance")
-        mean = sd = None
+        mean = sd = together = None
         if posterior is not None and "prior_logit_mean" in posterior:
             mean = _posterior_table(posterior, "prior_logit_mean").T
             sd = _posterior_table(posterior, "prior_logit_sd").T
+        if posterior is not None and "prior_logit_covariance" in posterior:
+            together = _posterior_table(posterior, "prior_logit_covariance")
         # None of a file that does not say which priors were specified
         flags = (posterior or {}).get("prior_specified")
         return AbsorptionPosterior(
@@ -75,6 +77,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
             logit_covariance=covariance,
             prior_logit_mean=mean,
             prior_logit_sd=sd,
+            prior_logit_covariance=together,
             scattering=_read_scattering(content, table.names),
             directivities=_read_directivities(content),
             chi2_reduced=content.get("fit", {}).get("phi"),
@@ -237,6 +240,8 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
         if answer.logit_prior is not None:
             mean, sd = answer.logit_prior
             content["posterior"] |= {"prior_logit_mean": mean.T, "prior_logit_sd": sd.T}
+        if answer.logit_prior_covariance is not None:
+            content["posterior"]["prior_logit_covariance"] = answer.logit_prior_covariance
         if answer.draws is not None:
             content["posterior"]["draws"] = np.round(answer.draws, 5)
         if answer.prior_specified is not None:

@@ -23,7 +23,13 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
 from roomfit.logit import expit, logit
-from roomfit.materials.priors import DEFAULT_MEAN, MaterialPrior, logit_prior, unknown_material
+from roomfit.materials.priors import (
+    DEFAULT_MEAN,
+    MaterialPrior,
+    are_specified,
+    logit_prior,
+    unknown_material,
+)
 from roomfit.typing import FloatArray
 
 OCTAVES_HZ = (63.0, 125.0, 250.0, 500.0, 1000.0, 2000.0, 4000.0, 8000.0)
@@ -331,7 +337,12 @@ def suggested_entries(name: str) -> tuple[str, ...]:
 
 def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
     """Return one finding for all materials of which nothing is specified, with what they may be."""
-    broad = [k.name for k in priors if k.known is None and k.tied_to is None and not k.specified]
+    specified = are_specified(tuple(priors))
+    broad = [
+        k.name
+        for k, own in zip(priors, specified, strict=True)
+        if k.known is None and k.tied_to is None and not own
+    ]
     if not broad:
         return ()
     entries = {name: suggested_entries(name) for name in broad}
@@ -345,6 +356,22 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
     evidence = {"materials": broad, "entries": {n: list(e) for n, e in entries.items()}}
     return (Finding(Code.BROAD_PRIOR_ASSUMED, sentence, evidence),)
+
+
+def product_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]:
+    """Return one finding for each product, with its materials and how unlike they may be."""
+    findings = []
+    for product in dict.fromkeys(k.product for k in priors if k.product is not None):
+        members = [k for k in priors if k.product == product]
+        names, sd = [k.name for k in members], members[0].product_sd
+        sentence = (
+            f"{', '.join(names)} are of one product, {product}: their absorption was taken to be "
+            f"alike, each off by {sd:g} in logit (standard deviation). Intervals are valid as "
+            "far as that is true."
+        )
+        evidence = {"product": product, "materials": names, "sd": sd}
+        findings.append(Finding(Code.PRODUCT_ASSUMED, sentence, evidence))
+    return tuple(findings)
 
 
 def catalogue_prior(name: str, bands: Bands) -> tuple[FloatArray, FloatArray]:
@@ -399,6 +426,9 @@ def material_prior(
     delay_sd_s: float | None = None,
 ) -> MaterialPrior:
     """Return what is known of a material before the measurement.
+
+    To say that materials are of one product, alike but not equal, state the same of each, and then
+    ``dataclasses.replace(prior, product="panel")``; see `MaterialPrior`.
 
     Parameters
     ----------

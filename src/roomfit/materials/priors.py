@@ -17,6 +17,11 @@ from roomfit.typing import BoolArray, FloatArray, IntArray
 DEFAULT_MEAN = 0.15
 DEFAULT_LOGIT_SD = 1.5
 
+# How far, in logit, absorptions of walls of one product lie from what they have in common: by about
+# a quarter of a small absorption, by 0.075 of one of a half. Mounting, edges and air behind panels.
+PRODUCT_SD = 0.3
+PRODUCT_SDS = (1e-3, 5.0)
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class MaterialPrior:
@@ -36,6 +41,10 @@ class MaterialPrior:
     # fit decides whether and how widely it looks
     wall_delay_sd_s: float | None = None
     specified: bool = True  # whether a prior or bounds were given, rather than the broad default
+    # what it is made of: materials of one product share a logit absorption with the prior above,
+    # from which each lies off by `product_sd` (standard deviation, in logit); None: by itself
+    product: str | None = None
+    product_sd: float = PRODUCT_SD
 
     def __post_init__(self) -> None:
         where = f"materials.{self.name}"
@@ -113,18 +122,88 @@ def logit_prior(mean: FloatArray, sd: FloatArray) -> tuple[FloatArray, FloatArra
     return logit(mean, 0.0), sd / (mean * (1.0 - mean))
 
 
-def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
-    """Return prior mean and standard deviation of logit absorption, side by side.
+def prior_logit_law(priors: tuple[MaterialPrior, ...]) -> tuple[FloatArray, FloatArray]:
+    """Return the mean and the covariance of logit absorption before anything is measured.
 
-    Those of its leader where a material is tied.
+    This is the one law that every use of priors goes by. A tied material has its leader's numbers.
+    Materials of one product have the covariance ``s^2 + d^2`` with themselves and ``s^2`` with each
+    other, s the prior standard deviation and d that of the product: what they share is integrated
+    out. Where the absorption of some of them is known, the law of the others is the one given that;
+    the known ones keep theirs, and are correlated with none.
+
+    Returns
+    -------
+    mean : float array, shape (n_materials, n_bands)
+    covariance : float array, shape (n_bands, n_materials, n_materials)
+        Singular where materials are tied to each other, positive definite among all others.
+    """
+    names = [k.name for k in priors]
+    leader = np.array([names.index(k.tied_to or k.name) for k in priors])
+    mean = np.array([k.prior_logit_mean for k in priors])
+    variance = np.array([k.prior_logit_sd for k in priors]).T ** 2
+    covariance = variance[:, :, None] * np.eye(len(priors))
+    for members in _products(priors).values():
+        known = np.array([priors[i].known is not None for i in members])
+        fixed, free = np.array(members)[known], np.array(members)[~known]
+        own = priors[members[0]].product_sd ** 2 * np.eye(len(members))
+        at = [_known_logit(priors[i]) for i in fixed]
+        for band, common in enumerate(variance[:, members[0]]):
+            whole = common + own
+            gain = whole[np.ix_(~known, known)] @ np.linalg.inv(whole[np.ix_(known, known)])
+            off = np.array([a[band] for a in at]) - mean[fixed, band]
+            mean[free, band] += gain @ off
+            left = whole[np.ix_(~known, ~known)] - gain @ whole[np.ix_(known, ~known)]
+            covariance[band][np.ix_(free, free)] = 0.5 * (left + left.T)
+    return mean[leader], covariance[:, leader][:, :, leader]
+
+
+def prior_logits(priors: tuple[MaterialPrior, ...]) -> FloatArray:
+    """Return prior mean and standard deviation of logit absorption, each material by itself.
+
+    Those of `prior_logit_law`, side by side.
 
     Returns
     -------
     float array, shape (2, n_materials, n_bands)
     """
-    by_name = {k.name: k for k in priors}
-    leaders = [by_name[k.tied_to or k.name] for k in priors]
-    return np.array([[k.prior_logit_mean for k in leaders], [k.prior_logit_sd for k in leaders]])
+    mean, covariance = prior_logit_law(priors)
+    return np.array([mean, np.sqrt(np.diagonal(covariance, axis1=1, axis2=2)).T])
+
+
+def shared_variance(covariance: FloatArray) -> FloatArray:
+    """Return what of each variance is shared with others, all of it where nothing is, (n,).
+
+    Parameters
+    ----------
+    covariance : float array, shape (n, n)
+        Of one band of `prior_logit_law`, none of them tied.
+    """
+    others = np.max(np.where(np.eye(len(covariance)), 0.0, covariance), axis=1, initial=0.0)
+    return np.where(others > 0.0, others, np.diag(covariance))
+
+
+def symmetric_root(covariance: FloatArray) -> FloatArray:
+    """Return W with ``W @ covariance @ W.T`` the identity, nearest to a scaling of each, (n, n).
+
+    The symmetric inverse root of the correlation, over the standard deviations.
+    """
+    sd = np.sqrt(np.diag(covariance))
+    size, direction = np.linalg.eigh(covariance / np.outer(sd, sd))
+    return np.asarray((direction / np.sqrt(size)) @ direction.T / sd)
+
+
+def _products(priors: Sequence[MaterialPrior]) -> dict[str, list[int]]:
+    """Return which materials are of each product that any names."""
+    found: dict[str, list[int]] = {}
+    for i, k in enumerate(priors):
+        if k.product is not None:
+            found.setdefault(k.product, []).append(i)
+    return found
+
+
+def _known_logit(prior: MaterialPrior) -> FloatArray:
+    known = np.zeros(0) if prior.known is None else prior.known
+    return logit((known - prior.lower) / (prior.upper - prior.lower), 1e-9)
 
 
 def unknown_material(name: str, n_bands: int) -> MaterialPrior:
@@ -134,9 +213,14 @@ def unknown_material(name: str, n_bands: int) -> MaterialPrior:
 
 
 def are_specified(priors: tuple[MaterialPrior, ...]) -> BoolArray:
-    """Return whose prior was specified, its leader's where a material is tied, (n_materials,)."""
+    """Return whose prior was specified, its leader's where a material is tied, (n_materials,).
+
+    A known absorption specifies that of all walls of its product.
+    """
     by_name = {k.name: k for k in priors}
-    return np.array([by_name[k.tied_to or k.name].specified for k in priors])
+    known = {k.product for k in priors if k.known is not None} - {None}
+    leaders = [by_name[k.tied_to or k.name] for k in priors]
+    return np.array([k.specified or k.product in known for k in leaders])
 
 
 def complete_priors(
@@ -155,7 +239,8 @@ def complete_priors(
     ------
     InputError
         A prior of a material that the room does not have, two of one material, priors of another
-        number of bands, or a tie to a material that is tied itself or not there.
+        number of bands, a tie to a material that is tied itself or not there, or materials of one
+        product with different priors.
     """
     by_name = {k.name: k for k in priors}
     if len(by_name) != len(priors):
@@ -180,7 +265,39 @@ def complete_priors(
             )
     found = tuple(by_name.get(m, unknown_material(m, len(bands))) for m in materials)
     _check_ties(found)
-    return found
+    products = _products(found)
+    for name, members in products.items():
+        _check_product(name, [found[i] for i in members])
+    # one material of a product shares nothing: what is known of the product is known of it
+    alone = {members[0] for members in products.values() if len(members) == 1}
+    return tuple(replace(k, product=None) if i in alone else k for i, k in enumerate(found))
+
+
+def _check_product(name: str, members: list[MaterialPrior]) -> None:
+    first = members[0]
+    for k in members:
+        alike = (
+            np.array_equal(k.prior_logit_mean, first.prior_logit_mean)
+            and np.array_equal(k.prior_logit_sd, first.prior_logit_sd)
+            and (k.lower, k.upper, k.product_sd) == (first.lower, first.upper, first.product_sd)
+            and k.specified == first.specified
+        )
+        if not alike:
+            raise InputError(
+                "materials of one product have different priors",
+                where=f"materials.{k.name}",
+                found=f"not what materials.{first.name} states of {name!r}",
+                needed="one prior, one pair of bounds and one product_sd for all of a product",
+                hint=f"state them once, in [products.{name}]",
+            )
+        at = (0.5,) if k.known is None else (k.known - k.lower) / (k.upper - k.lower)
+        if not np.all((np.array(at) > 0.0) & (np.array(at) < 1.0)):
+            raise InputError(
+                "an absorption at its bound says nothing of other walls of a product",
+                where=f"materials.{k.name}.absorption",
+                needed=f"{k.lower:g} < absorption < {k.upper:g}",
+                hint="leave out its product",
+            )
 
 
 def _check_ties(found: tuple[MaterialPrior, ...]) -> None:
@@ -222,8 +339,24 @@ def is_default_prior(prior_logit_mean: FloatArray, prior_logit_sd: FloatArray) -
 
 
 def _check_tie(prior: MaterialPrior) -> None:
+    low, high = PRODUCT_SDS
+    if not low <= prior.product_sd <= high:
+        raise InputError(
+            "spread of the walls of a product out of range",
+            where=f"materials.{prior.name}",
+            found=f"{prior.product_sd:g}",
+            needed=f"{low:g} to {high:g}, standard deviation of logit absorption",
+            hint="walls that are equal share one absorption: same_absorption_as",
+        )
     if prior.tied_to is None:
         return
+    if prior.product is not None:
+        raise InputError(
+            "a tied material is of a product",
+            where=f"materials.{prior.name}",
+            found=f"tied to {prior.tied_to!r}, product {prior.product!r}",
+            needed="either: equal to one wall, or like all walls of a product",
+        )
     if prior.tied_to == prior.name or prior.known is not None:
         own = prior.tied_to == prior.name
         raise InputError(

@@ -10,7 +10,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.errors import CannotTell
 from roomfit.findings import Code, Finding
-from roomfit.materials.priors import MaterialPrior
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.energy import (
     EnergyTerm,
@@ -267,6 +267,9 @@ def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float)
     fitted = np.isnan(known) & ~follows
     lower = np.array([k.lower for k in priors])[leader]
     upper = np.array([k.upper for k in priors])[leader]
+    mean, covariance = prior_logit_law(priors)
+    sd = np.sqrt(np.diag(covariance[band]))
+    correlated = np.count_nonzero(covariance[band][np.ix_(fitted, fitted)]) > fitted.sum()
     inside = np.clip(start, lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower))
     return Block(
         "absorption",
@@ -274,11 +277,12 @@ def absorption_block(priors: tuple[MaterialPrior, ...], band: int, start: float)
         "logit",
         np.where(np.isnan(known), inside, known),
         fitted,
-        np.array([k.prior_logit_mean[band] for k in priors]),
-        np.array([k.prior_logit_sd[band] for k in priors]),
+        mean[:, band],
+        sd,
         lower,
         upper,
         leader if follows.any() else None,
+        covariance[band] / np.outer(sd, sd) if correlated else None,
     )
 
 

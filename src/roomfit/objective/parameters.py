@@ -47,6 +47,8 @@ class Block:
     # (n,), entry whose value each entry takes, its own or another's; an entry that follows another
     # is not fitted itself. None where nothing is tied.
     leader: IntArray | None = None
+    # (n, n), prior correlation of the free numbers, of finite sd; None where they are independent
+    correlation: FloatArray | None = None
 
     def __post_init__(self) -> None:
         n = len(self.labels)
@@ -71,6 +73,9 @@ class Block:
             if np.any(follows & self.fitted) or np.any(follows[leader[follows]]):
                 raise InputError(f"an entry of {self.name} that follows another must not lead")
             object.__setattr__(self, "leader", leader)
+        if self.correlation is not None:
+            values = float_array(f"{self.name} correlation", self.correlation, (n, n))
+            object.__setattr__(self, "correlation", values)
         bad = np.flatnonzero(self.lower >= self.upper)
         if bad.size:
             i = int(bad[0])
@@ -191,8 +196,19 @@ def fitted_columns(parameters: Parameters, jacobians: dict[str, FloatArray]) -> 
     return np.concatenate(columns, axis=1)
 
 
+def prior_covariance(block: Block) -> FloatArray:
+    """Return the prior covariance of a block's fitted free numbers, shape (n_fitted, n_fitted)."""
+    sd = block.prior_sd[block.fitted]
+    if block.correlation is None:
+        return np.diag(sd**2)
+    return np.asarray(block.correlation[np.ix_(block.fitted, block.fitted)] * np.outer(sd, sd))
+
+
 def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Return (free - mean) / sd of every fitted entry with a finite prior, and the Jacobian rows.
+    """Return what every fitted entry with a finite prior is off its mean, and the Jacobian rows.
+
+    In standard deviations: (free - mean) / sd where priors are independent, the inverse Cholesky
+    root of the covariance times (free - mean) where a block's are correlated.
 
     Returns
     -------
@@ -202,19 +218,25 @@ def prior_residuals(parameters: Parameters, vector: FloatArray) -> tuple[FloatAr
     mean = np.concatenate([b.prior_mean[b.fitted] for b in parameters.blocks])
     sd = np.concatenate([b.prior_sd[b.fitted] for b in parameters.blocks])
     finite = np.isfinite(sd)
+    whitening = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))
+    off = (vector - mean) / sd
+    for block in parameters.blocks:
+        if block.correlation is None:
+            continue
+        first = position_of(parameters, block.name)
+        own = slice(first, first + int(np.count_nonzero(block.fitted)))
+        whitening[own, own] = np.linalg.inv(np.linalg.cholesky(prior_covariance(block)))
+        off[own] = whitening[own, own] @ (vector - mean)[own]
     if parameters.joint is None:
-        jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
-        return ((vector - mean) / sd)[finite], jacobian
+        return off[finite], whitening[finite]
     joint = parameters.joint
     first = position_of(parameters, GEOMETRY)
     own = slice(first, first + joint.mean.size)
     finite[own] = False
-    jacobian = np.diag(np.where(finite, 1.0 / np.where(finite, sd, 1.0), 0.0))[finite]
     root = np.zeros((joint.mean.size, vector.size))
     root[:, own] = np.linalg.cholesky(joint.information).T
-    separate = ((vector - mean) / sd)[finite]
     correlated = root[:, own] @ (vector[own] - joint.mean)
-    return np.concatenate((separate, correlated)), np.concatenate((jacobian, root))
+    return np.concatenate((off[finite], correlated)), np.concatenate((whitening[finite], root))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

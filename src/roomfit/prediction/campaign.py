@@ -277,6 +277,11 @@ def room_posterior(
     for j, band in enumerate(at):
         covariance[j][np.ix_(own, own)] = absorption.logit_covariance[band][np.ix_(theirs, theirs)]
     has_prior = absorption.prior_logit_mean is not None and absorption.prior_logit_sd is not None
+    before = absorption.prior_logit_covariance
+    if before is not None:
+        together = np.tile(np.eye(len(names)), (len(bands), 1, 1))
+        for j, band in enumerate(at):
+            together[j][np.ix_(own, own)] = before[band][np.ix_(theirs, theirs)]
     scattering = matched(absorption.scattering, np.full(shape, np.nan))
     for i, k in enumerate(priors):
         unspecified = k.scattering is None or k.fit_scattering
@@ -297,6 +302,7 @@ def room_posterior(
         covariance,
         matched(absorption.prior_logit_mean, np.zeros(shape)) if has_prior else None,
         matched(absorption.prior_logit_sd, np.ones(shape)) if has_prior else None,
+        None if before is None else together,
         scattering=scattering,
         directivities=sources,
         prior_specified=specified,

@@ -18,7 +18,7 @@ from roomfit.materials.catalogue import catalogue_prior, suggested_entries
 from roomfit.materials.priors import logit_prior
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.combinations import area_shares
-from roomfit.uncertainty.posterior import AbsorptionPosterior, prior_draws
+from roomfit.uncertainty.posterior import AbsorptionPosterior, prior_draws, prior_law
 
 _NEEDED = (
     "MATERIAL=0.3, 0.3+-0.05, one value per band, x1.5+-0.2, another material of the room in one "
@@ -233,10 +233,9 @@ def prior_dominated(
     shares = _band_shares(areas_m2, draws)
     low, high = np.quantile(shares, (0.025, 0.975), axis=0)
     is_wide = (high > _WIDE_RATIO * low) & (high >= _LARGE_SHARE)
-    mean, sd = posterior.prior_logit_mean, posterior.prior_logit_sd
-    before = None
-    if mean is not None and sd is not None:
-        bands = zip(posterior.absorption.T, posterior.logit_covariance, mean.T, sd.T, strict=True)
+    law, before = prior_law(posterior), None
+    if law is not None:
+        bands = zip(posterior.absorption.T, posterior.logit_covariance, *law, strict=True)
         drawn = np.stack([prior_draws(*band, len(draws), rng) for band in bands], axis=2)
         prior = _band_shares(areas_m2, drawn)
         before = np.quantile(prior, (0.025, 0.975), axis=0)

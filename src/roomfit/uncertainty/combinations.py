@@ -16,6 +16,7 @@ import numpy as np
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.materials.priors import symmetric_root
 from roomfit.typing import BoolArray, FloatArray, IntArray
 from roomfit.uncertainty.posterior import band_draws, prior_draws
 
@@ -104,7 +105,7 @@ class Difference:
 
 
 def information_directions(
-    covariance_logit: FloatArray, prior_logit_sd: FloatArray
+    covariance_logit: FloatArray, prior_logit_covariance: FloatArray
 ) -> tuple[FloatArray, FloatArray, IntArray]:
     """Return how much each direction is known, the best known first.
 
@@ -115,28 +116,30 @@ def information_directions(
     ----------
     covariance_logit : float array, shape (n_materials, n_materials)
         Zeros where an absorption is fixed, equal rows where two are tied.
-    prior_logit_sd : float array, shape (n_materials,)
+    prior_logit_covariance : float array, shape (n_materials, n_materials)
+        Positive definite among materials that are not tied to each other.
 
     Returns
     -------
     left : float array, shape (n_own,)
         Standard deviation along each direction over that of the prior: 0 known, 1 not in the data.
     directions : float array, shape (n_own, n_own)
-        In columns, of unit length, in units of the prior's spread.
+        In columns, of unit length, in units of the prior's spread (`symmetric_root`).
     own : int array, shape (n_own,)
         The materials that vary, of those tied to each other the first.
     """
-    n = len(prior_logit_sd)
+    n = len(prior_logit_covariance)
     covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
-    sd = float_array("prior sd of logit absorption", prior_logit_sd, (n,), low=0.0)
-    own = _own(covariance)
-    scaled = covariance[np.ix_(own, own)] / np.outer(sd[own], sd[own])
+    prior = float_array("prior covariance of logit absorption", prior_logit_covariance, (n, n))
+    own = _own(covariance, prior)
+    root = symmetric_root(prior[np.ix_(own, own)])
+    scaled = root @ covariance[np.ix_(own, own)] @ root.T
     size, directions = np.linalg.eigh(0.5 * (scaled + scaled.T))
     return np.sqrt(np.maximum(size, 0.0)), directions, own
 
 
 def undetermined_groups(
-    covariance_logit: FloatArray, prior_logit_sd: FloatArray
+    covariance_logit: FloatArray, prior_logit_covariance: FloatArray
 ) -> tuple[Undetermined, ...]:
     """Return the groups of materials that the data leave open, each by itself.
 
@@ -146,11 +149,10 @@ def undetermined_groups(
 
     Parameters
     ----------
-    covariance_logit : float array, shape (n_materials, n_materials)
-    prior_logit_sd : float array, shape (n_materials,)
+    covariance_logit, prior_logit_covariance : float arrays, shape (n_materials, n_materials)
         See `information_directions`.
     """
-    left, directions, own = information_directions(covariance_logit, prior_logit_sd)
+    left, directions, own = information_directions(covariance_logit, prior_logit_covariance)
     undetermined = directions[:, left >= OPEN_SHARE]
     projector = undetermined @ undetermined.T
     found = []
@@ -163,11 +165,13 @@ def undetermined_groups(
     return tuple(found)
 
 
-def _own(covariance: FloatArray) -> IntArray:
+def _own(covariance: FloatArray, prior: FloatArray) -> IntArray:
     """Return the materials that vary, of those tied to each other the first."""
-    free = np.flatnonzero(np.diag(covariance) > 0.0)
-    _, first = np.unique(covariance[free], axis=0, return_index=True)
-    return np.asarray(free[np.sort(first)])
+    own = np.flatnonzero(np.diag(covariance) > 0.0)
+    for rows in (covariance, prior):
+        _, first = np.unique(rows[own], axis=0, return_index=True)
+        own = own[np.sort(first)]
+    return np.asarray(own)
 
 
 def _connected(linked: BoolArray) -> list[list[int]]:
@@ -224,7 +228,7 @@ def find_combinations(
     absorption: FloatArray,
     covariance_logit: FloatArray,
     prior_logit_mean: FloatArray,
-    prior_logit_sd: FloatArray,
+    prior_logit_covariance: FloatArray,
     rng: np.random.Generator,
     *,
     within: float = WITHIN,
@@ -246,8 +250,9 @@ def find_combinations(
     covariance_logit : float array, shape (n_materials, n_materials)
         Posterior covariance of logit absorption, positive semi-definite: zeros where it is fixed,
         equal rows where two materials are tied.
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
-        Prior of logit absorption.
+    prior_logit_mean : float array, shape (n_materials,)
+    prior_logit_covariance : float array, shape (n_materials, n_materials)
+        Of logit absorption, positive definite among materials that are not tied to each other.
     within : float
         Above 0.
     draws : float array, shape (n_draws, n_materials), optional
@@ -267,11 +272,11 @@ def find_combinations(
     a = float_array("absorption", absorption, (n,), low=0.0, high=1.0)
     covariance = float_array("covariance of logit absorption", covariance_logit, (n, n))
     prior_mean = float_array("prior mean of logit absorption", prior_logit_mean, (n,))
-    prior_sd = float_array("prior sd of logit absorption", prior_logit_sd, (n,), low=0.0)
+    before = float_array("prior covariance of logit absorption", prior_logit_covariance, (n, n))
     if not (within > 0.0 and areas.sum() > 0.0):
         raise InputError("combinations need areas and a width above zero", found=f"{within:g}")
     fixed = np.diag(covariance) <= 0.0
-    posterior = (a, covariance, prior_mean, prior_sd, N_DRAWS, rng)
+    posterior = (a, covariance, prior_mean, before, N_DRAWS, rng)
     drawn = band_draws(*posterior) if draws is None else draws
     prior_draws_of_group = prior_draws(*posterior)
 
@@ -307,7 +312,7 @@ def find_combinations(
             loose.append((*one, *other))
     # a group that is nearly the whole room repeats it
     kept = (room, *(g for g in groups if np.abs(g.weights - room.weights).sum() > _ALIKE))
-    left_open = undetermined_groups(covariance, prior_sd)
+    left_open = undetermined_groups(covariance, before)
     return _with_differences(kept, _differences(left_open, a, drawn, prior_draws_of_group, within))
 
 
@@ -439,7 +444,7 @@ def determined(
     materials: tuple[str, ...],
     absorption: FloatArray,
     logit_covariance: FloatArray,
-    logit_prior: FloatArray,
+    logit_prior: tuple[FloatArray, FloatArray],
     areas_m2: FloatArray,
     seed: int,
     samples: Sequence[FloatArray | None] = (),
@@ -453,8 +458,9 @@ def determined(
     logit_covariance : float array, shape (n_bands, n_materials, n_materials)
         Of logit absorption between 0 and 1, whatever the bounds of the fit; see
         `roomfit.uncertainty.posterior.plain_logit_covariance`.
-    logit_prior : float array, shape (2, n_materials, n_bands)
-        Prior mean and standard deviation of logit absorption.
+    logit_prior : float arrays, shapes (n_materials, n_bands), (n_bands, n_materials, n_materials)
+        Prior mean and covariance of logit absorption, see
+        `roomfit.materials.priors.prior_logit_law`.
     areas_m2 : float array, shape (n_materials,)
     samples : sequence of float array, shape (n_draws, n_materials), or None, one a band
         Draws of absorption where the posterior was sampled.
@@ -472,7 +478,7 @@ def determined(
     """
     combinations, sentences, shares = [], [], []
     for band, covariance in enumerate(logit_covariance):
-        a, prior = absorption[:, band], logit_prior[:, :, band]
+        a, prior = absorption[:, band], (logit_prior[0][:, band], logit_prior[1][band])
         drawn = samples[band] if band < len(samples) else None
         if drawn is None:
             rng = np.random.default_rng(seed)

@@ -15,7 +15,13 @@ from typing import TypeAlias
 import numpy as np
 
 from roomfit.logit import Z95, expit
-from roomfit.materials.priors import MaterialPrior, is_default_prior
+from roomfit.materials.priors import (
+    MaterialPrior,
+    are_specified,
+    is_default_prior,
+    prior_logit_law,
+    shared_variance,
+)
 from roomfit.objective.directivity import DIRECTIVITY
 from roomfit.objective.parameters import (
     Block,
@@ -24,6 +30,7 @@ from roomfit.objective.parameters import (
     leaders,
     physical_values,
     position_of,
+    prior_covariance,
     to_free,
     to_physical,
 )
@@ -108,7 +115,9 @@ def absorption_intervals(
         np.asarray(np.where(block.fitted, to_physical(block, free + z * sd)[0], absorption))
         for z in (-Z95, Z95)
     )
-    uninformed &= is_default_prior(block.prior_mean, block.prior_sd)
+    shared_sd = np.array(block.prior_sd)
+    shared_sd[block.fitted] = np.sqrt(shared_variance(prior_covariance(block)))
+    uninformed &= is_default_prior(block.prior_mean, shared_sd)
     lower, upper = np.where(uninformed, 0.0, lower), np.where(uninformed, 1.0, upper)
     sure = is_identifiable(chi2_reduced, lower, upper, sd, block.prior_sd)
     leader = leaders(block)
@@ -148,11 +157,18 @@ def weighted_mean_interval(
 
 
 def _is_uninformed(block: Block, information: FloatArray) -> BoolArray:
-    """Whether nearly all information about an absorption, given the others, is the prior's."""
-    excess_information = np.full(len(block.labels), np.inf)
-    prior = 1.0 / block.prior_sd[block.fitted] ** 2
-    excess_information[block.fitted] = information - prior - _INFORMATION_SHARE * prior
-    return np.asarray(excess_information <= 0.0)
+    """Whether nearly all information about an absorption, given the others, is the prior's.
+
+    And about all whose prior it shares: data on one wall of a product inform of the others.
+    """
+    covariance = prior_covariance(block)
+    alone = of_prior = 1.0 / np.diag(covariance)
+    if block.correlation is not None:
+        of_prior = np.diag(np.linalg.inv(covariance))
+    is_low = information - of_prior - _INFORMATION_SHARE * alone <= 0.0
+    out = np.zeros(len(block.labels), dtype=np.bool_)
+    out[block.fitted] = ~np.any((covariance != 0.0) & ~is_low, axis=1)
+    return out
 
 
 def answer_steps(objective: Objective, fit: BandFit, errors: FloatArray) -> FloatArray:
@@ -343,29 +359,36 @@ def prior_absorptions(
     priors: tuple[MaterialPrior, ...], band: int, n_draws: int, rng: np.random.Generator
 ) -> FloatArray:
     """Return draws of absorption from the priors alone, shape (n_draws, n_materials)."""
-    drawn = {k.name: np.empty(0) for k in priors}
-    for k in priors:
-        free = k.prior_logit_mean[band] + k.prior_logit_sd[band] * rng.standard_normal(n_draws)
-        known = None if k.known is None else np.full(n_draws, k.known[band])
-        drawn[k.name] = k.lower + (k.upper - k.lower) * expit(free) if known is None else known
-    return np.stack([drawn[k.tied_to or k.name] for k in priors], axis=1)
+    mean, covariance = prior_logit_law(priors)
+    noise = rng.standard_normal((len(priors), n_draws))
+    names = [k.name for k in priors]
+    own = np.array([i for i, k in enumerate(priors) if k.tied_to is None])
+    drawn: FloatArray = np.empty((n_draws, len(priors)))
+    root = np.linalg.cholesky(covariance[band][np.ix_(own, own)])
+    drawn[:, own] = (mean[own, band, None] + root @ noise[own]).T
+    for i, k in enumerate(priors):
+        free = k.lower + (k.upper - k.lower) * expit(drawn[:, i])
+        drawn[:, i] = free if k.known is None else k.known[band]
+    return drawn[:, [names.index(k.tied_to or k.name) for k in priors]]
 
 
 def prior_only_band(
     priors: tuple[MaterialPrior, ...], band: int, areas_m2: FloatArray
 ) -> BandEstimate:
     """Return the answer of a band without data: the prior, 0 to 1 where none was stated."""
+    mean, law = prior_logit_law(priors)
+    stated = are_specified(priors)
     by_name = {k.name: k for k in priors}
     priors = tuple(by_name[k.tied_to or k.name] for k in priors)
     fixed = np.array([k.known is not None for k in priors])
     known = np.array([np.nan if k.known is None else k.known[band] for k in priors])
-    free = np.array([k.prior_logit_mean[band] for k in priors])
+    free = mean[:, band]
     lower = np.array([k.lower for k in priors])
     upper = np.array([k.upper for k in priors])
     expected = lower + (upper - lower) * expit(free)
     absorption = np.where(fixed, known, expected)
-    sd = np.where(fixed, 0.0, [k.prior_logit_sd[band] for k in priors])
-    stated = np.array([k.specified for k in priors])
+    covariance = np.where(fixed[:, None] | fixed, 0.0, law[band])
+    sd = np.sqrt(np.diag(covariance))
     low, high = (lower + (upper - lower) * expit(free + z * sd) for z in (-Z95, Z95))
     least = np.where(fixed, known, np.where(stated, low, 0.0))
     most = np.where(fixed, known, np.where(stated, high, 1.0))
@@ -376,7 +399,7 @@ def prior_only_band(
         most,
         fixed,
         free,
-        np.diag(sd**2),
+        covariance,
         (float(share @ absorption), float(share @ least), float(share @ most)),
         0.0,
         0.0,

@@ -13,7 +13,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.logit import Z95, expit, logit
-from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior
+from roomfit.materials.priors import DEFAULT_LOGIT_SD, is_default_prior, shared_variance
 from roomfit.response.directivity import Directivity, Pattern
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -35,6 +35,8 @@ class AbsorptionPosterior:
     # (n_materials, n_bands), prior of logit absorption: it gives the data's part of the covariance
     prior_logit_mean: FloatArray | None = None
     prior_logit_sd: FloatArray | None = None
+    # (n_bands, n_materials, n_materials), of the same prior; None: materials are independent
+    prior_logit_covariance: FloatArray | None = None
     # (n_materials, n_bands), with which absorption was found; a row of NaN where unspecified
     scattering: FloatArray | None = None
     # by source, those that are not omnidirectional, in these bands
@@ -57,6 +59,9 @@ class AbsorptionPosterior:
             value = getattr(self, name)
             if value is not None:
                 object.__setattr__(self, name, float_array(name, value, (n, m), low=low, high=50.0))
+        if self.prior_logit_covariance is not None:
+            values = float_array("prior covariance", self.prior_logit_covariance, (m, n, n))
+            object.__setattr__(self, "prior_logit_covariance", values)
         if self.scattering is not None:
             object.__setattr__(self, "scattering", _scattering(self.scattering, (n, m)))
         if self.chi2_reduced is not None:
@@ -90,6 +95,22 @@ class AbsorptionPosterior:
                     needed=f"{m}",
                 )
         object.__setattr__(self, "directivities", MappingProxyType(dict(self.directivities or {})))
+
+
+def prior_law(posterior: AbsorptionPosterior) -> tuple[FloatArray, FloatArray] | None:
+    """Return prior mean and covariance of logit absorption, None where they are not known.
+
+    Returns
+    -------
+    mean : float array, shape (n_bands, n_materials)
+    covariance : float array, shape (n_bands, n_materials, n_materials)
+    """
+    mean, sd = posterior.prior_logit_mean, posterior.prior_logit_sd
+    if mean is None or sd is None:
+        return None
+    alone = sd.T[:, :, None] ** 2 * np.eye(len(sd))
+    together = posterior.prior_logit_covariance
+    return mean.T, alone if together is None else together
 
 
 def _scattering(values: FloatArray, shape: tuple[int, int]) -> FloatArray:
@@ -164,7 +185,7 @@ def rto_draws(
     absorption: FloatArray,
     covariance_logit: FloatArray,
     prior_logit_mean: FloatArray,
-    prior_logit_sd: FloatArray,
+    prior_logit_covariance: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
     *,
@@ -185,10 +206,12 @@ def rto_draws(
         The most likely values.
     covariance_logit : float array, shape (n_materials, n_materials)
         Of logit absorption, prior included; positive definite.
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
+    prior_logit_mean : float array, shape (n_materials,)
+    prior_logit_covariance : float array, shape (n_materials, n_materials)
+        Positive definite.
     prior_sd_scale : float or float array, shape (n_materials,)
         How many times as wide the prior of the draws is as that of the answer: the likelihood
-        stays as it is.
+        stays as it is, and so does what walls of one product deviate from each other.
 
     Notes
     -----
@@ -204,18 +227,20 @@ def rto_draws(
     """
     x, n = logit(absorption), absorption.size
     slope = np.maximum(absorption, 1e-6)  # d(-log(1 - a)) / d(logit a)
-    prior = 1.0 / prior_logit_sd**2
-    information = (np.linalg.inv(covariance_logit) - np.diag(prior)) / np.outer(slope, slope)
+    prior = np.linalg.inv(prior_logit_covariance)
+    information = (np.linalg.inv(covariance_logit) - prior) / np.outer(slope, slope)
     size, direction = np.linalg.eigh(0.5 * (information + information.T))
     is_determined = size > 1e-9 * max(float(size.max()), 1e-300)
     R = np.sqrt(size[is_determined])[:, None] * direction[:, is_determined].T
     # at the maximum the data pull as much as the prior does
-    pull = prior * (x - prior_logit_mean) / slope
+    pull = prior @ (x - prior_logit_mean) / slope
     perturbed = R @ _exponent(x) + np.linalg.lstsq(R.T, pull, rcond=None)[0]
     perturbed = perturbed + antithetic_normals(n_draws, perturbed.size, rng)
-    prior_sd = prior_sd_scale * prior_logit_sd
-    centres = prior_logit_mean + prior_sd * antithetic_normals(n_draws, n, rng)
-    return expit(_most_likely(x, R, perturbed, centres, 1.0 / prior_sd))
+    own = np.diag(np.diag(prior_logit_covariance) - shared_variance(prior_logit_covariance))
+    scale = np.broadcast_to(prior_sd_scale, n)
+    root = np.linalg.cholesky((prior_logit_covariance - own) * np.outer(scale, scale) + own)
+    centres = prior_logit_mean + antithetic_normals(n_draws, n, rng) @ root.T
+    return expit(_most_likely(x, R, perturbed, centres, np.linalg.inv(root)))
 
 
 def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatArray:
@@ -230,18 +255,18 @@ def antithetic_normals(n_draws: int, n: int, rng: np.random.Generator) -> FloatA
 def _most_likely(
     start: FloatArray, R: FloatArray, perturbed: FloatArray, centres: FloatArray, weight: FloatArray
 ) -> FloatArray:
-    """Minimise ``|R e(x) - seen|^2 + |weight (x - centre)|^2`` for all draws at once.
+    """Minimise ``|R e(x) - seen|^2 + |W (x - centre)|^2``, W the weight, for all draws at once.
 
     By Levenberg and Marquardt, e the exponents of absorption; shape (n_draws, n_materials).
     """
     n_draws, n = centres.shape
     x = np.tile(start, (n_draws, 1))
     damping = np.full(n_draws, 1e-3)
-    below = np.broadcast_to(np.diag(weight), (n_draws, n, n))
+    below = np.broadcast_to(weight, (n_draws, n, n))
     diagonal = np.arange(n)
 
     def residuals(x: FloatArray) -> FloatArray:
-        return np.concatenate((_exponent(x) @ R.T - perturbed, weight * (x - centres)), axis=1)
+        return np.concatenate((_exponent(x) @ R.T - perturbed, (x - centres) @ weight.T), axis=1)
 
     r = residuals(x)
     cost = np.sum(r**2, axis=1)
@@ -292,14 +317,15 @@ def draw_absorption(
         return np.array(posterior.draws[: max(n_draws, 2)])
     n = 2 * ((max(n_draws, 2) + 1) // 2)
     draws = np.empty((n, *posterior.absorption.shape))
+    law = prior_law(posterior)
     for band, covariance in enumerate(posterior.logit_covariance):
         a = posterior.absorption[:, band]
-        if posterior.prior_logit_mean is None or posterior.prior_logit_sd is None:
+        if law is None:
             draws[:, :, band] = _gaussian_draws(a, covariance, n, rng)
         else:
-            mean, sd = posterior.prior_logit_mean[:, band], posterior.prior_logit_sd[:, band]
+            prior = law[0][band], law[1][band]
             draws[:, :, band] = band_draws(
-                a, covariance, mean, sd, n, rng, specified=posterior.prior_specified
+                a, covariance, *prior, n, rng, specified=posterior.prior_specified
             )
     return draws
 
@@ -308,7 +334,7 @@ def band_draws(
     absorption: FloatArray,
     covariance_logit: FloatArray,
     prior_logit_mean: FloatArray,
-    prior_logit_sd: FloatArray,
+    prior_logit_covariance: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
     *,
@@ -326,7 +352,9 @@ def band_draws(
     covariance_logit : float array, shape (n_materials, n_materials)
         Positive semi-definite: zeros where absorption is fixed, equal rows where two materials are
         tied to each other.
-    prior_logit_mean, prior_logit_sd : float arrays, shape (n_materials,)
+    prior_logit_mean : float array, shape (n_materials,)
+    prior_logit_covariance : float array, shape (n_materials, n_materials)
+        Positive definite among materials that are not tied to each other.
     specified : bool array, shape (n_materials,), optional
         Whose prior was specified; without it, every prior that does not equal the default.
 
@@ -336,12 +364,13 @@ def band_draws(
     """
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, fixed)
+    own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
-        mean, sd = prior_logit_mean[own], prior_logit_sd[own]
-        answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, sd)
+        mean, prior = prior_logit_mean[own], prior_logit_covariance[np.ix_(own, own)]
+        answer = (absorption[own], covariance_logit[np.ix_(own, own)], mean, prior)
         # where the data determine little a wider prior would leave other walls undetermined
-        information_fraction = np.clip(1.0 - np.diag(answer[1]) / sd**2, 0.0, 1.0)
+        information_fraction = np.clip(1.0 - np.diag(answer[1]) / np.diag(prior), 0.0, 1.0)
+        sd = np.sqrt(shared_variance(prior))
         is_default = is_default_prior(mean, sd) if specified is None else ~specified[own]
         prior_sd_scale = np.where(
             is_default, 1.0 + (DEFAULT_PRIOR_SD_SCALE - 1.0) * information_fraction, 1.0
@@ -355,17 +384,18 @@ def prior_draws(
     absorption: FloatArray,
     covariance_logit: FloatArray,
     prior_logit_mean: FloatArray,
-    prior_logit_sd: FloatArray,
+    prior_logit_covariance: FloatArray,
     n_draws: int,
     rng: np.random.Generator,
 ) -> FloatArray:
     """Return draws from the prior alone, fixed and tied as in `band_draws`."""
     fixed = np.diag(covariance_logit) <= 0.0
     draws = np.tile(absorption, (n_draws, 1))
-    own, twin = _own(absorption, covariance_logit, fixed)
+    own, twin = _own(absorption, covariance_logit, prior_logit_covariance)
     if own.size:
         noise = antithetic_normals(n_draws, own.size, rng)
-        drawn = expit(prior_logit_mean[own] + prior_logit_sd[own] * noise)
+        root = np.linalg.cholesky(prior_logit_covariance[np.ix_(own, own)])
+        drawn = expit(prior_logit_mean[own] + noise @ root.T)
         draws[:, ~fixed] = drawn[:, twin]
     return draws
 
@@ -380,17 +410,22 @@ def _gaussian_draws(
 
 
 def _own(
-    absorption: FloatArray, covariance: FloatArray, fixed: BoolArray
+    absorption: FloatArray, covariance: FloatArray, prior: FloatArray
 ) -> tuple[IntArray, IntArray]:
-    """Return which materials vary by themselves, and for each that varies which of them it is."""
-    varying = np.flatnonzero(~fixed)
+    """Return which materials vary by themselves, and for each that varies which of them it is.
+
+    Errors that are added to each material by itself leave a tie in the prior alone, and a file
+    without the prior's covariance holds it in that of the answer alone.
+    """
+    varying = np.flatnonzero(np.diag(covariance) > 0.0)
     own: list[int] = []
     twin: list[int] = []
     for i in varying:
         same = [
             k
             for k, j in enumerate(own)
-            if absorption[j] == absorption[i] and np.allclose(covariance[j], covariance[i])
+            if absorption[j] == absorption[i]
+            and (np.array_equal(prior[j], prior[i]) or np.allclose(covariance[j], covariance[i]))
         ]
         if not same:
             own.append(int(i))

@@ -13,7 +13,7 @@ import numpy as np
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.logit import Z95, expit, logit
-from roomfit.materials.priors import MaterialPrior, prior_logits
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate, is_identifiable
 from roomfit.uncertainty.intervals import LEAST_SIDE
@@ -28,7 +28,7 @@ def smooth_over_bands(
     means: FloatArray,
     covariances: FloatArray,
     prior_mean: FloatArray,
-    prior_sd: FloatArray,
+    prior_covariance: FloatArray,
     sd_per_octave: float,
     bands: Bands,
 ) -> tuple[FloatArray, FloatArray]:
@@ -48,8 +48,11 @@ def smooth_over_bands(
     covariances : float array, shape (n_bands, n_materials, n_materials)
         Symmetric and positive semi-definite. A material of zero variance is fixed; its
         neighbours in frequency are still drawn towards it. No two materials tied to each other.
-    prior_mean, prior_sd : float arrays, shape (n_bands, n_materials)
-        Of logit absorption in every band by itself; `prior_sd` above 0.
+    prior_mean : float array, shape (n_bands, n_materials)
+        Of logit absorption in every band by itself.
+    prior_covariance : float array, shape (n_bands, n_materials, n_materials)
+        Positive definite. Materials that are correlated have equal variances, and what they share
+        walks from band to band as what they do not.
     sd_per_octave : float
         Standard deviation of the step over one octave, above 0. Where the step from one band to the
         next reaches 1.4 prior standard deviations they are independent, and nothing changes.
@@ -86,18 +89,21 @@ def smooth_over_bands(
             needed="above 0, in logit absorption",
             hint="to fit one value for all bands, write a very small number",
         )
-    n_bands, n = _checked_shape((means, prior_mean, prior_sd), covariances, len(bands))
+    n_bands, n = _checked_shape((means, prior_mean), (covariances, prior_covariance), len(bands))
+    prior_sd = np.sqrt(np.diagonal(prior_covariance, axis1=1, axis2=2))
+    roots = np.linalg.cholesky(prior_covariance)
     precision = np.zeros((n_bands, n, n_bands, n))
     pull = np.zeros((n_bands, n))
     fixed = np.zeros((n_bands, n), dtype=np.bool_)
     for b in range(n_bands):
         fixed[b] = np.diag(covariances[b]) <= 0.0
-        scale = np.outer(prior_sd[b], prior_sd[b])
-        own = covariances[b] / scale + np.diag(np.where(fixed[b], _FIXED_VARIANCE, 0.0))
+        scale = np.linalg.inv(roots[b])
+        fixed_variance = np.diag(np.where(fixed[b], _FIXED_VARIANCE, 0.0))
+        own = scale @ covariances[b] @ scale.T + fixed_variance
         size, direction = np.linalg.eigh(np.linalg.inv(own))
         is_determined = size > 1.0
         precision[b, :, b, :] = (direction * np.where(is_determined, size - 1.0, 0.0)) @ direction.T
-        off = (means[b] - prior_mean[b]) / prior_sd[b]
+        off = scale @ (means[b] - prior_mean[b])
         pull[b] = (direction * np.where(is_determined, size, 0.0)) @ (direction.T @ off)
     for i in range(n):
         precision[:, i, :, i] += _walk_precision(prior_sd[:, i], sd_per_octave, bands)
@@ -107,11 +113,11 @@ def smooth_over_bands(
     free = ~fixed
     within = np.array(
         [
-            blocks[b, :, b, :] * np.outer(prior_sd[b], prior_sd[b]) * np.outer(free[b], free[b])
+            roots[b] @ blocks[b, :, b, :] @ roots[b].T * np.outer(free[b], free[b])
             for b in range(n_bands)
         ]
     )
-    smoothed = np.where(fixed, means, prior_mean + prior_sd * off)
+    smoothed = np.where(fixed, means, prior_mean + np.einsum("bij,bj->bi", roots, off))
     return smoothed, 0.5 * (within + np.swapaxes(within, 1, 2))
 
 
@@ -131,16 +137,17 @@ def _walk_precision(prior_sd: FloatArray, sd_per_octave: float, bands: Bands) ->
 
 
 def _checked_shape(
-    vectors: tuple[FloatArray, ...], covariances: FloatArray, n_bands: int
+    vectors: tuple[FloatArray, ...], matrices: tuple[FloatArray, ...], n_bands: int
 ) -> tuple[int, int]:
     """Return the shape that all vectors have, the covariances' but for their last axis."""
     shapes = {np.shape(v) for v in vectors}
-    shape, square = np.shape(vectors[0]), np.shape(covariances)
-    alike = len(shapes) == 1 and len(shape) == 2 and square == (*shape, shape[-1])
+    shape, squares = np.shape(vectors[0]), {np.shape(m) for m in matrices}
+    alike = len(shapes) == 1 and len(shape) == 2 and squares == {(*shape, shape[-1])}
     if not alike or shape[0] != n_bands:
+        given = ", ".join(map(str, (*sorted(shapes), *sorted(squares))))
         raise InputError(
             "means, covariances, priors and bands do not belong together",
-            found=f"shapes {', '.join(map(str, sorted(shapes)))} and {square}, {n_bands} bands",
+            found=f"shapes {given}, {n_bands} bands",
             needed="(n_bands, n) and (n_bands, n, n)",
         )
     return int(shape[0]), int(shape[1])
@@ -165,12 +172,12 @@ def smoothed(
     names = [k.name for k in priors]
     owner = np.array([names.index(k.tied_to or k.name) for k in priors])
     own, leader = np.unique(owner, return_inverse=True)
-    prior_mean, prior_sd = prior_logits(priors)
+    prior_mean, prior = prior_logit_law(priors)
     means, covariances = smooth_over_bands(
         np.stack([a.logit_mean[own] for a in answers]),
         np.stack([a.logit_covariance[np.ix_(own, own)] for a in answers]),
         prior_mean[own].T,
-        prior_sd[own].T,
+        prior[:, own][:, :, own],
         sd_per_octave,
         bands,
     )
@@ -204,7 +211,7 @@ def _redrawn(
     absorption = np.where(fixed, answer.absorption, physical(mean))
     lower = np.where(fixed, answer.lower95, physical(ends[0]))
     upper = np.where(fixed, answer.upper95, physical(ends[1]))
-    prior_sd = np.array([k.prior_logit_sd[band] for k in priors])
+    prior_sd = np.sqrt(np.diag(prior_logit_law(priors)[1][band]))
     sure = is_identifiable(answer.chi2_reduced, lower, upper, sd, prior_sd)
     sure &= answer.model != "prior"
     share = areas_m2 / areas_m2.sum()

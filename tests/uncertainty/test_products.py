@@ -1,0 +1,414 @@
+"""Walls of one product: alike, not equal, in everything that is made of the prior."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from certified_cases import box_room
+from posterior_cases import Linear, Posynomial, gain_block
+from roomfit.bands import bands_between
+from roomfit.certified.question import is_certifiable
+from roomfit.coverage.synthetic_room import _absorption
+from roomfit.errors import InputError
+from roomfit.experiment_design.prior import information_from_priors
+from roomfit.inversion.model_checks import check_certifiable, prior_intervals
+from roomfit.inversion.symmetry import _priors_are_exchangeable
+from roomfit.logit import expit, logit
+from roomfit.materials.priors import (
+    PRODUCT_SD,
+    MaterialPrior,
+    complete_priors,
+    prior_logit_law,
+    prior_logits,
+)
+from roomfit.objective.observation import absorption_block
+from roomfit.objective.parameters import Parameters, prior_residuals, start_vector
+from roomfit.prediction.campaign import room_posterior
+from roomfit.settings import Settings
+from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
+from roomfit.uncertainty.gaussian import band_estimate, prior_absorptions, prior_only_band
+from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
+from roomfit.uncertainty.sampling import log_posterior, surrogate
+from roomfit.uncertainty.smoothing import smooth_over_bands, smoothed
+
+BANDS = bands_between("octave", 500, 1000)
+MEAN = float(np.log(0.15 / 0.85))
+
+
+def wall(name: str, product: str | None = None, mean=MEAN, sd=1.5, product_sd=PRODUCT_SD, **more):
+    """Return a prior in two bands."""
+    two = np.ones(2)
+    return MaterialPrior(name, mean * two, sd * two, product=product, product_sd=product_sd, **more)
+
+
+def completed(*walls: MaterialPrior) -> tuple[MaterialPrior, ...]:
+    return complete_priors([w.name for w in walls], walls, BANDS)
+
+
+def panels(**more) -> tuple[MaterialPrior, ...]:
+    """Return a left and a right wall of one product, and a floor of its own."""
+    return completed(wall("left", "panel", **more), wall("right", "panel", **more), wall("floor"))
+
+
+def with_prior(problem: Linear, priors: tuple[MaterialPrior, ...]) -> Linear:
+    return replace(problem, parameters=Parameters((absorption_block(priors, 0, 0.2),)))
+
+
+def fitted(problem):
+    return fit_band(problem, gauss_newton, few_gauss_newton_steps)
+
+
+def linear_data(rng: np.random.Generator, n: int, n_data: int = 12) -> Linear:
+    """Return data of noise 0.5 that are linear in n logits."""
+    matrix = rng.standard_normal((n_data, n))
+    observed = matrix @ rng.normal(MEAN, 1.0, n) + 0.5 * rng.standard_normal(n_data)
+    return Linear(matrix, observed, 0.5, Parameters(()))
+
+
+# The law.
+
+
+def test_the_rows_of_the_prior_agree_with_finite_differences_and_whiten():
+    """Their product is the inverse of the covariance; steps of 1e-6 err by rounding, 1e-9."""
+    block = absorption_block(panels(), 0, 0.2)
+    parameters = Parameters((gain_block(), block))
+    vector = start_vector(parameters) + np.array([0.3, 0.5, -0.4, 1.0])
+    residuals, rows = prior_residuals(parameters, vector)
+    assert residuals.shape == (3,)  # a gain has none
+    for k in range(vector.size):
+        step = 1e-6 * (np.arange(vector.size) == k)
+        up, down = (prior_residuals(parameters, vector + s)[0] for s in (step, -step))
+        np.testing.assert_allclose((up - down) / 2e-6, rows[:, k], atol=1e-8)
+    covariance = np.array([[2.34, 2.25, 0.0], [2.25, 2.34, 0.0], [0.0, 0.0, 2.25]])
+    np.testing.assert_allclose(rows[:, 1:].T @ rows[:, 1:], np.linalg.inv(covariance), rtol=1e-9)
+    off = vector[1:] - MEAN
+    assert residuals @ residuals == pytest.approx(off @ np.linalg.solve(covariance, off))
+
+
+def test_the_answer_is_that_of_the_model_with_the_common_value_as_an_unknown():
+    """Three walls about a common value c, c integrated out by hand."""
+    rng = np.random.default_rng(3)
+    data = linear_data(rng, 3, 5)
+    walls = completed(*(wall(n, "panel", mean=-1.0, sd=0.8, product_sd=0.4) for n in "abc"))
+    fit = fitted(with_prior(data, walls))
+    # unknowns c, a, b, c: the prior of c, and of each wall's difference from it
+    rows = np.concatenate(([[1.0 / 0.8, 0, 0, 0]], np.column_stack((-np.ones(3), np.eye(3))) / 0.4))
+    seen = np.column_stack((np.zeros(5), data.matrix)) / 0.5
+    whole = np.concatenate((rows, seen))
+    right = np.concatenate(([-1.0 / 0.8, 0, 0, 0], data.observed / 0.5))
+    joint = np.linalg.inv(whole.T @ whole)
+    np.testing.assert_allclose(fit.vector, (joint @ whole.T @ right)[1:], atol=1e-6)
+    np.testing.assert_allclose(np.linalg.inv(fit.information), joint[1:, 1:], rtol=1e-8)
+
+
+def test_walls_that_deviate_hardly_have_the_answer_of_a_tie():
+    """A spread of 0.001 against posterior ones of 0.2: within 1e-5 of them, squared."""
+    data = linear_data(np.random.default_rng(4), 3)
+    near = fitted(with_prior(data, panels(product_sd=1e-3)))
+    tied = completed(wall("left"), replace(wall("right"), tied_to="left"), wall("floor"))
+    summed = replace(data, matrix=data.matrix[:, [0, 2]] + data.matrix[:, [1, 1]] * [1.0, 0.0])
+    equal = fitted(with_prior(summed, tied))
+    np.testing.assert_allclose(near.vector[[0, 1, 2]], equal.vector[[0, 0, 1]], atol=1e-3)
+    here, there = (np.linalg.inv(f.information) for f in (near, equal))
+    np.testing.assert_allclose(here, there[np.ix_([0, 0, 1], [0, 0, 1])], atol=2e-5)
+
+
+def test_walls_that_deviate_widely_have_the_answers_of_walls_by_themselves():
+    """What they share, 0.05 of 5, is gone: a correlation of 1e-4; the spread is that of both."""
+    data = linear_data(np.random.default_rng(5), 3)
+    far = fitted(with_prior(data, panels(sd=0.05, product_sd=5.0)))
+    wide = float(np.hypot(0.05, 5.0))
+    apart = completed(wall("left", sd=wide), wall("right", sd=wide), wall("floor", sd=1.5))
+    apart = (*apart[:2], panels(sd=0.05, product_sd=5.0)[2])
+    alone = fitted(with_prior(data, apart))
+    np.testing.assert_allclose(far.vector, alone.vector, atol=1e-4)
+    np.testing.assert_allclose(far.information, alone.information, atol=1e-5)
+
+
+def test_a_known_wall_tells_of_the_others_of_its_product():
+    """The law of a wall given another: the mean and variance of a Gaussian of two."""
+    known = completed(wall("left", "panel", known=[0.4, 0.2]), wall("right", "panel"))
+    mean, covariance = prior_logit_law(known)
+    gain = 2.25 / 2.34
+    np.testing.assert_allclose(mean[1], MEAN + gain * (logit(np.array([0.4, 0.2])) - MEAN))
+    np.testing.assert_allclose(covariance[:, 1, 1], 2.34 - gain * 2.25)
+    np.testing.assert_array_equal(covariance[:, 0, 1], 0.0)
+    # certificates need no more than that the unknown ones are independent
+    assert absorption_block(known, 0, 0.2).correlation is None
+
+
+def test_all_uses_see_one_law():
+    walls = (*panels(), replace(wall("door"), tied_to="right"))
+    mean, covariance = prior_logit_law(walls)
+    np.testing.assert_array_equal(covariance[:, 3], covariance[:, 1])
+    assert covariance[0, 3, 0] == 2.25
+    np.testing.assert_allclose(prior_logits(walls)[1, :, 0] ** 2, np.diag(covariance[0]))
+    middle, low, _ = prior_intervals(walls)
+    np.testing.assert_allclose(middle, expit(mean))
+    np.testing.assert_allclose(low[0], expit(MEAN - 1.959964 * np.sqrt(2.34)), rtol=1e-5)
+    alone = prior_only_band(walls, 0, np.ones(4))
+    np.testing.assert_allclose(alone.logit_covariance, covariance[0])
+
+
+# What is refused.
+
+
+def test_a_product_of_one_wall_is_a_plain_prior():
+    (one,) = completed(wall("left", "panel"))
+    assert one.product is None
+    np.testing.assert_array_equal(prior_logits((one,))[1], 1.5)
+
+
+@pytest.mark.parametrize(
+    ("other", "words"),
+    [
+        (wall("right", "panel", mean=0.0), "different priors"),
+        (wall("right", "panel", sd=1.0), "different priors"),
+        (wall("right", "panel", product_sd=0.2), "different priors"),
+        (wall("right", "panel", upper=0.5), "different priors"),
+        (wall("right", "panel", specified=False), "different priors"),
+        (wall("right", "panel", known=[0.0, 0.2]), "at its bound"),
+    ],
+)
+def test_walls_of_one_product_state_one_prior(other, words):
+    with pytest.raises(InputError, match=words):
+        completed(wall("left", "panel"), other)
+
+
+def test_a_product_is_no_tie_and_has_a_spread():
+    with pytest.raises(InputError, match="tied material is of a product"):
+        wall("right", "panel", tied_to="left")
+    for sd in (0.0, -0.3, 6.0, float("nan")):
+        with pytest.raises(InputError, match="out of range"):
+            wall("right", "panel", product_sd=sd)
+
+
+def test_no_certificate_is_made_of_a_prior_that_walls_share():
+    """Its bounds over boxes are sums over walls: refused before anything is traced, and after."""
+    measured, certified = SimpleNamespace(values=()), Settings(method="certified")
+    with pytest.raises(InputError, match="independent"):
+        check_certifiable(measured, certified, panels())
+    check_certifiable(measured, certified, completed(wall("left"), wall("right")))
+    air = SimpleNamespace(attenuation_per_m=0.0)
+    for walls, can_be in ((panels(), False), (completed(wall("left")), True)):
+        parameters = Parameters((absorption_block(walls, 0, 0.2), gain_block()))
+        assert is_certifiable(air, parameters) is can_be
+
+
+def test_only_walls_of_the_same_products_can_be_exchanged():
+    left, right, floor = panels()
+    assert _priors_are_exchangeable((left, right, floor), np.array([1, 0, 2]))
+    # of equal spread, but floor shares nothing with left
+    single = replace(floor, prior_logit_sd=np.full(2, np.sqrt(2.34)))
+    assert not _priors_are_exchangeable((left, right, single), np.array([0, 2, 1]))
+
+
+# Draws, and what the data leave open.
+
+
+def correlation(draws: np.ndarray) -> float:
+    free = logit(draws)
+    return float(np.corrcoef(free[:, 0], free[:, 1])[0, 1])
+
+
+def test_draws_have_the_correlation_of_the_prior_where_data_say_nothing():
+    """Of 0.96, which 4000 draws know within 0.0013 (one sigma): wrong once in 16,000 seeds."""
+    walls, rng = panels(), np.random.default_rng(1)
+    mean, covariance = prior_logit_law(walls)
+    drawn = prior_absorptions(walls, 0, 4000, rng)
+    a = expit(mean[:, 0])
+    told = np.ones(3, dtype=np.bool_)
+    after = band_draws(a, covariance[0], mean[:, 0], covariance[0], 4000, rng, specified=told)
+    known = information_from_priors(walls, BANDS, 4000, rng)
+    for draws in (drawn, after, known.draws[:, :, 0]):
+        assert correlation(draws) == pytest.approx(2.25 / 2.34, abs=0.0052)
+        assert abs(correlation(draws[:, [0, 2]])) < 0.07  # 4 / sqrt(4000)
+    for own in known.unknowns.information.reshape(-1, 3, 3):
+        np.testing.assert_allclose(own, np.linalg.inv(covariance[0]), rtol=1e-9)
+
+
+def test_a_default_prior_that_is_doubted_is_so_for_what_walls_share():
+    """Draws with the doubt of an unspecified prior keep walls as alike as the product says."""
+    walls, rng = panels(), np.random.default_rng(2)
+    mean, prior = prior_logit_law(walls)
+    # data see the sum of both walls and the floor, sharply
+    rows = np.array([[5.0, 5.0, 0.0], [0.0, 0.0, 5.0]])
+    covariance = np.linalg.inv(np.linalg.inv(prior[0]) + rows.T @ rows)
+    assumed = np.zeros(3, dtype=np.bool_)
+    a = expit(mean[:, 0])
+    drawn = band_draws(a, covariance, mean[:, 0], prior[0], 4000, rng, specified=assumed)
+    apart = logit(drawn[:, 0]) - logit(drawn[:, 1])
+    # the difference is the product's alone: 0.3 sqrt(2), known within 1.1 % by 4000 draws
+    assert float(np.std(apart)) == pytest.approx(0.3 * np.sqrt(2.0), rel=0.045)
+
+
+def test_synthetic_rooms_of_a_coverage_estimate_have_walls_that_are_alike():
+    """A grid of 4000 bands that are independent, so far may a wall change over an octave."""
+    walls = panels()
+    campaign = SimpleNamespace(settings=SimpleNamespace(smoothness_per_octave=1e9))
+    nearest = np.zeros(4000, dtype=np.int64)
+
+    class Grid:
+        kind = "octave"
+
+        def __len__(self) -> int:
+            return 4000
+
+    plan = SimpleNamespace(
+        priors=walls, nearest=nearest, grid=Grid(), campaign=campaign, answer=None
+    )
+    drawn = _absorption(plan, np.random.default_rng(3)).T
+    assert correlation(drawn) == pytest.approx(2.25 / 2.34, abs=0.0052)
+
+
+def test_a_difference_that_only_the_product_limits_is_not_in_the_data():
+    """Data see the sum of left and right; that they are alike is an assumption, and said so."""
+    _, prior = prior_logit_law(panels())
+    rows = np.array([[50.0, 50.0, 0.0], [0.0, 0.0, 50.0]])
+    covariance = np.linalg.inv(np.linalg.inv(prior[0]) + rows.T @ rows)
+    left_open = undetermined_groups(covariance, prior[0])
+    words = band_sentence(("left", "right", "floor"), (), left_open)
+    assert words == "the difference of left and right is not in the data"
+    assert undetermined_groups(1e-6 * np.eye(3), prior[0]) == ()
+
+
+def test_the_sampled_law_has_the_same_prior():
+    """Two points of the log posterior by hand, and the surrogate's prior."""
+    data = with_prior(linear_data(np.random.default_rng(6), 3), panels())
+    fit = fitted(data)
+    law = log_posterior(data, fit)
+    near = surrogate(law, fit)
+    _, covariance = prior_logit_law(panels())
+    np.testing.assert_allclose(near.prior, np.linalg.inv(covariance[0]), rtol=1e-9)
+
+    def by_hand(x):
+        off = x - MEAN
+        misfit = (data.observed - data.matrix @ x) / 0.5
+        flat = max(fit.chi2_reduced, 1.0)
+        return -0.5 * misfit @ misfit / flat - 0.5 * off @ np.linalg.solve(covariance[0], off)
+
+    one, other = fit.vector, fit.vector + np.array([0.5, -0.5, 0.2])
+    assert law(other) - law(one) == pytest.approx(by_hand(other) - by_hand(one), rel=1e-9)
+
+
+def test_bands_are_linked_under_the_law_of_the_product():
+    """The joint prior written out: correlation of bands times that of walls."""
+    rng = np.random.default_rng(7)
+    bands = bands_between("octave", 250, 2000)
+    n_bands, step = len(bands), 0.6
+    _, law = prior_logit_law(panels())
+    prior, mean = np.tile(law[0], (n_bands, 1, 1)), rng.normal(size=(n_bands, 3))
+    roots = rng.normal(size=(n_bands, 3, 3))
+    data = roots @ np.swapaxes(roots, 1, 2)
+    observed = rng.normal(size=(n_bands, 3))
+    covariances = np.linalg.inv(data + np.linalg.inv(prior))
+    pull = np.einsum("bij,bj->bi", data, observed)
+    alone = pull + np.einsum("bij,bj->bi", np.linalg.inv(prior), mean)
+    means = np.einsum("bij,bj->bi", covariances, alone)
+    got_means, got = smooth_over_bands(means, covariances, mean, prior, step, bands)
+
+    octaves = np.diff(np.log2(bands.exact_centres_hz))
+    variance = np.diag(law[0])
+    r = 1.0 - step**2 * octaves[:, None] / (2.0 * variance)
+    joint = np.zeros((n_bands, 3, n_bands, 3))
+    for p in range(n_bands):
+        for q in range(n_bands):
+            between = np.prod(r[min(p, q) : max(p, q)], axis=0)
+            joint[p, :, q, :] = law[0] * np.sqrt(np.outer(between, between))
+    joint = joint.reshape(3 * n_bands, -1)
+    seen = np.zeros((n_bands, 3, n_bands, 3))
+    for b in range(n_bands):
+        seen[b, :, b, :] = data[b]
+    after = np.linalg.inv(np.linalg.inv(joint) + seen.reshape(joint.shape))
+    right = np.linalg.solve(joint, mean.ravel()) + pull.ravel()
+    np.testing.assert_allclose(got_means.ravel(), after @ right, atol=1e-8)
+    blocks = after.reshape(n_bands, 3, n_bands, 3)
+    for b in range(n_bands):
+        np.testing.assert_allclose(got[b], blocks[b, :, b, :], atol=1e-8)
+
+
+def test_smoothing_of_nothing_leaves_the_prior():
+    walls = panels()
+    answers = [prior_only_band(walls, band, np.ones(3)) for band in range(2)]
+    for before, after in zip(
+        answers, smoothed(answers, walls, BANDS, 0.5, np.ones(3)), strict=True
+    ):
+        np.testing.assert_allclose(after.logit_covariance, before.logit_covariance, atol=1e-9)
+
+
+def test_a_prediction_in_another_order_takes_the_law_along():
+    walls = panels()
+    mean, covariance = prior_logit_law(walls)
+    a = expit(mean)
+    found = AbsorptionPosterior(
+        ("left", "right", "floor"),
+        BANDS,
+        *(a, 0.5 * a, np.minimum(2.0 * a, 1.0), 0.1 * covariance),
+        *prior_logits(walls),
+        covariance,
+    )
+    room = (wall("floor"), wall("new", known=[0.5, 0.5]), wall("right"), wall("left"))
+    law = prior_law(room_posterior(found, room, BANDS))
+    assert law is not None
+    assert law[1][0, 2, 3] == 2.25
+    assert law[1][0, 0, 0] == 2.25
+    assert law[1][0, 0, 2] == 0.0
+
+
+# A simulated room.
+
+
+def box_energies(rng: np.random.Generator, truth: np.ndarray, shape: float) -> Posynomial:
+    """Return energies of a random box by its image sources, each with a Gamma law of its own."""
+    rows = box_room(rng, truth.size, 0.005)
+    counts = np.diff(rows.offsets)
+    weight = np.zeros((counts.size, counts.max()))
+    hits = np.zeros((*weight.shape, truth.size))
+    at = np.arange(counts.max()) < counts[:, None]
+    weight[at], hits[at] = rows.weight_per_m2, rows.hits
+    kept = counts > 0
+    weight, hits = weight[kept], hits[kept]
+    expected = (weight * np.exp(hits @ np.log1p(-truth))).sum(axis=1)
+    observed = expected * rng.gamma(shape, 1.0 / shape, expected.size)
+    return Posynomial(weight, hits, observed, shape, Parameters(()))
+
+
+def answered(case: Posynomial, walls: tuple[MaterialPrior, ...]):
+    block = absorption_block(walls, 0, 0.2)
+    problem = replace(case, parameters=Parameters((block, gain_block())))
+    return band_estimate(problem.parameters, fitted(problem), np.ones(len(walls)), "energy")
+
+
+def test_the_wall_that_is_measured_less_well_gains_and_its_interval_holds_the_truth():
+    """Random boxes whose two panels are drawn from the product's law.
+
+    Of the panel that is known less well by itself the standard deviation in logit is smaller as a
+    panel of the product, but where a misfit widens all; 98 % of 500 rooms that were looked at, and
+    92 % is four standard errors below in 120. Its interval is shorter by a quarter at the median.
+    All intervals hold the truth in 95 %, less 2 % for Gaussian intervals of a skew law, within four
+    standard errors: wrong once in 16,000 seeds.
+    """
+    rng = np.random.default_rng(11)
+    of_product = panels(sd=1.0)
+    alone = completed(*(replace(w, product=None) for w in of_product))
+    shorter, smaller, held = [], [], []
+    for _ in range(120):
+        common = rng.normal(MEAN, 1.0)
+        free = np.append(rng.normal(common, PRODUCT_SD, 2), rng.normal(MEAN, 1.5))
+        truth = expit(free)
+        case = box_energies(rng, truth, 6.0)
+        one, other = answered(case, alone), answered(case, of_product)
+        worse = int(np.argmax(np.diag(one.logit_covariance)[:2]))
+        width = [float((e.upper95 - e.lower95)[worse]) for e in (one, other)]
+        spread = [float(e.logit_covariance[worse, worse]) for e in (one, other)]
+        shorter.append(width[1] / width[0])
+        smaller.append(spread[1] < spread[0])
+        held.append((other.lower95 <= truth) & (truth <= other.upper95))
+    assert np.mean(smaller) >= 0.92
+    assert np.median(shorter) < 0.8
+    assert np.all(np.mean(held, axis=0) > 0.93 - 4.0 * np.sqrt(0.95 * 0.05 / 120))
