@@ -102,13 +102,14 @@ class EnergyTerm:
         count_evaluation()
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         signals, by_absorption, by_gain, by_pattern = [], [], [], []
+        last = 1 + values["absorption"].size
         for o, observation in enumerate(self.observations):
-            energy, slopes, turned = responses_of(self, o, values["absorption"])
             gain = gains[observation.gain]
-            signal = gain * (observation.spreading @ energy)
+            found = gain * (observation.spreading @ responses_of(self, o, values["absorption"]))
+            signal = found[:, 0]
             signals.append(signal)
-            by_absorption.append(gain * in_windows(observation.spreading, slopes))
-            by_pattern.append(gain * in_windows(observation.spreading, turned))
+            by_absorption.append(found[:, 1:last])
+            by_pattern.append(found[:, last:])
             columns = np.zeros((signal.size, values["gain"].size))
             if observation.gain >= 0:
                 columns[:, observation.gain] = signal / gain
@@ -128,7 +129,7 @@ class EnergyTerm:
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         found = []
         for o, observation in enumerate(self.observations):
-            energy, *_ = responses_of(self, o, values["absorption"], derivative=False)
+            energy = responses_of(self, o, values["absorption"], derivative=False)[:, 0]
             signal = gains[observation.gain] * (observation.spreading @ energy)
             found.append(signal + observation.noise)
         return np.concatenate(found)
@@ -210,20 +211,22 @@ class Weighed:
 
 def responses_of(
     problem: EnergyTerm, observation: int, absorption: FloatArray, *, derivative: bool = True
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return the energy of one observation's bins, and its derivatives by absorption and b.
+) -> FloatArray:
+    """Return the energy of one observation's bins for a gain of 1, and its derivatives.
 
-    For a gain of 1, shapes (n_bins,), (n_materials, n_bins) and (3, n_bins), the last without rows
-    where the term has no patterns.
+    By absorption, and by b of the source where the term has patterns: columns of the shape
+    (n_bins, 1 + n_materials + 3), (n_bins, 1 + n_materials) without patterns, (n_bins, 1) without
+    derivatives.
     """
     rows, attenuation = problem.rows[observation], problem.attenuation_per_m
     pattern = problem.patterns[observation] if problem.patterns else None
     if pattern is not None:
         return weigh_directed(rows, pattern, absorption, attenuation, derivative=derivative)
     found = weigh(rows, absorption[:, None], np.array([attenuation]), derivative=derivative)
-    turned = np.zeros((3 if problem.patterns else 0, rows.n_windows))
-    slopes = np.zeros((0, rows.n_windows)) if found.derivative is None else found.derivative[:, 0]
-    return found.energy[0], slopes, turned
+    if found.derivative is None:
+        return found.energy.T
+    known = np.zeros((3 if problem.patterns else 0, rows.n_windows))
+    return np.concatenate((found.energy, found.derivative[:, 0], known)).T.copy()
 
 
 def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
@@ -233,7 +236,7 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     found = []
     for o, observed in enumerate(problem.observations):
         rows, squared_rows = problem.rows[o], problem.squared_image_rows[o]
-        energy, *_ = responses_of(problem, o, absorption, derivative=False)
+        energy = responses_of(problem, o, absorption, derivative=False)[:, 0]
         if problem.patterns and (pattern := problem.patterns[o]) is not None:
             factor = amplitude_and_slope(pattern.b, pattern.basis)[0] ** 2
             squared_rows = directed_rows(squared_rows, factor[rows.batch < 0] ** 2)

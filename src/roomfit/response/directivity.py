@@ -78,7 +78,7 @@ def weigh_directed(
     attenuation_per_m: float,
     *,
     derivative: bool = True,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+) -> FloatArray:
     """Return energies of one band as `roomfit.response.energy.weigh` does, of a directed source.
 
     One pass over the rows for all of it: ``weight a**2 exp(-m length) product of (1 - a)**hits``,
@@ -91,33 +91,38 @@ def weigh_directed(
     attenuation_per_m : float
         Energy attenuation of the air, 0 or more.
     derivative : bool
-        False leaves derivatives out: shapes (0, n_windows).
+        False leaves derivatives out.
 
     Returns
     -------
-    energy, by_absorption, by_b : float arrays
-        Shapes (n_windows,), (n_materials, n_windows) and (3, n_windows).
+    float array, shape (n_windows, 1 + n_materials + 3), or (n_windows, 1) without derivatives
+        Energy, its derivative by absorption, and by b.
     """
     reflected, attenuation = reflected_and_attenuation(
         rows, coefficients[:, None], np.array([attenuation_per_m])
     )
-    powers, pieces = power_table(reflected, rows.max_hits)[0], pieces_of(rows.offsets)
-    n_sums = 4 + coefficients.size if derivative else 1
-    sums = np.zeros((len(pieces), n_sums))
+    pieces = pieces_of(rows.offsets)
+    sums = np.zeros((len(pieces), 4 + coefficients.size if derivative else 1))
     small = len(rows) < ROWS_WORTH_THREADS
     (_weigh_directed_serial if small else _weigh_directed_parallel)(
         pieces,
         (rows.weight_per_m2, rows.length_m, rows.hits, pattern.basis),
         np.array(pattern.b, dtype=np.float64),
         reflected[0],
-        powers,
+        power_table(reflected, rows.max_hits)[0],
         attenuation[0],
         sums,
     )
-    energy, *slopes = np.stack(
-        [np.bincount(pieces[:, 0], column, rows.n_windows) for column in sums.T]
-    )
-    return energy, np.array(slopes[3:]), np.array(slopes[:3])
+    out = np.zeros((rows.n_windows, sums.shape[1]))
+    _sum_pieces(pieces, sums, out)
+    return out
+
+
+@kernel()
+def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
+    for p in range(len(pieces)):
+        for k in range(sums.shape[1]):
+            out[pieces[p, 0], k] += sums[p, k]
 
 
 DirectedRows: TypeAlias = tuple[FloatArray, FloatArray, IntArray, NDArray[np.float32] | FloatArray]
@@ -134,7 +139,7 @@ def _weigh_directed_piece(
     attenuation: float,
     sums: FloatArray,
 ) -> None:
-    """Fill the sums of a piece: energy, its derivative by b, and by absorption; or energy alone.
+    """Fill the sums of a piece: energy, its derivative by absorption, and by b; or energy alone.
 
     With q the pattern basis, N = 1 + b b / 3 and c = 1 + b q, the factor of a row is ``c**2 / N``
     and its derivative by b ``2 c q / N - 2 c**2 b / (3 N**2)``.
@@ -144,32 +149,31 @@ def _weigh_directed_piece(
     energy = x = y = z = 0.0
     n_materials = max(sums.size - 4, 0)
     for r in range(piece[1], piece[2]):
-        plain = row_energy(weight[r], length[r], hits[r], powers, attenuation)
         c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
-        plain *= c
-        e = plain * c
-        energy += e
+        once = c * row_energy(weight[r], length[r], hits[r], powers, attenuation)
+        own = c * once
+        energy += own
         if n_materials:
-            x += plain * basis[r, 0]
-            y += plain * basis[r, 1]
-            z += plain * basis[r, 2]
+            x += once * basis[r, 0]
+            y += once * basis[r, 1]
+            z += once * basis[r, 2]
             for m in range(n_materials):
-                sums[4 + m] -= e * hits[r, m]
+                sums[1 + m] -= own * hits[r, m]
     sums[0] = energy / norm
     if n_materials:
         turned = energy / (3.0 * norm)
-        sums[1] = 2.0 * (x - turned * b[0]) / norm
-        sums[2] = 2.0 * (y - turned * b[1]) / norm
-        sums[3] = 2.0 * (z - turned * b[2]) / norm
+        sums[n_materials + 1] = 2.0 * (x - turned * b[0]) / norm
+        sums[n_materials + 2] = 2.0 * (y - turned * b[1]) / norm
+        sums[n_materials + 3] = 2.0 * (z - turned * b[2]) / norm
     for m in range(n_materials):
         if reflected[m] >= NEARLY_BLACK:
-            sums[4 + m] /= reflected[m] * norm
+            sums[1 + m] /= reflected[m] * norm
             continue
-        sums[4 + m] = 0.0
+        sums[1 + m] = 0.0
         for r in range(piece[1], piece[2]):
             c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
             own = weight[r] * c * c / norm
-            sums[4 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
+            sums[1 + m] -= slope_at_black(own, length[r], hits[r], powers, attenuation, m)
 
 
 @kernel(allocates=False)
