@@ -25,6 +25,7 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import DataTerm, Objective, Rows, Values
+from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_energies
 from roomfit.response.directivity import (
     Pattern,
@@ -293,23 +294,39 @@ def with_cavity_prior(
     )
 
 
+def row_bases(
+    directivity_parameters: DirectivityParameters, scene: Scene, paths: Paths, binned: BinnedPaths
+) -> tuple[NDArray[np.float32] | FloatArray, ...]:
+    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known."""
+    aims = directivity_parameters.aims or (None,) * len(scene.sources)
+    return tuple(
+        pattern_basis(paths.departure[rows.path], aims[source])
+        if directivity_parameters.of_source[source] >= 0
+        else np.zeros((0, 3))
+        for rows, source in zip(binned.rows, scene.pairs[:, 0].tolist(), strict=True)
+    )
+
+
 def directed_band(
     directivity_parameters: DirectivityParameters,
     scene: Scene,
-    paths: Paths,
+    bases: Sequence[NDArray[np.float32] | FloatArray],
     energies: EnergyTerm,
     files: Sequence[MeasuredPair],
 ) -> BandDirectivities:
-    """Return where the rows of a band leave the sources, nothing known of these yet."""
+    """Return where the rows of a band leave the sources, nothing known of these yet.
+
+    Parameters
+    ----------
+    bases : sequence of float arrays, shape (n_rows, 3)
+        `row_bases` of the same binned paths: a band has the first rows of each pair.
+    """
     number = [int(scene.pairs[m.pair][0]) for m in files]
     source = directivity_parameters.of_source[number]
     known = directivity_parameters.aims or (None,) * len(scene.sources)
-    aims = tuple(known[i] for i in number)
-    basis = tuple(
-        pattern_basis(paths.departure[rows.path], aim) if s >= 0 else np.zeros((0, 3))
-        for s, rows, aim in zip(source, energies.rows, aims, strict=True)
-    )
-    return BandDirectivities(directivity_prior(directivity_parameters), source, basis, aims)
+    basis = tuple(bases[m.pair][: len(rows)] for rows, m in zip(energies.rows, files, strict=True))
+    unknown, aims = directivity_prior(directivity_parameters), tuple(known[i] for i in number)
+    return BandDirectivities(unknown, source, basis, aims)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

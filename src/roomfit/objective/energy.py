@@ -12,12 +12,7 @@ from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
-from roomfit.response.directivity import (
-    RowPattern,
-    amplitude_and_slope,
-    directed_rows,
-    weigh_directed,
-)
+from roomfit.response.directivity import RowPattern, directed_rows, weigh_directed
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
 from roomfit.typing import FloatArray
 
@@ -238,7 +233,7 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
         rows, squared_rows = problem.rows[o], problem.squared_image_rows[o]
         energy = responses_of(problem, o, absorption, derivative=False)[:, 0]
         if problem.patterns and (pattern := problem.patterns[o]) is not None:
-            factor = amplitude_and_slope(pattern.b, pattern.basis)[0] ** 2
+            factor = pattern.factor()
             squared_rows = directed_rows(squared_rows, factor[rows.batch < 0] ** 2)
             rows = directed_rows(rows, factor)
         squares = weigh(squared_rows, coefficients, attenuation, derivative=False).energy[0]

@@ -70,6 +70,10 @@ class RowPattern:
     b: FloatArray  # (3,)
     basis: NDArray[np.float32] | FloatArray  # (n_rows, 3)
 
+    def factor(self) -> FloatArray:
+        """Return the factor on the energy of every row, shape (n_rows,)."""
+        return np.asarray((1.0 + self.basis @ self.b) ** 2 / (1.0 + self.b @ self.b / 3.0))
+
 
 def weigh_directed(
     rows: EnergyRows,
@@ -539,8 +543,7 @@ def directivity_factors(
         departure = paths.departure[own].astype(np.float64)
         if isinstance(source, Pattern):
             b = source.b if source.b.ndim == 1 else source.b[band]
-            basis = pattern_basis(departure, source.aim)
-            factors[own] = (1.0 + basis @ b) ** 2 / (1.0 + b @ b / 3.0)
+            factors[own] = RowPattern(b, pattern_basis(departure, source.aim)).factor()
         else:
             factors[own] = measured_factor(source, departure, band)
     return factors
