@@ -8,11 +8,17 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from roomfit.logit import Z95
-from roomfit.objective.parameters import absorption_of, prior_residuals
-from roomfit.objective.problem import Objective
+from roomfit.objective.parameters import (
+    Parameters,
+    absorption_of,
+    position_of,
+    prior_residuals,
+    to_physical,
+)
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.solvers.least_squares import BandFit
+from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.typing import FloatArray
-from roomfit.uncertainty.sampling import absorption_columns, exponent_slopes, exponents
 
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
 RISE95 = 0.5 * Z95**2
@@ -32,8 +38,9 @@ _FARTHEST = 14.0
 # A gain of this much by following is worth a second look at the point, so many times at most.
 _FAR_FROM_FOLLOWING = 0.3
 _MOST_CORRECTIONS = 8
-# Of a free number, a logit or a logarithm: where it is undetermined a step has no limit.
-_LONGEST_STEP = 3.0
+# A step that is free of evaluations may be as long as energies stay numbers.
+_LARGEST_LOG = 100.0
+_FOLLOWING = MarquardtSettings(max_trials=30, longest_entry=3.0, gain=0.01)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -53,7 +60,9 @@ class Profile:
     evaluations: int
 
 
-def profile(objective: Objective, fit: BandFit, entry: int) -> Profile:
+def profile(
+    objective: Objective, fit: BandFit, entry: int, answer: Prediction | None = None
+) -> Profile:
     """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
@@ -67,13 +76,15 @@ def profile(objective: Objective, fit: BandFit, entry: int) -> Profile:
         Its answer; its weights are kept.
     entry : int
         Of the free vector.
+    answer : Prediction, optional
+        At the fit's answer, where it is known from another profile.
 
     References
     ----------
     .. [1] D. J. Venzon, S. H. Moolgavkar, "A method for computing profile-likelihood-based
            confidence intervals", Appl. Stat. 37, 87-94 (1988).
     """
-    line = _Line(objective, fit, entry)
+    line = _Line(objective, fit, entry, objective.predict(fit.vector) if answer is None else answer)
     ends: list[float] = []
     found_bent = False
     for sign in (-1.0, 1.0):
@@ -107,6 +118,7 @@ class _Point:
     """The cost at one point of a line, and its second-order expansion in all free numbers."""
 
     vector: FloatArray  # (n_free,)
+    prediction: Prediction
     cost: float
     gradient: FloatArray  # (n_free,)
     hessian: FloatArray  # (n_free, n_free), Gauss and Newton's
@@ -115,13 +127,16 @@ class _Point:
 class _Line:
     """The cost along one free number, and where it was computed."""
 
-    def __init__(self, objective: Objective, fit: BandFit, entry: int) -> None:
+    def __init__(self, objective: Objective, fit: BandFit, entry: int, answer: Prediction) -> None:
         self.objective, self.fit, self.entry = objective, fit, entry
         self.others = np.flatnonzero(np.arange(fit.vector.size) != entry)
         self.weight = 1.0 / (objective.correlation_length() * fit.variance)
+        self.energies = objective.is_gamma()
+        kinds = [b.name for b in objective.parameters.blocks for _ in range(int(b.fitted.sum()))]
+        self.factors = np.flatnonzero(np.isin(kinds, ("absorption", "gain")))
         self.flattening = max(fit.chi2_reduced, 1.0)
         at_answer = _Point(
-            np.array(fit.vector), fit.cost, np.zeros(fit.vector.size), fit.information
+            np.array(fit.vector), answer, fit.cost, np.zeros(fit.vector.size), fit.information
         )
         _, _, curvature = self._followed(at_answer)
         self.sd = float(np.sqrt(self.flattening / curvature))
@@ -140,15 +155,16 @@ class _Line:
             key=lambda i: abs(self.moves[i]),
         )
         point = self._evaluated(self._guess(self.points[nearest], move - self.moves[nearest]))
-        damping = 0.0
         for _ in range(_MOST_CORRECTIONS):
             if self._followed(point)[0] <= _FAR_FROM_FOLLOWING * self.flattening:
                 break
-            better = self._evaluated(self._guess(point, 0.0, damping))
-            if better.cost < point.cost:
-                point, damping = better, 0.1 * damping
-            else:
-                damping = max(10.0 * damping, 0.1)
+            there = self._guess(point, 0.0)
+            better = self._evaluated(there)
+            if better.cost >= point.cost:
+                better = self._evaluated(point.vector + 0.3 * (there - point.vector))
+            if better.cost >= point.cost:
+                break
+            point = better
         gain, slope, _ = self._followed(point)
         rise = (point.cost - gain - self.fit.cost) / self.flattening
         self.moves.append(move)
@@ -189,31 +205,39 @@ class _Line:
         at = float(self.fit.vector[self.entry])
         return 0.5 * abs(float(np.tanh(0.5 * (at + one)) - np.tanh(0.5 * (at + other))))
 
-    def _guess(self, point: _Point, by: float, damping: float = 0.0) -> FloatArray:
-        """Return where the expansion at a point has its least cost, the own number so far away.
+    def _guess(self, point: _Point, by: float) -> FloatArray:
+        """Return where the cost is least around a point, the own number so far away from there.
 
-        In the exponents ``-log(1 - a)`` instead of absorptions: what all walls absorb together is
-        nearly linear in these. No exponent falls below a fifth of what it was.
+        If energies were exponentials of absorptions and log gains, and linear in all else: they are
+        of hits that follow Poisson's distribution, and far nearer to it than to straight lines.
         """
-        parameters, others = self.objective.parameters, self.others
-        vector = np.array(point.vector)
-        vector[self.entry] += by
-        old, new = exponents(parameters, np.stack((point.vector, vector)))
-        scale = exponent_slopes(parameters, point.vector)
-        hessian = point.hessian / np.outer(scale, scale)
-        uphill = point.gradient / scale + hessian[:, self.entry] * (new - old)[self.entry]
-        inner = hessian[np.ix_(others, others)]
-        step = np.zeros(vector.size)
-        step[others] = -np.linalg.solve(inner + damping * np.diag(np.diag(inner)), uphill[others])
-        first, columns = absorption_columns(parameters)
-        own = np.arange(first, first + columns.size)
-        block = absorption_of(parameters)
-        low, high = block.lower[columns], block.upper[columns]
-        a = -np.expm1(-np.maximum(old + step, 0.2 * old)[own])
-        share = np.clip((a - low) / (high - low), 1e-6, 1.0 - 1e-6)
-        moved = vector + step
-        moved[own] = np.where(own == self.entry, vector[own], np.log(share) - np.log1p(-share))
-        return vector + np.clip(moved - vector, -_LONGEST_STEP, _LONGEST_STEP)
+        parameters, others, factors = self.objective.parameters, self.others, self.factors
+        start = np.array(point.vector)
+        start[self.entry] += by
+        prediction, root = point.prediction, np.sqrt(self.weight)
+        signal = np.maximum(prediction.signal, np.finfo(np.float64).tiny)
+        base = np.where(self.energies, signal, 1.0)
+        at, slope = _absorptions(parameters, point.vector)
+        logs = prediction.jacobian[:, factors] / slope[factors] / base[:, None]
+        linear = np.array(prediction.jacobian)
+        linear[:, factors] = 0.0
+
+        def residuals(free: FloatArray) -> tuple[FloatArray, FloatArray]:
+            vector = np.array(start)
+            vector[others] = free
+            there, slope = _absorptions(parameters, vector)
+            change = logs @ (there - at)[factors]
+            grown = np.where(self.energies, np.exp(np.minimum(change, _LARGEST_LOG)), 1.0 + change)
+            expected = prediction.expected + base * (grown - 1.0) + linear @ (there - at)
+            jacobian = np.array(linear)
+            rate = base * np.where(self.energies, grown, 1.0)
+            jacobian[:, factors] = rate[:, None] * logs * slope[factors]
+            prior, rows = prior_residuals(parameters, vector)
+            off = np.concatenate((root * (self.objective.measured() - expected), prior))
+            return off, np.concatenate((-root[:, None] * jacobian, rows))[:, others]
+
+        start[others] = levenberg_marquardt(residuals, start[others], _FOLLOWING).x
+        return start
 
     def _followed(self, point: _Point) -> tuple[float, float, float]:
         """Return what a Newton step of the others would gain, and slope and curvature after it."""
@@ -234,6 +258,7 @@ class _Line:
         weighted = self.weight[:, None] * jacobian
         return _Point(
             vector,
+            prediction,
             0.5 * float(off @ (self.weight * off) + prior @ prior),
             rows.T @ prior - weighted.T @ off,
             jacobian.T @ weighted + rows.T @ rows,
@@ -257,6 +282,18 @@ def _between(
     x = np.linspace(x0, x1, 101)
     y = CubicHermiteSpline([x0, x1], [y0, y1], [min(d0, most), min(d1, most)])(x)
     return float(np.interp(aim, y, x, left=x[5], right=x[-6]).clip(x[5], x[-6]))
+
+
+def _absorptions(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a free vector with absorptions instead of their logits, and its derivative."""
+    block, first = absorption_of(parameters), position_of(parameters, "absorption")
+    own = slice(first, first + int(block.fitted.sum()))
+    free = np.zeros(block.fitted.size)
+    free[block.fitted] = vector[own]
+    values, slopes = to_physical(block, free)
+    out, slope = np.array(vector), np.ones(vector.size)
+    out[own], slope[own] = values[block.fitted], np.maximum(slopes[block.fitted], 1e-12)
+    return out, slope
 
 
 def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, FloatArray]:
