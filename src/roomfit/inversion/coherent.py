@@ -71,11 +71,11 @@ from roomfit.objective.coherent import (
     moved_scene,
 )
 from roomfit.objective.directivity import (
-    BandDirectivities,
     DirectivityParameters,
     directed,
     directed_band,
     energy_objective,
+    row_bases,
     with_directivities,
 )
 from roomfit.objective.energy import EnergyTerm
@@ -205,13 +205,18 @@ def rebuild(state: SequentialState) -> SequentialState:
         task.start,
         periods=_WINDOW_PERIODS,
     )
+    unknown = task.directivity_parameters
+    bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     bands: list[CoherentBand | None] = []
     for b, found in enumerate(made):
         if found is None:
             bands.append(None)
             continue
         windows, parameters = found
-        directivity, coherent = _early_and_directed(state, b, windows, geometry)
+        directivity, files = None, fitted_in_band(task.measured, b)
+        if unknown is not None and bases is not None:
+            directivity = directed_band(unknown, task.scene, bases, windows, files)
+        coherent = _early(state, b, windows, geometry)
         energies = energy_objective(windows, parameters, directivity, task.values[b])
         fit = fit_band(energies, max_rounds=task.settings.max_rounds)
         bands.append(CoherentBand(energies, fit, coherent, directivity))
@@ -235,18 +240,13 @@ def rebuild(state: SequentialState) -> SequentialState:
     return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
 
 
-def _early_and_directed(
+def _early(
     state: SequentialState, band: int, windows: EnergyTerm, geometry: Geometry
-) -> tuple[BandDirectivities | None, CoherentTerm]:
-    """Return what is unknown of the sources in a band, and its windows as pressures."""
-    task, directivity = state.task, None
-    files = fitted_in_band(task.measured, band)
-    if task.directivity_parameters is not None:
-        directivity = directed_band(
-            task.directivity_parameters, task.scene, state.paths, windows, files
-        )
+) -> CoherentTerm:
+    """Return the windows of a band as pressures."""
+    task, files = state.task, fitted_in_band(state.task.measured, band)
     own = [m in files for m in task.measured if m.measurement.use == "fit"]
-    coherent = coherent_term(
+    return coherent_term(
         task.bands,
         band,
         windows,
@@ -256,7 +256,6 @@ def _early_and_directed(
         replace(geometry, columns=geometry.columns[own]),
         task.settings.end_s,
     )
-    return directivity, coherent
 
 
 def _under_cavity_priors(
@@ -426,15 +425,16 @@ def fit_coherent(
 
 def _source_findings(state: SequentialState) -> tuple[Finding, ...]:
     """Return a finding where a source taken for omnidirectional is none."""
-    task, doubts = state.task, {}
+    task, tested, doubts = state.task, state.task.tested_sources, {}
+    if tested is None:
+        return ()
+    bases = row_bases(tested, task.scene, state.paths, state.binned)
     for b, own in enumerate(state.bands):
-        if own is not None and task.tested_sources is not None:
+        if own is not None:
             files = fitted_in_band(task.measured, b)
-            directivity = directed_band(
-                task.tested_sources, task.scene, state.paths, own.coherent.energies, files
-            )
+            directivity = directed_band(tested, task.scene, bases, own.coherent.energies, files)
             doubts[b] = directivity_score(own.energies, own.energy_fit, directivity)
-    return source_findings(task.tested_sources, doubts)
+    return source_findings(tested, doubts)
 
 
 def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
@@ -478,6 +478,8 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
     if not any(wanted):
         yield from [None] * len(wanted)
         return
+    unknown = task.directivity_parameters
+    bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     made = energy_terms(
         task.scene, task.bands, task.priors, task.measured, state.binned, task.start
     )
@@ -488,11 +490,9 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         windows, parameters = own
         files = fitted_in_band(task.measured, number)
         directivity = None if band is None else band.directivity
-        if directivity is not None and task.directivity_parameters is not None:
+        if directivity is not None and unknown is not None and bases is not None:
             # other windows may hear other rows
-            rows = directed_band(
-                task.directivity_parameters, task.scene, state.paths, windows, files
-            )
+            rows = directed_band(unknown, task.scene, bases, windows, files)
             directivity = replace(rows, unknown=directivity.unknown)
         objective = energy_objective(windows, parameters, directivity, task.values[number])
         if band is not None and band.energies.inflation is not None:

@@ -31,6 +31,7 @@ from roomfit.objective.directivity import (
     directed_band,
     directivity_prior,
     energy_objective,
+    row_bases,
     vectors_of,
     with_cavity_prior,
 )
@@ -46,7 +47,6 @@ from roomfit.solvers.least_squares import (
     fit_band,
     score_band,
 )
-from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import BandEstimate
 
@@ -327,12 +327,13 @@ def directed_energies(
         return (None,) * len(bands)
     directivities: list[BandDirectivities | None] = []
     fits: list[BandFit | None] = []
+    bases = row_bases(parameters, scene, traced.paths, traced.binned)
     made = energy_terms(scene, bands, priors, responses, traced.binned, start)
     for band, own in enumerate(made):
         directivity, fit = None, None
         if own is not None:
             files = fitted_in_band(responses, band)
-            directivity = directed_band(parameters, scene, traced.paths, own[0], files)
+            directivity = directed_band(parameters, scene, bases, own[0], files)
             fit = fit_band(energy_objective(*own, directivity, None))
         directivities.append(directivity)
         fits.append(fit)
@@ -341,16 +342,17 @@ def directed_energies(
 
 def score_sources(
     measured: Measurements,
-    paths: Paths,
+    traced: TracedPaths,
     tested_sources: DirectivityParameters,
     scores: dict[int, DirectivityScore],
 ) -> Callable[[int, Objective, BandFit], None]:
     """Return what enters every fitted band's evidence against its sources into `scores`."""
+    bases = row_bases(tested_sources, measured.scene, traced.paths, traced.binned)
 
     def watch(band: int, objective: Objective, fit: BandFit) -> None:
         windows, files = objective.terms[0], fitted_in_band(measured.responses, band)
         if isinstance(windows, EnergyTerm):
-            directivity = directed_band(tested_sources, measured.scene, paths, windows, files)
+            directivity = directed_band(tested_sources, measured.scene, bases, windows, files)
             scores[band] = directivity_score(objective, fit, directivity)
 
     return watch

@@ -21,7 +21,7 @@ from roomfit.logit import Z95
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.observation import has_data_in_band, timing_sd_s
-from roomfit.response.binned import paths_at, rows_at
+from roomfit.response.binned import rows_at
 from roomfit.response.energy import first_rows, weigh
 from roomfit.scene import Room
 from roomfit.signals.filters import (
@@ -35,7 +35,6 @@ from roomfit.signals.filters import (
     statistical_bandwidth_hz,
     window_energies,
 )
-from roomfit.tracing.paths import hits
 from roomfit.typing import BoolArray, FloatArray
 
 # Of the energy of a window, as predicted for a wall that absorbs nothing: so that the absorption
@@ -119,13 +118,14 @@ def _isolated(
     band, kernel = reduction
     scene, paths = measured.scene, traced.paths
     c = speed_of_sound_m_s(scene.air)
-    struck = hits(paths)
-    own = np.flatnonzero((paths.pair == m.pair) & (paths.batch < 0) & (struck.sum(axis=1) <= 1))
-    direct = own[struck[own].sum(axis=1) == 0]
-    if direct.size != 1 or own.size < 2:
+    own = np.flatnonzero((paths.pair == m.pair) & (paths.batch < 0))
+    struck = paths.hits_specular[own] + paths.hits_diffuse[own]
+    direct, single = (np.flatnonzero(struck.sum(axis=1) == n) for n in (0, 1))
+    if direct.size != 1 or not single.size:
         return []
-    own = np.concatenate((direct, own[own != direct[0]]))
-    material = np.argmax(struck[own], axis=1)
+    few = np.concatenate((direct, single))
+    own, struck = own[few], struck[few]
+    material = np.argmax(struck, axis=1)
     bank = FilterBank(Bands(measured.bands.kind, measured.bands.centres_hz[band : band + 1]))
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
     half_s = max(1e-3, 1.0 / bandwidth_hz) + 2.0 * timing_sd_s(scene, m)
@@ -135,13 +135,15 @@ def _isolated(
     attenuation = float(attenuation_per_m(scene.air, measured.bands)[band])
 
     # energies without absorption and scattering of the wall itself, (n,), and of all else
-    weight = paths_at(paths, traced.factors, band).weight_per_m2[own]
-    kept = np.where(struck[own].sum(axis=1) > 0, 1.0 - traced.scattering[material, band], 1.0)
+    weight = paths.weight_per_m2[own]
+    if traced.factors is not None:
+        weight = weight * traced.factors[band, own]
+    kept = np.where(struck.sum(axis=1) > 0, 1.0 - traced.scattering[material, band], 1.0)
     share = np.array(
         [energy_share(kernel, band, [t], w)[0, 0] for t, w in zip(arrival_s, windows, strict=True)]
     )
     hard = share * weight / np.maximum(kept, 1e-6) * np.exp(-attenuation * paths.length_m[own])
-    expected = np.where(struck[own].sum(axis=1) > 0, kept * (1.0 - absorption[material, band]), 1.0)
+    expected = np.where(struck.sum(axis=1) > 0, kept * (1.0 - absorption[material, band]), 1.0)
     edges, first = np.unique(windows, return_inverse=True)
     first = first.reshape(windows.shape)
 

@@ -126,7 +126,7 @@ def estimate_energies(
         material_areas_m2(measured.scene.room),
         settings,
         progress,
-        watch=None if tested is None else score_sources(measured, traced.paths, tested, scores),
+        watch=None if tested is None else score_sources(measured, traced, tested, scores),
         shared_covariance=shared_error_covariance(measured),
     )
     estimates = tuple(refine(band, None) for band in fitted)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from roomfit._checks import read_only
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.coherent import CoherentTerm
-from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.energy import PATTERN, EnergyTerm
 from roomfit.objective.parameters import (
     GEOMETRY,
     Block,
@@ -25,17 +25,17 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import DataTerm, Objective, Rows, Values
+from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_energies
 from roomfit.response.directivity import (
     Pattern,
+    RowPattern,
     amplitude_and_slope,
     coherent_slopes,
     directed_images,
-    directed_rows,
     image_departure,
     pattern_basis,
 )
-from roomfit.response.energy import EnergyRows, weigh
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
@@ -118,38 +118,32 @@ class DirectedTerm:
     def predict(self, values: Values) -> Rows:
         """Return what the model expects in every window."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        expected, signal, derivatives = self._weighed(b, single=False).predict(values)
-        slopes = self._slopes(b, values) @ self.directivity.unknown.root
+        expected, signal, derivatives = self._weighed(b).predict(values)
+        slopes = self._slopes(derivatives.pop(PATTERN), b, values) @ self.directivity.unknown.root
         return expected, signal, {**derivatives, DIRECTIVITY: slopes}
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._weighed(b, single=False).expected(values)
+        return self._weighed(b).expected(values)
 
     def variance(self, values: Values) -> FloatArray:
         """Return how far every window may scatter, shape (n_windows,)."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._weighed(b, single=True).variance(values)
+        return self._weighed(b).variance(values)
 
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, shape (n_windows,)."""
         return self.windows.correlation_length(start)
 
-    def _weighed(self, b: FloatArray, *, single: bool) -> EnergyTerm | CoherentTerm:
-        """Return the windows with the weights of b, single arrivals' rows only if needed."""
-        own, source = self.energies, self.directivity.source
-        rows, squared_images = list(own.rows), list(own.squared_image_rows)
-        for o, s in enumerate(source):
-            if s < 0:
-                continue
-            factor = amplitude_and_slope(b[s], self.directivity.basis[o])[0] ** 2
-            rows[o] = directed_rows(own.rows[o], factor)
-            if single:
-                squared_images[o] = directed_rows(
-                    own.squared_image_rows[o], factor[own.rows[o].batch < 0] ** 2
-                )
-        own = replace(own, rows=tuple(rows), squared_image_rows=tuple(squared_images))
+    def _weighed(self, b: FloatArray) -> EnergyTerm | CoherentTerm:
+        """Return the windows with the weights of b."""
+        source = self.directivity.source
+        patterns = tuple(
+            None if s < 0 else RowPattern(b[s], basis)
+            for s, basis in zip(source, self.directivity.basis, strict=True)
+        )
+        own = replace(self.energies, patterns=patterns)
         if not isinstance(self.windows, CoherentTerm):
             return own
         images, coherent = (
@@ -161,23 +155,25 @@ class DirectedTerm:
         )
         return replace(self.windows, energies=own, images=images, coherent=coherent)
 
-    def _slopes(self, b: FloatArray, values: Values) -> FloatArray:
-        """Return the derivative of every window by b, shape (n_windows, 3 * n_sources)."""
-        own = self.energies
+    def _slopes(self, by_pattern: FloatArray, b: FloatArray, values: Values) -> FloatArray:
+        """Return the derivative of every window by all b, shape (n_windows, 3 * n_sources).
+
+        Parameters
+        ----------
+        by_pattern : float array, shape (n_windows, 3)
+            Of all paths as energies, by b of the source that each window receives.
+        """
         gains = np.append(values["gain"], 1.0)
-        coefficients, air = values["absorption"][:, None], np.array([own.attenuation_per_m])
-        out: FloatArray = np.zeros((self.measured().size, b.size))
+        out: FloatArray = np.zeros((len(by_pattern), b.size))
         added = self._coherent_slopes(b, values) if isinstance(self.windows, CoherentTerm) else ()
         first = 0
-        for o, observed in enumerate(own.observations):
+        for o, observed in enumerate(self.energies.observations):
             n, s = observed.energy.size, self.directivity.source[o]
             if s >= 0:
-                basis = self.directivity.basis[o]
-                moved = _row_slopes(own.rows[o], b[s], basis, coefficients, air)
-                slopes = observed.spreading @ moved.T
+                slopes = by_pattern[first : first + n]
                 if added:
-                    slopes[: len(added[o])] += added[o]
-                out[first : first + n, 3 * s : 3 * s + 3] = gains[observed.gain] * slopes
+                    slopes[: len(added[o])] += gains[observed.gain] * added[o]
+                out[first : first + n, 3 * s : 3 * s + 3] = slopes
             first += n
         return out
 
@@ -260,24 +256,6 @@ def _image_amplitudes(
     return amplitude, slope
 
 
-def _row_slopes(
-    rows: EnergyRows,
-    b: FloatArray,
-    basis: NDArray[np.float32] | FloatArray,
-    coefficients: FloatArray,
-    air: FloatArray,
-) -> FloatArray:
-    """Return the derivative of every bin's energy by b, shape (3, n_bins)."""
-    amplitude, slope = amplitude_and_slope(b, basis)
-    by_b = 2.0 * amplitude[:, None] * slope
-    return np.stack(
-        [
-            weigh(directed_rows(rows, column), coefficients, air, derivative=False).energy[0]
-            for column in by_b.T
-        ]
-    )
-
-
 # Of each component of b, where it is unspecified: an omnidirectional source and a cardioid are both
 # within reach.
 DEFAULT_B_SD = 0.5
@@ -316,23 +294,39 @@ def with_cavity_prior(
     )
 
 
+def row_bases(
+    directivity_parameters: DirectivityParameters, scene: Scene, paths: Paths, binned: BinnedPaths
+) -> tuple[NDArray[np.float32] | FloatArray, ...]:
+    """Return `pattern_basis` of the rows of every pair, once for all bands; empty where known."""
+    aims = directivity_parameters.aims or (None,) * len(scene.sources)
+    return tuple(
+        pattern_basis(paths.departure[rows.path], aims[source])
+        if directivity_parameters.of_source[source] >= 0
+        else np.zeros((0, 3))
+        for rows, source in zip(binned.rows, scene.pairs[:, 0].tolist(), strict=True)
+    )
+
+
 def directed_band(
     directivity_parameters: DirectivityParameters,
     scene: Scene,
-    paths: Paths,
+    bases: Sequence[NDArray[np.float32] | FloatArray],
     energies: EnergyTerm,
     files: Sequence[MeasuredPair],
 ) -> BandDirectivities:
-    """Return where the rows of a band leave the sources, nothing known of these yet."""
+    """Return where the rows of a band leave the sources, nothing known of these yet.
+
+    Parameters
+    ----------
+    bases : sequence of float arrays, shape (n_rows, 3)
+        `row_bases` of the same binned paths: a band has the first rows of each pair.
+    """
     number = [int(scene.pairs[m.pair][0]) for m in files]
     source = directivity_parameters.of_source[number]
     known = directivity_parameters.aims or (None,) * len(scene.sources)
-    aims = tuple(known[i] for i in number)
-    basis = tuple(
-        pattern_basis(paths.departure[rows.path], aim) if s >= 0 else np.zeros((0, 3))
-        for s, rows, aim in zip(source, energies.rows, aims, strict=True)
-    )
-    return BandDirectivities(directivity_prior(directivity_parameters), source, basis, aims)
+    basis = tuple(bases[m.pair][: len(rows)] for rows, m in zip(energies.rows, files, strict=True))
+    unknown, aims = directivity_prior(directivity_parameters), tuple(known[i] for i in number)
+    return BandDirectivities(unknown, source, basis, aims)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

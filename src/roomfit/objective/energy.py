@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar, cast
+from typing import ClassVar
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -12,10 +12,14 @@ from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
+from roomfit.response.directivity import RowPattern, directed_rows, weigh_directed
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
 from roomfit.typing import FloatArray
 
 _RINGING_S = 2e-3
+
+# Key of the derivative by b of the source that each window receives, shape (n_windows, 3).
+PATTERN = "pattern"
 
 # Windows are not independent: the band filter overlaps neighbours, and every pair and every window
 # sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
@@ -78,26 +82,29 @@ class EnergyTerm:
     # share of the energy of each window that may come up to a few milliseconds late, because a real
     # loudspeaker rings and real walls scatter between the reflections that are modelled
     ringing_error: float = 0.1
+    # of each observation's rows, None where its source is omnidirectional; empty: all are
+    patterns: tuple[RowPattern | None, ...] = ()
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
         return np.concatenate([o.energy for o in self.observations])
 
     def predict(self, values: Values) -> Rows:
-        """Return what the model expects in every window, by absorption and gains."""
+        """Return what the model expects in every window, by absorption and gains.
+
+        Where there are patterns, also by b of the source that a window receives.
+        """
         count_evaluation()
-        coefficients = values["absorption"][:, None]
-        attenuation = np.array([self.attenuation_per_m])
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
-        signals, noises, by_absorption, by_gain = [], [], [], []
-        for rows, observation in zip(self.rows, self.observations, strict=True):
-            response = weigh(rows, coefficients, attenuation)
+        signals, by_absorption, by_gain, by_pattern = [], [], [], []
+        last = 1 + values["absorption"].size
+        for o, observation in enumerate(self.observations):
             gain = gains[observation.gain]
-            signal = gain * (observation.spreading @ response.energy[0])
+            found = gain * (observation.spreading @ responses_of(self, o, values["absorption"]))
+            signal = found[:, 0]
             signals.append(signal)
-            noises.append(observation.noise)
-            derivative = cast(FloatArray, response.derivative)
-            by_absorption.append(gain * in_windows(observation.spreading, derivative[:, 0, :]))
+            by_absorption.append(found[:, 1:last])
+            by_pattern.append(found[:, last:])
             columns = np.zeros((signal.size, values["gain"].size))
             if observation.gain >= 0:
                 columns[:, observation.gain] = signal / gain
@@ -107,16 +114,17 @@ class EnergyTerm:
             "absorption": np.concatenate(by_absorption),
             "gain": np.concatenate(by_gain),
         }
-        return signal + np.concatenate(noises), signal, derivatives
+        if self.patterns:
+            derivatives[PATTERN] = np.concatenate(by_pattern)
+        return signal + np.concatenate([o.noise for o in self.observations]), signal, derivatives
 
     def expected(self, values: Values) -> FloatArray:
         """Return what the model expects in every window, shape (n_windows,)."""
         count_evaluation()
-        own = values["absorption"][:, None], np.array([self.attenuation_per_m])
         gains = np.append(values["gain"], 1.0)  # index -1: absolute level
         found = []
-        for rows, observation in zip(self.rows, self.observations, strict=True):
-            energy = weigh(rows, *own, derivative=False).energy[0]
+        for o, observation in enumerate(self.observations):
+            energy = responses_of(self, o, values["absorption"], derivative=False)[:, 0]
             signal = gains[observation.gain] * (observation.spreading @ energy)
             found.append(signal + observation.noise)
         return np.concatenate(found)
@@ -196,20 +204,42 @@ class Weighed:
     tracing: FloatArray  # (n_windows,), monte-Carlo variance of each window's energy
 
 
+def responses_of(
+    problem: EnergyTerm, observation: int, absorption: FloatArray, *, derivative: bool = True
+) -> FloatArray:
+    """Return the energy of one observation's bins for a gain of 1, and its derivatives.
+
+    By absorption, and by b of the source where the term has patterns: columns of the shape
+    (n_bins, 1 + n_materials + 3), (n_bins, 1 + n_materials) without patterns, (n_bins, 1) without
+    derivatives.
+    """
+    rows, attenuation = problem.rows[observation], problem.attenuation_per_m
+    pattern = problem.patterns[observation] if problem.patterns else None
+    if pattern is not None:
+        return weigh_directed(rows, pattern, absorption, attenuation, derivative=derivative)
+    found = weigh(rows, absorption[:, None], np.array([attenuation]), derivative=derivative)
+    if found.derivative is None:
+        return found.energy.T
+    known = np.zeros((3 if problem.patterns else 0, rows.n_windows))
+    return np.concatenate((found.energy, found.derivative[:, 0], known)).T.copy()
+
+
 def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     """Return what the variance of each observation is made of, absorption (n_materials,)."""
     coefficients = absorption[:, None]
     attenuation = np.array([problem.attenuation_per_m])
-    return tuple(
-        Weighed(
-            weigh(rows, coefficients, attenuation, derivative=False).energy[0],
-            weigh(squared_rows, coefficients, attenuation, derivative=False).energy[0],
-            tracing_variance(rows, observed, coefficients, attenuation),
-        )
-        for rows, squared_rows, observed in zip(
-            problem.rows, problem.squared_image_rows, problem.observations, strict=True
-        )
-    )
+    found = []
+    for o, observed in enumerate(problem.observations):
+        rows, squared_rows = problem.rows[o], problem.squared_image_rows[o]
+        energy = responses_of(problem, o, absorption, derivative=False)[:, 0]
+        if problem.patterns and (pattern := problem.patterns[o]) is not None:
+            factor = pattern.factor()
+            squared_rows = directed_rows(squared_rows, factor[rows.batch < 0] ** 2)
+            rows = directed_rows(rows, factor)
+        squares = weigh(squared_rows, coefficients, attenuation, derivative=False).energy[0]
+        tracing = tracing_variance(rows, observed, coefficients, attenuation)
+        found.append(Weighed(energy, squares, tracing))
+    return tuple(found)
 
 
 def observation_variance(

@@ -9,7 +9,7 @@ import numpy as np
 
 from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
-from roomfit.response.energy import EnergyRows, energy_rows, regrouped_rows, weigh
+from roomfit.response.energy import EnergyRows, energy_rows, regrouped_rows, reweighed_rows, weigh
 from roomfit.scene import Scene
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
@@ -87,17 +87,15 @@ def bin_paths(
     last = int(np.ceil(duration_s / BIN_S))
     edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
     c = speed_of_sound_m_s(scene.air)
-
-    def sorted_rows(weighed: Paths) -> tuple[EnergyRows, ...]:
-        return tuple(energy_rows(weighed, pair, edges, c) for pair in range(len(scene.pairs)))
-
+    rows = tuple(energy_rows(paths, pair, edges, c) for pair in range(len(scene.pairs)))
     if factors is None:
-        return BinnedPaths(edges, sorted_rows(paths))
+        return BinnedPaths(edges, rows)
+    # all but the weights is the same in every band, and there once
     by_band = {
-        float(f): sorted_rows(paths_at(paths, factors, band))
+        float(f): tuple(reweighed_rows(r, factors[band]) for r in rows)
         for band, f in enumerate(bands.centres_hz)
     }
-    return BinnedPaths(edges, sorted_rows(paths), by_band)
+    return BinnedPaths(edges, rows, by_band)
 
 
 def paths_at(paths: Paths, factors: FloatArray | None, band: int) -> Paths:

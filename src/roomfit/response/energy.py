@@ -269,7 +269,7 @@ PIECE = 8192
 # Rows of a block stay in the first-level cache while all bands pass over them.
 _BLOCK = 256
 # Below it the derivative is taken from the power table: e h / x loses its digits near x = 0.
-_NEARLY_BLACK = 1e-6
+NEARLY_BLACK = 1e-6
 
 
 @kernel()
@@ -307,10 +307,11 @@ def pieces_of(offsets: IntArray) -> IntArray:
     return pieces
 
 
-@kernel()
-def _row_energy(
+@kernel(allocates=False)
+def row_energy(
     weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float
 ) -> float:
+    """Energy of one row under a table of powers, that of `power_table` for one band."""
     energy = weight
     if attenuation != 0.0:
         energy *= math.exp(-attenuation * length)
@@ -320,7 +321,7 @@ def _row_energy(
 
 
 @kernel()
-def _slope_at_black(
+def slope_at_black(
     weight: float, length: float, row_hits: IntArray, powers: FloatArray, attenuation: float, m: int
 ) -> float:
     """Derivative of one row by x of material m from h x**(h - 1), right at x = 0 as well."""
@@ -356,19 +357,19 @@ def _weigh_piece(
         for b in range(len(attenuation)):
             total = 0.0
             for r in range(low, high):
-                e = _row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
+                e = row_energy(weight[r], length[r], hits[r], powers[b], attenuation[b])
                 total += e
                 for m in range(slope.shape[1]):
                     slope[b, m] += e * hits[r, m]
             energy[b] += total
     for b in range(len(attenuation)):
         for m in range(slope.shape[1]):
-            if reflected[b, m] >= _NEARLY_BLACK:
+            if reflected[b, m] >= NEARLY_BLACK:
                 slope[b, m] /= reflected[b, m]
                 continue
             slope[b, m] = 0.0
             for r in range(start, stop):
-                slope[b, m] += _slope_at_black(
+                slope[b, m] += slope_at_black(
                     weight[r], length[r], hits[r], powers[b], attenuation[b], m
                 )
 
@@ -445,14 +446,14 @@ def weigh_batches(
         for r in range(offsets[w], offsets[w + 1]):
             if batch[r] >= 0:
                 for b in range(len(attenuation)):
-                    energy[batch[r], b, w] += _row_energy(
+                    energy[batch[r], b, w] += row_energy(
                         weight[r], length[r], hits[r], powers[b], attenuation[b]
                     )
 
 
 # Two milliseconds of work: threads wake in microseconds, but a busy machine keeps the last of them
 # waiting for milliseconds.
-_ROWS_WORTH_THREADS = 200_000
+ROWS_WORTH_THREADS = 200_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -514,13 +515,13 @@ def weigh(
     >>> response.energy, response.derivative
     (array([[1.125]]), array([[[-0.5]]]))
     """
-    reflected, attenuation = _checked(rows, coefficients, attenuation_per_m)
+    reflected, attenuation = reflected_and_attenuation(rows, coefficients, attenuation_per_m)
     n_bands, n_materials = reflected.shape
     powers = power_table(reflected, rows.max_hits)
     pieces = pieces_of(rows.offsets)
     energies = np.zeros((len(pieces), n_bands))
     slopes = np.zeros((len(pieces), n_bands, n_materials if derivative else 0))
-    small = rows.weight_per_m2.size * n_bands < _ROWS_WORTH_THREADS
+    small = rows.weight_per_m2.size * n_bands < ROWS_WORTH_THREADS
     (weigh_serial if small else weigh_parallel)(
         pieces,
         rows.weight_per_m2,
@@ -545,7 +546,7 @@ def batch_energies(
 
     Their sum and the energy of the image paths, which are in no batch, make up `weigh`'s energy.
     """
-    reflected, attenuation = _checked(rows, coefficients, attenuation_per_m)
+    reflected, attenuation = reflected_and_attenuation(rows, coefficients, attenuation_per_m)
     n_batches = max(rows.n_batches, int(rows.batch.max(initial=-1)) + 1)
     energy = np.zeros((n_batches, len(attenuation), rows.n_windows))
     weigh_batches(
@@ -561,7 +562,7 @@ def batch_energies(
     return energy
 
 
-def _checked(
+def reflected_and_attenuation(
     rows: EnergyRows, coefficients: FloatArray, attenuation_per_m: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Return reflected energy (n_bands, n_materials) and attenuation, both ready for kernels."""

@@ -83,11 +83,13 @@ def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEs
     lower, upper = np.array(answer.lower95), np.array(answer.upper95)
     kinds, found = list(answer.kinds), []
     more = np.sqrt(np.diag(_beyond_fit(fit, answer, first, fitted)))
+    prediction = None  # at the answer, the same for all
     for number, own in enumerate(fitted):
         unspecified = (lower[own], upper[own]) == (0.0, 1.0)
         if unspecified or not may_be_bent(fit, first + number):
             continue
-        line = profile(objective, fit, first + number)
+        prediction = objective.predict(fit.vector) if prediction is None else prediction
+        line = profile(objective, fit, first + number, prediction)
         found.append(replace(line, entry=int(own)))
         if line.gaussian:
             continue
@@ -108,7 +110,7 @@ def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEs
         identifiable=sure | fixed,
         kinds=tuple(kinds[i] for i in leader),
         profiles=tuple(found),
-        evaluations=answer.evaluations + sum(p.evaluations for p in found),
+        evaluations=answer.evaluations + bool(found) + sum(p.evaluations for p in found),
     )
 
 

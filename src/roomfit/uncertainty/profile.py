@@ -5,12 +5,19 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.interpolate import PchipInterpolator
+from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
 
 from roomfit.logit import Z95
-from roomfit.objective.parameters import prior_residuals
+from roomfit.objective.parameters import (
+    Parameters,
+    absorption_of,
+    position_of,
+    prior_residuals,
+    to_physical,
+)
 from roomfit.objective.problem import Objective, Prediction
 from roomfit.solvers.least_squares import BandFit
+from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt
 from roomfit.typing import FloatArray
 
 # Rise of half the weighted squares at the end of a 95 % interval: half of chi-square's 3.84.
@@ -28,10 +35,12 @@ _NEAR = 0.08
 _ALIKE, _ALIKE_SHARE = 0.004, 0.03
 # Logits beyond differ by less than a millionth in absorption.
 _FARTHEST = 14.0
-# A gain of this much by following is worth a second look at the point.
-_FAR_FROM_FOLLOWING = 1.0
-# Of a free number, a logit or a logarithm: where it is undetermined a step has no limit.
-_LONGEST_STEP = 3.0
+# A gain of this much by following is worth a second look at the point, so many times at most.
+_FAR_FROM_FOLLOWING = 0.3
+_MOST_CORRECTIONS = 8
+# A step that is free of evaluations may be as long as energies stay numbers.
+_LARGEST_LOG = 100.0
+_FOLLOWING = MarquardtSettings(max_trials=30, longest_entry=3.0, gain=0.01)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,7 +60,9 @@ class Profile:
     evaluations: int
 
 
-def profile(objective: Objective, fit: BandFit, entry: int) -> Profile:
+def profile(
+    objective: Objective, fit: BandFit, entry: int, answer: Prediction | None = None
+) -> Profile:
     """Return how far one free number can go while all others follow, weights kept.
 
     First the cost is computed at the two ends of the Gaussian interval. Where it rises there by
@@ -65,22 +76,23 @@ def profile(objective: Objective, fit: BandFit, entry: int) -> Profile:
         Its answer; its weights are kept.
     entry : int
         Of the free vector.
+    answer : Prediction, optional
+        At the fit's answer, where it is known from another profile.
 
     References
     ----------
     .. [1] D. J. Venzon, S. H. Moolgavkar, "A method for computing profile-likelihood-based
            confidence intervals", Appl. Stat. 37, 87-94 (1988).
     """
-    line = _Line(objective, fit, entry)
-    sd = line.sd
+    line = _Line(objective, fit, entry, objective.predict(fit.vector) if answer is None else answer)
     ends: list[float] = []
     found_bent = False
     for sign in (-1.0, 1.0):
-        there = sign * Z95 * sd
-        off = line.rise(there) / RISE95 - 1.0
-        if abs(off) > _GAUSSIAN_ENOUGH:
+        there = sign * Z95 * line.sd
+        rise, slope = line.rise(there)
+        if abs(rise / RISE95 - 1.0) > _GAUSSIAN_ENOUGH:
             found_bent = True
-            there = line.end(sign, there)
+            there = line.end(sign, there, rise, slope)
         ends.append(there)
     order = np.argsort(line.moves)
     centre = float(fit.vector[entry])
@@ -101,115 +113,187 @@ def may_be_bent(fit: BandFit, entry: int) -> bool:
     return bool(np.sqrt(variance) > _NARROW)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Point:
+    """The cost at one point of a line, and its second-order expansion in all free numbers."""
+
+    vector: FloatArray  # (n_free,)
+    prediction: Prediction
+    cost: float
+    gradient: FloatArray  # (n_free,)
+    hessian: FloatArray  # (n_free, n_free), Gauss and Newton's
+
+
 class _Line:
     """The cost along one free number, and where it was computed."""
 
-    def __init__(self, objective: Objective, fit: BandFit, entry: int) -> None:
+    def __init__(self, objective: Objective, fit: BandFit, entry: int, answer: Prediction) -> None:
         self.objective, self.fit, self.entry = objective, fit, entry
         self.others = np.flatnonzero(np.arange(fit.vector.size) != entry)
         self.weight = 1.0 / (objective.correlation_length() * fit.variance)
+        self.energies = objective.is_gamma()
+        kinds = [b.name for b in objective.parameters.blocks for _ in range(int(b.fitted.sum()))]
+        self.factors = np.flatnonzero(np.isin(kinds, ("absorption", "gain")))
         self.flattening = max(fit.chi2_reduced, 1.0)
-        information = fit.information
-        self.inner = information[np.ix_(self.others, self.others)]
-        self.follow = -np.linalg.solve(self.inner, information[self.others, entry])
-        schur = information[entry, entry] + information[entry, self.others] @ self.follow
-        self.sd = float(np.sqrt(self.flattening / schur))
+        at_answer = _Point(
+            np.array(fit.vector), answer, fit.cost, np.zeros(fit.vector.size), fit.information
+        )
+        _, _, curvature = self._followed(at_answer)
+        self.sd = float(np.sqrt(self.flattening / curvature))
         self.moves, self.rises = [0.0], [0.0]
-        self.vectors: list[FloatArray] = [np.array(fit.vector)]
+        self.points = [at_answer]
         self.evaluations = 0
 
-    def rise(self, move: float) -> float:
-        """Return the re-fitted cost at a distance from the answer, above that of the answer."""
-        vector = self._guess(move)
-        cost, gain, step = self._evaluated(self.objective.predict(vector), vector)
-        if gain > _FAR_FROM_FOLLOWING * self.flattening:
-            trial = np.array(vector)
-            trial[self.others] += _no_farther(step)
-            there, more, _ = self._evaluated(self.objective.predict(trial), trial)
-            if there < cost:
-                vector, cost, gain = trial, there, more
-        rise = (cost - gain - self.fit.cost) / self.flattening
+    def rise(self, move: float) -> tuple[float, float]:
+        """Return the re-fitted cost at a distance, above that of the answer, and its slope.
+
+        Followed from the nearest point towards the answer: others may have a second minimum, which
+        is entered from farther out.
+        """
+        nearest = max(
+            (i for i, m in enumerate(self.moves) if m * move >= 0.0 and abs(m) < abs(move)),
+            key=lambda i: abs(self.moves[i]),
+        )
+        point = self._evaluated(self._guess(self.points[nearest], move - self.moves[nearest]))
+        for _ in range(_MOST_CORRECTIONS):
+            if self._followed(point)[0] <= _FAR_FROM_FOLLOWING * self.flattening:
+                break
+            there = self._guess(point, 0.0)
+            better = self._evaluated(there)
+            if better.cost >= point.cost:
+                better = self._evaluated(point.vector + 0.3 * (there - point.vector))
+            if better.cost >= point.cost:
+                break
+            point = better
+        gain, slope, _ = self._followed(point)
+        rise = (point.cost - gain - self.fit.cost) / self.flattening
         self.moves.append(move)
         self.rises.append(rise)
-        self.vectors.append(vector)
-        return rise
+        self.points.append(point)
+        return rise, slope / self.flattening
 
-    def end(self, sign: float, first: float) -> float:
-        """Return where the rise is 1.92, by secants of its root, which is nearly straight."""
-        points = [(0.0, 0.0), (first, self._root(self.rises[-1]))]
-        aim = self._root(RISE95)
-        far = abs(self._limit(sign))
-        here = first
-        for _ in range(_MOST_POINTS):
-            below = [p for p in points if p[1] < aim]
-            above = [p for p in points if p[1] >= aim]
-            low = max(below, key=lambda p: abs(p[0]))
-            if above:
-                high = min(above, key=lambda p: abs(p[0]))
-                share = (aim - low[1]) / max(high[1] - low[1], 1e-12)
-                here = low[0] + min(max(share, 0.1), 0.9) * (high[0] - low[0])
-            else:
-                slope = max(low[1] / max(abs(low[0]), 1e-12), 0.25 * aim / (Z95 * self.sd))
-                step = min(max((aim - low[1]) / slope, 0.1 * self.sd), 2.0 * Z95 * self.sd)
-                here = low[0] + sign * step
-            if abs(here) >= far:
-                return sign * far
-            if above:
-                alike = max(_ALIKE, _ALIKE_SHARE * self._apart(0.0, high[0]))
-                if self._apart(low[0], high[0]) < alike:
-                    return here
-            rise = self.rise(here)
+    def end(self, sign: float, first: float, rise: float, slope: float) -> float:
+        """Return where the rise is 1.92, by its root, which is nearly straight, and its slope."""
+        aim = float(np.sqrt(RISE95))
+        far = max(_FARTHEST - sign * float(self.fit.vector[self.entry]), 1e-3)
+        # distance from the answer, root there, and its slope
+        inside, outside = (0.0, 0.0, np.sqrt(0.5) / self.sd), (np.inf, np.inf, 0.0)
+        here = abs(first)
+        for number in range(_MOST_POINTS + 1):
+            root = float(np.sqrt(max(rise, 0.0)))
+            # a root that hardly rises says little of where it will
+            steep = max(sign * slope / max(2.0 * root, 1e-12), 0.25 * aim / (Z95 * self.sd))
             if abs(rise / RISE95 - 1.0) < _NEAR:
-                return here
-            points.append((here, self._root(rise)))
-        return self._between(points, aim)
-
-    def _between(self, points: list[tuple[float, float]], aim: float) -> float:
-        low = max((p for p in points if p[1] < aim), key=lambda p: abs(p[0]))
-        above = [p for p in points if p[1] >= aim]
-        if not above:
-            return low[0]
-        high = min(above, key=lambda p: abs(p[0]))
-        return low[0] + (aim - low[1]) / max(high[1] - low[1], 1e-12) * (high[0] - low[0])
+                return sign * min(here + (aim - root) / steep, far)
+            if root < aim:
+                inside = (here, root, steep)
+            else:
+                outside = (here, root, steep)
+            if np.isfinite(outside[0]):
+                here = _between(inside, outside, aim)
+                alike = max(_ALIKE, _ALIKE_SHARE * self._apart(0.0, sign * outside[0]))
+                if self._apart(sign * inside[0], sign * outside[0]) < alike:
+                    break
+            else:
+                here += min((aim - root) / steep, Z95 * self.sd)
+            if here >= far or number == _MOST_POINTS:
+                break
+            rise, slope = self.rise(sign * here)
+        return sign * min(here, far)
 
     def _apart(self, one: float, other: float) -> float:
         at = float(self.fit.vector[self.entry])
         return 0.5 * abs(float(np.tanh(0.5 * (at + one)) - np.tanh(0.5 * (at + other))))
 
-    def _root(self, rise: float) -> float:
-        return float(np.sqrt(max(rise, 0.0)))
+    def _guess(self, point: _Point, by: float) -> FloatArray:
+        """Return where the cost is least around a point, the own number so far away from there.
 
-    def _limit(self, sign: float) -> float:
-        return max(_FARTHEST - sign * float(self.fit.vector[self.entry]), 1e-3)
+        If energies were exponentials of absorptions and log gains, and linear in all else: they are
+        of hits that follow Poisson's distribution, and far nearer to it than to straight lines.
+        """
+        parameters, others, factors = self.objective.parameters, self.others, self.factors
+        start = np.array(point.vector)
+        start[self.entry] += by
+        prediction, root = point.prediction, np.sqrt(self.weight)
+        signal = np.maximum(prediction.signal, np.finfo(np.float64).tiny)
+        base = np.where(self.energies, signal, 1.0)
+        at, slope = _absorptions(parameters, point.vector)
+        logs = prediction.jacobian[:, factors] / slope[factors] / base[:, None]
+        linear = np.array(prediction.jacobian)
+        linear[:, factors] = 0.0
 
-    def _guess(self, move: float) -> FloatArray:
-        """Return the point from the nearest one that was fitted, others following from there."""
-        nearest = int(np.argmin([abs(m - move) for m in self.moves]))
-        vector = np.array(self.vectors[nearest])
-        by = move - self.moves[nearest]
-        vector[self.entry] += by
-        vector[self.others] += _no_farther(by * self.follow)
-        return vector
+        def residuals(free: FloatArray) -> tuple[FloatArray, FloatArray]:
+            vector = np.array(start)
+            vector[others] = free
+            there, slope = _absorptions(parameters, vector)
+            change = logs @ (there - at)[factors]
+            grown = np.where(self.energies, np.exp(np.minimum(change, _LARGEST_LOG)), 1.0 + change)
+            expected = prediction.expected + base * (grown - 1.0) + linear @ (there - at)
+            jacobian = np.array(linear)
+            rate = base * np.where(self.energies, grown, 1.0)
+            jacobian[:, factors] = rate[:, None] * logs * slope[factors]
+            prior, rows = prior_residuals(parameters, vector)
+            off = np.concatenate((root * (self.objective.measured() - expected), prior))
+            return off, np.concatenate((-root[:, None] * jacobian, rows))[:, others]
 
-    def _evaluated(
-        self, prediction: Prediction, vector: FloatArray
-    ) -> tuple[float, float, FloatArray]:
-        """Return cost, what a Newton step of the others would still gain, and that step."""
+        start[others] = levenberg_marquardt(residuals, start[others], _FOLLOWING).x
+        return start
+
+    def _followed(self, point: _Point) -> tuple[float, float, float]:
+        """Return what a Newton step of the others would gain, and slope and curvature after it."""
+        others, entry = self.others, self.entry
+        cross, uphill = point.hessian[others, entry], point.gradient[others]
+        solved = np.linalg.solve(
+            point.hessian[np.ix_(others, others)], np.stack((uphill, cross), axis=1)
+        )
+        slope = point.gradient[entry] - cross @ solved[:, 0]
+        curvature = point.hessian[entry, entry] - cross @ solved[:, 1]
+        return 0.5 * float(uphill @ solved[:, 0]), float(slope), float(curvature)
+
+    def _evaluated(self, vector: FloatArray) -> _Point:
         self.evaluations += 1
+        prediction = self.objective.predict(vector)
         prior, rows = prior_residuals(self.objective.parameters, vector)
-        off = self.objective.measured() - prediction.expected
-        cost = 0.5 * float(off @ (self.weight * off) + prior @ prior)
-        jacobian = prediction.jacobian[:, self.others]
-        downhill = jacobian.T @ (self.weight * off) - rows[:, self.others].T @ prior
-        hessian = jacobian.T @ (self.weight[:, None] * jacobian)
-        hessian += rows[:, self.others].T @ rows[:, self.others]
-        step = np.linalg.solve(hessian, downhill)
-        return cost, 0.5 * float(downhill @ step), np.asarray(step, dtype=np.float64)
+        off, jacobian = self.objective.measured() - prediction.expected, prediction.jacobian
+        weighted = self.weight[:, None] * jacobian
+        return _Point(
+            vector,
+            prediction,
+            0.5 * float(off @ (self.weight * off) + prior @ prior),
+            rows.T @ prior - weighted.T @ off,
+            jacobian.T @ weighted + rows.T @ rows,
+        )
 
 
-def _no_farther(step: FloatArray) -> FloatArray:
-    """Return a step shortened to where a Newton step may still mean something."""
-    return step * min(1.0, _LONGEST_STEP / max(float(np.abs(step).max(initial=0.0)), 1e-300))
+def _between(
+    inside: tuple[float, float, float], outside: tuple[float, float, float], aim: float
+) -> float:
+    """Return where a rising cubic through two points, (x, y, slope), has a height; not at an end.
+
+    Slopes are limited to three times that of the chord, so that it rises [1]_.
+
+    References
+    ----------
+    .. [1] F. N. Fritsch, R. E. Carlson, "Monotone piecewise cubic interpolation", SIAM J. Numer.
+           Anal. 17, 238-246 (1980).
+    """
+    (x0, y0, d0), (x1, y1, d1) = inside, outside
+    most = 3.0 * (y1 - y0) / (x1 - x0)
+    x = np.linspace(x0, x1, 101)
+    y = CubicHermiteSpline([x0, x1], [y0, y1], [min(d0, most), min(d1, most)])(x)
+    return float(np.interp(aim, y, x, left=x[5], right=x[-6]).clip(x[5], x[-6]))
+
+
+def _absorptions(parameters: Parameters, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return a free vector with absorptions instead of their logits, and its derivative."""
+    block, first = absorption_of(parameters), position_of(parameters, "absorption")
+    own = slice(first, first + int(block.fitted.sum()))
+    free = np.zeros(block.fitted.size)
+    free[block.fitted] = vector[own]
+    values, slopes = to_physical(block, free)
+    out, slope = np.array(vector), np.ones(vector.size)
+    out[own], slope[own] = values[block.fitted], np.maximum(slopes[block.fitted], 1e-12)
+    return out, slope
 
 
 def profile_curve(found: Profile, n_points: int = 200) -> tuple[FloatArray, FloatArray]:
