@@ -31,7 +31,12 @@ from roomfit.prediction.campaign import room_posterior
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
-from roomfit.uncertainty.gaussian import band_estimate, prior_absorptions, prior_only_band
+from roomfit.uncertainty.gaussian import (
+    absorption_intervals,
+    band_estimate,
+    prior_absorptions,
+    prior_only_band,
+)
 from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior_law
 from roomfit.uncertainty.sampling import log_posterior, surrogate
 from roomfit.uncertainty.smoothing import smooth_over_bands, smoothed
@@ -358,6 +363,34 @@ def test_a_prediction_in_another_order_takes_the_law_along():
     assert law[1][0, 2, 3] == 2.25
     assert law[1][0, 0, 0] == 2.25
     assert law[1][0, 0, 2] == 0.0
+
+
+def test_a_wall_without_data_has_the_interval_that_the_others_of_its_product_leave():
+    """Data on left alone: right by the Gaussian of two; on none: 0 to 1, as nothing was stated."""
+    walls = panels(specified=False)
+    parameters = Parameters((absorption_block(walls, 0, 0.2),))
+    prior = np.linalg.inv(prior_logit_law(walls)[1][0])
+    vector = np.full(3, MEAN)
+    found = absorption_intervals(parameters, vector, prior + np.diag([1e6, 0.0, 0.0]), 1.0)
+    left = 1.959964 * np.sqrt(2.34 - 2.25**2 / 2.34)
+    expected = expit(np.array([MEAN - left, MEAN + left]))
+    np.testing.assert_allclose([found.lower95[1], found.upper95[1]], expected, rtol=1e-5)
+    assert (found.lower95[2], found.upper95[2]) == (0.0, 1.0)
+    nothing = absorption_intervals(parameters, vector, prior, 1.0)
+    assert np.all(nothing.lower95 == 0.0)
+    assert np.all(nothing.upper95 == 1.0)
+
+
+def test_tied_walls_stay_tied_in_draws_where_each_got_an_error_of_its_own():
+    """As the widening by neighbouring bands adds them: the prior holds the tie."""
+    walls = completed(wall("left"), replace(wall("right"), tied_to="left"))
+    mean, prior = prior_logit_law(walls)
+    covariance = 0.1 * np.ones((2, 2)) + 0.01 * np.eye(2)
+    rng = np.random.default_rng(1)
+    drawn = band_draws(expit(mean[:, 0]), covariance, mean[:, 0], prior[0], 64, rng)
+    np.testing.assert_array_equal(drawn[:, 0], drawn[:, 1])
+    (one,) = undetermined_groups(2.25 * np.ones((2, 2)) + 0.01 * np.eye(2), prior[0])
+    assert one.materials == (0,)
 
 
 # A simulated room.

@@ -363,7 +363,7 @@ def prior_absorptions(
     noise = rng.standard_normal((len(priors), n_draws))
     names = [k.name for k in priors]
     own = np.array([i for i, k in enumerate(priors) if k.tied_to is None])
-    drawn: FloatArray = np.empty((n_draws, len(priors)))
+    drawn: FloatArray = np.zeros((n_draws, len(priors)))
     root = np.linalg.cholesky(covariance[band][np.ix_(own, own)])
     drawn[:, own] = (mean[own, band, None] + root @ noise[own]).T
     for i, k in enumerate(priors):
