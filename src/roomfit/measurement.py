@@ -128,3 +128,4 @@ class MeasuredPair:
     noise: NoiseEstimate
     curve: DecayCurve
     parameters: RoomParameters
+    fit_end_s: FloatArray  # (n_bands,), after emission: later windows are not fitted

@@ -14,6 +14,7 @@ Positions = Literal["auto", "fit", "fixed"]
 LEAST_SQUARES_METHODS: tuple[Method, ...] = ("auto", "least-squares", "posterior")
 # Relative standard deviation of the speed of sound where nothing is specified.
 SPEED_OF_SOUND_SD = 2e-3
+DECAY_RANGE_DB = 50.0
 # Of updated weights; four to twelve suffice nearly always, and a round costs a few evaluations.
 MAX_ROUNDS = 100
 
@@ -62,6 +63,8 @@ class Settings:
     # information and need many more images.
     coherent_until_s: float = 0.2
     speed_of_sound_sd: float = SPEED_OF_SOUND_SD  # relative, where temperature_sd_c is unspecified
+    # Windows are fitted until the decay curve of a response has fallen by so much, or to its noise.
+    decay_range_db: float = DECAY_RANGE_DB
     max_rounds: int = MAX_ROUNDS  # of updated weights, until an answer agrees with the last one
 
     def __post_init__(self) -> None:
@@ -91,6 +94,7 @@ class Settings:
             ("most_triangles_for_images", 0, 10**7),
             ("coherent_until_s", 0.01, 10.0),
             ("speed_of_sound_sd", 1e-6, 0.2),
+            ("decay_range_db", 10.0, 200.0),
             ("max_rounds", 1, 10_000),
             ("smoothness_per_octave", 1e-6, 1e6),
             ("temperature_sd_c", 0.0, 100.0),

@@ -63,7 +63,8 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
     )
     still = np.zeros((len(room.materials), 2))
     return fit_coherent(
-        task, TracedPaths(paths, binned, END_S, None, still, True, np.inf, None, ())
+        task,
+        TracedPaths(paths, binned, END_S, None, still, 0 * still[:, 0], True, np.inf, None, ()),
     )
 
 

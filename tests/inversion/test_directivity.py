@@ -138,7 +138,9 @@ class Case:
         return (
             measured(self.asked, self.scene),
             material_priors(self.asked, materials),
-            TracedPaths(self.paths, binned, END_S, None, still, True, END_S, None, ()),
+            TracedPaths(
+                self.paths, binned, END_S, None, still, 0 * still[:, 0], True, END_S, None, ()
+            ),
             np.full(len(bands), 0.2),
         )
 

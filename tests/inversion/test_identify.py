@@ -417,7 +417,7 @@ def test_intervals_of_energies_alone_allow_for_what_windows_share(tmp_path, few_
     reported = ("[identify]", '[identify]\nmodel = "energy"')
     allowing = answer_to(tmp_path / "allowing", reported)
     monkeypatch.setattr(
-        "roomfit.inversion.solve.shared_error_covariance", lambda _task: lambda _n, _p, fit: fit
+        "roomfit.inversion.solve.shared_error_covariance", lambda *_: lambda _n, _p, fit: fit
     )
     sure = answer_to(tmp_path / "sure", reported)
     np.testing.assert_array_equal(allowing.absorption, sure.absorption)

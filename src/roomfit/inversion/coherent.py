@@ -54,7 +54,7 @@ from roomfit.inversion.sequential import (
     log_likelihoods,
 )
 from roomfit.inversion.systematics import (
-    air_error,
+    relative_errors,
     shared_steps,
     with_both_intervals,
     with_tracing_noise,
@@ -81,10 +81,11 @@ from roomfit.objective.directivity import (
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
+from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
 from roomfit.response.binned import BinnedPaths, paths_at
 from roomfit.scene import Scene, material_areas_m2
-from roomfit.solvers.least_squares import fit_band, score_band
+from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, add_covariance, band_estimate
@@ -113,6 +114,8 @@ class CoherentTask:
     directivity_parameters: DirectivityParameters | None = None
     tested_sources: DirectivityParameters | None = None
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
+    # (n_materials, n_bands) and (n_materials,): coefficients, and the standard deviation they share
+    scattering: tuple[FloatArray, FloatArray] = (np.zeros((0, 0)), np.zeros(0))
 
 
 # Bands up to here determine positions within a few millimetres, in spite of hidden images.
@@ -451,12 +454,26 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             continue
         objective, windows = found.objective, band.coherent.energies
         noisy = with_tracing_noise(objective, windows, _sources(task, number), found.fit)
-        air = air_error(task.scene.air, task.bands, number, windows)
-        steps = shared_steps(objective, found.fit, windows, air, band)
+        relative = _relative_errors(state, objective, found.fit, windows)
+        steps = shared_steps(objective, found.fit, windows, relative, band)
         noisy = add_covariance(noisy, steps)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
+
+
+def _relative_errors(
+    state: SequentialState, objective: Objective, fit: BandFit, windows: EnergyTerm
+) -> FloatArray:
+    task = state.task
+    return relative_errors(
+        task.scene.air,
+        task.bands,
+        windows,
+        (state.paths, state.binned),
+        physical_values(objective.parameters, fit.vector)[0]["absorption"],
+        task.scattering,
+    )
 
 
 def _sources(task: CoherentTask, band: int) -> tuple[int, ...]:
@@ -505,8 +522,8 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
         noisy = with_tracing_noise(objective, windows, _sources(task, number), own_fit)
-        air = air_error(task.scene.air, task.bands, number, windows)
-        noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, air))
+        relative = _relative_errors(state, objective, own_fit, windows)
+        noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, relative))
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, objective, own_fit)
 

@@ -144,7 +144,9 @@ def identify(
     began = time.perf_counter()
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
-    measured = collect_measurements(scene, measurements, bands, directivities or {})
+    measured = collect_measurements(
+        scene, measurements, bands, directivities or {}, settings.decay_range_db
+    )
     if settings.method == "posterior":
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)

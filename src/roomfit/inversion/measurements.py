@@ -18,7 +18,9 @@ from roomfit.inversion.room_outline import outline_findings
 from roomfit.measurement import MeasuredPair, Measurement, Use
 from roomfit.response.directivity import Directivities
 from roomfit.scene import Scene, distances_m, pair_names, position_findings
+from roomfit.settings import DECAY_RANGE_DB
 from roomfit.signals.decay import (
+    DecayCurve,
     ParameterName,
     check_decay_range,
     check_is_response,
@@ -29,7 +31,7 @@ from roomfit.signals.decay import (
 )
 from roomfit.signals.filters import FilterBank, check_sampling_rate, filter_pressure
 from roomfit.signals.iso3382 import MeasuredValues, joined_values
-from roomfit.signals.noise import estimate_noise
+from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import (
     ImpulseResponse,
     check_travel,
@@ -43,6 +45,8 @@ from roomfit.typing import FloatArray
 # More than a listener's smallest step by a factor that no repetition at one place explains.
 LARGEST_JND = 2.0
 LARGEST_LEVEL_DB = 1.5
+# A window is fitted down to where the decay stands 4 dB above the noise.
+_CLEAR_OF_NOISE = 2.5
 _COMPARED: tuple[ParameterName, ...] = ("T20_s", "EDT_s", "C80_dB")
 
 
@@ -172,6 +176,7 @@ def collect_measurements(
     measurements: Sequence[Measurement | MeasuredValues],
     bands: Bands,
     directivities: Directivities,
+    decay_range_db: float = DECAY_RANGE_DB,
 ) -> Measurements:
     """Put everything that was measured on one scene, and examine it without any model.
 
@@ -180,6 +185,8 @@ def collect_measurements(
     scene : Scene
         Its pairs do not matter: those that were measured are taken.
     measurements : sequence of Measurement or MeasuredValues
+    decay_range_db : float
+        See `fit_ends_s`.
 
     Raises
     ------
@@ -196,7 +203,7 @@ def collect_measurements(
     fitted, doubts = _joined(tabulated, "fit")
     kept, more_doubts = _joined(tabulated, "validate")
     own = measured_scene(scene, [*responses, *fitted, *kept])
-    pairs, findings = observe(own, responses, bands)
+    pairs, findings = observe(own, responses, bands, decay_range_db)
     observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
     return Measurements(
         own,
@@ -251,9 +258,17 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
 
 
 def observe(
-    scene: Scene, measurements: Sequence[Measurement], bands: Bands
+    scene: Scene,
+    measurements: Sequence[Measurement],
+    bands: Bands,
+    decay_range_db: float = DECAY_RANGE_DB,
 ) -> tuple[tuple[MeasuredPair, ...], tuple[Finding, ...]]:
     """Put responses on the clock of emission and examine them in every band, in their order.
+
+    Parameters
+    ----------
+    decay_range_db : float
+        See `fit_ends_s`.
 
     Raises
     ------
@@ -286,8 +301,22 @@ def observe(
         parameters = room_parameters(curve)
         check_decay_range(curve, m.where)
         findings += range_findings(parameters, name)
-        observed.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters))
+        end_s = fit_ends_s(noise, curve, decay_range_db)
+        observed.append(MeasuredPair(m, pair, response, direct_s, noise, curve, parameters, end_s))
     return tuple(observed), tuple(findings)
+
+
+def fit_ends_s(noise: NoiseEstimate, curve: DecayCurve, decay_range_db: float) -> FloatArray:
+    """Return when the last window of a fit ends in each band, in s after emission, (n_bands,).
+
+    Where the decay stands 4 dB above the noise; or, if that is earlier, where the decay curve has
+    fallen by `decay_range_db`. What comes later carries a ten-thousandth of the energy, is of no
+    room parameter, and belongs to the few modes that decay the most slowly.
+    """
+    clear_s = noise.usable_end_s - np.log(_CLEAR_OF_NOISE) * noise.tail_time_constant_s
+    fallen = curve.energy_left <= curve.energy_left[:, :1] * 10.0 ** (-decay_range_db / 10.0)
+    fallen_s = np.where(fallen.any(axis=1), curve.time_s[fallen.argmax(axis=1)], np.inf)
+    return np.asarray(np.minimum(clear_s, fallen_s))
 
 
 def _check_same_rate(m: Measurement, first: Measurement) -> None:
@@ -351,7 +380,7 @@ def time_scales(measurements: Measurements) -> tuple[float, float]:
             if row is not None and _known(row).size:
                 longest = max(longest, float(_known(row).max()))
     # a decay that nothing could evaluate still ends where it drowns
-    latest = max((float(m.noise.usable_end_s.max()) for m in fitted), default=0.0)
+    latest = max((float(m.fit_end_s.max()) for m in fitted), default=0.0)
     if longest <= 0.0:
         return 0.0, latest if latest > 0.0 else 1.0
     return longest, min(latest, longest)

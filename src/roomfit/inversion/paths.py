@@ -42,6 +42,8 @@ class TracedPaths:
     settings: TraceSettings
     factors: FloatArray | None  # (n_bands, n_paths), on the weight of every path in every band
     scattering: FloatArray  # (n_materials, n_bands)
+    # (n_materials,), standard deviation that these have in common, 0 where it was specified
+    scattering_sd: FloatArray
     # whether image sources of every order reach far enough to be added as pressures
     far_images: bool
     fit_until_s: float  # no window of a partly coherent fit ends later
@@ -121,8 +123,10 @@ def traced_paths(
     slowest_s, latest_s = time_scales(measurements)
     coherent = is_coherent(measurements.responses, settings)
     plan = plan_trace(scene, priors, slowest_s, latest_s, settings, coherent=coherent)
-    priors, assumed = assumed_scattering(measurements, priors, settings, plan.settings, start)
-    priors, chosen = chosen_scattering(
+    priors, assumed_sd, assumed = assumed_scattering(
+        measurements, priors, settings, plan.settings, start
+    )
+    priors, chosen_sd, chosen = chosen_scattering(
         measurements, priors, settings, plan.settings, start, part(progress, 0.0, 0.5)
     )
     doubts: tuple[Finding, ...] = ()
@@ -154,6 +158,7 @@ def traced_paths(
         plan.settings,
         factors,
         scattering,
+        assumed_sd + chosen_sd,
         plan.far_images,
         plan.fit_until_s,
         _finder(measurements, plan, paths, scattering),

@@ -18,6 +18,7 @@ from roomfit.bands import Bands, bands_in_words
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.inversion.measurements import Measurements
+from roomfit.logit import Z95
 from roomfit.materials.priors import MaterialPrior, Scattering, in_bands
 from roomfit.objective.observation import energy_terms
 from roomfit.objective.problem import Objective
@@ -231,8 +232,10 @@ def chosen_scattering(
     trace_settings: TraceSettings,
     start: FloatArray,
     progress: Progress | None,
-) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[Finding, ...]]:
     """Return the priors with the most likely scattering where it is to be fitted.
+
+    And its standard deviation by material, 0 elsewhere: a quarter of the range of those as likely.
 
     Energies alone are compared, in paths that are weighed for every trial.
 
@@ -249,7 +252,7 @@ def chosen_scattering(
     """
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
-        return priors, ()
+        return priors, np.zeros(len(priors)), ()
     quick = _quick(trace_settings, settings.n_scattering_rays, _FIT_S)
     every = slice(0, len(measurements.bands))
     trial = _energy_fit(measurements, priors, settings, quick, start, every)
@@ -273,7 +276,20 @@ def chosen_scattering(
     )
     sentence = f"Most likely scattering coefficients, of {len(GRID)} values each: {ranges}."
     names = [k.name for k in priors if k.fit_scattering]
-    return known, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
+    sds = [_grid_sd(GRID, *ends) for ends in np.stack((lower, upper), axis=2)[:, 0].tolist()]
+    sd = np.where(fitted, sds, 0.0)
+    return known, sd, (Finding(Code.SCATTERING_FITTED, sentence, {"materials": names}),)
+
+
+def _grid_sd(grid: Sequence[float], lower: float, upper: float) -> float:
+    """Return the standard deviation of a value known to lie between two of a grid, both included.
+
+    The 95 % interval reaches half of the way to the next values on either side.
+    """
+    values = np.array(sorted(set(grid)))
+    edges = np.concatenate((values[:1], 0.5 * (values[1:] + values[:-1]), values[-1:]))
+    first, last = (int(np.argmin(np.abs(values - v))) for v in (lower, upper))
+    return float(edges[last + 1] - edges[first]) / (2.0 * Z95)
 
 
 def assumed_scattering(
@@ -282,11 +298,13 @@ def assumed_scattering(
     settings: Settings,
     trace_settings: TraceSettings,
     start: FloatArray,
-) -> tuple[tuple[MaterialPrior, ...], tuple[Finding, ...]]:
+) -> tuple[tuple[MaterialPrior, ...], FloatArray, tuple[Finding, ...]]:
     """Return the priors with a scattering coefficient where it is unspecified.
 
     One coefficient for all of them: the most likely of five where there are responses; that of the
-    settings where there are none, or where it explains them as well.
+    settings where there are none, or where it explains them as well. And its standard deviation by
+    material, 0 elsewhere: as of `chosen_scattering`, or as large as the coefficient itself where
+    there are no responses.
 
     Parameters
     ----------
@@ -294,10 +312,10 @@ def assumed_scattering(
     """
     unspecified = np.array([k.scattering is None and not k.fit_scattering for k in priors])
     if not unspecified.any():
-        return priors, ()
+        return priors, np.zeros(len(priors)), ()
     names = [k.name for k, missing in zip(priors, unspecified, strict=True) if missing]
     value = settings.default_scattering
-    reason = ""
+    reason, sd = "", value
     n_bands = len(measurements.bands)
     first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
     middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
@@ -309,19 +327,19 @@ def assumed_scattering(
             float(x[unspecified][0, 0]) for x in choose_scattering(*trial, unspecified, grid=grid)
         )
         value = value if low <= value <= high else best
+        sd = _grid_sd(grid, low, high)
         others = f"{low:g} to {high:g} do as well" if low < high else "others do worse"
         reason = f", which explains the responses well ({others})"
     known = tuple(
         replace(k, scattering=np.full(n_bands, value)) if missing else k
         for k, missing in zip(priors, unspecified, strict=True)
     )
-    return known, (
-        Finding(
-            Code.SCATTERING_ASSUMED,
-            f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
-            {"materials": names, "scattering": value},
-        ),
+    assumption = Finding(
+        Code.SCATTERING_ASSUMED,
+        f"The scattering of {', '.join(names)} is unspecified; {value:g} was assumed{reason}.",
+        {"materials": names, "scattering": value},
     )
+    return known, np.where(unspecified, sd, 0.0), (assumption,)
 
 
 def scattering_trial(
@@ -373,7 +391,8 @@ def _energy_fit(
     responses = []
     for m in observed:
         noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
-        responses.append(replace(m, noise=NoiseEstimate(*noise)))
+        own_end_s = m.fit_end_s[chosen]
+        responses.append(replace(m, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
     retracer = Retracer(scene, own, trace_settings)
 
     def fit(coefficients: FloatArray) -> FloatArray:

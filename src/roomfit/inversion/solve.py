@@ -28,7 +28,7 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
-    air_error,
+    relative_errors,
     shared_steps,
     widened_by_neighbours,
     with_tracing_noise,
@@ -43,6 +43,7 @@ from roomfit.objective.directivity import (
 )
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
+from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm, value_terms, values_alone
 from roomfit.scene import material_areas_m2
@@ -65,7 +66,7 @@ class BandFits:
     directivities: tuple[FittedDirectivity, ...] = ()
 
 
-def shared_error_covariance(measured: Measurements) -> SharedCovariance:
+def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> SharedCovariance:
     """Return what adds to a band's fit the covariance of the errors that its windows share.
 
     Room parameters without responses stay as they are.
@@ -80,8 +81,16 @@ def shared_error_covariance(measured: Measurements) -> SharedCovariance:
         files = fitted_in_band(measured.responses, band)
         sources = [int(scene.pairs[m.pair][0]) for m in files]
         noisy = with_tracing_noise(objective, windows, sources, fit)
-        air = air_error(scene.air, bands, band, windows)
-        return add_covariance(noisy, shared_steps(objective, fit, windows, air))
+        walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
+        relative = relative_errors(
+            scene.air,
+            bands,
+            windows,
+            (traced.paths, traced.binned),
+            walls,
+            (traced.scattering, traced.scattering_sd),
+        )
+        return add_covariance(noisy, shared_steps(objective, fit, windows, relative))
 
     return add_shared_errors
 
@@ -127,7 +136,7 @@ def estimate_energies(
         settings,
         progress,
         watch=None if tested is None else score_sources(measured, traced, tested, scores),
-        shared_covariance=shared_error_covariance(measured),
+        shared_covariance=shared_error_covariance(measured, traced),
     )
     estimates = tuple(refine(band, None) for band in fitted)
     found = band_directivities(measured.scene, unknown, directivities, estimates)
@@ -180,6 +189,7 @@ def coherent_task(
         _value_terms(measured, traced),
         unknown,
         omnidirectional(measured) if unknown is None else None,
+        scattering=(traced.scattering, traced.scattering_sd),
     )
 
 

@@ -13,7 +13,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from roomfit.air import Air, pressure_decay_per_m, speed_of_sound_m_s
+from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
@@ -23,8 +23,10 @@ from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
-from roomfit.response.energy import batch_energies
+from roomfit.response.binned import BinnedPaths, in_band, rows_at
+from roomfit.response.energy import batch_energies, first_rows, reweighed_rows, weigh
 from roomfit.solvers.least_squares import BandFit
+from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
 from roomfit.uncertainty.gaussian import (
     WIDEST_IDENTIFIABLE,
@@ -145,13 +147,13 @@ def shared_steps(
     objective: Objective,
     fit: BandFit,
     energies: EnergyTerm,
-    air: FloatArray,
+    relative: FloatArray,
     coherent: CoherentBand | None = None,
 ) -> FloatArray:
     """Return the shifts of the answer by errors that all windows share, shape (n_free, n_errors).
 
-    Each column is one standard deviation: of the air's attenuation, which changes within a band,
-    and of reflections that interfere and are taken for energies that add.
+    Each column is one standard deviation: of what `relative` holds, and of reflections that
+    interfere and are taken for energies that add.
 
     Parameters
     ----------
@@ -159,17 +161,41 @@ def shared_steps(
         What was fitted; the windows of `energies` are its first data.
     fit : BandFit
     energies : EnergyTerm
-    air : float array, shape (n_windows,)
-        See `air_error`; at a gain of 1.
+    relative : float array, shape (n_windows, n_errors)
+        Of the expected energy, see `air_error` and `scattering_error`.
     coherent : CoherentBand, optional
         The band, where pressures were fitted.
     """
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
-    columns = [signal * air]
+    columns = [signal[:, None] * relative]
     if coherent is not None:
-        columns.append(signal * lost_coherence(coherent, fit))
-    return answer_steps(objective, fit, np.stack(columns, axis=1))
+        columns.append((signal * lost_coherence(coherent, fit))[:, None])
+    return answer_steps(objective, fit, np.concatenate(columns, axis=1))
+
+
+def relative_errors(
+    air: Air,
+    bands: Bands,
+    energies: EnergyTerm,
+    traced: tuple[Paths, BinnedPaths],
+    absorption: FloatArray,
+    scattering: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return the relative errors of all windows by air and scattering, shape (n_windows, 2).
+
+    Parameters
+    ----------
+    bands : Bands
+        Among them that of `energies`.
+    scattering : float arrays, shapes (n_materials, n_bands) and (n_materials,)
+        See `scattering_error`; coefficients of every band.
+    """
+    band = int(np.argmin(np.abs(bands.centres_hz - energies.centre_hz)))
+    own = scattering[0][:, band], scattering[1]
+    attenuation = float(attenuation_per_m(air, bands)[band])
+    scattered = scattering_error(*traced, energies, absorption, attenuation, own)
+    return np.stack((air_error(air, bands, band, energies), scattered), axis=1)
 
 
 def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatArray:
@@ -189,6 +215,60 @@ def air_error(air: Air, bands: Bands, band: int, energies: EnergyTerm) -> FloatA
     below, own, above = 2.0 * pressure_decay_per_m(air, centre * np.array([1 / step, 1.0, step]))
     error = abs(ABOVE * (above - own) + BELOW * (below - own))
     return np.asarray(-error * speed_of_sound_m_s(air) * _middle_s(energies))
+
+
+def scattering_error(
+    paths: Paths,
+    binned: BinnedPaths,
+    energies: EnergyTerm,
+    absorption: FloatArray,
+    attenuation_per_m: float,
+    scattering: tuple[FloatArray, FloatArray],
+) -> FloatArray:
+    """Return the relative error of each window by scattering that is not exactly known.
+
+    The weight of a path changes by ``d / s - n / (1 - s)`` per unit of the coefficient s, with d
+    diffuse and n specular reflections: the derivative of the probability with which it is drawn.
+    Directivity of sources is left out, since it is common to both sides of the ratio.
+
+    Parameters
+    ----------
+    paths : Paths
+    binned : BinnedPaths
+        Of `paths`, with their weights in the band of `energies`.
+    energies : EnergyTerm
+        Its rows may hold the attenuation already.
+    absorption : float array, shape (n_materials,)
+    attenuation_per_m : float
+        Energy attenuation of the air in the band.
+    scattering : two float arrays, shape (n_materials,)
+        Coefficients in the band, and the standard deviation that all of them share, 0 where one was
+        specified. Walls taken for smooth have no such error: no diffuse reflection was traced.
+
+    Returns
+    -------
+    float array, shape (n_windows,)
+    """
+    s, sd = scattering
+    own = (sd > 0.0) & (s > 0.0) & (s < 1.0)
+    if not own.any():
+        return np.zeros(sum(o.energy.size for o in energies.observations))
+    factors = paths.hits_diffuse[:, own] @ (sd[own] / s[own])
+    factors -= paths.hits_specular[:, own] @ (sd[own] / (1.0 - s[own]))
+    found = []
+    walls, air = absorption[:, None], np.array([attenuation_per_m])
+    for observed in energies.observations:
+        rows = rows_at(binned, energies.centre_hz)[observed.pair]
+        both = BinnedPaths(binned.edges_s, (rows, reweighed_rows(rows, factors)))
+        energy, change = (
+            observed.spreading
+            @ weigh(
+                first_rows(r, observed.spreading.shape[1]), walls, air, derivative=False
+            ).energy[0]
+            for r in in_band(both, energies.centre_hz).rows
+        )
+        found.append(np.divide(change, energy, out=np.zeros_like(energy), where=energy > 0.0))
+    return np.concatenate(found)
 
 
 def lost_coherence(band: CoherentBand, fit: BandFit) -> FloatArray:

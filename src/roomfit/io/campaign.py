@@ -253,6 +253,7 @@ class SettingsTable(Table):
     most_triangles_for_images: int | None = None
     coherent_until_s: float | None = None
     speed_of_sound_sd: float | None = None
+    decay_range_db: float | None = None
     max_rounds: int | None = None
 
 

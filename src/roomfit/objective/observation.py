@@ -39,8 +39,6 @@ from roomfit.typing import FloatArray
 
 # Positions are taken with a tape, unless the campaign says how well they are known.
 DEFAULT_POSITION_SD_M = 0.02
-# A window is used down to where the decay stands 4 dB above the noise.
-_CLEAR_OF_NOISE = 2.5
 # Energy of a unit source is 1/(4 pi r^2), the square of its stated pressure 1/(4 pi r)^2.
 _ENERGY_PER_PRESSURE_SQUARED = 4.0 * np.pi
 
@@ -196,11 +194,8 @@ def _observation(
     periods: float,
 ) -> Observation:
     bank, kernel = reduction
-    clear_s = (
-        m.noise.usable_end_s[band] - np.log(_CLEAR_OF_NOISE) * (m.noise.tail_time_constant_s[band])
-    )
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
-    end_s = min(float(clear_s), float(bin_edges_s[-1]))
+    end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
     edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
     fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
