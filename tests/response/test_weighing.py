@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from absorption_reference import surviving_energy
 from rays_reference import monte_carlo_sd
 from roomfit.errors import InputError
+from roomfit.response.directivity import (
+    RowPattern,
+    amplitude_and_slope,
+    directed_rows,
+    weigh_directed,
+)
 from roomfit.response.energy import (
+    ROWS_WORTH_THREADS,
     EnergyRows,
     batch_energies,
     merge_equal_rows,
@@ -336,3 +343,80 @@ def _moved(a: FloatArray, m: int, step: float) -> FloatArray:
     moved = a.copy()
     moved[m, 0] = min(max(moved[m, 0] + step, 0.0), 1.0)
     return moved
+
+
+def drawn_pattern(seed: int, n_rows: int, *, single: bool) -> RowPattern:
+    """Return a strong directivity and directions, in single precision as traced or in double."""
+    rng = np.random.default_rng(seed)
+    basis = rng.standard_normal((n_rows, 3))
+    basis /= np.linalg.norm(basis, axis=1)[:, None]
+    return RowPattern(rng.normal(0.0, 0.7, 3), basis.astype(np.float32) if single else basis)
+
+
+def directed_in_steps(
+    rows: EnergyRows, pattern: RowPattern, a: FloatArray, air: float
+) -> FloatArray:
+    """Return the same columns by rows weighed once for the energy and once for each part of b."""
+    amplitude, slope = amplitude_and_slope(pattern.b, pattern.basis.astype(np.float64))
+    whole = weigh(directed_rows(rows, amplitude**2), a[:, None], np.array([air]))
+    assert whole.derivative is not None
+    by_b = [
+        weigh(directed_rows(rows, 2.0 * amplitude * s), a[:, None], np.array([air])).energy[0]
+        for s in slope.T
+    ]
+    return np.column_stack([whole.energy[0], *whole.derivative[:, 0], *by_b])
+
+
+@given(SEED, st.integers(1, 7), st.booleans(), st.sampled_from([0.0, 0.01]))
+def test_a_directed_source_in_one_pass_equals_row_by_row(
+    seed: int, n_materials: int, single: bool, air: float
+) -> None:
+    """Energy and slopes, black walls among them."""
+    rows, a = random_rows(seed, n_materials=n_materials), table(seed, n_materials, 1)[:, 0]
+    pattern = drawn_pattern(seed, len(rows), single=single)
+    found = weigh_directed(rows, pattern, a, air)
+    expected = directed_in_steps(rows, pattern, a, air)
+    # slopes by b have terms of both signs: 300 of them, each rounded, of at most the largest
+    largest = np.abs(expected).max(axis=0) + np.abs(expected[:, :1]).max()
+    assert np.all(np.abs(found - expected) <= 1e-12 * largest)
+    alone = weigh_directed(rows, pattern, a, air, derivative=False)
+    np.testing.assert_array_equal(alone[:, 0], found[:, 0])
+
+
+@given(SEED)
+def test_slopes_of_a_directed_source_are_those_of_finite_differences(seed: int) -> None:
+    """By b: central differences of a smooth function, third derivatives of order one."""
+    rows, a = random_rows(seed), np.random.default_rng(seed).uniform(0.05, 0.9, 3)
+    pattern = drawn_pattern(seed, len(rows), single=False)
+    found = weigh_directed(rows, pattern, a, 0.003)
+    h = 1e-5
+    for k, step in enumerate(h * np.eye(3)):
+        high, low = (
+            weigh_directed(rows, RowPattern(pattern.b + s * step, pattern.basis), a, 0.003)[:, 0]
+            for s in (1.0, -1.0)
+        )
+        by_absorption = (
+            weigh_directed(rows, pattern, a + s * step, 0.003)[:, 0] for s in (1.0, -1.0)
+        )
+        more, less = by_absorption
+        largest = np.abs(found).max()
+        np.testing.assert_allclose(found[:, 4 + k], (high - low) / (2 * h), atol=1e-7 * largest)
+        np.testing.assert_allclose(found[:, 1 + k], (more - less) / (2 * h), atol=1e-7 * largest)
+
+
+def test_a_directed_source_gives_the_same_bits_for_any_number_of_threads() -> None:
+    """Above the number of rows from which threads share the pieces."""
+    rows = random_rows(6, n_rows=ROWS_WORTH_THREADS + 10)
+    pattern, a = drawn_pattern(6, len(rows), single=True), table(6, 3, 1)[:, 0]
+    before = numba.get_num_threads()
+    results = []
+    try:
+        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(n)
+            results.append(weigh_directed(rows, pattern, a, 0.01))
+    finally:
+        numba.set_num_threads(before)
+    np.testing.assert_array_equal(*results)
+    largest = np.abs(results[0]).max()
+    expected = directed_in_steps(rows, pattern, a, 0.01)
+    np.testing.assert_allclose(results[0], expected, rtol=1e-10, atol=1e-12 * largest)

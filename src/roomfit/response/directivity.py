@@ -57,10 +57,29 @@ def amplitude_and_slope(
     departure : float array, shape (n, 3)
         Unit vectors away from the source, or what `pattern_basis` makes of them.
     """
-    norm = 1.0 + b @ b / 3.0
-    amplitude = (1.0 + departure @ b) / np.sqrt(norm)
-    slope = departure / np.sqrt(norm) - amplitude[:, None] * b / (3.0 * norm)
+    amplitude, slope = np.empty(len(departure)), np.empty((len(departure), 3))
+    fill_amplitudes(np.asarray(b, dtype=np.float64), departure, amplitude, slope)
     return amplitude, slope
+
+
+@kernel()
+def fill_amplitudes(
+    b: FloatArray,
+    departure: NDArray[np.float32] | FloatArray,
+    amplitude: FloatArray,
+    slope: FloatArray,
+) -> None:
+    """Fill amplitude (n,) and slope (n, 3) in one pass: this is done at every evaluation."""
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    root = np.sqrt(norm)
+    for i in range(len(departure)):
+        a = 1.0
+        for k in range(3):
+            a += departure[i, k] * b[k]
+        a /= root
+        amplitude[i] = a
+        for k in range(3):
+            slope[i, k] = departure[i, k] / root - a * b[k] / (3.0 * norm)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
