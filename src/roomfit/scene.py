@@ -50,8 +50,19 @@ class Room:
     #: `mesh.surfaces` are then west (x = 0), east, south (y = 0), north, floor and ceiling
     shoebox_m: tuple[float, float, float] | None = None
     findings: tuple[Finding, ...] = ()  # what was repaired or doubtful in making it
+    #: Standard deviations of a box's lengths in m, which then are fitted; 0: exact
+    lengths_sd_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.lengths_sd_m is not None:
+            if self.shoebox_m is None:
+                raise InputError(
+                    "only a box has lengths whose standard deviation can be specified",
+                    where="[room] lengths_sd",
+                    needed="[room] shoebox",
+                    hint="leave it out; a wall that stands elsewhere is looked for all the same",
+                )
+            float_array("lengths_sd", self.lengths_sd_m, (3,), low=0.0, high=1.0, unit="m")
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
             raise InputError("a room without materials", needed="at least one material")
@@ -302,6 +313,26 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PointGroup:
+    """Positions that are off by one common offset, as those of an array that stands elsewhere."""
+
+    name: str
+    members: tuple[str, ...]  #: Names of sources and receivers; * and ? stand for any text
+    sd_m: float | tuple[float, float, float]  #: Of the offset, of each axis alike or one by one
+
+    def __post_init__(self) -> None:
+        shape = (3,) if np.ndim(self.sd_m) else ()
+        where = f"groups.{self.name}.sd"
+        float_array(where, self.sd_m, shape, low=0.0, high=1.0, unit="m")
+        if not self.members:
+            raise InputError(
+                "a group without members",
+                where=f"groups.{self.name}.members",
+                needed="at least one name",
+            )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Everything that directs the sound, and nothing that absorbs it at walls; see `scene_of`."""
 
@@ -310,6 +341,7 @@ class Scene:
     receivers: tuple[Point, ...]
     pairs: IntArray  #: int32 (n_pairs, 2), index of source and of receiver of each wanted response
     air: Air
+    groups: tuple[PointGroup, ...] = ()  #: Whose common offsets are fitted
 
     def __post_init__(self) -> None:
         unique_names("source", (s.name for s in self.sources))
@@ -321,6 +353,7 @@ class Scene:
         object.__setattr__(self, "sources", tuple(self.sources))
         object.__setattr__(self, "receivers", tuple(self.receivers))
         object.__setattr__(self, "pairs", pairs)
+        unique_names("group", (g.name for g in self.groups))
 
 
 def scene_of(

@@ -245,7 +245,7 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
     source_at = {s.name: i for i, s in enumerate(sources)}
     receiver_at = {r.name: i for i, r in enumerate(receivers)}
     indices = np.array([(source_at[s], receiver_at[r]) for s, r in wanted])
-    return Scene(scene.room, sources, receivers, indices, scene.air)
+    return Scene(scene.room, sources, receivers, indices, scene.air, scene.groups)
 
 
 def observe(

@@ -54,6 +54,7 @@ def energy_terms(
     start: FloatArray,
     *,
     periods: float = 1.5,
+    fine_s: float = 0.0,
 ) -> Iterator[tuple[EnergyTerm, Parameters] | None]:
     """Make the windows of one band after the other, with their unknowns.
 
@@ -66,7 +67,7 @@ def energy_terms(
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
-    periods : float
+    periods, fine_s : float
         How short the windows may be; see `window_edges_s`.
 
     Notes
@@ -90,7 +91,7 @@ def energy_terms(
                 coarse.edges_s,
                 timing_sd_s(scene, m),
                 gain_labels.index(label) if label else -1,
-                periods,
+                (periods, fine_s),
             )
             for m, label in zip(fitted, labels, strict=True)
         )
@@ -193,7 +194,7 @@ def _observation(
     bin_edges_s: FloatArray,
     timing_sd_s: float,
     gain: int,
-    periods: float,
+    shortest: tuple[float, float],
 ) -> Observation:
     bank, kernel = reduction
     clear_s = (
@@ -201,7 +202,8 @@ def _observation(
     )
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
     end_s = min(float(clear_s), float(bin_edges_s[-1]))
-    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
+    periods, fine_s = shortest
+    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods, fine_s=fine_s)
     fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a single sample of height 1 has the energy 1
