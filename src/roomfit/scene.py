@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array, int_array, nearest, unique_names
+from roomfit._checks import did_you_mean, float_array, int_array, nearest, unique_names
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
@@ -330,6 +331,26 @@ class PointGroup:
                 where=f"groups.{self.name}.members",
                 needed="at least one name",
             )
+
+
+def check_groups(members: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:
+    """Refuse a group one of whose members or patterns is no name of a source or a receiver.
+
+    Raises
+    ------
+    InputError
+        With the names that there are.
+    """
+    for group, patterns in members.items():
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                raise InputError(
+                    "a group names neither a source nor a receiver",
+                    where=f"groups.{group}.members",
+                    found=repr(pattern),
+                    needed=f"a name or pattern of {', '.join(names[:_SHOWN])}",
+                    hint=did_you_mean(pattern, names),
+                )
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -15,9 +15,7 @@ from typing import TypeAlias
 
 import numpy as np
 
-from roomfit._checks import did_you_mean
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
-from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
 from roomfit.inversion.measurements import Measurements
@@ -73,6 +71,7 @@ _GRID_M = np.array([*np.arange(0.1, 0.75, 0.1), 0.85, 1.0, 1.15])
 _STEP_M = 0.04
 _REACH_M = 0.1  # of one step of a sweep
 _WITHIN_SD = (-3.4, -2.3, -1.2, 1.2, 2.3, 3.4)
+_WORTH_TELLING_M = 0.3
 _APART_M = 0.06  # of second differences, smooth over what single windows do
 _AXES = "xyz"
 
@@ -96,27 +95,6 @@ class Offset:
 
 Worth: TypeAlias = Callable[[FloatArray], float]
 """Log-likelihood of a vector of offsets; minus infinity where a point leaves the room."""
-
-
-def check_groups(scene: Scene) -> None:
-    """Refuse a group whose members are not in the scene.
-
-    Raises
-    ------
-    InputError
-        A name or pattern matches neither a source nor a receiver.
-    """
-    names = [p.name for p in (*scene.sources, *scene.receivers)]
-    for group in scene.groups:
-        for pattern in group.members:
-            if not any(fnmatchcase(name, pattern) for name in names):
-                raise InputError(
-                    "a group names neither a source nor a receiver",
-                    where=f"groups.{group.name}.members",
-                    found=repr(pattern),
-                    needed=f"a name or pattern of {', '.join(names[:12])}",
-                    hint=did_you_mean(pattern, names),
-                )
 
 
 def offsets_of(scene: Scene) -> tuple[Offset, ...]:
@@ -528,8 +506,9 @@ def _named(
         evidence["metres_farther"] = {
             w: [round(float(x), 2), round(float(s), 2)]
             for w, x, s in zip(_walls(outline, axis), farther_m, deviations_m, strict=True)
+            if s < _WORTH_TELLING_M
         }
-    return _finding(outline, k, axis, (size_m, _sd_along(worth, shift_m, way)), evidence)
+    return _finding(outline, k, axis, (float(size_m), _sd_along(worth, shift_m, way)), evidence)
 
 
 def _finding(
@@ -553,7 +532,7 @@ def _finding(
         what += f" than specified, as if {walls[1]} stood elsewhere"
     farther = evidence.get("metres_farther")
     ends = ""
-    if isinstance(farther, dict):
+    if isinstance(farther, dict) and farther:
         ends = "; counted from all positions " + " and ".join(
             f"{w} is {x:+.2f} +- {s:.2f} m farther" for w, (x, s) in farther.items()
         )

@@ -23,7 +23,6 @@ from roomfit.inversion.directivity import directivity_parameters
 from roomfit.inversion.displacement import (
     Offset,
     Outline,
-    check_groups,
     displaced,
     located,
     offsets_of,
@@ -72,7 +71,7 @@ from roomfit.objective.observation import (
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
-from roomfit.scene import Scene, material_areas_m2
+from roomfit.scene import Scene, check_groups, material_areas_m2
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
@@ -149,7 +148,8 @@ def identify(
     began = time.perf_counter()
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
-    check_groups(scene)
+    names = [p.name for p in (*scene.sources, *scene.receivers)]
+    check_groups({g.name: g.members for g in scene.groups}, names)
     measured = collect_measurements(scene, measurements, bands, directivities or {})
     check_certifiable(measured, settings)
     if settings.method == "posterior":

@@ -23,12 +23,13 @@ from roomfit.errors import InputError, located
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.measurement import Level, Use
-from roomfit.scene import Point
+from roomfit.scene import Point, PointGroup, check_groups
 from roomfit.settings import Settings
 
 Position = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 PerBand = Fraction | list[Fraction]
+Metre = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Table(BaseModel):
@@ -56,6 +57,14 @@ class RoomTable(Table):
     unit: str | None = None
     up: Literal["z", "y"] | None = None
     materials: dict[str, str] = {}
+    lengths_sd: tuple[Metre, Metre, Metre] | None = None
+
+
+class GroupTable(Table):
+    """``[groups.NAME]``: positions with one common offset."""
+
+    members: list[str] = Field(min_length=1)
+    sd: Metre | tuple[Metre, Metre, Metre]
 
 
 class AirTable(Table):
@@ -248,6 +257,7 @@ class CampaignTable(Table):
     loudspeakers: dict[str, LoudspeakerTable] = {}
     sources: dict[str, SourceTable] = {}
     receivers: dict[str, ReceiverTable] = {}
+    groups: dict[str, GroupTable] = {}
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
     settings: SettingsTable = SettingsTable()
@@ -502,6 +512,7 @@ class Campaign:
     spectra : tuple of MeasuredSpectrum
     impedance : ImpedanceTable
     design : DesignTable
+    groups : tuple of PointGroup
     """
 
     path: Path
@@ -519,6 +530,7 @@ class Campaign:
     spectra: tuple[MeasuredSpectrum, ...] = ()
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
+    groups: tuple[PointGroup, ...] = ()
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -568,6 +580,11 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         _check_data(path, table)
     _check_names(path, table)
     _check_pairs(path, table)
+    with located(str(path)):
+        check_groups(
+            {name: group.members for name, group in table.groups.items()},
+            [*table.sources, *table.receivers],
+        )
     rows = table.measurements
     return Campaign(
         path,
@@ -599,6 +616,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         ),
         table.impedance,
         table.design,
+        tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
     )
 
 
@@ -664,6 +682,7 @@ def _room_spec(path: Path, room: RoomTable) -> RoomSpec:
         unit=room.unit,
         up=room.up,
         materials=dict(room.materials),
+        lengths_sd=room.lengths_sd,
     )
 
 

@@ -274,7 +274,8 @@ def identify_arguments(campaign: Campaign) -> IdentifyArguments:
 def campaign_room(campaign: Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
     room, findings = read_room(campaign.room)
-    return replace(room, findings=findings)
+    with located(str(campaign.path)):
+        return replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
 
 
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:
@@ -287,4 +288,5 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
         campaign.receivers,
         pairs.reshape(-1, 2).astype(np.int64),
         campaign.air,
+        campaign.groups,
     )
