@@ -394,6 +394,7 @@ def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
         change=np.concatenate((before.change, outline.moved_m[own])),
         sd=np.concatenate((before.sd, found.sd_m[own])),
         prior_sd=np.concatenate((before.prior_sd, [outline.offsets[k].sd_m for k in own])),
+        n_offsets=own.size,
     )
     return replace(fits, geometry=geometry)
 
