@@ -42,7 +42,15 @@ from roomfit.objective.parameters import (
     start_vector,
 )
 from roomfit.objective.problem import Objective
-from roomfit.scene import Point, Room, Scene, distances_m, position_findings
+from roomfit.scene import (
+    NEAREST_PAIR_M,
+    NEAREST_WALL_M,
+    Point,
+    Room,
+    Scene,
+    distances_m,
+    position_findings,
+)
 from roomfit.signals.filters import FilterBank, SpreadingKernel, spreading_kernel
 from roomfit.solvers.least_squares import BandFit, score_band
 from roomfit.tracing.image_sources import trace_images
@@ -67,10 +75,10 @@ LARGEST_SHIFT_SD = 3.5
 _WALL_SD_M = 0.035
 # Log-likelihood that a displacement beyond what is specified must gain: decision 0035.
 LEAST_GAIN = 10.0
-_GRID_M = np.array([*np.arange(0.1, 0.75, 0.1), 0.85, 1.0, 1.15])
+_GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
 _STEP_M = 0.04
 _REACH_M = 0.1  # of one step of a sweep
-_WITHIN_SD = (-3.4, -2.3, -1.2, 1.2, 2.3, 3.4)
+_WITHIN_SD = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
 _WORTH_TELLING_M = 0.3
 _APART_M = 0.06  # of second differences, smooth over what single windows do
 _AXES = "xyz"
@@ -301,10 +309,7 @@ def displaced_terms(outline: Outline, shift_m: FloatArray) -> tuple[DisplacedTer
             weight *= factors[own.band]
         # a response whose emission is not known stands with its direct sound where this was put
         late_m = np.array(
-            [
-                0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair]
-                for m in own.files
-            ]
+            [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
         )
         times_s = (images.length_m - late_m[:, None]) / c
         kernel = outline.kernel, own.band
@@ -325,10 +330,7 @@ def worth_of(outline: Outline) -> Worth:
         key = np.round(shift_m, 4).tobytes()
         if key in known:
             return known[key]
-        scene = displaced(outline.measured.scene, outline.offsets, shift_m)
-        if scene.room.shoebox_m is not None and min(scene.room.shoebox_m) < 0.5:
-            return -np.inf
-        if position_findings(scene.room, scene.sources, scene.receivers):
+        if not _is_possible(displaced(outline.measured.scene, outline.offsets, shift_m)):
             return -np.inf
         total = 0.0
         for i, term in enumerate(displaced_terms(outline, shift_m)):
@@ -343,6 +345,16 @@ def worth_of(outline: Outline) -> Worth:
 
     at(np.zeros(len(outline.offsets)), 4, 3)
     return lambda shift_m: at(shift_m, 1, 2)
+
+
+def _is_possible(scene: Scene) -> bool:
+    """Whether all positions stay in the air of the room."""
+    box_m = scene.room.shoebox_m
+    if box_m is None:
+        return not position_findings(scene.room, scene.sources, scene.receivers)
+    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
+    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
+    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
 
 
 def _log_likelihood(objective: Objective, fit: BandFit) -> float:
@@ -370,6 +382,7 @@ def located(outline: Outline) -> Located:
         shift_m = _swept(posterior, at, sd_m)
     found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
     if own.size:
+        shift_m = _refined(posterior, _refined(posterior, shift_m, own.tolist()), own.tolist())
         found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own, sd_m[own])))
     finding = _implausible(outline, worth, shift_m)
     gain, far_m = _farthest(outline, worth, shift_m)
@@ -412,13 +425,22 @@ def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
     grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
     gains = [max(worth(shift_m + d * w) for d in g) for w, g in zip(ways, grids, strict=True)]
     at, best = np.array(shift_m), worth(shift_m)
-    for k in np.argsort(gains)[::-1]:
+    for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
         for trial in [at + d * ways[k] for d in grids[k]]:
             if (found := worth(trial)) > best:
                 at, best = trial, found
-        trial = at + _parabola(worth, at, ways[k], best) * ways[k]
-        if (found := worth(trial)) > best:
-            at, best = trial, found
+        at = _refined(worth, at, [int(k)])
+        best = worth(at)
+    return at
+
+
+def _refined(worth: Worth, shift_m: FloatArray, entries: Sequence[int]) -> FloatArray:
+    """Return offsets with a step of each along a parabola, where that is better."""
+    at = np.array(shift_m)
+    for k in entries:
+        way = np.eye(at.size)[k]
+        trial = at + _parabola(worth, at, way, worth(at)) * way
+        at = trial if worth(trial) > worth(at) else at
     return at
 
 
@@ -462,9 +484,11 @@ def _farthest(
         start_m = np.where(same, -outline.moved_m, shift_m)
         here = worth(start_m)
         for d in (*-_GRID_M, *_GRID_M):
-            if abs(d) > limit_m and (found := worth(start_m + d * way)) > inside:
-                if found - here > best:
-                    best, at = found - here, start_m + d * way
+            if abs(d) <= limit_m:
+                continue
+            found = worth(start_m + d * way)
+            if found > inside and found - here > best:
+                best, at = found - here, start_m + d * way
     return best, at
 
 

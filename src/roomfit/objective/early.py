@@ -123,7 +123,9 @@ class DisplacedTerm:
         squares = energy**2
         overlapping = np.maximum(fine**2 - self.fine_spreading.power(2) @ squares, 0.0)
         widths_s = np.concatenate([np.diff(o.fine_edges_s) for o in term.observations])
-        interference = np.add.reduceat(overlapping / (term.bandwidth_hz * widths_s), kept.first_piece)
+        interference = np.add.reduceat(
+            overlapping / (term.bandwidth_hz * widths_s), kept.first_piece
+        )
         timing_s = self._of_window([o.timing_sd_s for o in term.observations])
         timing = timing_s**2 * (self.slopes.power(2) @ squares)
         noise = kept.background[:, 0] + kept.background[:, 1] * signal

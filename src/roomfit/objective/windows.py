@@ -127,8 +127,8 @@ def window_edges_s(
         Of 1 / B, in the shortest window: 1.5 suits energies that add, 0.75 pressures, whose
         windows depend on phases.
     fine_s : float
-        Windows that begin less than this after the direct sound may be half as long, and grow to 3 %
-        of the elapsed time: they tell where a wall stands.
+        Windows that begin less than this after the direct sound may be half as long, and grow to
+        3 % of the elapsed time: they tell where a wall stands.
 
     Returns
     -------

@@ -138,7 +138,7 @@ def directivity_text(answer: Result) -> str:
 
 
 def offsets_text(answer: Result) -> str:
-    """Return where groups of positions and lengths of the room were found, with standard deviations."""
+    """Return where groups of positions and lengths were found, with standard deviations."""
     found = answer.geometry
     if found is None or not found.n_offsets:
         return ""
