@@ -90,6 +90,7 @@ class Code(StrEnum):
     POSITION_UNCERTAINTY_ASSUMED = "position-uncertainty-assumed", "info"
     GEOMETRY_SHIFT_IMPLAUSIBLE = "geometry-shift-implausible", "warning"
     WALL_POSITION_MISMATCH = "wall-position-mismatch", "warning", _VOIDS
+    DISPLACEMENT_DETECTED = "displacement-detected", "serious", _VOIDS
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
     SCATTERING_FITTED = "scattering-fitted", "info"

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from roomfit._checks import float_array, int_array, nearest, unique_names
+from roomfit._checks import did_you_mean, float_array, int_array, nearest, unique_names
 from roomfit.air import Air
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
@@ -61,8 +62,19 @@ class Room:
     #: Further states in which it was measured, from `with_states`; their materials are among
     #: `materials`
     states: tuple[State, ...] = ()
+    #: Standard deviations of a box's lengths in m, which then are fitted; 0: exact
+    lengths_sd_m: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
+        if self.lengths_sd_m is not None:
+            if self.shoebox_m is None:
+                raise InputError(
+                    "only a box has lengths whose standard deviation can be specified",
+                    where="[room] lengths_sd",
+                    needed="[room] shoebox",
+                    hint="leave it out; a wall that stands elsewhere is looked for all the same",
+                )
+            float_array("lengths_sd", self.lengths_sd_m, (3,), low=0.0, high=1.0, unit="m")
         object.__setattr__(self, "materials", unique_names("material", self.materials))
         if not self.materials:
             raise InputError("a room without materials", needed="at least one material")
@@ -368,6 +380,46 @@ class Point:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class PointGroup:
+    """Positions that are off by one common offset, as those of an array that stands elsewhere."""
+
+    name: str
+    members: tuple[str, ...]  #: Names of sources and receivers; * and ? stand for any text
+    sd_m: float | tuple[float, float, float]  #: Of the offset, of each axis alike or one by one
+
+    def __post_init__(self) -> None:
+        shape = (3,) if np.ndim(self.sd_m) else ()
+        where = f"groups.{self.name}.sd"
+        float_array(where, self.sd_m, shape, low=0.0, high=1.0, unit="m")
+        if not self.members:
+            raise InputError(
+                "a group without members",
+                where=f"groups.{self.name}.members",
+                needed="at least one name",
+            )
+
+
+def check_groups(members: Mapping[str, Sequence[str]], names: Sequence[str]) -> None:
+    """Refuse a group one of whose members or patterns is no name of a source or a receiver.
+
+    Raises
+    ------
+    InputError
+        With the names that there are.
+    """
+    for group, patterns in members.items():
+        for pattern in patterns:
+            if not any(fnmatchcase(name, pattern) for name in names):
+                raise InputError(
+                    "a group names neither a source nor a receiver",
+                    where=f"groups.{group}.members",
+                    found=repr(pattern),
+                    needed=f"a name or pattern of {', '.join(names[:_SHOWN])}",
+                    hint=did_you_mean(pattern, names),
+                )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Scene:
     """Everything that directs the sound, and nothing that absorbs it at walls; see `scene_of`."""
 
@@ -379,6 +431,7 @@ class Scene:
     #: int32 (n_pairs,), state of the room in each wanted response: 0 as it is described, i its i-th
     #: further state; left out: 0
     pair_state: IntArray | None = None
+    groups: tuple[PointGroup, ...] = ()  #: Whose common offsets are fitted
 
     def __post_init__(self) -> None:
         unique_names("source", (s.name for s in self.sources))
@@ -394,6 +447,7 @@ class Scene:
         object.__setattr__(self, "sources", tuple(self.sources))
         object.__setattr__(self, "receivers", tuple(self.receivers))
         object.__setattr__(self, "pairs", pairs)
+        unique_names("group", (g.name for g in self.groups))
 
 
 PairName = tuple[str, str, str]

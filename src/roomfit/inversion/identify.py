@@ -19,6 +19,16 @@ from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
 from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
+from roomfit.inversion.directivity import directivity_parameters
+from roomfit.inversion.displacement import (
+    Offset,
+    Outline,
+    displaced,
+    located,
+    offsets_of,
+    outline_of,
+    with_offsets,
+)
 from roomfit.inversion.measurements import Measurements, collect_measurements, median_decay_s
 from roomfit.inversion.model_checks import (
     certain_misses,
@@ -67,8 +77,8 @@ from roomfit.objective.observation import (
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
-from roomfit.scene import Scene, material_areas_m2
-from roomfit.settings import Settings
+from roomfit.scene import Scene, check_groups, material_areas_m2
+from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
 from roomfit.typing import FloatArray, Progress, part
@@ -144,6 +154,8 @@ def identify(
     began = time.perf_counter()
     bands = bands_between("octave", 125.0, 4000.0) if bands is None else bands
     settings = Settings() if settings is None else settings
+    names = [p.name for p in (*scene.sources, *scene.receivers)]
+    check_groups({g.name: g.members for g in scene.groups}, names)
     measured = collect_measurements(
         scene, measurements, bands, directivities or {}, settings.decay_range_db
     )
@@ -151,20 +163,24 @@ def identify(
         check_sampler()
     priors = complete_priors(scene.room.materials, materials, bands)
     check_certifiable(measured, settings, priors)
-    start = _eyring_start(measured)
+    offsets = offsets_of(measured.scene)
+    is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
+    moved_m = np.zeros(len(offsets))
+    last = part(progress, 0.5, 1.0) if is_stated.any() else progress
     with counted_evaluations() as made:
-        traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
-        pressures = is_coherent(measured.responses, settings) and (
-            traced.far_images or settings.model == "coherent"
-        )
-        refine = _refinement(measured, priors, settings)
-        if pressures:
-            task = coherent_task(measured, priors, traced, start, settings)
-            coherent = fit_coherent(task, traced, part(progress, 0.45, 0.85))
-            fits = coherent_answers(coherent, settings, refine, part(progress, 0.85, 0.98))
-        else:
-            done = part(progress, 0.45, 0.98)
-            fits = estimate_energies(measured, priors, traced, start, settings, refine, done)
+        if is_stated.any():
+            traced, fits = _fitted(measured, priors, settings, cache, part(progress, 0.0, 0.5))
+            outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
+            if outline is not None:
+                moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
+                moved = displaced(measured.scene, offsets, moved_m)
+                measured = collect_measurements(
+                    moved, measurements, bands, directivities or {}, settings.decay_range_db
+                )
+        traced, fits = _fitted(measured, priors, settings, cache, last)
+        outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
+        if outline is not None:
+            fits = with_offsets(fits, outline, located(outline))
     if fits.directivities:
         traced = redirected(measured, traced, fits.directivities)
     estimates = fits.answers
@@ -177,6 +193,44 @@ def identify(
     findings = _findings(measured, priors, traced, fits)
     result = combine(measured, priors, traced, fits, findings, settings)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
+
+
+def _fitted(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    cache: Cache | None,
+    progress: Progress | None,
+) -> tuple[TracedPaths, BandFits]:
+    """Trace a scene and fit every band, in paths without the weights of fitted directivities."""
+    start = _eyring_start(measured)
+    traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
+    pressures = is_coherent(measured.responses, settings) and (
+        traced.far_images or settings.model == "coherent"
+    )
+    refine = _refinement(measured, priors, settings)
+    if pressures:
+        task = coherent_task(measured, priors, traced, start, settings)
+        coherent = fit_coherent(task, traced, part(progress, 0.45, 0.85))
+        return traced, coherent_answers(coherent, settings, refine, part(progress, 0.85, 0.98))
+    done = part(progress, 0.45, 0.98)
+    return traced, estimate_energies(measured, priors, traced, start, settings, refine, done)
+
+
+def _outline(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    fitted: tuple[TracedPaths, BandFits],
+    settings: Settings,
+    offsets: tuple[Offset, ...],
+    moved_m: FloatArray,
+) -> Outline | None:
+    """Return the fitted room to be displaced; the paper's searches fit what they are told."""
+    traced, fits = fitted
+    if settings.method not in LEAST_SQUARES_METHODS:
+        return None
+    sources = directivity_parameters(measured, settings), fits.directivities
+    return outline_of(measured, priors, traced, fits.answers, sources, offsets, moved_m)
 
 
 def _findings(

@@ -254,7 +254,7 @@ def measured_scene(scene: Scene, measured: Sequence[Measurement | MeasuredValues
     receiver_at = {r.name: i for i, r in enumerate(receivers)}
     indices = np.array([(source_at[s], receiver_at[r]) for s, r, _ in wanted])
     state = np.array([states.index(k) for _, _, k in wanted]) if scene.room.states else None
-    return Scene(scene.room, sources, receivers, indices, scene.air, state)
+    return Scene(scene.room, sources, receivers, indices, scene.air, state, scene.groups)
 
 
 def observe(

@@ -24,12 +24,13 @@ from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
 from roomfit.measurement import Level, Use
-from roomfit.scene import Point
+from roomfit.scene import Point, PointGroup, check_groups
 from roomfit.settings import Settings
 
 Position = tuple[float, float, float]
 Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
 PerBand = Fraction | list[Fraction]
+Metre = Annotated[float, Field(ge=0.0, le=1.0)]
 
 
 class Table(BaseModel):
@@ -57,6 +58,14 @@ class RoomTable(Table):
     unit: str | None = None
     up: Literal["z", "y"] | None = None
     materials: dict[str, str] = {}
+    lengths_sd: tuple[Metre, Metre, Metre] | None = None
+
+
+class GroupTable(Table):
+    """``[groups.NAME]``: positions with one common offset."""
+
+    members: list[str] = Field(min_length=1)
+    sd: Metre | tuple[Metre, Metre, Metre]
 
 
 class AirTable(Table):
@@ -269,6 +278,7 @@ class CampaignTable(Table):
     sources: dict[str, SourceTable] = {}
     receivers: dict[str, ReceiverTable] = {}
     states: list[StateTable] = []
+    groups: dict[str, GroupTable] = {}
     measurements: list[MeasurementTable] = []
     identify: IdentifyTable = IdentifyTable()
     settings: SettingsTable = SettingsTable()
@@ -567,6 +577,7 @@ class Campaign:
     design : DesignTable
     states : mapping of name to materials by surface
         Further states of the room.
+    groups : tuple of PointGroup
     """
 
     path: Path
@@ -586,6 +597,7 @@ class Campaign:
     impedance: ImpedanceTable = field(default_factory=ImpedanceTable)
     design: DesignTable = field(default_factory=DesignTable)
     states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
+    groups: tuple[PointGroup, ...] = ()
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -635,6 +647,11 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         _check_data(path, table)
     _check_names(path, table)
     _check_pairs(path, table)
+    with located(str(path)):
+        check_groups(
+            {name: group.members for name, group in table.groups.items()},
+            [*table.sources, *table.receivers],
+        )
     rows = table.measurements
     return Campaign(
         path,
@@ -668,6 +685,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         table.impedance,
         table.design,
         {state.name: state.materials for state in table.states},
+        tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
     )
 
 
@@ -733,6 +751,7 @@ def _room_spec(path: Path, room: RoomTable) -> RoomSpec:
         unit=room.unit,
         up=room.up,
         materials=dict(room.materials),
+        lengths_sd=room.lengths_sd,
     )
 
 

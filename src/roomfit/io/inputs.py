@@ -278,7 +278,8 @@ def campaign_room(campaign: Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
     room, findings = read_room(campaign.room)
     with located(str(campaign.path)):
-        return with_states(replace(room, findings=findings), campaign.states)
+        described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
+        return with_states(described, campaign.states)
 
 
 def campaign_scene(campaign: Campaign, room: Room) -> Scene:
@@ -291,4 +292,5 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
         campaign.receivers,
         pairs.reshape(-1, 2).astype(np.int64),
         campaign.air,
+        groups=campaign.groups,
     )

@@ -287,6 +287,8 @@ class FittedGeometry:
     sd: FloatArray
     prior_sd: FloatArray
     speed_of_sound_m_s: float
+    # how many of the last entries are offsets of groups and lengths, found by early energies
+    n_offsets: int = 0
 
 
 # Prior standard deviation of a reflection delay that is unspecified.

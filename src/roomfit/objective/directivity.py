@@ -136,6 +136,12 @@ class DirectedTerm:
         """Return how many neighbours share the information of each window, shape (n_windows,)."""
         return self.windows.correlation_length(start)
 
+    def weighed(self, values: Values) -> EnergyTerm:
+        """Return the windows as energies, with the weights that values give their paths."""
+        b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
+        found = self._weighed(b)
+        return found.energies if isinstance(found, CoherentTerm) else found
+
     def _weighed(self, b: FloatArray) -> EnergyTerm | CoherentTerm:
         """Return the windows with the weights of b."""
         source = self.directivity.source

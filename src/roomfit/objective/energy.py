@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import ClassVar, cast
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -14,7 +14,7 @@ from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import RowPattern, directed_rows, weigh_directed
 from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
 
@@ -265,12 +265,26 @@ def noise_and_model_variance(
     """
     noise = observed.noise * (observed.noise + 2.0 * signal)
     noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
+    ringing = late_shares(observed.edges_s) @ signal
+    return noise + model_variance(problem, observed.energy - observed.noise, signal, ringing)
+
+
+def model_variance(
+    problem: EnergyTerm, measured: FloatArray, signal: FloatArray, ringing: FloatArray
+) -> FloatArray:
+    """Return the variance of each window by the errors of the model, shape (n_windows,).
+
+    Parameters
+    ----------
+    measured, signal : float arrays, shape (n_windows,)
+        Energy without noise, measured and expected.
+    ringing : float array, shape (n_windows,)
+        `late_shares` times the signal.
+    """
     # where the measurement is far above, its own size bounds the certainty: a window that a
     # trial absorption leaves empty must not outweigh all others
-    scale = np.maximum(signal, 0.5 * (observed.energy - observed.noise))
-    model = (problem.model_error * scale) ** 2
-    model += (problem.ringing_error * _ringing(observed.edges_s, signal)) ** 2
-    return np.asarray(noise + model)
+    scale = np.maximum(signal, 0.5 * measured)
+    return np.asarray((problem.model_error * scale) ** 2 + (problem.ringing_error * ringing) ** 2)
 
 
 def squared_image_rows(rows: EnergyRows) -> EnergyRows:
@@ -290,6 +304,26 @@ def squared_image_rows(rows: EnergyRows) -> EnergyRows:
         2.0 * rows.length_m[image],
         rows.batch[image],
         rows.n_batches,
+    )
+
+
+def chosen_rows(rows: EnergyRows, kept: BoolArray) -> EnergyRows:
+    """Return the rows of some paths.
+
+    Parameters
+    ----------
+    kept : bool array, shape (n_paths,)
+        Of the trace.
+    """
+    own = kept[cast(IntArray, rows.path)]
+    return replace(
+        rows,
+        offsets=np.concatenate(([0], np.cumsum(own)))[rows.offsets],
+        weight_per_m2=rows.weight_per_m2[own],
+        hits=rows.hits[own],
+        length_m=rows.length_m[own],
+        batch=rows.batch[own],
+        path=cast(IntArray, rows.path)[own],
     )
 
 
@@ -316,15 +350,17 @@ def _interference(
     return np.asarray(np.add.reduceat(pieces, first))
 
 
-def _ringing(edges_s: FloatArray, signal: FloatArray) -> FloatArray:
-    """Return what each window would get if all energy came late by an exponential of 2 ms.
+def late_shares(edges_s: FloatArray) -> FloatArray:
+    """Return which share of each window's energy every later one gets if it rings for 2 ms.
 
-    Without it a window between two reflections would be expected to be empty, with certainty.
+    If all energy came late by an exponential of 2 ms. Without it a window between two reflections
+    would be expected to be empty, with certainty. Shape (n_windows, n_windows), of the window that
+    gets it and that which gives it.
     """
     middle_s = 0.5 * (edges_s[1:] + edges_s[:-1])
     late_s = np.maximum(edges_s[:, None] - middle_s[None, :], 0.0)
     arrived = 1.0 - np.exp(-late_s / _RINGING_S)
-    return np.asarray(np.tril(np.diff(arrived, axis=0), -1) @ signal)
+    return np.asarray(np.tril(np.diff(arrived, axis=0), -1))
 
 
 def tracing_variance(

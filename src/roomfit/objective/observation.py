@@ -52,6 +52,7 @@ def energy_terms(
     start: FloatArray,
     *,
     periods: float = 1.5,
+    fine_s: float = 0.0,
 ) -> Iterator[tuple[EnergyTerm, Parameters] | None]:
     """Make the windows of one band after the other, with their unknowns.
 
@@ -64,7 +65,7 @@ def energy_terms(
     ----------
     start : float array, shape (n_bands,)
         Uniform absorption to start from.
-    periods : float
+    periods, fine_s : float
         How short the windows may be; see `window_edges_s`.
 
     Notes
@@ -88,7 +89,7 @@ def energy_terms(
                 coarse.edges_s,
                 timing_sd_s(scene, m),
                 gain_labels.index(label) if label else -1,
-                periods,
+                (periods, fine_s),
             )
             for m, label in zip(fitted, labels, strict=True)
         )
@@ -191,12 +192,13 @@ def _observation(
     bin_edges_s: FloatArray,
     timing_sd_s: float,
     gain: int,
-    periods: float,
+    shortest: tuple[float, float],
 ) -> Observation:
     bank, kernel = reduction
     bandwidth_hz = float(statistical_bandwidth_hz(bank)[0])
     end_s = min(float(m.fit_end_s[band]), float(bin_edges_s[-1]))
-    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods)
+    periods, fine_s = shortest
+    edges = window_edges_s(m.direct_s, end_s, bandwidth_hz, periods=periods, fine_s=fine_s)
     fine = fine_edges_s(edges, bandwidth_hz)
     unit = _ENERGY_PER_PRESSURE_SQUARED if m.measurement.level == "absolute" else 1.0
     # noise power in the unit of `window_energies`: a single sample of height 1 has the energy 1

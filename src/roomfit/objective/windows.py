@@ -102,7 +102,12 @@ def _add_up(
 
 
 def window_edges_s(
-    direct_s: float, end_s: float, bandwidth_hz: float, *, periods: float = 1.5
+    direct_s: float,
+    end_s: float,
+    bandwidth_hz: float,
+    *,
+    periods: float = 1.5,
+    fine_s: float = 0.0,
 ) -> FloatArray:
     """Return the edges of the windows in which a band's energy is compared.
 
@@ -121,6 +126,9 @@ def window_edges_s(
     periods : float
         Of 1 / B, in the shortest window: 1.5 suits energies that add, 0.75 pressures, whose
         windows depend on phases.
+    fine_s : float
+        Windows that begin less than this after the direct sound may be half as long, and grow to
+        3 % of the elapsed time: they tell where a wall stands.
 
     Returns
     -------
@@ -129,11 +137,12 @@ def window_edges_s(
         filter rings before it;
         shorter than two entries never: the window of the direct sound is always there.
     """
-    finest_s = max(1e-3, periods / bandwidth_hz)
+    finest_s = max(1e-3 if fine_s == 0.0 else 0.5e-3, periods / bandwidth_hz)
     before_s = 2.0 * max(1e-3, 1.5 / bandwidth_hz)
     edges = [direct_s - before_s, direct_s + finest_s]
     while True:
-        following = edges[-1] + max(finest_s, 0.1 * (edges[-1] - direct_s))
+        elapsed_s = edges[-1] - direct_s
+        following = edges[-1] + max(finest_s, (0.03 if elapsed_s < fine_s else 0.1) * elapsed_s)
         if following > end_s:
             return np.array(edges)
         edges.append(following)

@@ -29,6 +29,7 @@ def answer_text(answer: Result) -> str:
         separable_text(answer),
         shares_table(answer),
         directivity_text(answer),
+        offsets_text(answer),
         certificate_text(answer),
         pairs_table(answer),
         findings_text(answer.findings),
@@ -133,6 +134,20 @@ def directivity_text(answer: Result) -> str:
             along = float(np.sqrt(axis**2 @ sd**2)) if length > 0.0 else float(sd.max())
             towards = ", ".join(f"{x:.2f}" for x in axis)
             lines.append(f"{centre:>6g} Hz  b {length:.2f} +- {along:.2f} towards ({towards})")
+    return "\n".join(lines)
+
+
+def offsets_text(answer: Result) -> str:
+    """Return where groups of positions and lengths were found, with standard deviations."""
+    found = answer.geometry
+    if found is None or not found.n_offsets:
+        return ""
+    lines = ["Fitted along by early reflections, from the specified value; intervals hold there"]
+    for i in range(len(found.labels) - found.n_offsets, len(found.labels)):
+        lines.append(
+            f"{found.labels[i]}: {found.change[i]:+.3f} +- {found.sd[i]:.3f} m "
+            f"(specified within {found.prior_sd[i]:.3f} m)"
+        )
     return "\n".join(lines)
 
 

@@ -99,6 +99,8 @@ class RoomSpec:
     # From the name of a surface, a group or a file's material (in that precedence) to a
     # material. Surfaces that are not named keep the file's material name.
     materials: Mapping[str, str] = field(default_factory=dict)
+    # Standard deviations of a box's lengths in m, which then are fitted
+    lengths_sd: tuple[float, float, float] | None = None
 
     def __post_init__(self) -> None:
         given = [self.file is not None, self.shoebox is not None, self.polygons is not None]

@@ -1,0 +1,650 @@
+"""Whether positions and the lengths of a box are where they are specified, by early reflections.
+
+A group of positions that move together, and each length of a box, is displaced; the image sources
+of low orders are found anew; and the energies in windows are compared under a few steps of
+absorption, gains and directivity. What is specified with a standard deviation of its own is found
+within it; what is not is only suspected, and found out where it is farther off than specified.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from typing import TypeAlias
+
+import numpy as np
+
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.findings import Code, Finding
+from roomfit.geometry.mesh import mean_free_path_m, shoebox_mesh
+from roomfit.inversion.measurements import Measurements
+from roomfit.inversion.paths import TracedPaths
+from roomfit.inversion.scattering import band_factors
+from roomfit.inversion.solve import BandFits
+from roomfit.materials.priors import MaterialPrior, Scattering
+from roomfit.measurement import MeasuredPair
+from roomfit.objective.coherent import FittedGeometry
+from roomfit.objective.directivity import (
+    DirectivityParameters,
+    FittedDirectivity,
+    directed_band,
+    row_bases,
+    with_directivities,
+)
+from roomfit.objective.early import DisplacedTerm, KeptPaths, displaced_term, kept_paths
+from roomfit.objective.energy import chosen_rows
+from roomfit.objective.observation import DEFAULT_POSITION_SD_M, energy_terms, fitted_in_band
+from roomfit.objective.parameters import (
+    Parameters,
+    absorption_of,
+    physical_values,
+    prior_residuals,
+    start_vector,
+)
+from roomfit.objective.problem import Objective
+from roomfit.scene import (
+    NEAREST_PAIR_M,
+    NEAREST_WALL_M,
+    Point,
+    Room,
+    Scene,
+    distances_m,
+    position_findings,
+)
+from roomfit.signals.filters import FilterBank, SpreadingKernel, spreading_kernel
+from roomfit.solvers.least_squares import BandFit, score_band
+from roomfit.tracing.image_sources import trace_images
+from roomfit.tracing.paths import hits
+from roomfit.typing import FloatArray
+from roomfit.uncertainty.gaussian import BandEstimate
+
+# Below it a window is longer than what a displacement does to a reflection.
+_LEAST_HZ = 400.0
+# Images of this order and within so many mean free paths of the direct sound move.
+_ORDER, _MEAN_FREE_PATHS = 3, 8.0
+# Windows half as long as those of the fit: 18 cm of a path.
+_PERIODS, _FINE_S = 0.75, 0.05
+_FEWEST_RESPONSES = 4
+# A tree of beams for every geometry takes milliseconds only where walls are few.
+_MOST_TRIANGLES = 60
+# Of a box's lengths, where no standard deviation is specified.
+LENGTH_SD_M = 0.03
+LARGEST_SHIFT_SD = 3.5
+# A wall reflects from so far off the plane that a tape finds, panels and furniture being what they
+# are: joined to every standard deviation. Chosen on one measured room, decision 0035.
+_WALL_SD_M = 0.035
+# Log-likelihood that a displacement beyond what is specified must gain: decision 0035.
+LEAST_GAIN = 10.0
+_GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
+_STEP_M = 0.04
+_REACH_M = 0.1  # of one step of a sweep
+_WITHIN_SD = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
+_WORTH_TELLING_M = 0.3
+_APART_M = 0.06  # of second differences, smooth over what single windows do
+_AXES = "xyz"
+
+
+@dataclass(frozen=True, slots=True)
+class Offset:
+    """One number, in m, that displaces a group of positions along an axis or lengthens a box."""
+
+    group: str  # "" for a length
+    axis: int
+    sd_m: float
+    is_stated: bool  # fitted within its standard deviation; otherwise only suspected
+    sources: frozenset[str] = frozenset()
+    receivers: frozenset[str] = frozenset()
+
+    @property
+    def label(self) -> str:
+        """Its name in results."""
+        return f"{self.group or 'length'} {_AXES[self.axis]}"
+
+
+Worth: TypeAlias = Callable[[FloatArray], float]
+"""Log-likelihood of a vector of offsets; minus infinity where a point leaves the room."""
+
+
+def offsets_of(scene: Scene) -> tuple[Offset, ...]:
+    """Return what may be displaced: groups that are stated or all positions, and a box's lengths.
+
+    Where nothing is stated, all positions move as one, with the standard deviation of one of them,
+    and each length has 3 cm.
+    """
+    found = []
+    every = [frozenset(p.name for p in points) for points in (scene.sources, scene.receivers)]
+    for group in scene.groups:
+        own = [frozenset(n for n in k if _is_member(n, group.members)) for k in every]
+        stated_m = np.broadcast_to(np.asarray(group.sd_m), 3)
+        if any(own):
+            found += [Offset(group.name, a, float(stated_m[a]), True, *own) for a in range(3)]
+    if not any([o.sources, o.receivers] == every for o in found):
+        sds_m = [p.position_sd_m for p in (*scene.sources, *scene.receivers)]
+        known_m = [DEFAULT_POSITION_SD_M if s is None else s for s in sds_m]
+        sd_m = max(float(np.sqrt(np.mean(np.square(known_m)))), 1e-3)
+        found += [Offset("all positions", a, sd_m, False, *every) for a in range(3)]
+    if scene.room.shoebox_m is not None:
+        stated = scene.room.lengths_sd_m
+        found += [
+            Offset("", a, LENGTH_SD_M if stated is None else stated[a], stated is not None)
+            for a in range(3)
+        ]
+    return tuple(o for o in found if o.sd_m > 0.0)
+
+
+def _is_member(name: str, patterns: Sequence[str]) -> bool:
+    return any(fnmatchcase(name, p) for p in patterns)
+
+
+def displaced(scene: Scene, offsets: Sequence[Offset], shift_m: FloatArray) -> Scene:
+    """Return the scene with its offsets at the given values.
+
+    Parameters
+    ----------
+    shift_m : float array, shape (n_offsets,)
+        A group's positions move along its axis; a length grows, the corner at the origin kept.
+    """
+
+    def moved(points: tuple[Point, ...], kind: str) -> tuple[Point, ...]:
+        steps_m = np.zeros((len(points), 3))
+        for offset, by_m in zip(offsets, shift_m, strict=True):
+            members = getattr(offset, kind)
+            steps_m[[p.name in members for p in points], offset.axis] += by_m
+        return tuple(
+            replace(p, position_m=p.position_m + step)
+            for p, step in zip(points, steps_m, strict=True)
+        )
+
+    longer_m = np.zeros(3)
+    for offset, by_m in zip(offsets, shift_m, strict=True):
+        longer_m[offset.axis] += 0.0 if offset.group else by_m
+    return replace(
+        scene,
+        room=_lengthened(scene.room, longer_m) if np.any(longer_m) else scene.room,
+        sources=moved(scene.sources, "sources"),
+        receivers=moved(scene.receivers, "receivers"),
+    )
+
+
+def _lengthened(room: Room, by_m: FloatArray) -> Room:
+    x, y, z = (np.array(room.shoebox_m) + by_m).tolist()
+    mesh = replace(room.mesh, vertices_m=shoebox_mesh((x, y, z)).vertices_m)
+    return replace(room, mesh=mesh, shoebox_m=(x, y, z))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OutlineBand:
+    """One band of an outline: what stays, and where its fit starts."""
+
+    band: int
+    kept: KeptPaths
+    parameters: Parameters
+    start: FloatArray  # (n_free,)
+    attenuation_per_m: float
+    files: tuple[MeasuredPair, ...]  # one an observation
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Outline:
+    """A fitted room whose early image sources can be displaced."""
+
+    measured: Measurements
+    traced: TracedPaths
+    offsets: tuple[Offset, ...]
+    moved_m: FloatArray  # (n_offsets,), where the scene already differs from the specified one
+    until_s: float
+    order: int
+    kernel: SpreadingKernel
+    bands: tuple[OutlineBand, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Located:
+    """The most likely offsets."""
+
+    shift_m: FloatArray  # (n_offsets,), from the specified scene
+    sd_m: FloatArray  # (n_offsets,), the prior's where it was not asked for
+    finding: Finding | None
+
+
+def outline_of(
+    measured: Measurements,
+    priors: tuple[MaterialPrior, ...],
+    traced: TracedPaths,
+    answers: Sequence[BandEstimate],
+    directivities: tuple[DirectivityParameters | None, Sequence[FittedDirectivity]],
+    offsets: tuple[Offset, ...],
+    moved_m: FloatArray,
+) -> Outline | None:
+    """Return what is needed to displace a fitted room; None where there is too little to go by.
+
+    Too little are fewer than four responses, no band from 500 Hz, or a room of more than 60
+    triangles.
+
+    Parameters
+    ----------
+    traced : TracedPaths
+        Without the weights of fitted directivities.
+    answers : sequence of BandEstimate, one a band
+    directivities : tuple of DirectivityParameters or None, and sequence of FittedDirectivity
+        What was unknown of the sources, and what was found.
+    """
+    scene, bands, paths = measured.scene, measured.bands, traced.paths
+    if (
+        sum(m.measurement.use == "fit" for m in measured.responses) < _FEWEST_RESPONSES
+        or len(scene.room.mesh.triangles) > _MOST_TRIANGLES
+        or traced.settings.image_order < 1
+        or not offsets
+    ):
+        return None
+    c = speed_of_sound_m_s(scene.air)
+    reach_m = float(distances_m(scene).max()) + _MEAN_FREE_PATHS * mean_free_path_m(scene.room.mesh)
+    until_s, order = reach_m / c, min(_ORDER, traced.settings.image_order)
+    if traced.settings.image_until_s is not None:
+        until_s = min(until_s, traced.settings.image_until_s)
+    until_s = min(until_s, traced.settings.duration_s)
+    moves = (paths.batch < 0) & (paths.length_m <= c * until_s)
+    moves[moves] = hits(paths)[moves].sum(axis=1) <= order
+    attenuation = attenuation_per_m(scene.air, bands)
+    unknown, found = directivities
+    start = np.array([float(np.mean(a.absorption)) for a in answers])
+    made = energy_terms(
+        scene,
+        bands,
+        priors,
+        measured.responses,
+        traced.binned,
+        start,
+        periods=_PERIODS,
+        fine_s=_FINE_S,
+    )
+    stay = replace(traced.binned, rows=tuple(chosen_rows(r, ~moves) for r in traced.binned.rows))
+    bases = None if unknown is None else row_bases(unknown, scene, paths, stay)
+    out = []
+    for band, own in enumerate(made):
+        if own is None or bands.centres_hz[band] < _LEAST_HZ or answers[band].model == "prior":
+            continue
+        files = fitted_in_band(measured.responses, band)
+        rows = tuple(chosen_rows(r, ~moves) for r in own[0].rows)
+        term, parameters = replace(own[0], rows=rows, squared_image_rows=()), own[1]
+        directivity, b = None, np.zeros((0, 3))
+        if unknown is not None and bases is not None:
+            directivity = directed_band(unknown, scene, bases, term, files)
+            b = np.stack([d.b[band] for d in found])
+            parameters = with_directivities(parameters, directivity.unknown)
+        parameters = _starting_at(parameters, answers[band].absorption)
+        vector = start_vector(parameters)
+        if directivity is not None:
+            free = b.ravel() - directivity.unknown.mean
+            vector[-b.size :] = np.linalg.solve(directivity.unknown.root, free)
+        values, _ = physical_values(parameters, vector)
+        kept = kept_paths(term, directivity, values["absorption"], b)
+        out.append(OutlineBand(band, kept, parameters, vector, float(attenuation[band]), files))
+    if not out:
+        return None
+    kernel = spreading_kernel(FilterBank(bands))
+    return Outline(measured, traced, offsets, moved_m, until_s, order, kernel, tuple(out))
+
+
+def _starting_at(parameters: Parameters, absorption: FloatArray) -> Parameters:
+    block = absorption_of(parameters)
+    margin = 1e-3 * (block.upper - block.lower)
+    inside = np.clip(absorption, block.lower + margin, block.upper - margin)
+    own = replace(block, start=np.where(block.fitted, inside, block.start))
+    return Parameters(tuple(own if b.name == "absorption" else b for b in parameters.blocks))
+
+
+def displaced_terms(outline: Outline, shift_m: FloatArray) -> tuple[DisplacedTerm, ...]:
+    """Return the windows of every band with the offsets moved on by so much."""
+    before, traced = outline.measured.scene, outline.traced
+    scene = displaced(before, outline.offsets, shift_m)
+    c = speed_of_sound_m_s(scene.air)
+    thinned = Scattering(traced.paths.materials, traced.paths.sampling_scattering)
+    images = trace_images(scene, outline.order, outline.until_s, thinned)
+    bands, directivities = outline.measured.bands, outline.measured.directivities
+    factors, _ = band_factors(directivities, scene, bands, images, traced.scattering)
+    farther_m = distances_m(scene) - distances_m(before)
+    terms = []
+    for own in outline.bands:
+        weight = images.weight_per_m2 * np.exp(-own.attenuation_per_m * images.length_m)
+        if factors is not None:
+            weight *= factors[own.band]
+        # a response whose emission is not known stands with its direct sound where this was put
+        late_m = np.array(
+            [0.0 if m.measurement.time_zero == "emission" else farther_m[m.pair] for m in own.files]
+        )
+        times_s = (images.length_m - late_m[:, None]) / c
+        kernel = outline.kernel, own.band
+        terms.append(displaced_term(own.kept, images, times_s, weight, kernel))
+    return tuple(terms)
+
+
+def worth_of(outline: Outline) -> Worth:
+    """Return the log-likelihood of offsets with absorption, gains and directivity near the best.
+
+    Windows follow a normal law whose scale is fitted in each band, so that a model that misses some
+    of them alike at every place neither gains nor loses; neighbours count as for absorption.
+    """
+    vectors = [own.start for own in outline.bands]
+    known: dict[bytes, float] = {}
+
+    def at(shift_m: FloatArray, rounds: int, steps: int) -> float:
+        key = np.round(shift_m, 4).tobytes()
+        if key in known:
+            return known[key]
+        if not _is_possible(displaced(outline.measured.scene, outline.offsets, shift_m)):
+            return -np.inf
+        total = 0.0
+        for i, term in enumerate(displaced_terms(outline, shift_m)):
+            objective = Objective(outline.bands[i].parameters, (term,))
+            fit = score_band(objective, vectors[i], rounds=rounds, steps=steps)
+            prior, _ = prior_residuals(objective.parameters, fit.vector)
+            total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
+            if rounds > 1:
+                vectors[i] = fit.vector
+        known[key] = total
+        return total
+
+    at(np.zeros(len(outline.offsets)), 4, 3)
+    return lambda shift_m: at(shift_m, 1, 2)
+
+
+def _is_possible(scene: Scene) -> bool:
+    """Whether all positions stay in the air of the room."""
+    box_m = scene.room.shoebox_m
+    if box_m is None:
+        return not position_findings(scene.room, scene.sources, scene.receivers)
+    points_m = np.array([p.position_m for p in (*scene.sources, *scene.receivers)])
+    inside = (points_m > NEAREST_WALL_M) & (points_m < np.array(box_m) - NEAREST_WALL_M)
+    return bool(inside.all() and distances_m(scene).min() > NEAREST_PAIR_M)
+
+
+def _log_likelihood(objective: Objective, fit: BandFit) -> float:
+    n = float(np.sum(1.0 / objective.correlation_length()))
+    squares = (fit.measured - fit.expected) ** 2 / fit.variance
+    spread = float(np.mean(np.log(fit.variance)) + np.log(np.mean(squares)))
+    return -0.5 * n * spread
+
+
+def located(outline: Outline) -> Located:
+    """Return the most likely offsets, with a finding where one is farther off than specified."""
+    offsets, n = outline.offsets, len(outline.offsets)
+    stated = np.array([o.is_stated for o in offsets])
+    sd_m = np.array([o.sd_m if o.is_stated else _tolerance_m(o) for o in offsets])
+    worth = worth_of(outline)
+
+    def posterior(shift_m: FloatArray) -> float:
+        return worth(shift_m) - 0.5 * float(np.sum(((outline.moved_m + shift_m) / sd_m) ** 2))
+
+    shift_m = _swept(posterior, np.zeros(n), sd_m)
+    for _ in range(n if stated.any() else 0):
+        at = _stated_step(outline, posterior, shift_m)
+        if at is None:
+            break
+        shift_m = _swept(posterior, at, sd_m)
+    found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
+    if own.size:
+        shift_m = _refined(posterior, _refined(posterior, shift_m, own.tolist()), own.tolist())
+        found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
+    finding = _implausible(outline, worth, shift_m)
+    gain, far_m = _farthest(outline, worth, shift_m)
+    if finding is None and gain > LEAST_GAIN and far_m is not None:
+        finding = _named(outline, worth, shift_m, far_m)
+    return Located(outline.moved_m + shift_m, found_sd_m, finding)
+
+
+def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
+    """Return fits with the finding, and with the offsets that were fitted among the geometry."""
+    own = np.flatnonzero([o.is_stated for o in outline.offsets])
+    doubts = () if found.finding is None else (found.finding,)
+    fits = replace(fits, findings=(*fits.findings, *doubts))
+    if not own.size:
+        return fits
+    none = np.zeros(0)
+    speed = speed_of_sound_m_s(outline.measured.scene.air)
+    before = fits.geometry or FittedGeometry((), none, none, none, speed)
+    geometry = replace(
+        before,
+        labels=(*before.labels, *(outline.offsets[k].label for k in own)),
+        change=np.concatenate((before.change, outline.moved_m[own])),
+        sd=np.concatenate((before.sd, found.sd_m[own])),
+        prior_sd=np.concatenate((before.prior_sd, [outline.offsets[k].sd_m for k in own])),
+        n_offsets=own.size,
+    )
+    return replace(fits, geometry=geometry)
+
+
+def _tolerance_m(offset: Offset) -> float:
+    return float(np.hypot(offset.sd_m, _WALL_SD_M))
+
+
+def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
+    """Return each offset at its best, that of the largest gain first.
+
+    On a grid within its standard deviations, then along a parabola.
+    """
+    ways = np.eye(shift_m.size)
+    grids = [[t * min(s, _REACH_M) for t in _WITHIN_SD] for s in sd_m]
+    gains = [max(worth(shift_m + d * w) for d in g) for w, g in zip(ways, grids, strict=True)]
+    at, best = np.array(shift_m), worth(shift_m)
+    for k in [i for i in np.argsort(gains)[::-1] if gains[i] > best]:
+        for trial in [at + d * ways[k] for d in grids[k]]:
+            if (found := worth(trial)) > best:
+                at, best = trial, found
+        at = _refined(worth, at, [int(k)])
+        best = worth(at)
+    return at
+
+
+def _refined(worth: Worth, shift_m: FloatArray, entries: Sequence[int]) -> FloatArray:
+    """Return offsets with a step of each along a parabola, where that is better."""
+    at = np.array(shift_m)
+    for k in entries:
+        way = np.eye(at.size)[k]
+        trial = at + _parabola(worth, at, way, worth(at)) * way
+        at = trial if worth(trial) > worth(at) else at
+    return at
+
+
+def _parabola(worth: Worth, at: FloatArray, way: FloatArray, here: float) -> float:
+    """Return how far the top of the parabola through three values lies along a way, in m."""
+    ahead, behind = worth(at + _STEP_M * way), worth(at - _STEP_M * way)
+    if not np.isfinite(ahead + behind):
+        return 0.0
+    curvature = 2.0 * here - ahead - behind
+    slope = 0.5 * (ahead - behind)
+    if curvature <= 0.0 or abs(slope) > curvature * _REACH_M / _STEP_M:
+        return float(np.sign(slope) * _REACH_M)
+    return float(_STEP_M * slope / curvature)
+
+
+def _stated_step(outline: Outline, posterior: Worth, shift_m: FloatArray) -> FloatArray | None:
+    """Return offsets with one that is stated a step of the grid away, where that is likelier."""
+    here = posterior(shift_m)
+    trials: list[FloatArray] = []
+    for k, offset in enumerate(outline.offsets):
+        if offset.is_stated:
+            for d in (*-_GRID_M, *_GRID_M):
+                if abs(d) < 2.0 * LARGEST_SHIFT_SD * offset.sd_m:
+                    trials.append(shift_m + d * np.eye(shift_m.size)[k])
+    values = [posterior(t) for t in trials]
+    if not values or max(values) <= here + 0.5:
+        return None
+    return trials[int(np.argmax(values))]
+
+
+def _farthest(
+    outline: Outline, worth: Worth, shift_m: FloatArray
+) -> tuple[float, FloatArray | None]:
+    """Return the largest gain of one offset beyond what is specified, and where it is.
+
+    Over its axis as specified; less likely than what is within the specified, it is nowhere.
+    """
+    inside, best, at = worth(shift_m), 0.0, None
+    for k, offset in enumerate(outline.offsets):
+        way, limit_m = np.eye(shift_m.size)[k], LARGEST_SHIFT_SD * _tolerance_m(offset)
+        same = [o.axis == offset.axis for o in outline.offsets]
+        start_m = np.where(same, -outline.moved_m, shift_m)
+        here = worth(start_m)
+        for d in (*-_GRID_M, *_GRID_M):
+            if abs(d) <= limit_m:
+                continue
+            found = worth(start_m + d * way)
+            if found > inside and found - here > best:
+                best, at = found - here, start_m + d * way
+    return best, at
+
+
+def _named(
+    outline: Outline, worth: Worth, inside_m: FloatArray, far_m: FloatArray
+) -> Finding | None:
+    """Return what is displaced beyond what is specified; None where it is not, on a second look.
+
+    All positions that move, a box that is longer, and a wall at the origin that stands elsewhere
+    differ by which of two opposite walls is nearer or farther: the likeliest of them is named, its
+    axis otherwise as specified.
+    """
+    offsets, unit = outline.offsets, np.eye(inside_m.size)
+    axis = offsets[int(np.argmax(np.abs(far_m + outline.moved_m)))].axis
+    along = [k for k, o in enumerate(offsets) if o.axis == axis]
+    whole = [k for k in along if _is_everything(outline, offsets[k])]
+    lengths = [k for k in along if not offsets[k].group]
+    start_m = np.array(inside_m)
+    start_m[along] = -outline.moved_m[along]
+    ways = [(k, unit[k]) for k in along]
+    if whole and lengths:
+        ways.append((-1, unit[whole[0]] + unit[lengths[0]]))
+    trials = [(worth(start_m + d * w), k, d, w) for k, w in ways for d in (*-_GRID_M, *_GRID_M)]
+    value, k, size_m, way = max(trials, key=lambda t: t[0])
+    step_m = _parabola(worth, start_m + size_m * way, way, value)
+    finer = worth(start_m + (size_m + step_m) * way)
+    if finer > value:
+        value, size_m = finer, size_m + step_m
+    shift_m, gain = start_m + size_m * way, value - worth(start_m)
+    entry = lengths[0] if k < 0 else k
+    if gain <= LEAST_GAIN or abs(size_m) <= LARGEST_SHIFT_SD * _tolerance_m(offsets[entry]):
+        return None
+    evidence: dict[str, object] = {"log_likelihood_gain": round(gain, 1)}
+    if whole and lengths:
+        pair = [whole[0], lengths[0]]
+        covariance = _covariance(worth, shift_m, pair, np.full(2, 10.0))
+        ends = np.array([[1.0, 0.0], [-1.0, 1.0]])
+        farther_m = ends @ (outline.moved_m + shift_m)[pair]
+        deviations_m = np.sqrt(np.diag(ends @ covariance @ ends.T))
+        evidence["metres_farther"] = {
+            w: [round(float(x), 2), round(float(s), 2)]
+            for w, x, s in zip(_walls(outline, axis), farther_m, deviations_m, strict=True)
+            if s < _WORTH_TELLING_M
+        }
+    return _finding(outline, k, axis, (float(size_m), _sd_along(worth, shift_m, way)), evidence)
+
+
+def _finding(
+    outline: Outline, k: int, along: int, found: tuple[float, float], evidence: dict[str, object]
+) -> Finding:
+    """Return what stands elsewhere: an offset by its index, or the wall at the origin, -1."""
+    offset, walls, (size_m, sd_m) = outline.offsets[k], _walls(outline, along), found
+    axis, size = _AXES[along], f"{abs(size_m):.2f} +- {sd_m:.2f} m"
+    way = f"{'+' if size_m > 0.0 else '-'}{axis}"
+    if k < 0:
+        what, kind = f"{walls[0]} stands {size} {'inside' if size_m < 0.0 else 'outside'}", "wall"
+        what += " of where it is specified"
+    elif offset.group:
+        what, kind = f"{offset.group} stand {size} farther along {way}", offset.group
+        if walls:
+            what += f", towards {walls[int(size_m > 0.0)]}"
+        what += ", than specified"
+    else:
+        kind = "length"
+        what = f"the room is {size} {'longer' if size_m > 0.0 else 'shorter'} along {axis}"
+        what += f" than specified, as if {walls[1]} stood elsewhere"
+    farther = evidence.get("metres_farther")
+    ends = ""
+    if isinstance(farther, dict) and farther:
+        ends = "; counted from all positions " + " and ".join(
+            f"{w} is {x:+.2f} +- {s:.2f} m farther" for w, (x, s) in farther.items()
+        )
+    stated_m = LENGTH_SD_M if k < 0 else offset.sd_m
+    return Finding(
+        Code.DISPLACEMENT_DETECTED,
+        f"By early reflections {what}, which raises the log-likelihood by "
+        f"{evidence['log_likelihood_gain']:.0f}; {stated_m:g} m is its standard deviation{ends}. "
+        "Absorption compensates for it, so that no material is called identifiable. Measure it "
+        "again, or state how well it is known: [groups] or lengths_sd.",
+        {
+            "what": kind,
+            "axis": axis,
+            "metres": round(size_m, 3),
+            "sd_m": round(sd_m, 3),
+            "specified_sd_m": stated_m,
+            **evidence,
+        },
+    )
+
+
+def _implausible(outline: Outline, worth: Worth, shift_m: FloatArray) -> Finding | None:
+    """Return a finding for the stated offset that had to move farthest beyond what is plausible."""
+    total_m = outline.moved_m + shift_m
+    limits_m = [
+        LARGEST_SHIFT_SD * _tolerance_m(o) if o.is_stated else np.inf for o in outline.offsets
+    ]
+    k = int(np.argmax(np.abs(total_m) / limits_m))
+    way = np.eye(total_m.size)[k]
+    if abs(total_m[k]) <= limits_m[k]:
+        return None
+    gain = worth(shift_m) - worth(shift_m - total_m[k] * way)
+    if gain <= LEAST_GAIN:
+        return None
+    found = float(total_m[k]), _sd_along(worth, shift_m, way)
+    evidence: dict[str, object] = {"log_likelihood_gain": round(gain, 1)}
+    return _finding(outline, k, outline.offsets[k].axis, found, evidence)
+
+
+def _walls(outline: Outline, axis: int) -> tuple[str, ...]:
+    """Return the names of a box's walls at both ends of an axis; none of another room."""
+    room = outline.measured.scene.room
+    if room.shoebox_m is None:
+        return ()
+    names = []
+    for i in (2 * axis, 2 * axis + 1):
+        surface, material = room.mesh.surfaces[i].name, room.surface_material[i]
+        is_alone = np.count_nonzero(room.surface_material == material) == 1
+        known = room.materials[material]
+        names.append(f"{surface} ({known})" if is_alone and known != surface else surface)
+    return tuple(names)
+
+
+def _is_everything(outline: Outline, offset: Offset) -> bool:
+    scene = outline.measured.scene
+    return all(p.name in offset.sources for p in scene.sources) and all(
+        p.name in offset.receivers for p in scene.receivers
+    )
+
+
+def _sd_along(worth: Worth, at: FloatArray, way: FloatArray) -> float:
+    """Return the standard deviation along a way in m, at most 10."""
+    here, ahead, behind = worth(at), worth(at + _APART_M * way), worth(at - _APART_M * way)
+    curvature = (2.0 * here - ahead - behind) / _APART_M**2
+    return float(1.0 / np.sqrt(max(curvature if np.isfinite(curvature) else 0.0, 1e-2)))
+
+
+def _covariance(
+    worth: Worth, at: FloatArray, entries: Sequence[int], prior_sd_m: FloatArray
+) -> FloatArray:
+    """Return the covariance of some offsets, the others fixed, by second differences."""
+    h, n = _APART_M, len(entries)
+    ways = h * np.eye(at.size)[list(entries)]
+    here = worth(at)
+    ahead, behind = [worth(at + w) for w in ways], [worth(at - w) for w in ways]
+    hessian = np.zeros((n, n))
+    for i in range(n):
+        hessian[i, i] = (2.0 * here - ahead[i] - behind[i]) / h**2
+        for j in range(i):
+            cross = worth(at + ways[i] + ways[j]) - ahead[i] - ahead[j] + here
+            hessian[i, j] = hessian[j, i] = -cross / h**2
+    hessian = np.where(np.isfinite(hessian), hessian, 0.0)
+    # rough as it is, a likelihood cannot know less than the prior
+    scale = np.outer(prior_sd_m, prior_sd_m)
+    values, vectors = np.linalg.eigh(hessian * scale)
+    return np.asarray(scale * ((vectors / np.maximum(values, 1.0)) @ vectors.T))
