@@ -14,6 +14,7 @@ from fnmatch import fnmatchcase
 from typing import TypeAlias
 
 import numpy as np
+from scipy.optimize import minimize_scalar
 
 from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.findings import Code, Finding
@@ -77,6 +78,8 @@ _WALL_SD_M = 0.035
 # Log-likelihood that a displacement beyond what is specified must gain: decision 0035.
 LEAST_GAIN = 10.0
 _GRID_M = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.65, 0.8, 1.0, 1.2])
+# A stated offset is sought at least so far about the best of the grid, to within 2 mm.
+_LEAST_REACH_M, _NEAR_M = 0.06, 2e-3
 _STEP_M = 0.04
 _REACH_M = 0.1  # of one step of a sweep
 _WITHIN_SD = (-3.0, -2.0, -1.0, 1.0, 2.0, 3.0)
@@ -385,7 +388,8 @@ def located(outline: Outline) -> Located:
         shift_m = _swept(posterior, at, sd_m)
     found_sd_m, own = np.array([o.sd_m for o in offsets]), np.flatnonzero(stated)
     if own.size:
-        shift_m = _refined(posterior, _refined(posterior, shift_m, own.tolist()), own.tolist())
+        for k in (*own.tolist(), *own.tolist()):
+            shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
         found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
     finding = _implausible(outline, worth, shift_m)
     gain, far_m = _farthest(outline, worth, shift_m)
@@ -435,6 +439,19 @@ def _swept(worth: Worth, shift_m: FloatArray, sd_m: FloatArray) -> FloatArray:
         at = _refined(worth, at, [int(k)])
         best = worth(at)
     return at
+
+
+def _highest(worth: Worth, shift_m: FloatArray, entry: int, reach_m: float) -> FloatArray:
+    """Return offsets with one of them at its best within a reach; the top is sharp."""
+    way = np.eye(shift_m.size)[entry]
+    found = minimize_scalar(
+        lambda d: -worth(shift_m + d * way),
+        bounds=(-reach_m, reach_m),
+        method="bounded",
+        options={"xatol": _NEAR_M, "maxiter": 20},
+    )
+    at = shift_m + float(found.x) * way
+    return at if worth(at) > worth(shift_m) else shift_m
 
 
 def _refined(worth: Worth, shift_m: FloatArray, entries: Sequence[int]) -> FloatArray:

@@ -166,21 +166,35 @@ def identify(
     offsets = offsets_of(measured.scene)
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))
-    last = part(progress, 0.5, 1.0) if is_stated.any() else progress
+    # where offsets are stated, the room is traced and fitted again at the most likely ones
+    rounds = 2 if is_stated.any() else 1
     with counted_evaluations() as made:
-        if is_stated.any():
-            traced, fits = _fitted(measured, priors, settings, cache, part(progress, 0.0, 0.5))
+        for number in range(rounds):
+            done = part(progress, number / rounds, (number + 1) / rounds)
+            start = _eyring_start(measured)
+            traced = traced_paths(measured, priors, settings, start, cache, part(done, 0.02, 0.45))
+            pressures = is_coherent(measured.responses, settings) and (
+                traced.far_images or settings.model == "coherent"
+            )
+            refine = _refinement(measured, priors, settings)
+            if pressures:
+                task = coherent_task(measured, priors, traced, start, settings)
+                coherent = fit_coherent(task, traced, part(done, 0.45, 0.85))
+                fits = coherent_answers(coherent, settings, refine, part(done, 0.85, 0.98))
+            else:
+                late = part(done, 0.45, 0.98)
+                fits = estimate_energies(measured, priors, traced, start, settings, refine, late)
             outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
-            if outline is not None:
+            if outline is None:
+                break
+            if number + 1 < rounds:
                 moved_m = np.where(is_stated, located(outline).shift_m, 0.0)
                 moved = displaced(measured.scene, offsets, moved_m)
                 measured = collect_measurements(
                     moved, measurements, bands, directivities or {}, settings.decay_range_db
                 )
-        traced, fits = _fitted(measured, priors, settings, cache, last)
-        outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
-        if outline is not None:
-            fits = with_offsets(fits, outline, located(outline))
+            else:
+                fits = with_offsets(fits, outline, located(outline))
     if fits.directivities:
         traced = redirected(measured, traced, fits.directivities)
     estimates = fits.answers
@@ -195,28 +209,6 @@ def identify(
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
 
 
-def _fitted(
-    measured: Measurements,
-    priors: tuple[MaterialPrior, ...],
-    settings: Settings,
-    cache: Cache | None,
-    progress: Progress | None,
-) -> tuple[TracedPaths, BandFits]:
-    """Trace a scene and fit every band, in paths without the weights of fitted directivities."""
-    start = _eyring_start(measured)
-    traced = traced_paths(measured, priors, settings, start, cache, part(progress, 0.02, 0.45))
-    pressures = is_coherent(measured.responses, settings) and (
-        traced.far_images or settings.model == "coherent"
-    )
-    refine = _refinement(measured, priors, settings)
-    if pressures:
-        task = coherent_task(measured, priors, traced, start, settings)
-        coherent = fit_coherent(task, traced, part(progress, 0.45, 0.85))
-        return traced, coherent_answers(coherent, settings, refine, part(progress, 0.85, 0.98))
-    done = part(progress, 0.45, 0.98)
-    return traced, estimate_energies(measured, priors, traced, start, settings, refine, done)
-
-
 def _outline(
     measured: Measurements,
     priors: tuple[MaterialPrior, ...],
@@ -225,7 +217,7 @@ def _outline(
     offsets: tuple[Offset, ...],
     moved_m: FloatArray,
 ) -> Outline | None:
-    """Return the fitted room to be displaced; the paper's searches fit what they are told."""
+    """Return the fitted room to be displaced; the paper's searches take positions as specified."""
     traced, fits = fitted
     if settings.method not in LEAST_SQUARES_METHODS:
         return None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TypeAlias
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline, PchipInterpolator
@@ -88,12 +89,18 @@ def profile(
     ends: list[float] = []
     found_bent = False
     for sign in (-1.0, 1.0):
-        there = sign * Z95 * line.sd
-        rise, slope = line.rise(there)
+        here = Z95 * line.sd
+        rise, slope = line.rise(sign * here)
         if abs(rise / RISE95 - 1.0) > _GAUSSIAN_ENOUGH:
             found_bent = True
-            there = line.end(sign, there, rise, slope)
-        ends.append(there)
+            bracket = _unbounded(line.sd)
+            here, is_end = line.towards_end(sign, here, rise, slope, bracket)
+            for _ in range(_MOST_POINTS - 1):
+                if is_end:
+                    break
+                rise, slope = line.rise(sign * here)
+                here, is_end = line.towards_end(sign, here, rise, slope, bracket)
+        ends.append(sign * here)
     order = np.argsort(line.moves)
     centre = float(fit.vector[entry])
     return Profile(
@@ -154,14 +161,17 @@ class _Line:
             (i for i, m in enumerate(self.moves) if m * move >= 0.0 and abs(m) < abs(move)),
             key=lambda i: abs(self.moves[i]),
         )
-        point = self._evaluated(self._guess(self.points[nearest], move - self.moves[nearest]))
+        predict = self.objective.predict
+        there = self._guess(self.points[nearest], move - self.moves[nearest])
+        point = self._point(there, predict(there))
         for _ in range(_MOST_CORRECTIONS):
             if self._followed(point)[0] <= _FAR_FROM_FOLLOWING * self.flattening:
                 break
             there = self._guess(point, 0.0)
-            better = self._evaluated(there)
+            better = self._point(there, predict(there))
             if better.cost >= point.cost:
-                better = self._evaluated(point.vector + 0.3 * (there - point.vector))
+                there = point.vector + 0.3 * (there - point.vector)
+                better = self._point(there, predict(there))
             if better.cost >= point.cost:
                 break
             point = better
@@ -172,34 +182,30 @@ class _Line:
         self.points.append(point)
         return rise, slope / self.flattening
 
-    def end(self, sign: float, first: float, rise: float, slope: float) -> float:
-        """Return where the rise is 1.92, by its root, which is nearly straight, and its slope."""
+    def towards_end(
+        self, sign: float, here: float, rise: float, slope: float, bracket: _Bracket
+    ) -> tuple[float, bool]:
+        """Return a distance nearer to where the rise is 1.92, and whether that is near enough.
+
+        By its root, which is nearly straight, and its slope; `bracket` is narrowed.
+        """
         aim = float(np.sqrt(RISE95))
         far = max(_FARTHEST - sign * float(self.fit.vector[self.entry]), 1e-3)
-        # distance from the answer, root there, and its slope
-        inside, outside = (0.0, 0.0, np.sqrt(0.5) / self.sd), (np.inf, np.inf, 0.0)
-        here = abs(first)
-        for number in range(_MOST_POINTS + 1):
-            root = float(np.sqrt(max(rise, 0.0)))
-            # a root that hardly rises says little of where it will
-            steep = max(sign * slope / max(2.0 * root, 1e-12), 0.25 * aim / (Z95 * self.sd))
-            if abs(rise / RISE95 - 1.0) < _NEAR:
-                return sign * min(here + (aim - root) / steep, far)
-            if root < aim:
-                inside = (here, root, steep)
-            else:
-                outside = (here, root, steep)
-            if np.isfinite(outside[0]):
-                here = _between(inside, outside, aim)
-                alike = max(_ALIKE, _ALIKE_SHARE * self._apart(0.0, sign * outside[0]))
-                if self._apart(sign * inside[0], sign * outside[0]) < alike:
-                    break
-            else:
-                here += min((aim - root) / steep, Z95 * self.sd)
-            if here >= far or number == _MOST_POINTS:
-                break
-            rise, slope = self.rise(sign * here)
-        return sign * min(here, far)
+        root = float(np.sqrt(max(rise, 0.0)))
+        # a root that hardly rises says little of where it will
+        steep = max(sign * slope / max(2.0 * root, 1e-12), 0.25 * aim / (Z95 * self.sd))
+        if abs(rise / RISE95 - 1.0) < _NEAR:
+            return min(here + (aim - root) / steep, far), True
+        bracket[0 if root < aim else 1] = (here, root, steep)
+        inside, outside = bracket
+        if np.isfinite(outside[0]):
+            here = _between(inside, outside, aim)
+            alike = max(_ALIKE, _ALIKE_SHARE * self._apart(0.0, sign * outside[0]))
+            is_end = self._apart(sign * inside[0], sign * outside[0]) < alike
+        else:
+            here += min((aim - root) / steep, Z95 * self.sd)
+            is_end = False
+        return min(here, far), is_end or here >= far
 
     def _apart(self, one: float, other: float) -> float:
         at = float(self.fit.vector[self.entry])
@@ -250,9 +256,8 @@ class _Line:
         curvature = point.hessian[entry, entry] - cross @ solved[:, 1]
         return 0.5 * float(uphill @ solved[:, 0]), float(slope), float(curvature)
 
-    def _evaluated(self, vector: FloatArray) -> _Point:
+    def _point(self, vector: FloatArray, prediction: Prediction) -> _Point:
         self.evaluations += 1
-        prediction = self.objective.predict(vector)
         prior, rows = prior_residuals(self.objective.parameters, vector)
         off, jacobian = self.objective.measured() - prediction.expected, prediction.jacobian
         weighted = self.weight[:, None] * jacobian
@@ -263,6 +268,14 @@ class _Line:
             rows.T @ prior - weighted.T @ off,
             jacobian.T @ weighted + rows.T @ rows,
         )
+
+
+_Bracket: TypeAlias = list[tuple[float, float, float]]
+"""Two points about an interval's end: distance from the answer, root of the rise, its slope."""
+
+
+def _unbounded(sd: float) -> _Bracket:
+    return [(0.0, 0.0, np.sqrt(0.5) / sd), (np.inf, np.inf, 0.0)]
 
 
 def _between(
