@@ -10,10 +10,12 @@ from __future__ import annotations
 
 import hashlib
 import json
+import lzma
 import os
 import shutil
 import struct
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -75,7 +77,7 @@ _OUTLINE = "outline"
 _DAMAGE = (
     *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
     *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error),
-    *(zipfile.BadZipFile, zlib.error, RoomfitError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, RoomfitError),
 )
 
 

@@ -7,7 +7,6 @@ killed run loses one at most.
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 import time
@@ -43,6 +42,7 @@ from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
+from roomfit.io.door import json_content, read_text
 from roomfit.io.inputs import identify_arguments
 from roomfit.logit import expit
 from roomfit.results import Result
@@ -135,12 +135,12 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
         The file is damaged, or belongs to another campaign, other settings or another version.
     """
     path = replicate_path(out, number)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise _damaged(path, str(error)) from error
+    try:
+        content = json_content(read_text(path, "replicate"), "replicate")
+    except InputError as error:
+        raise _damaged(path, str(error.found or error.what)) from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise _damaged(path, "another kind of file")
     if content.get("digest") != digest:
@@ -154,7 +154,7 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
         )
     try:
         return _replicate(content, path)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _damaged(path, f"{type(error).__name__}: {error}") from error
 
 
