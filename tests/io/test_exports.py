@@ -310,5 +310,5 @@ def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsy
         assert words in capsys.readouterr().err
     missing = tmp_path / "missing.json"
     assert run_command(monkeypatch, "export", missing, "--format", "csv", "--out", "x") == 2
-    assert "cannot be read" in capsys.readouterr().err
+    assert "does not exist" in capsys.readouterr().err
     assert sorted(p.name for p in tmp_path.iterdir()) == ["result.json", "walls.geo"]

@@ -22,7 +22,7 @@ import numpy as np
 
 from roomfit._numba import in_pool, worker_pool
 from roomfit.air import attenuation_per_m
-from roomfit.cache import write_json_atomically
+from roomfit.cache import hidden_folder, remove_leftovers, write_json_atomically
 from roomfit.coverage.simulate import (
     synthetic_campaign,
     synthetic_rate_hz,
@@ -382,8 +382,7 @@ def estimate_coverage(
     --------
     One replicate, too few for a statement; ``roomfit coverage`` makes 200.
 
-    >>> import tempfile
-    >>> import roomfit
+    >>>     >>> import roomfit
     >>> text = '''
     ... [room]
     ... shoebox = [6, 5, 3]
@@ -519,12 +518,10 @@ def _scratch(out: Path) -> Iterator[Path]:
     """Give a folder for synthetic responses on the same disk, and remove it in any case."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=out))
     except OSError as error:
         raise StoreError(
             "the output folder cannot be written to", where=str(out), found=str(error)
         ) from error
-    try:
+    remove_leftovers(out, _SCRATCH)
+    with hidden_folder(out, _SCRATCH) as folder:
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

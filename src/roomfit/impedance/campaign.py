@@ -15,7 +15,7 @@ import numpy as np
 
 from roomfit._checks import did_you_mean
 from roomfit.air import relative_speed_sd, speed_of_sound_m_s
-from roomfit.cache import check_output_folder
+from roomfit.cache import check_output_folder, sole_writer
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import refuse
@@ -80,6 +80,7 @@ def identify_campaign_impedance(
     return replace(result, findings=(*doubts, *result.findings), seed=seed)
 
 
+@sole_writer
 def impedance_to_folder(
     campaign_file: Path,
     out: Path,

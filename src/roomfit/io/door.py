@@ -150,7 +150,7 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
         ) from None
     except ValueError as error:  # a NUL, or what the system cannot encode, in the name
         raise InputError(
-            f"the {what} cannot be read", where=repr(str(path)), found=str(error)
+            "this is not a name of a file", where=repr(str(path)), found=str(error)
         ) from error
     except OSError as error:
         raise StoreError(

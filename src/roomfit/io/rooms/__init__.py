@@ -134,9 +134,8 @@ def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
         tree = cKDTree(finite)
         near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(finite)
         check_limit("near_pairs", near, where)
-    edges = np.concatenate(
-        [np.stack([face.corners, np.roll(face.corners, -1)], axis=1) for face in model.faces]
-    )
+    rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
+    edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
     check_limit("open_edges", _n_open(vertices_m, edges), where)
 
 
