@@ -37,10 +37,8 @@ import numpy as np
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.findings import Code, Finding
 
-try:
+if sys.platform != "win32":
     import fcntl
-except ImportError:  # Windows
-    fcntl = None  # type: ignore[assignment]
 
 _LIBRARIES = ("numpy", "scipy", "numba")
 
@@ -356,12 +354,12 @@ def _locked(lock: Path, path: Path) -> Iterator[None]:
 def _try_lock(descriptor: int) -> bool:
     """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
     try:
-        if fcntl is not None:
+        if sys.platform != "win32":
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         else:
             import msvcrt
 
-            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)  # type: ignore[attr-defined,unused-ignore]
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
     except OSError as error:
         return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
     return True
@@ -384,7 +382,7 @@ def hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
         folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
     except OSError as error:
         raise _cannot_be_made(parent, error) from error
-    descriptor = os.open(folder, os.O_RDONLY) if fcntl is not None else -1
+    descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
     try:
         if descriptor >= 0:
             _try_lock(descriptor)
@@ -397,7 +395,9 @@ def hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
 
 def remove_leftovers(parent: Path, prefix: str) -> None:
     """Remove the hidden folders of runs that were killed; those of living ones are locked."""
-    for folder in parent.glob(f"{escape(prefix)}????????") if fcntl is not None else ():
+    if sys.platform == "win32":
+        return  # which locks no folders
+    for folder in parent.glob(f"{escape(prefix)}????????"):
         try:
             descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
         except OSError:

@@ -9,9 +9,13 @@ numerical package.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import roomfit
 from roomfit.cli import (
@@ -27,7 +31,8 @@ from roomfit.cli import (
     predict,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
-from roomfit.errors import InputError, RoomfitError
+from roomfit.cli.terminal import warn
+from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
     *(catalogue, check, coverage, demo, design),
@@ -46,18 +51,55 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Without the name of the program; left out, those of this process.
     """
     try:
-        options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
-        options.run(options)
+        with _ended_like_an_interrupt():
+            options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
+            options.run(options)
+            sys.stdout.flush()
     except RoomfitError as error:
-        sys.stderr.write(f"{error}\n")
+        warn(error)
         sys.exit(2)
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted; nothing half-written was left behind\n")
-        sys.exit(_INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        warn("interrupted; nothing half-written was left behind")
+        sys.exit(128 + interrupt.args[0] if interrupt.args else _INTERRUPTED)
     except BrokenPipeError:
-        # the reader of the output (head, less) went first; the interpreter flushes once more
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # the reader of the output (head, less) went first
         sys.exit(1)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        _drop_output()
+        text = "the disk is full, or the output cannot grow"
+        warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
+        sys.exit(2)
+
+
+_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+
+def _drop_output() -> None:
+    """Let the interpreter flush into nothing at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _ended_like_an_interrupt() -> Iterator[None]:
+    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does."""
+
+    def end(number: int, _: object) -> None:
+        raise KeyboardInterrupt(number)
+
+    before = {}
+    if threading.current_thread() is threading.main_thread():
+        for name in ("SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            # nohup lets a hang-up be ignored
+            if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+                before[number] = signal.signal(number, end)
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def command_parsers() -> dict[str, Parser]:

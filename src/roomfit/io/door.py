@@ -129,7 +129,7 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
     StoreError
         The disk refuses to read it.
     """
-    place = printable(str(path))
+    place = str(path)
     try:
         _check_regular(Path(path).stat().st_mode, what, place)
         # not to wait should a pipe have come into its place meanwhile
@@ -189,25 +189,11 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
     if b"\0" in content:
         raise InputError(
             f"the {what} is not text",
-            where=printable(str(path)),
+            where=str(path),
             needed=f"a text file, as {Path(path).suffix or 'its name'} says",
             hint="check that the file's name ends as its format demands",
         )
     return decoded(content)
-
-
-def printable(text: str) -> str:
-    """Return a text without letters that steer a terminal or cannot be written; ? instead.
-
-    Examples
-    --------
-    >>> printable("a\\x1b[31mb")
-    'a?[31mb'
-    """
-    return "".join(
-        c if c in "\n\t" or (c.isprintable() and not 0xD800 <= ord(c) < 0xE000) else "?"
-        for c in text
-    )
 
 
 def json_content(text: str, what: str) -> Any:

@@ -23,7 +23,7 @@ from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
 from roomfit.io.door import csv_rows, json_content, read_text
-from roomfit.io.encoding import csv_text
+from roomfit.io.encoding import csv_text, one_line, without_apostrophe
 from roomfit.typing import BoolArray, FloatArray
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
@@ -40,7 +40,7 @@ def catt_text(
     semicolon, where a .geo file's comments begin, as do the remarks at the top. `names` are own
     and short names in the order of the rows; arrays have the shape (n_materials, 8).
     """
-    lines = [f"; {remark}" for remark in remarks]
+    lines = [f"; {one_line(remark)}" for remark in remarks]
     for i, (name, short) in enumerate(names.items()):
         # far apart on the circle of hues
         hue = colorsys.hsv_to_rgb(i / max(len(names), 1), 0.55, 0.85)
@@ -48,7 +48,7 @@ def catt_text(
         exact = " ".join(f"{v:.4f}" for v in absorption[i])
         lines.append(
             f"ABS {short} = <{_eight(absorption[i], 1)}> L <{_eight(scattering[i], 0)}> "
-            f"{{{colour}}} ; {' '.join(name.split())}: {exact}"
+            f"{{{colour}}} ; {one_line(name)}: {exact}"
         )
     return "\r\n".join(lines) + "\r\n"
 
@@ -119,7 +119,7 @@ def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     """
     lines = []
     for i, name in enumerate(names):
-        lines.append(f"{FIRST_NUMBER + i} {' '.join(name.split())}")
+        lines.append(f"{FIRST_NUMBER + i} {one_line(name)}")
         lines.append("".join(f"\t{v:.5f}" for v in absorption[i]))
     return "\r\n".join(lines) + "\r\n"
 
@@ -151,7 +151,7 @@ def raven_text(
     rows = [
         "[Material]",
         f"name={name}",
-        f"notes={' '.join(notes.split())}",
+        f"notes={one_line(notes)}",
         f"absorp={_row(absorption)}",
         f"scatter={_row(scattering)}",
         f"interpol={','.join('0' if t else '1' for t in specified)}",
@@ -289,6 +289,8 @@ def _from_csv(text: str) -> MaterialTable:
         )
     rows = [dict(zip(header, cells, strict=False)) for cells in lines]
     try:
+        for row in rows:
+            row["material"] = without_apostrophe(row["material"])
         names = tuple(dict.fromkeys(row["material"] for row in rows))
         centres = sorted({float(row["band_hz"]) for row in rows})
         place = {(row["material"], float(row["band_hz"])): row for row in rows}

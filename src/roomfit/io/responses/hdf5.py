@@ -28,6 +28,7 @@ from roomfit.io.door import limit, unpacked_limit_bytes
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
 
+_PROGRAM = Path(__file__).with_name("hdf5_child.py")
 _LIBRARIES_BYTES = 2**30
 _KEPT_BYTES = 2**27
 _LONGEST_HEAD = 2**26
@@ -69,12 +70,11 @@ def _in_child(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
     seconds = limit("reading_s")
     # the file, its numbers as they lie in it and as float64, and the libraries
     memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
-    program = str(Path(__file__).with_name("hdf5_child.py"))
     arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
     with tempfile.TemporaryFile() as answer:
         try:
             done = subprocess.run(
-                [sys.executable, "-P", program, *arguments],
+                [sys.executable, "-P", str(_PROGRAM), *arguments],
                 input=content,
                 stdout=answer,
                 stderr=subprocess.DEVNULL,

@@ -129,10 +129,12 @@ def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
     lengths = np.array([len(face.corners) for face in model.faces])
     check_limit("polygon_corners", int(lengths.max(initial=0)), where)
     check_limit("polygon_pairs", int((lengths[lengths > 100] ** 2).sum()), where)
-    finite = np.unique(vertices_m[np.isfinite(vertices_m).all(axis=1)], axis=0)
-    if len(finite):
-        tree = cKDTree(finite)
-        near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(finite)
+    if not (np.abs(vertices_m) < 1e9).all():
+        return  # which no mesh can have
+    distinct = np.unique(vertices_m, axis=0)
+    if len(distinct):
+        tree = cKDTree(distinct)
+        near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(distinct)
         check_limit("near_pairs", near, where)
     rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
     edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
