@@ -194,6 +194,30 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert list(tmp_path.iterdir()) == []
 
 
+@POSIX
+def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
+    """Python prints it as ignored and goes on; the command line asks again."""
+    program = (
+        "import sys, time, roomfit.cli as cli\n"
+        "class Slow:\n"
+        "    def __del__(self):\n"
+        "        print('in', flush=True); time.sleep(600)\n"
+        "def run(options):\n"
+        "    Slow()\n"
+        "    time.sleep(600)\n"
+        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "cli.main([])"
+    )
+    run = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert run.stdout is not None and run.stdout.readline() == b"in\n"
+    run.send_signal(signal.SIGINT)
+    _, said = run.communicate(timeout=300)
+    assert run.returncode == 130
+    assert b"Exception ignored" in said
+
+
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
 def test_output_to_a_full_device_is_told(tmp_path):
     with Path("/dev/full").open("w") as full:

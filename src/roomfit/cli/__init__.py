@@ -40,6 +40,7 @@ _COMMANDS = (
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130
+_INSIST_S = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -83,21 +84,31 @@ def _drop_output() -> None:
 
 @contextmanager
 def _ended_like_an_interrupt() -> Iterator[None]:
-    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does."""
+    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does, and none of them get lost."""
+    main, ended, before = threading.main_thread(), threading.Event(), {}
+
+    def insist(number: int) -> None:
+        # Python drops an interrupt that falls into a destructor or into the lock of an import
+        while not ended.wait(_INSIST_S):
+            if not isinstance(sys._current_exceptions().get(main.ident or 0), KeyboardInterrupt):
+                signal.pthread_kill(main.ident or 0, number)
 
     def end(number: int, _: object) -> None:
+        if hasattr(signal, "pthread_kill"):
+            threading.Thread(target=insist, args=(number,), daemon=True).start()
         raise KeyboardInterrupt(number)
 
-    before = {}
-    if threading.current_thread() is threading.main_thread():
-        for name in ("SIGTERM", "SIGHUP"):
+    if threading.current_thread() is main:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
             number = getattr(signal, name, None)
             # nohup lets a hang-up be ignored
-            if number is not None and signal.getsignal(number) == signal.SIG_DFL:
+            usual = (signal.SIG_DFL, signal.default_int_handler)
+            if number is not None and signal.getsignal(number) in usual:
                 before[number] = signal.signal(number, end)
     try:
         yield
     finally:
+        ended.set()
         for number, handler in before.items():
             signal.signal(number, handler)
 

@@ -14,6 +14,8 @@ from roomfit.io.responses.hdf5 import Variables, read_sofa_variables, sofa_data,
 from roomfit.response.directivity import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 from roomfit.typing import FloatArray
 
+_LARGEST = 1e100  # far above any, far below where squares overflow
+
 
 def read_directivity(
     path: Path, bands: Bands, aim: ArrayLike = (1.0, 0.0, 0.0), up: ArrayLike = (0.0, 0.0, 1.0)
@@ -40,6 +42,13 @@ def read_directivity(
     """
     sofa, data_type = read_sofa_variables(read_bytes(path, "directivity file"), str(path))
     frequencies_hz, magnitude = _spectra(sofa, data_type, str(path))
+    if not (magnitude < _LARGEST).all():  # written so that nan is refused, too
+        raise InputError(
+            "a magnitude of the directivity is out of range",
+            where=str(path),
+            found=f"{np.max(magnitude):g}",
+            needed=f"less than {_LARGEST:g}",
+        )
     directions = _directions(sofa, magnitude.shape[0], str(path))
     energy = np.empty((len(directions), len(bands)))
     for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):
