@@ -98,6 +98,13 @@ def _polygon(n: int, radius: float) -> bytes:
     return "\n".join([*rows, "f " + " ".join(map(str, range(1, n + 1)))]).encode()
 
 
+def _grain(n: int) -> bytes:
+    """n triangles, all of whose corners lie within a tenth of a millimetre."""
+    points = np.random.default_rng(1).uniform(-2e-5, 2e-5, (3 * n, 3))
+    rows = [f"v {x:.9f} {y:.9f} {z:.9f}" for x, y, z in points]
+    return "\n".join([*rows, *(f"f {i} {i + 1} {i + 2}" for i in range(1, 3 * n, 3))]).encode()
+
+
 def _squares(n: int) -> bytes:
     rows = []
     for i in range(n):
@@ -134,6 +141,7 @@ def corpus() -> dict[str, bytes]:
         "a header that is no code--spectrum.npz": _archive(_npy("((((")),
         "a header of brackets--spectrum.npz": _archive(_npy("(" * 300 + ")" * 300)),
         "a type that is none--spectrum.npz": _archive(_npy("(1,)", "5")),
+        "a dictionary of gigabytes--spectrum.npz": _archive(_npy("(1,)"), zipfile.ZIP_LZMA),
         "objects--spectrum.npz": _archive(_npy("(1,)", "'|O'")),
         "noise that is text--spectrum.npz": _text_noise(),
         "points without bytes--box.glb": _glb_with("points"),
@@ -141,6 +149,7 @@ def corpus() -> dict[str, bytes]:
         "points beyond the end--box.glb": _glb_with("count"),
         "a polygon of 20,000 corners--box.obj": _polygon(20_000, 5.0),
         "20,000 corners in a grain--box.obj": _polygon(20_000, 2e-5),
+        "3,000 triangles in a grain--box.obj": _grain(3000),
         "120,000 open squares--box.obj": _squares(120_000),
         "20,000 open squares--box.obj": _squares(20_000),
         "a line that goes on--box.obj": obj() + b"\nf " + b"1 \\\n" * 200_000,

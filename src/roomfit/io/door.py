@@ -14,7 +14,6 @@ import csv
 import io
 import json
 import logging
-import lzma
 import math
 import os
 import stat
@@ -230,7 +229,7 @@ def csv_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
 _DAMAGE = (
     *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
     *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error, tokenize.TokenError),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError),
+    *(zipfile.BadZipFile, zlib.error),
 )
 
 
@@ -253,6 +252,9 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
             if unpacked > most:
                 raise ValueError(f"{unpacked} bytes unpacked, and {most:.4g} at most are read")
             for entry in entries:
+                # others ask for gigabytes before they unpack a byte
+                if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError("compressed in another way than by numpy.savez")
                 with archive.open(entry) as stream:
                     arrays[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
     except _DAMAGE as error:
