@@ -150,7 +150,6 @@ def corpus() -> dict[str, bytes]:
         "a polygon of 20,000 corners--box.obj": _polygon(20_000, 5.0),
         "20,000 corners in a grain--box.obj": _polygon(20_000, 2e-5),
         "3,000 triangles in a grain--box.obj": _grain(3000),
-        "120,000 open squares--box.obj": _squares(120_000),
         "20,000 open squares--box.obj": _squares(20_000),
         "a line that goes on--box.obj": obj() + b"\nf " + b"1 \\\n" * 200_000,
         "a long cell--corners.csv": b"number,x,y,z\n1," + b"1" * 140_000 + b",0,0\n",

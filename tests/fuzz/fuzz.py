@@ -305,7 +305,7 @@ def main() -> None:
     parser.add_argument("--only", nargs="+", help="Examples, by name; all others are left out.")
     parser.add_argument("--without", nargs="+", default=[], help="Examples to leave out.")
     parser.add_argument("--files", nargs="+", type=Path, help="Files to read in place of cases.")
-    parser.add_argument("--corpus", action="store_true", help="Read what once failed, no cases.")
+    parser.add_argument("--corpus", action="store_true", help="Read what once failed, too.")
     parser.add_argument("--keep", type=Path, help="Folder for the files that failed.")
     parser.add_argument("--worker", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
@@ -320,8 +320,7 @@ def main() -> None:
             yield -1, path.name.rpartition("--")[2], path.read_bytes()
         for name, content in corpus().items() if options.corpus else ():
             yield -1, name.rpartition("--")[2], content
-        given = options.files or options.corpus
-        for number in () if given else range(options.first, options.first + options.cases):
+        for number in () if options.files else range(options.first, options.first + options.cases):
             if number % 1000 == 0:
                 sys.stderr.write(f"{number} cases, {time.monotonic() - begin:.0f} s\n")
             yield number, *case(options.seed, number, names)
