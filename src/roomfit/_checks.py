@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Iterable
+from itertools import islice
 from typing import Any
 
 import numpy as np
@@ -146,8 +147,12 @@ def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
-    """Return the known word most like `word`, or None where nothing comes near."""
-    found = difflib.get_close_matches(word, list(known), n=1, cutoff=0.6)
+    """Return the known word most like `word`, or None where nothing comes near.
+
+    Of a file with thousands of names, or with names of thousands of letters, the first only.
+    """
+    short = [name for name in islice(known, 1000) if len(name) <= 100]
+    found = difflib.get_close_matches(word[:100], short, n=1, cutoff=0.6)
     return found[0] if found else None
 
 

@@ -10,7 +10,7 @@ import signal
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
-from multiprocessing import get_context
+from multiprocessing import active_children, get_context
 from typing import Any, ParamSpec, TypeVar, cast
 
 import numba
@@ -102,11 +102,14 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
         pool = ProcessPoolExecutor(
             n_workers, mp_context=get_context("spawn"), initializer=_become_worker
         )
+    others = set(active_children())
     try:
         yield pool
     except KeyboardInterrupt:
-        # running tasks may be ended: what they write is moved to its place only when it is whole
-        for worker in list((getattr(pool, "_processes", None) or {}).values()):
+        # Running tasks may be ended: what they write is moved to its place only when it is whole.
+        # A worker that was just starting is not among the pool's own yet, and would be waited for
+        # without end.
+        for worker in set(active_children()) - others:
             worker.terminate()
         raise
     finally:

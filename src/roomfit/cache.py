@@ -8,27 +8,37 @@ depend on, so that a run that was interrupted continues where it stopped.
 
 from __future__ import annotations
 
+import ctypes
+import errno
 import hashlib
 import json
+import lzma
 import os
 import shutil
 import struct
+import sys
 import tempfile
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
-from functools import cache
+from functools import cache, wraps
+from glob import escape
 from importlib.metadata import version
+from inspect import signature
 from pathlib import Path
-from typing import Any, Generic, TypeVar
+from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
 
 from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.findings import Code, Finding
+
+if sys.platform != "win32":
+    import fcntl
 
 _LIBRARIES = ("numpy", "scipy", "numba")
 
@@ -75,7 +85,7 @@ _OUTLINE = "outline"
 _DAMAGE = (
     *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
     *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error),
-    *(zipfile.BadZipFile, zlib.error, RoomfitError),
+    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, RoomfitError),
 )
 
 
@@ -197,6 +207,10 @@ def _rebuilt(
     return known[outline["record"]](**entries)
 
 
+# Of what the C library exchanges two names with: Linux and macOS.
+_AT_CWD, _RENAME_EXCHANGE, _RENAME_SWAP = -100, 2, 2
+# Within an output folder: the names of the result's own files.
+_LIST = ".roomfit-files"
 # Within an output folder: intermediate results of a run.
 CACHE_FOLDER = ".roomfit-cache"
 
@@ -242,41 +256,256 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
 
 
 @contextmanager
-def whole_output_folder(
-    path: Path, *, overwrite: bool = False, own: Sequence[str] = ()
-) -> Iterator[Path]:
+def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
     """Give a folder to fill, which takes its final name when the block ends without an error.
 
     Until then it has a hidden name on the same disk. An error or an interruption within the block
-    leaves nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, files
-    of the same name are replaced, those that an earlier run of the same command wrote and this one
-    did not are removed, and all others stay, as does the cache.
+    leaves nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, the
+    new folder and an earlier one change places in one step, so that either the old result is there
+    or the new one, whole. The new one has a list of its files, ``.roomfit-files``; files that the
+    earlier list names and this run did not write are gone, and all others stay, as does the cache.
 
-    Parameters
-    ----------
-    path : Path
-    overwrite : bool
-    own : sequence of str
-        Patterns of the names that the command writes, as in ``"decay_[0-9]*.png"``.
+    Where the system cannot exchange folders (Windows, some network disks), the old one is renamed
+    first: a run that is killed between the two leaves it under a hidden name, and the next run puts
+    it back. The current folder of the process, and a disk of its own, cannot be renamed: there
+    files are replaced one by one.
 
     Raises
     ------
     InputError, StoreError
         See `check_output_folder`.
     """
-    path = Path(path)
     check_output_folder(path, overwrite=overwrite)
+    path = Path(path).resolve()
+    parent = _nearest_existing(path.parent)
+    with hidden_folder(parent, f".{path.name}.making-") as aside:
+        yield aside
+        try:
+            written = sorted(p.relative_to(aside).as_posix() for p in aside.rglob("*"))
+            (aside / _LIST).write_text(json.dumps(written), encoding="utf-8")
+            _put_in_place(aside, path)
+        except OSError as error:
+            raise StoreError(
+                "the results cannot be put into the output folder",
+                where=str(path),
+                found=str(error),
+            ) from error
+
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+
+def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
+    """Let a command run only while no other run writes into the folder that is its argument `out`.
+
+    The lock is a hidden file beside the folder. The system frees it when its process ends, however
+    that comes about. What killed runs have left behind is removed.
+
+    Raises
+    ------
+    InputError
+        Another run has this folder.
+    """
+    wanted = signature(command)
+    place = "out" if "out" in wanted.parameters else "folder"
+
+    @wraps(command)
+    def alone(*args: P.args, **kwargs: P.kwargs) -> T:
+        path = Path(wanted.bind(*args, **kwargs).arguments[place]).resolve()
+        parent = _nearest_existing(path.parent)
+        if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
+            return command(*args, **kwargs)  # which refuses
+        mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+        with _locked(parent / f".roomfit-{mark}.lock", path):
+            _recover(path, parent)
+            return command(*args, **kwargs)
+
+    return alone
+
+
+@contextmanager
+def _locked(lock: Path, path: Path) -> Iterator[None]:
+    descriptor = -1
     try:
-        aside = Path(tempfile.mkdtemp(prefix=f".{path.name}.", dir=_nearest_existing(path.parent)))
+        while descriptor < 0:
+            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | getattr(os, "O_NOFOLLOW", 0), 0o666)
+            if not _try_lock(descriptor):
+                os.close(descriptor)
+                raise InputError(
+                    "another run is writing into the output folder",
+                    where=str(path),
+                    hint="wait for it, or choose another folder",
+                )
+            if not _is_same(descriptor, lock):  # its last owner has just removed it
+                os.close(descriptor)
+                descriptor = -1
     except OSError as error:
         raise _cannot_be_made(path, error) from error
     try:
-        yield aside
-        written = {p.name for p in aside.iterdir()}
-        _put_in_place(aside, path)
-        _remove_stale(path, own, written)
+        yield
     finally:
-        shutil.rmtree(aside, ignore_errors=True)
+        # while it is held: whoever waits with the old file open looks again
+        _remove(lock)
+        os.close(descriptor)
+        _remove(lock)  # Windows removes no open file
+
+
+def _try_lock(descriptor: int) -> bool:
+    """Return whether an open file, or on POSIX a folder, could be locked; True without locks."""
+    try:
+        if sys.platform != "win32":
+            fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        else:
+            import msvcrt
+
+            msvcrt.locking(descriptor, msvcrt.LK_NBLCK, 1)
+    except OSError as error:
+        return error.errno not in (errno.EWOULDBLOCK, errno.EACCES, errno.EDEADLK)
+    return True
+
+
+def _is_same(descriptor: int, path: Path) -> bool:
+    try:
+        return os.path.samestat(os.fstat(descriptor), path.stat())
+    except FileNotFoundError:
+        return False
+
+
+@contextmanager
+def hidden_folder(parent: Path, prefix: str) -> Iterator[Path]:
+    """Give a new folder, which is removed at the end if it is still there.
+
+    It is locked as long as this process lives, by which `remove_leftovers` knows dead ones.
+    """
+    try:
+        folder = Path(tempfile.mkdtemp(prefix=prefix, dir=parent))
+    except OSError as error:
+        raise _cannot_be_made(parent, error) from error
+    descriptor = -1 if sys.platform == "win32" else os.open(folder, os.O_RDONLY)
+    try:
+        if descriptor >= 0:
+            _try_lock(descriptor)
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        if descriptor >= 0:
+            os.close(descriptor)
+
+
+def remove_leftovers(parent: Path, prefix: str) -> None:
+    """Remove the hidden folders of runs that were killed; those of living ones are locked."""
+    if sys.platform == "win32":
+        return  # which locks no folders
+    for folder in parent.glob(f"{escape(prefix)}????????"):
+        try:
+            descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+        except OSError:
+            continue
+        if _try_lock(descriptor):
+            shutil.rmtree(folder, ignore_errors=True)
+        os.close(descriptor)
+
+
+def _recover(path: Path, parent: Path) -> None:
+    """Put back what a killed run had moved away, and remove what it left."""
+    for old in parent.glob(f".{escape(path.name)}.old-????????"):
+        if path.exists():
+            shutil.rmtree(old, ignore_errors=True)
+        else:
+            old.rename(path)
+    remove_leftovers(parent, f".{path.name}.making-")
+    for file in (path / CACHE_FOLDER).glob(".*.npz.????????"):
+        _remove(file)
+
+
+def _put_in_place(aside: Path, path: Path) -> None:
+    """Give a folder its final name; where one of that name exists, the two change places."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    _give_usual_permissions(aside, 0o777)
+    if not path.exists():
+        aside.rename(path)
+        return
+    if Path.cwd().is_relative_to(path) or path.is_mount():
+        _replace_one_by_one(aside, path)
+        return
+    _carry_over(path, aside)
+    shutil.copymode(path, aside)
+    if not _exchange(aside, path):
+        old = Path(tempfile.mkdtemp(prefix=f".{path.name}.old-", dir=path.parent))
+        old.rmdir()
+        path.rename(old)
+        try:
+            aside.rename(path)
+        except OSError:
+            old.rename(path)
+            raise
+        old.rename(aside)  # which is removed
+    if (aside / CACHE_FOLDER).exists():
+        (aside / CACHE_FOLDER).rename(path / CACHE_FOLDER)
+
+
+def _earlier(path: Path) -> set[str]:
+    """Return the files and folders that an earlier result names as its own."""
+    try:
+        return set(json.loads((path / _LIST).read_text(encoding="utf-8")))
+    except (OSError, ValueError, TypeError, RecursionError):
+        return set()  # of another version, or no result at all: nothing is removed
+
+
+def _foreign(path: Path, aside: Path) -> Iterator[Path]:
+    """Yield what of a folder neither an earlier result's list nor the new result names."""
+    earlier = _earlier(path) | {_LIST}
+    for here, folders, files in os.walk(path):
+        if CACHE_FOLDER in folders:
+            folders.remove(CACHE_FOLDER)
+        for name in (*folders, *files):
+            own = Path(here, name).relative_to(path)
+            if own.as_posix() in earlier:
+                continue
+            if not (aside / own).exists():
+                yield own
+            elif name in folders and not (aside / own).is_dir():
+                raise FileExistsError(errno.EEXIST, "a folder is in the place of a file", str(own))
+
+
+def _carry_over(path: Path, aside: Path) -> None:
+    """Enter into the new folder what is not the result's, as further names of the same files."""
+    for own in _foreign(path, aside):
+        source, place = path / own, aside / own
+        place.parent.mkdir(parents=True, exist_ok=True)
+        if source.is_dir() and not source.is_symlink():
+            place.mkdir()
+            shutil.copystat(source, place)
+            continue
+        try:
+            os.link(source, place, follow_symlinks=False)
+        except (OSError, NotImplementedError):  # a disk without links
+            shutil.copy2(source, place, follow_symlinks=False)
+
+
+def _replace_one_by_one(aside: Path, path: Path) -> None:
+    """Move every file into a folder, and remove what only the earlier list names."""
+    written = {p.relative_to(aside) for p in aside.rglob("*") if p.is_file()}
+    names = {Path(name) for name in _earlier(path)} - written
+    stale = [p for p in path.rglob("*") if p.relative_to(path) in names and p.is_file()]
+    for own in sorted(written):
+        (path / own).parent.mkdir(parents=True, exist_ok=True)
+        (aside / own).replace(path / own)
+    for file in stale:
+        file.unlink()
+
+
+def _exchange(one: Path, other: Path) -> bool:
+    """Let two folders change names in one step; return False where the system cannot."""
+    names = (os.fsencode(one), os.fsencode(other))
+    try:
+        library = ctypes.CDLL(None, use_errno=True)
+        if sys.platform == "darwin":
+            return bool(library.renamex_np(*names, _RENAME_SWAP) == 0)
+        return bool(library.renameat2(_AT_CWD, names[0], _AT_CWD, names[1], _RENAME_EXCHANGE) == 0)
+    except (AttributeError, OSError, TypeError):
+        return False
 
 
 def write_bytes_atomically(path: Path, content: bytes) -> Path:
@@ -364,50 +593,6 @@ def _holds_only_cache(path: Path) -> bool:
     return all(p.name == CACHE_FOLDER for p in path.iterdir())
 
 
-def _put_in_place(aside: Path, path: Path) -> None:
-    """Rename a folder; where one of that name exists, move every file into it."""
-    if _renamed(aside, path):
-        return
-    try:
-        for file in sorted(p for p in aside.rglob("*") if p.is_file()):
-            place = path / file.relative_to(aside)
-            place.parent.mkdir(parents=True, exist_ok=True)
-            file.replace(place)
-    except OSError as error:
-        raise StoreError(
-            "the results cannot be put into the output folder", where=str(path), found=str(error)
-        ) from error
-
-
-def _renamed(aside: Path, path: Path) -> bool:
-    """Rename to a name that is free, or a folder of nothing but a cache; return whether it worked.
-
-    Another run that finishes at the same moment may be quicker.
-    """
-    try:
-        if path.exists():
-            if not _holds_only_cache(path):
-                return False
-            if (path / CACHE_FOLDER).exists():
-                (path / CACHE_FOLDER).rename(aside / CACHE_FOLDER)
-            path.rmdir()
-        path.parent.mkdir(parents=True, exist_ok=True)
-        _give_usual_permissions(aside, 0o777)
-        aside.rename(path)
-    except OSError:
-        return False
-    return True
-
-
-def _remove_stale(path: Path, own: Sequence[str], written: set[str]) -> None:
-    """Remove what an earlier run wrote and this one did not, so that no answer is a mixture."""
-    for pattern in own:
-        for file in path.glob(pattern):
-            if file.name not in written and file.is_file():
-                file.unlink(missing_ok=True)
-
-
-T = TypeVar("T")
 DEFAULT_LIMIT_BYTES = 2 * 2**30
 _SUFFIX = ".npz"
 

@@ -16,6 +16,7 @@ import numpy as np
 from roomfit.cache import (
     cache_of,
     check_output_folder,
+    sole_writer,
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
@@ -183,10 +184,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
         )
 
 
-# Written by the command, which may remove them when it overwrites an earlier design.
-DESIGN_FILES = ("design.json", "design.csv", "design_map.png", "design_gain.png")
-
-
+@sole_writer
 def design_to_folder(
     campaign_file: Path,
     out: Path,
@@ -224,18 +222,17 @@ def design_to_folder(
     inputs = input_files(campaign)
     if result_file is not None:
         inputs = (*inputs, Path(result_file))
-    with whole_output_folder(out, overwrite=overwrite, own=DESIGN_FILES) as folder:
+    with whole_output_folder(out, overwrite=overwrite) as folder:
         write_design(folder, answer, inputs)
         write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
         write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
     return answer
 
 
-# Written by the command, which may remove them when it overwrites an earlier prediction.
-PREDICT_FILES = ("predicted.json", "predicted.csv", "predicted_[0-9]*.png", "change.png")
 _MOST_PICTURES = 24
 
 
+@sole_writer
 def predict_to_folder(
     campaign_file: Path,
     absorption_file: Path,
@@ -271,7 +268,7 @@ def predict_to_folder(
         progress=part(progress, 0.0, 0.95),
     )
     inputs = (*input_files(campaign), Path(absorption_file))
-    with whole_output_folder(out, overwrite=overwrite, own=PREDICT_FILES) as folder:
+    with whole_output_folder(out, overwrite=overwrite) as folder:
         write_predicted(folder, predicted, inputs)
         if predicted.compares_states:
             write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
@@ -366,13 +363,7 @@ def _covered(answer: Result, true_absorption: FloatArray) -> BoolArray:
     return np.asarray((answer.lower95 <= true_absorption) & (true_absorption <= answer.upper95))
 
 
-# Written by the command, which may remove them when it overwrites an earlier result.
-IDENTIFY_FILES = (
-    *("result.json", "absorption.csv", "absorption.png", "report.html"),
-    *("identifiable.png", "profiles.png", "corner_[0-9]*_hz.png", "decay_[0-9]*.png"),
-)
-
-
+@sole_writer
 def identify_to_folder(
     campaign_file: Path,
     out: Path,
@@ -423,13 +414,14 @@ def identify_to_folder(
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
     )
-    with whole_output_folder(out, overwrite=overwrite, own=IDENTIFY_FILES) as folder:
+    with whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         write_pictures(folder, answer, part(progress, 0.95, 1.0))
     return answer
 
 
+@sole_writer
 def run_demo(
     out: Path, seed: int, *, overwrite: bool = False, progress: Progress | None = None
 ) -> tuple[Result, FloatArray]:

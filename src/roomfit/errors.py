@@ -37,8 +37,13 @@ class RoomfitError(Exception):
         self.needed = needed
         self.hint = hint
         rows = (("where", where), ("found", found), ("needed", needed), ("try", hint))
-        lines = [f"  {key:<7} {text}" for key, text in rows if text]
+        lines = [f"  {key:<7} {_shown(text)}" for key, text in rows if text]
         super().__init__("\n".join([what, *lines]))
+
+
+def _shown(text: str) -> str:
+    """Return a text, its middle left out where it is endless: files hold words of any length."""
+    return text if len(text) <= 1000 else f"{text[:700]} ... {text[-200:]}"
 
 
 class InputError(RoomfitError):

@@ -14,7 +14,7 @@ import soundfile
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.errors import InputError, RoomfitError
 from roomfit.findings import Code
 from roomfit.io.responses import hdf5 as mat73
 from roomfit.io.responses import read_response
@@ -192,7 +192,7 @@ def test_missing_empty_foreign_and_unreadable_files_are_told_apart(tmp_path):
     with pytest.raises(InputError, match="not a name"):
         read_response(ResponseSpec(tmp_path / "a\0.wav"))
     (tmp_path / "folder.wav").mkdir()
-    with pytest.raises(StoreError, match="cannot be read"):
+    with pytest.raises(InputError, match=r"cannot be read(?s:.*)a folder"):
         read_response(ResponseSpec(tmp_path / "folder.wav"))
 
 
@@ -516,7 +516,7 @@ def test_a_sofa_file_that_claims_more_numbers_than_memory_is_refused(tmp_path):
     with h5py.File(path, "w") as file:
         file.attrs["SOFAConventions"] = "GeneralFIR"
         file.create_dataset("Data.IR", (10**6, 10**3, 10**6), "f8", chunks=(1, 1, 10**3))
-    with pytest.raises(InputError, match="more than 2 GiB"):
+    with pytest.raises(InputError, match="bytes of numbers"):
         read_response(ResponseSpec(path))
 
 

@@ -236,7 +236,7 @@ def test_directivities_that_say_too_little_are_refused(tmp_path):
         loudspeaker_axes([0.0, 0.0, 2.0])
     with pytest.raises(InputError, match="aims nowhere"):
         aimed([0.0, 0.0, 0.0], 1.0)
-    with pytest.raises(InputError, match="cannot be read"):
+    with pytest.raises(InputError, match="does not exist"):
         read_directivity(tmp_path / "missing.sofa", OCTAVES)
     (tmp_path / "text.sofa").write_text("no SOFA")
     with pytest.raises(InputError, match="SOFA"):

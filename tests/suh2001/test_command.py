@@ -130,8 +130,8 @@ def test_an_interrupt_ends_the_run_at_once_and_leaves_nothing(tmp_path: Path) ->
     time.sleep(5.0)
     assert process.poll() is None
     process.send_signal(signal.SIGINT)
-    # far less than the run, and enough for the call it is in on a machine that does much else
-    _, errors = process.communicate(timeout=180.0)
+    # a machine may be busy; an interrupt that is lost ends in another exit code
+    _, errors = process.communicate(timeout=600.0)
     assert process.returncode == 130, errors
     assert "interrupted" in errors and "Traceback" not in errors
     assert list(tmp_path.iterdir()) == []

@@ -9,9 +9,13 @@ numerical package.
 from __future__ import annotations
 
 import argparse
+import errno
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 import roomfit
 from roomfit.cli import (
@@ -27,7 +31,8 @@ from roomfit.cli import (
     predict,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
-from roomfit.errors import InputError, RoomfitError
+from roomfit.cli.terminal import warn
+from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
     *(catalogue, check, coverage, demo, design),
@@ -35,6 +40,7 @@ _COMMANDS = (
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130
+_INSIST_S = 1.0
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
@@ -46,18 +52,65 @@ def main(arguments: Sequence[str] | None = None) -> None:
         Without the name of the program; left out, those of this process.
     """
     try:
-        options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
-        options.run(options)
+        with _ended_like_an_interrupt():
+            options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
+            options.run(options)
+            sys.stdout.flush()
     except RoomfitError as error:
-        sys.stderr.write(f"{error}\n")
+        warn(error)
         sys.exit(2)
-    except KeyboardInterrupt:
-        sys.stderr.write("interrupted; nothing half-written was left behind\n")
-        sys.exit(_INTERRUPTED)
+    except KeyboardInterrupt as interrupt:
+        warn("interrupted; nothing half-written was left behind")
+        sys.exit(128 + interrupt.args[0] if interrupt.args else _INTERRUPTED)
     except BrokenPipeError:
-        # the reader of the output (head, less) went first; the interpreter flushes once more
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        _drop_output()  # the reader of the output (head, less) went first
         sys.exit(1)
+    except OSError as error:
+        if error.errno not in _FULL:
+            raise
+        _drop_output()
+        text = "the disk is full, or the output cannot grow"
+        warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
+        sys.exit(2)
+
+
+_FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
+
+
+def _drop_output() -> None:
+    """Let the interpreter flush into nothing at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+@contextmanager
+def _ended_like_an_interrupt() -> Iterator[None]:
+    """Let requests to end (SIGTERM, SIGHUP) clean up as Ctrl-C does, and none of them get lost."""
+    main, ended, before = threading.main_thread(), threading.Event(), {}
+
+    def insist(number: int) -> None:
+        # Python drops an interrupt that falls into a destructor or into the lock of an import
+        while not ended.wait(_INSIST_S):
+            if not isinstance(sys._current_exceptions().get(main.ident or 0), KeyboardInterrupt):
+                signal.pthread_kill(main.ident or 0, number)
+
+    def end(number: int, _: object) -> None:
+        if hasattr(signal, "pthread_kill"):
+            threading.Thread(target=insist, args=(number,), daemon=True).start()
+        raise KeyboardInterrupt(number)
+
+    if threading.current_thread() is main:
+        for name in ("SIGINT", "SIGTERM", "SIGHUP"):
+            number = getattr(signal, name, None)
+            # nohup lets a hang-up be ignored
+            usual = (signal.SIG_DFL, signal.default_int_handler)
+            if number is not None and signal.getsignal(number) in usual:
+                before[number] = signal.signal(number, end)
+    try:
+        yield
+    finally:
+        ended.set()
+        for number, handler in before.items():
+            signal.signal(number, handler)
 
 
 def command_parsers() -> dict[str, Parser]:

@@ -8,13 +8,38 @@ import threading
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from typing import TextIO
 
 _EVERY_S = 0.5
 
 
 def say(text: object) -> None:
-    """Write a paragraph of an answer to standard output."""
-    sys.stdout.write(f"{text}\n")
+    """Write a paragraph of an answer to standard output.
+
+    Names come from files: what would steer the terminal, or cannot be written there, becomes "?".
+    """
+    sys.stdout.write(f"{_writable(printable(str(text)), sys.stdout)}\n")
+
+
+def warn(text: object) -> None:
+    """Write a message to standard error, as `say` writes an answer."""
+    sys.stderr.write(f"{_writable(printable(str(text)), sys.stderr)}\n")
+
+
+def _writable(text: str, stream: TextIO) -> str:
+    encoding = stream.encoding or "utf-8"
+    return text.encode(encoding, errors="replace").decode(encoding)
+
+
+def printable(text: str) -> str:
+    """Return a text without letters that steer a terminal or cannot be written; ? instead.
+
+    Examples
+    --------
+    >>> printable("a\\x1b[31mb")
+    'a?[31mb'
+    """
+    return "".join(c if c == "\n" or c.isprintable() else "?" for c in text.expandtabs())
 
 
 @contextmanager

@@ -7,7 +7,6 @@ killed run loses one at most.
 
 from __future__ import annotations
 
-import json
 import shutil
 import tempfile
 import time
@@ -23,7 +22,7 @@ import numpy as np
 
 from roomfit._numba import in_pool, worker_pool
 from roomfit.air import attenuation_per_m
-from roomfit.cache import write_json_atomically
+from roomfit.cache import hidden_folder, remove_leftovers, write_json_atomically
 from roomfit.coverage.simulate import (
     synthetic_campaign,
     synthetic_rate_hz,
@@ -43,6 +42,7 @@ from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.identify import identify
 from roomfit.io.campaign import Campaign
+from roomfit.io.door import json_content, read_text
 from roomfit.io.inputs import identify_arguments
 from roomfit.logit import expit
 from roomfit.materials.priors import prior_logit_law
@@ -136,12 +136,12 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
         The file is damaged, or belongs to another campaign, other settings or another version.
     """
     path = replicate_path(out, number)
-    try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-    except FileNotFoundError:
+    if not path.exists():
         return None
-    except (OSError, UnicodeDecodeError, json.JSONDecodeError) as error:
-        raise _damaged(path, str(error)) from error
+    try:
+        content = json_content(read_text(path, "replicate"), "replicate")
+    except InputError as error:
+        raise _damaged(path, str(error.found or error.what)) from error
     if not isinstance(content, dict) or content.get("format") != _FORMAT:
         raise _damaged(path, "another kind of file")
     if content.get("digest") != digest:
@@ -155,7 +155,7 @@ def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
         )
     try:
         return _replicate(content, path)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, AttributeError, OverflowError) as error:
         raise _damaged(path, f"{type(error).__name__}: {error}") from error
 
 
@@ -387,8 +387,7 @@ def estimate_coverage(
     --------
     One replicate, too few for a statement; ``roomfit coverage`` makes 200.
 
-    >>> import tempfile
-    >>> import roomfit
+    >>>     >>> import roomfit
     >>> text = '''
     ... [room]
     ... shoebox = [6, 5, 3]
@@ -524,12 +523,10 @@ def _scratch(out: Path) -> Iterator[Path]:
     """Give a folder for synthetic responses on the same disk, and remove it in any case."""
     try:
         out.mkdir(parents=True, exist_ok=True)
-        folder = Path(tempfile.mkdtemp(prefix=_SCRATCH, dir=out))
     except OSError as error:
         raise StoreError(
             "the output folder cannot be written to", where=str(out), found=str(error)
         ) from error
-    try:
+    remove_leftovers(out, _SCRATCH)
+    with hidden_folder(out, _SCRATCH) as folder:
         yield folder
-    finally:
-        shutil.rmtree(folder, ignore_errors=True)

@@ -18,6 +18,7 @@ from roomfit.cache import code_digest, digest
 from roomfit.errors import CannotTell, InputError
 from roomfit.inversion.measurements import collect_measurements
 from roomfit.io.campaign import Campaign, input_files
+from roomfit.io.door import read_bytes
 from roomfit.io.inputs import (
     campaign_room,
     campaign_scene,
@@ -227,7 +228,7 @@ def _digest(campaign: Campaign, settings: CoverageSettings) -> str:
     files = [p for p in input_files(campaign) if p not in unread]
     if settings.result is not None:
         files.append(settings.result)
-    contents = [p.read_bytes() for p in files]
+    contents = [read_bytes(p, "input file") for p in files]
     return digest(code_digest(), "calibration", contents, settings.snr_db, settings.seed)
 
 

@@ -6,18 +6,17 @@ transformed; damped spectra (NumPy archives) are taken as they are.
 
 from __future__ import annotations
 
-import zipfile
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, TypedDict
+from typing import TypedDict
 
 import numpy as np
 
 from roomfit._checks import did_you_mean
 from roomfit.air import relative_speed_sd, speed_of_sound_m_s
-from roomfit.cache import check_output_folder
-from roomfit.errors import InputError, StoreError, located
+from roomfit.cache import check_output_folder, sole_writer
+from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.mesh import refuse
 from roomfit.impedance.data import Observed, damped_noise, damped_spectrum
@@ -35,6 +34,7 @@ from roomfit.io.campaign import (
     input_files,
     read_campaign,
 )
+from roomfit.io.door import npz_arrays, read_bytes
 from roomfit.io.inputs import read_file
 from roomfit.io.rooms import read_room
 from roomfit.measurement import LATENCY_SD_S
@@ -80,6 +80,7 @@ def identify_campaign_impedance(
     return replace(result, findings=(*doubts, *result.findings), seed=seed)
 
 
+@sole_writer
 def impedance_to_folder(
     campaign_file: Path,
     out: Path,
@@ -225,7 +226,7 @@ def read_spectrum(path: Path) -> Observed:
     StoreError
         The disk refuses.
     """
-    arrays = _arrays(Path(path))
+    arrays = npz_arrays(read_bytes(Path(path), "spectrum"), str(path))
     has_phase = "p" in arrays
     with located(str(path)):
         if has_phase == ("magnitude" in arrays):
@@ -239,13 +240,17 @@ def read_spectrum(path: Path) -> Observed:
                 raise InputError(
                     "a spectrum lacks an array", found=", ".join(sorted(arrays)), needed=meaning
                 )
+        for name in ("f", "tau", "noise", "magnitude"):
+            if name in arrays and arrays[name].dtype.kind not in "iuf":
+                raise InputError(
+                    f"{name} holds no real numbers", found=f"an array of type {arrays[name].dtype}"
+                )
         if np.size(arrays["tau"]) != 1:
             raise InputError("tau is not one number", found=f"{np.shape(arrays['tau'])}")
         pressure = np.asarray(arrays["p" if has_phase else "magnitude"])
-        wanted = np.complexfloating if has_phase else np.number
-        if not np.issubdtype(pressure.dtype, wanted):
+        if has_phase and pressure.dtype.kind != "c":
             raise InputError(
-                "pressures without phase" if has_phase else "magnitude holds no numbers",
+                "pressures without phase",
                 found=f"an array of type {pressure.dtype}",
                 needed="p of complex numbers, or magnitude in its stead",
             )
@@ -255,31 +260,6 @@ def read_spectrum(path: Path) -> Observed:
             noise = np.broadcast_to(noise, (1, pressure.size)) if noise.size == 1 else noise
         tau_s = float(np.reshape(arrays["tau"], ()))
         return Observed(arrays["f"], tau_s, pressure[None], noise, has_phase)
-
-
-def _arrays(path: Path) -> dict[str, Any]:
-    try:
-        with np.load(path, allow_pickle=False) as file:
-            if not isinstance(file, np.lib.npyio.NpzFile):
-                raise ValueError("a single array")
-            return {name: file[name] for name in file.files}
-    except FileNotFoundError:
-        raise InputError(
-            "the spectrum does not exist",
-            where=str(path),
-            hint="paths in a campaign are relative to the campaign file",
-        ) from None
-    except (ValueError, EOFError, zipfile.BadZipFile, KeyError) as error:
-        raise InputError(
-            "the spectrum is not a NumPy archive of arrays",
-            where=str(path),
-            found=str(error),
-            needed="a file of numpy.savez with f, tau and p",
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            "the spectrum cannot be read", where=str(path), found=str(error)
-        ) from error
 
 
 def _grid(

@@ -31,7 +31,6 @@ if TYPE_CHECKING:
     from roomfit.impedance.result import ImpedanceResult, MaterialImpedance
 
 # What the command writes, and so may remove when it writes over an earlier result.
-OWN_FILES = ("result.json", "impedance.csv", "impedance_*.png", "spectra_[0-9]*.png")
 _PAIRS_A_PICTURE = 6
 _MOST_PICTURES = 6
 
@@ -55,7 +54,7 @@ def write_impedance(
     StoreError
         The disk refuses.
     """
-    with whole_output_folder(out, overwrite=overwrite, own=OWN_FILES) as folder:
+    with whole_output_folder(out, overwrite=overwrite) as folder:
         write_text_atomically(folder / "impedance.csv", _csv(result))
         write_json_atomically(folder / "result.json", impedance_content(result, inputs))
         for material in result.materials:

@@ -20,6 +20,7 @@ from roomfit._checks import did_you_mean, nearest
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
+from roomfit.io.door import read_bytes
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
@@ -287,27 +288,19 @@ class CampaignTable(Table):
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
+    content = read_bytes(path, "campaign file", most="campaign_bytes")
     try:
-        text = Path(path).read_bytes()
-    except FileNotFoundError:
-        raise InputError(
-            "the campaign file does not exist", where=str(path), hint="check the path"
-        ) from None
-    except OSError as error:
-        raise InputError(
-            "the campaign file cannot be read", where=str(path), found=str(error)
-        ) from error
-    try:
-        return tomllib.loads(text.decode("utf-8"))
+        return tomllib.loads(content.decode("utf-8-sig"))
     except UnicodeDecodeError as error:
         raise InputError(
             "the campaign file is not text", where=str(path), needed="TOML in UTF-8"
         ) from error
-    except (tomllib.TOMLDecodeError, RecursionError) as error:
+    # whole numbers of thousands of digits are another ValueError
+    except (ValueError, RecursionError) as error:
         raise InputError(
             "the campaign file is not valid TOML",
             where=str(path),
-            found=str(error),
+            found=str(error)[:200],
             hint="a key may stand only once, text needs quotes, tables begin with [name]",
         ) from error
 

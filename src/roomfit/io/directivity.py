@@ -9,9 +9,12 @@ from numpy.typing import ArrayLike
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError
+from roomfit.io.door import read_bytes
 from roomfit.io.responses.hdf5 import Variables, read_sofa_variables, sofa_data, sofa_values
 from roomfit.response.directivity import MeasuredDirectivity, loudspeaker_axes, measured_directivity
 from roomfit.typing import FloatArray
+
+_LARGEST = 1e100  # far above any, far below where squares overflow
 
 
 def read_directivity(
@@ -37,14 +40,15 @@ def read_directivity(
         No SOFA file, no such data, directions that leave a hole, or a band for which the file has
         no frequency.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise InputError(
-            "the directivity cannot be read", where=str(path), found=error.strerror
-        ) from error
-    sofa, data_type = read_sofa_variables(content, str(path))
+    sofa, data_type = read_sofa_variables(read_bytes(path, "directivity file"), str(path))
     frequencies_hz, magnitude = _spectra(sofa, data_type, str(path))
+    if not (magnitude < _LARGEST).all():  # written so that nan is refused, too
+        raise InputError(
+            "a magnitude of the directivity is out of range",
+            where=str(path),
+            found=f"{np.max(magnitude):g}",
+            needed=f"less than {_LARGEST:g}",
+        )
     directions = _directions(sofa, magnitude.shape[0], str(path))
     energy = np.empty((len(directions), len(bands)))
     for band, (low, high) in enumerate(zip(bands.lower_hz, bands.upper_hz, strict=True)):

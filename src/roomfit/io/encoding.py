@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import io
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from importlib.metadata import version
 from pathlib import Path
@@ -37,12 +38,41 @@ def number_or_null(value: float) -> float | None:
 
 
 def csv_text(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str:
-    """Return a table as CSV with one line a row."""
+    """Return a table as CSV with one line a row.
+
+    A text that a spreadsheet would take for a formula gets an apostrophe in front, see
+    `without_apostrophe`.
+    """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerow(heading)
-    writer.writerows(rows)
+    writer.writerows([_inert(cell) for cell in row] for row in (heading, *rows))
     return stream.getvalue()
+
+
+_FORMULA = re.compile(r"'*[=+\-@\t\r]")
+_NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
+
+
+def _inert(cell: object) -> object:
+    if isinstance(cell, str) and _FORMULA.match(cell) and not _NUMBER.fullmatch(cell):
+        return f"'{cell}"
+    return cell
+
+
+def without_apostrophe(cell: str) -> str:
+    """Return a text as it was before `csv_text` wrote it.
+
+    Examples
+    --------
+    >>> csv_text(["name"], [["=1+1"], ["-0.5"]]).split(), without_apostrophe("'=1+1")
+    (['name', "'=1+1", '-0.5'], '=1+1')
+    """
+    return cell[1:] if cell[:1] == "'" and _FORMULA.match(cell) else cell
+
+
+def one_line(text: str) -> str:
+    """Return a text without line ends and letters that steer: what may stand in a comment."""
+    return "".join(c if c.isprintable() else "?" for c in " ".join(text.split()))
 
 
 def finding_content(finding: Finding) -> dict[str, Any]:

@@ -9,7 +9,6 @@ pyroomacoustics (its arguments as JSON), or as a wide CSV.
 from __future__ import annotations
 
 import colorsys
-import csv
 import json
 import re
 import unicodedata
@@ -23,7 +22,8 @@ from roomfit._checks import bool_array, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
-from roomfit.io.encoding import csv_text
+from roomfit.io.door import csv_rows, json_content, read_text
+from roomfit.io.encoding import csv_text, one_line, without_apostrophe
 from roomfit.typing import BoolArray, FloatArray
 
 CATT_BANDS = Bands("octave", np.array([125.0, 250.0, 500.0, 1e3, 2e3, 4e3, 8e3, 16e3]))
@@ -40,7 +40,7 @@ def catt_text(
     semicolon, where a .geo file's comments begin, as do the remarks at the top. `names` are own
     and short names in the order of the rows; arrays have the shape (n_materials, 8).
     """
-    lines = [f"; {remark}" for remark in remarks]
+    lines = [f"; {one_line(remark)}" for remark in remarks]
     for i, (name, short) in enumerate(names.items()):
         # far apart on the circle of hues
         hue = colorsys.hsv_to_rgb(i / max(len(names), 1), 0.55, 0.85)
@@ -48,7 +48,7 @@ def catt_text(
         exact = " ".join(f"{v:.4f}" for v in absorption[i])
         lines.append(
             f"ABS {short} = <{_eight(absorption[i], 1)}> L <{_eight(scattering[i], 0)}> "
-            f"{{{colour}}} ; {' '.join(name.split())}: {exact}"
+            f"{{{colour}}} ; {one_line(name)}: {exact}"
         )
     return "\r\n".join(lines) + "\r\n"
 
@@ -119,7 +119,7 @@ def odeon_text(names: tuple[str, ...], absorption: FloatArray) -> str:
     """
     lines = []
     for i, name in enumerate(names):
-        lines.append(f"{FIRST_NUMBER + i} {' '.join(name.split())}")
+        lines.append(f"{FIRST_NUMBER + i} {one_line(name)}")
         lines.append("".join(f"\t{v:.5f}" for v in absorption[i]))
     return "\r\n".join(lines) + "\r\n"
 
@@ -151,7 +151,7 @@ def raven_text(
     rows = [
         "[Material]",
         f"name={name}",
-        f"notes={' '.join(notes.split())}",
+        f"notes={one_line(notes)}",
         f"absorp={_row(absorption)}",
         f"scatter={_row(scattering)}",
         f"interpol={','.join('0' if t else '1' for t in specified)}",
@@ -232,15 +232,7 @@ def read_material_table(path: Path) -> MaterialTable:
         There is no such file, it is neither of the two, or its numbers are out of range.
     """
     path = Path(path)
-    try:
-        text = path.read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(
-            "the result cannot be read",
-            where=str(path),
-            found=str(error),
-            needed="a result.json or an absorption.csv written by roomfit",
-        ) from error
+    text = read_text(path, "result")
     with located(str(path)):
         if path.suffix.lower() == ".csv":
             return _from_csv(text)
@@ -248,12 +240,7 @@ def read_material_table(path: Path) -> MaterialTable:
 
 
 def _from_json(text: str) -> MaterialTable:
-    try:
-        content = json.loads(text)
-    except json.JSONDecodeError as error:
-        raise InputError(
-            "the result is not JSON", found=str(error), needed="a result.json or an absorption.csv"
-        ) from error
+    content = json_content(text, "result")
     if not isinstance(content, dict) or content.get("format") != "roomfit-result":
         raise InputError(
             "this is no result of roomfit", needed='"format": "roomfit-result" in the file'
@@ -277,24 +264,33 @@ def _from_json(text: str) -> MaterialTable:
             np.array([m["identifiable"] for m in entries]),
             None if None in scattering or not entries else np.array(scattering),
         )
-    except (KeyError, AttributeError, TypeError, ValueError) as error:
+    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             "the result is incomplete",
-            found=f"{type(error).__name__}: {error}",
+            found=f"{type(error).__name__}: {error}"[:200],
             needed="bands_hz, and for each material absorption, lower95, upper95, identifiable",
         ) from error
 
 
 def _from_csv(text: str) -> MaterialTable:
-    rows = list(csv.DictReader(text.splitlines()))
-    header = tuple(rows[0]) if rows else ()
-    if not set(_COLUMNS) <= set(header):
+    header, *lines = [cells for _, cells in csv_rows(text, "") if cells] or [[]]
+    if not (set(_COLUMNS) <= set(header) and lines):
         raise InputError(
             "the table of absorption lacks columns or rows",
-            found=", ".join(str(c) for c in header) or "nothing",
+            found=", ".join(header)[:200] or "nothing",
             needed=", ".join(_COLUMNS),
         )
+    short = next((cells for cells in lines if len(cells) < len(header)), None)
+    if short is not None:
+        raise InputError(
+            "a row of the table of absorption is too short",
+            found=",".join(short)[:80],
+            needed=f"{len(header)} cells",
+        )
+    rows = [dict(zip(header, cells, strict=False)) for cells in lines]
     try:
+        for row in rows:
+            row["material"] = without_apostrophe(row["material"])
         names = tuple(dict.fromkeys(row["material"] for row in rows))
         centres = sorted({float(row["band_hz"]) for row in rows})
         place = {(row["material"], float(row["band_hz"])): row for row in rows}
@@ -309,7 +305,7 @@ def _from_csv(text: str) -> MaterialTable:
             for column in ("absorption", "lower95", "upper95")
         )
         sure = [[place[m, f]["identifiable"].lower() == "true" for f in centres] for m in names]
-    except (ValueError, AttributeError) as error:
+    except ValueError as error:
         raise InputError("the table of absorption has a cell that is no number") from error
     return MaterialTable(names, _bands(centres), absorption, lower, upper, np.array(sure))
 

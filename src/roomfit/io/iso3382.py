@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import math
 from pathlib import Path
 
@@ -11,7 +10,7 @@ import numpy as np
 from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Finding
-from roomfit.io.rooms.model import read_text
+from roomfit.io.door import csv_rows, read_text
 from roomfit.signals.iso3382 import (
     MeasuredValues,
     ValueName,
@@ -82,7 +81,7 @@ def read_parameters(
     path = Path(path)
     lines = [
         (number, cells)
-        for number, cells in enumerate(csv.reader(read_text(path).splitlines()), start=1)
+        for number, cells in csv_rows(read_text(path, "table of room parameters"), str(path))
         if any(c.strip() for c in cells) and not cells[0].lstrip().startswith("#")
     ]
     if len(lines) < 2:

@@ -6,8 +6,8 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ import numpy as np
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError, located
+from roomfit.io.door import json_content, read_text
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
@@ -53,9 +54,10 @@ def read_result(path: Path) -> AbsorptionPosterior:
     """
     path = Path(path)
     table = read_material_table(path)
-    content = {} if path.suffix.lower() == ".csv" else json.loads(path.read_text(encoding="utf-8"))
-    posterior = content.get("posterior")
-    with located(str(path)):
+    is_table = path.suffix.lower() == ".csv"
+    content = {} if is_table else json_content(read_text(path, "result"), "result")
+    with located(str(path)), _complete():
+        posterior = content.get("posterior")
         if posterior is None:
             covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
         else:
@@ -86,10 +88,23 @@ def read_result(path: Path) -> AbsorptionPosterior:
         )
 
 
+@contextmanager
+def _complete() -> Iterator[None]:
+    """Refuse what lacks keys or has other things in their place."""
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            "the result is incomplete",
+            found=f"{type(error).__name__}: {error}"[:200],
+            needed="a result.json as roomfit writes it",
+        ) from error
+
+
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
     try:
         return np.array(posterior[name], dtype=np.float64)
-    except (KeyError, TypeError, ValueError) as error:
+    except (KeyError, TypeError, ValueError, OverflowError) as error:
         raise InputError(
             "the posterior of the result is incomplete",
             where="posterior",

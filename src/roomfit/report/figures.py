@@ -183,9 +183,9 @@ def svg(figure: Figure, name: str, title: str) -> str:
     return (
         f'<svg role="img" aria-labelledby="{name}-title" viewBox="0 0 {width:g} {height:g}" '
         f'width="{width / 0.75:.0f}" height="{height / 0.75:.0f}" '
-        f'style="stroke-linejoin:round;stroke-linecap:butt">'
+        f'class="{name}-all">'
         f'<title id="{name}-title">{html.escape(title)}</title>'
-        f"<style>{rules}</style>{body}</svg>"
+        f"<style>.{name}-all{{stroke-linejoin:round;stroke-linecap:butt}}{rules}</style>{body}</svg>"
     )
 
 

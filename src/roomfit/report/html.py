@@ -5,6 +5,9 @@ A few sentences come first, then the findings with the most serious first, figur
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import re
 from collections.abc import Iterable, Mapping
 from importlib.metadata import version
 from typing import Any
@@ -271,7 +274,14 @@ def report_html(
         provenance=_provenance(answer, scene, campaign),
         inputs=tuple((inputs_sha256 or {}).items()),
     )
-    return text
+    return _sealed(text)
+
+
+def _sealed(page: str) -> str:
+    """Enter the digests of the page's own style rules into its policy: no others hold."""
+    rules = re.findall(r"<style>(.*?)</style>", page, flags=re.DOTALL)
+    digests = {base64.b64encode(hashlib.sha256(rule.encode()).digest()).decode() for rule in rules}
+    return page.replace("RULES", " ".join(f"'sha256-{d}'" for d in sorted(digests)), 1)
 
 
 def result_fragment(answer: Result) -> str:

@@ -18,6 +18,7 @@ from matplotlib.ticker import LogFormatterSciNotation, MultipleLocator
 
 from roomfit.cache import (
     check_output_folder,
+    sole_writer,
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
@@ -57,6 +58,7 @@ from roomfit.suh2001.searches import Landscape
 from roomfit.typing import FloatArray, Progress
 
 
+@sole_writer
 def run_paper(
     folder: Path,
     *,

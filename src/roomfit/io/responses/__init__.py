@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InputError, StoreError
+from roomfit.errors import InputError
 from roomfit.findings import Finding
+from roomfit.io.door import read_bytes
 from roomfit.io.responses.formats import read_mat, read_rew, read_wav
 from roomfit.io.responses.hdf5 import read_sofa
 from roomfit.io.responses.recordings import Recording, ResponseSpec, checked, deconvolved
@@ -27,6 +28,7 @@ _KEYS = {
     ".sofa": ("measurement", "receiver_index"),
     ".txt": (),
 }
+_MOST = {".txt": "text_bytes"}
 _RECORDED = (".wav", ".wave", ".mat")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
@@ -70,7 +72,9 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             needed="a name that ends in .wav, .mat, .sofa, or .txt for an export of REW",
         )
     _refuse_foreign_keys(spec, kind)
-    recording = _READERS[kind](spec, _content(path))
+    recording = _READERS[kind](
+        spec, read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes"))
+    )
     _check_clock(recording, spec)
     if spec.excitation is not None:
         recording = deconvolved(recording, _excitation(spec, kind), path, spec.excitation)
@@ -88,29 +92,10 @@ def _excitation(spec: ResponseSpec, kind: str) -> Recording:
             found=f"a {kind} file with the excitation {path.name}",
             needed="a recording as WAV or MAT, and an excitation as WAV",
         )
-    return read_wav(ResponseSpec(path, channel=spec.excitation_channel), _content(path))
-
-
-def _content(path: Path) -> bytes:
-    try:
-        content = path.read_bytes()
-    except FileNotFoundError:
-        raise InputError(
-            "the response file does not exist",
-            where=str(path),
-            hint="paths in a campaign are relative to the campaign file",
-        ) from None
-    except ValueError as error:  # a NUL in the name
-        raise InputError(
-            "this is not a name of a file", where=repr(str(path)), found=str(error)
-        ) from error
-    except OSError as error:
-        raise StoreError(
-            "the response file cannot be read", where=str(path), found=str(error)
-        ) from error
-    if not content:
-        raise InputError("the response file is empty", where=str(path), found="0 bytes")
-    return content
+    return read_wav(
+        ResponseSpec(path, channel=spec.excitation_channel),
+        read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes")),
+    )
 
 
 def _refuse_foreign_keys(spec: ResponseSpec, kind: str) -> None:

@@ -29,6 +29,7 @@ import soundfile
 from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.io.door import limit, quiet, unpacked_limit_bytes
 from roomfit.io.encoding import decoded
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
@@ -144,7 +145,7 @@ _INT32, _UINT32, _INT8, _MATRIX, _COMPRESSED = 5, 6, 1, 14, 15
 _NUMERIC_CLASSES = range(6, 16)  # double, single and the integers
 _KINDS = {1: "a cell array", 2: "a structure", 3: "an object", 4: "text", 5: "a sparse array"}
 _COMPLEX_FLAG = 0x800
-_LARGEST_BYTES = 1 << 31
+_TOO_MUCH = "more numbers than are read from one file, or from one of its size"
 
 
 def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
@@ -162,12 +163,15 @@ def mat5_arrays(content: bytes) -> dict[str, FloatArray | str]:
     if order is None:
         raise ValueError("no header of a MAT file of version 5 to 7.2")
     variables: dict[str, FloatArray | str] = {}
+    left_bytes = int(unpacked_limit_bytes(len(content)))
     for kind, data in _elements(content[_HEADER_BYTES:], order):
         if kind == _COMPRESSED:
-            kind, data = next(_elements(_decompressed(data), order), (kind, data))
+            data = _decompressed(data, left_bytes)
+            kind, data = next(_elements(data, order), (kind, data))
         if kind == _MATRIX:
-            name, array = _variable(data, order)
+            name, array = _variable(data, order, left_bytes)
             variables[name] = array
+            left_bytes -= len(data) if isinstance(array, str) else array.nbytes
     return variables
 
 
@@ -191,18 +195,20 @@ def _elements(data: bytes, order: str) -> Iterator[tuple[int, bytes]]:
         position = following
 
 
-def _decompressed(data: bytes) -> bytes:
+def _decompressed(data: bytes, most_bytes: int) -> bytes:
     unpacker = zlib.decompressobj()
     try:
-        unpacked = unpacker.decompress(data, _LARGEST_BYTES)
+        unpacked = unpacker.decompress(data, max(most_bytes, 1))
     except zlib.error as error:
         raise ValueError(f"damaged compression: {error}") from error
+    if unpacker.unconsumed_tail:
+        raise ValueError(_TOO_MUCH)
     if not unpacker.eof:
         raise ValueError("compressed data that does not end")
     return unpacked
 
 
-def _variable(data: bytes, order: str) -> tuple[str, FloatArray | str]:
+def _variable(data: bytes, order: str, most_bytes: int) -> tuple[str, FloatArray | str]:
     """Return name and values of one array, or what it is instead."""
     parts = _elements(data, order)
     head = list(islice(parts, 3))
@@ -221,7 +227,10 @@ def _variable(data: bytes, order: str) -> tuple[str, FloatArray | str]:
     if kind not in _MAT5_NUMBERS:
         raise ValueError(f"array {text!r} without numbers")
     lengths = np.frombuffer(shape, f"{order}i4").tolist()
-    numbers = np.frombuffer(values, order + _MAT5_NUMBERS[kind]).astype(np.float64)
+    packed = np.frombuffer(values, order + _MAT5_NUMBERS[kind])
+    if 8 * packed.size > most_bytes:
+        raise ValueError(_TOO_MUCH)
+    numbers = packed.astype(np.float64)
     if min(lengths, default=-1) < 0 or math.prod(lengths) != numbers.size:
         raise ValueError(f"array {text!r} of {numbers.size} numbers with the size {lengths}")
     return text, numbers.reshape(lengths, order="F")
@@ -309,8 +318,12 @@ def _header(lines: list[str], where: str) -> tuple[dict[str, float], str, int]:
     numbers: dict[str, float] = {}
     notes: list[str] = []
     n_lines = len(lines)
+    most_letters = limit("header_bytes")
     for index, line in enumerate(lines[:_MOST_HEADER_LINES]):
         text = line.strip()
+        most_letters -= len(line)
+        if most_letters < 0:
+            raise _not_rew(where, f"a header of more than {limit('header_bytes'):g} letters")
         if text.lstrip("* ").lower() == "data start":
             n_lines = index + 1
             break
@@ -345,7 +358,9 @@ def _not_rew(where: str, found: str) -> InputError:
 
 
 def _is_number(text: str) -> bool:
-    return bool(re.fullmatch(r"[-+]?(\d+[.,]?\d*|[.,]\d+)([eE][-+]?\d+)?|[-+]?(?i:nan|inf)", text))
+    return bool(
+        re.fullmatch(r"[-+]?(\d+([.,]\d*)?|[.,]\d+)([eE][-+]?\d+)?|[-+]?(?i:nan|inf)", text)
+    )
 
 
 def _number(text: str, where: str) -> float:
@@ -429,7 +444,7 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
             hint="copy or export the file again",
         )
     try:
-        with soundfile.SoundFile(io.BytesIO(content)) as file:
+        with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
                 raise InputError(
                     "this encoding of a WAV file is not read",
@@ -438,6 +453,8 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
                     needed="PCM of 16, 24 or 32 bits, or floating point",
                 )
             channel = pick("channel", spec.channel, file.channels, "channel", str(spec.path))
+            if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
+                raise ValueError(_TOO_MUCH)
             samples = file.read(dtype="float64", always_2d=True)
             return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
     except (

@@ -7,26 +7,32 @@ References
 
 from __future__ import annotations
 
-import io
+import json
+import math
+import os
+import signal
+import subprocess
+import sys
+import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from functools import lru_cache
+from pathlib import Path
+from typing import IO
 
 import numpy as np
 
+from roomfit._checks import read_only
 from roomfit.errors import InputError
+from roomfit.io.door import limit, unpacked_limit_bytes
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
 
-_LARGEST_BYTES = 1 << 31
-# What h5py raises on files that are not what they claim to be.
-_UNREADABLE = (
-    *(OSError, RuntimeError, ValueError, TypeError, KeyError, IndexError, AttributeError),
-    *(MemoryError, OverflowError, UnicodeError, NotImplementedError),
-)
-# netCDF keeps a dimension that has no values of its own as a variable with this remark
-_ONLY_A_DIMENSION = "This is a netCDF dimension but not a netCDF variable"
-_BESIDE_A_DIMENSION = "_nc4_non_coord_"
+_PROGRAM = Path(__file__).with_name("hdf5_child.py")
+_LIBRARIES_BYTES = 2**30
+_KEPT_BYTES = 2**27
+_LONGEST_HEAD = 2**26
+_PATIENCE = 6.0
 
 Attributes = Mapping[str, str | float]
 
@@ -47,85 +53,75 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
     """Return the variables in the root of an HDF5 file by name, and the file's own attributes.
 
     Left out are links to elsewhere, and dimensions of netCDF without values. Everything comes back
-    as plain arrays and texts: nothing refers to the file any more.
+    as plain arrays and texts, which nobody may change. The library reads in a process of its own
+    (`hdf5_child`), since damaged files end it or keep it for ever.
 
     Raises
     ------
     ValueError
-        The bytes are no HDF5 file, or are damaged, or contain more than 2 GiB of numbers; the
-        message says where.
+        The bytes are no HDF5 file, or are damaged, or contain more than the limits of files allow;
+        the message says where.
     """
-    import h5py
+    return (_of_last_file if len(content) <= _KEPT_BYTES else _in_child)(content)
 
+
+def _in_child(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
+    most_bytes = unpacked_limit_bytes(len(content))
+    seconds = limit("reading_s")
+    # the file, its numbers as they lie in it and as float64, and the libraries
+    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
+    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
+    with tempfile.TemporaryFile() as answer:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", str(_PROGRAM), *arguments],
+                input=content,
+                stdout=answer,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                # of the clock: a busy machine gives a process a part of its time only
+                timeout=_PATIENCE * seconds,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise ValueError(_no_end(seconds)) from None
+        answer.seek(0)
+        if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
+            raise ValueError(_no_end(seconds))
+        if done.returncode != 0:
+            raise ValueError(f"the HDF5 library failed (exit status {done.returncode})")
+        return _received(answer, most_bytes)
+
+
+# the pairs of a campaign often lie in one file
+_of_last_file = lru_cache(maxsize=1)(_in_child)
+
+
+def _no_end(seconds: float) -> str:
+    return f"the HDF5 library did not come to an end within {seconds:g} s"
+
+
+def _received(answer: IO[bytes], most_bytes: float) -> tuple[dict[str, Hdf5Variable], Attributes]:
+    """Return what the child has written; it may have been led astray, so nothing is taken as is."""
     variables: dict[str, Hdf5Variable] = {}
-    place = "the file"
     try:
-        with h5py.File(io.BytesIO(content), "r") as file:
-            attributes = _attributes(file)
-            n_bytes = 0
-            for name in file:
-                place = repr(name)
-                # a link to another file would read what this file does not contain
-                if not isinstance(file.get(name, getlink=True), h5py.HardLink):
-                    continue
-                member = file[name]
-                own = _attributes(member)
-                if not isinstance(member, h5py.Dataset):
-                    variables[name] = Hdf5Variable(None, (), own)
-                    continue
-                if str(own.get("NAME", "")).startswith(_ONLY_A_DIMENSION):
-                    continue
-                n_bytes += 8 * (member.size or 0)
-                if n_bytes > _LARGEST_BYTES:
-                    raise ValueError(f"more than {_LARGEST_BYTES >> 30} GiB of numbers")
-                name = name.removeprefix(_BESIDE_A_DIMENSION)
-                variables[name] = Hdf5Variable(_real_numbers(member), _axes(member), own)
-    except _UNREADABLE as error:
-        text = f"{place}: {type(error).__name__}: {error}"
-        raise ValueError(" ".join(text.split())) from error
-    return variables, attributes
-
-
-def _real_numbers(dataset: Any) -> FloatArray | None:
-    """Return the values of a dataset as float64, or None where they are no real numbers."""
-    if dataset.shape is None or dataset.dtype.kind not in "iuf":
-        return None
-    if dataset.external or dataset.is_virtual:
-        raise ValueError("its numbers lie in other files")
-    values: FloatArray = np.asarray(dataset[()], dtype=np.float64)
-    return values
-
-
-def _axes(dataset: Any) -> tuple[str, ...]:
-    """Return the names of the dimensions of four or more axes, which netCDF attaches as scales.
-
-    Up to three axes have one order only, and the library may count scales for ever in a damaged
-    file: it is not asked in vain.
-    """
-    if dataset.ndim < 4:
-        return tuple("" for _ in range(dataset.ndim))
-    names = (str(axis[0].name or "") if len(axis) else "" for axis in dataset.dims)
-    return tuple(name.rpartition("/")[2] for name in names)
-
-
-def _attributes(member: Any) -> dict[str, str | float]:
-    """Return texts and single numbers; lists of references and the like are passed over."""
-    import h5py
-
-    found: dict[str, str | float] = {}
-    for name in member.attrs:
-        kind = member.attrs.get_id(name).dtype
-        if kind.kind not in "Siuf" and h5py.check_string_dtype(kind) is None:
-            continue
-        value = np.asarray(member.attrs[name]).reshape(-1)
-        if value.size != 1 or isinstance(value[0], h5py.Empty):
-            continue
-        (single,) = value.tolist()
-        if isinstance(single, bytes):
-            single = single.decode("utf-8", errors="replace")
-        if isinstance(single, str | int | float):
-            found[name] = single.rstrip("\0") if isinstance(single, str) else float(single)
-    return found
+        head = json.loads(answer.readline(_LONGEST_HEAD))
+        if "error" in head:
+            raise ValueError(str(head["error"]))
+        for member in head["members"]:
+            values = None
+            if member["shape"] is not None:
+                shape = [int(length) for length in member["shape"]]
+                size = math.prod(shape)
+                if not 0 <= 8 * size <= most_bytes:
+                    raise ValueError("more numbers than it said")
+                content = answer.read(8 * size)
+                values = read_only(np.frombuffer(content, dtype=np.float64).reshape(shape))
+            axes = tuple(str(axis) for axis in member["axes"])
+            variables[str(member["name"])] = Hdf5Variable(values, axes, dict(member["attributes"]))
+        return variables, dict(head["attributes"])
+    except (KeyError, TypeError, AttributeError, RecursionError) as error:
+        raise ValueError(f"the HDF5 library gave no answer ({type(error).__name__})") from error
 
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
+import numpy as np
+from scipy.spatial import cKDTree
+
 from roomfit._checks import nearest
 from roomfit.errors import InputError, located
 from roomfit.findings import Finding
 from roomfit.geometry.build import build_mesh, oriented
 from roomfit.geometry.check import examine
-from roomfit.geometry.mesh import Mesh, refuse, shoebox_mesh
+from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, refuse, shoebox_mesh
+from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
 from roomfit.io.rooms.mesh_formats import read_ac3d, read_glb, read_obj, read_ply, read_stl
@@ -22,6 +26,7 @@ from roomfit.io.rooms.model import (
 )
 from roomfit.io.rooms.tables import read_polygons
 from roomfit.scene import Room, material_findings, room_from_mesh
+from roomfit.typing import FloatArray, IntArray
 
 READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".obj": read_obj,
@@ -77,7 +82,9 @@ def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
         with located("[room] shoebox"):
             return shoebox_mesh(lengths), ()
     model, where = _read_model(spec)
-    mesh, built = build_mesh(in_metres(model, spec.unit, spec.up, where), model.faces)
+    vertices_m = in_metres(model, spec.unit, spec.up, where)
+    _check_size(model, vertices_m, where)
+    mesh, built = build_mesh(vertices_m, model.faces)
     mesh, turned = oriented(mesh)
     return mesh, (*model.findings, *built, *turned)
 
@@ -113,3 +120,31 @@ def _read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
             hint=f"did you mean {like}?" if like else "export the room as OBJ",
         )
     return READERS[suffix](path), str(path)
+
+
+def _check_size(model: RoomModel, vertices_m: FloatArray, where: str) -> None:
+    """Refuse what would take minutes or gigabytes to make a mesh of."""
+    check_limit("corners", len(vertices_m), where)
+    check_limit("faces", len(model.faces), where)
+    lengths = np.array([len(face.corners) for face in model.faces])
+    check_limit("polygon_corners", int(lengths.max(initial=0)), where)
+    check_limit("polygon_pairs", int((lengths[lengths > 100] ** 2).sum()), where)
+    if not (np.abs(vertices_m) < 1e9).all():
+        return  # which no mesh can have
+    distinct = np.unique(vertices_m, axis=0)
+    if len(distinct):
+        tree = cKDTree(distinct)
+        near = int(tree.count_neighbors(tree, WELD_TOLERANCE_M)) - len(distinct)
+        check_limit("near_pairs", near, where)
+    rings = [np.array(face.corners, dtype=np.int64) for face in model.faces]
+    edges = np.concatenate([np.stack([r, np.roll(r, -1)], axis=1) for r in rings])
+    check_limit("open_edges", _n_open(vertices_m, edges), where)
+
+
+def _n_open(vertices_m: FloatArray, edges: IntArray) -> int:
+    """Return how many edges, shape (n, 2), have not exactly one other between the same points."""
+    known = edges[((edges >= 0) & (edges < len(vertices_m))).all(axis=1)]
+    _, point = np.unique(np.round(vertices_m / WELD_TOLERANCE_M), axis=0, return_inverse=True)
+    ends = np.sort(point.reshape(-1)[known], axis=1)
+    _, times = np.unique(ends, axis=0, return_counts=True)
+    return int(times[times != 2].sum())

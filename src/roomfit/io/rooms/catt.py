@@ -17,6 +17,7 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import WELD_TOLERANCE_M, Surface, area_vector_m2, triangulate
+from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt_language import (
     CornerSource,
     GeoFile,
@@ -136,6 +137,7 @@ def _add(shared: Shared, number: int, source: CornerSource) -> None:
             "apart",
         )
     shared.corners[number] = source
+    check_limit("corners", len(shared.corners), source.where)
 
 
 def _add_loop(file: GeoFile, line: Line) -> None:
@@ -352,7 +354,7 @@ def _outline(text: str, turned: bool, line: Line) -> tuple[int, ...]:
 
 def _corners(text: str, line: Line) -> tuple[int, ...]:
     corners: list[int] = []
-    for token in re.sub(r"\s*-\s*", "-", text).split():
+    for token in re.sub(r" ?- ?", "-", " ".join(text.split())).split():
         match = re.fullmatch(r"(\d{1,9})s?(?:-(\d{1,9})s?)?", token, re.ASCII | re.IGNORECASE)
         if match is None:
             raise line.error(
@@ -373,7 +375,8 @@ def _parts(text: str, turned: bool, line: Line) -> tuple[Part, ...]:
     text = text.strip()
     if not text.startswith("("):
         return ()
-    if not text.endswith(")") or re.search(r"\)[^(]*[^(\s][^(]*\(", text):
+    between = (group.partition(")")[2] for group in text.split("(")[:-1])
+    if not text.endswith(")") or any(words.strip() for words in between):
         raise _malformed(line)
     parts = []
     for inner in text[1:-1].split("("):
@@ -457,8 +460,11 @@ def read_catt(path: Path) -> RoomModel:
     materials, findings = _materials(files)
     polygons: list[Polygon] = []
     used: dict[int, str] = {}
+    n_pairs = 0
     for file in files:
         for plane in _planes(file, used):
+            n_pairs += len(plane.parts) ** 2
+            check_limit("part_pairs", n_pairs, plane.where)
             polygons += _polygons(plane, file.shared, materials)
     if not polygons:
         raise InputError(
@@ -486,6 +492,7 @@ def _planes(file: GeoFile, used: dict[int, str]) -> list[GeoPlane]:
                 plane, int(words[0]), lambda corners: (c + file.offset for c in corners)
             )
             planes.append(final)
+            check_limit("faces", len(used) + len(planes), plane.where)
             image = _image(final, file)
             if image is not None:
                 planes.append(image)

@@ -22,7 +22,8 @@ from functools import partial
 from pathlib import Path
 
 from roomfit.errors import InputError
-from roomfit.io.rooms.model import finite, read_text, whole
+from roomfit.io.door import check_limit, read_text
+from roomfit.io.rooms.model import finite, whole
 
 _TOKEN = re.compile(
     r"\s*(?:((?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)|([A-Za-z_]\w*)|([-+*/(),]))", re.ASCII
@@ -217,6 +218,7 @@ class Shared:
 
     constants: dict[str, tuple[GeoFile, Line]] = field(default_factory=dict)
     corners: dict[int, CornerSource] = field(default_factory=dict)
+    values: dict[Line, float] = field(default_factory=dict)  # of constants worked out so far
     under_way: list[str] = field(default_factory=list)  # what is being evaluated
     mirrors: set[int] = field(default_factory=set)  # what any file's MIRROR adds to corners
 
@@ -289,16 +291,18 @@ def _sorted(file: GeoFile) -> GeoFile:
     section = ""
     plane: list[str] = []
     began = ""
-    for number, raw in enumerate(read_text(file.path).split("\n"), start=1):
+    for number, raw in enumerate(read_text(file.path, "room file").split("\n"), start=1):
         where = f"{file.path}, line {number}"
         text = raw.split(";", 1)[0].strip()
         if plane or (section == "planes" and text.startswith("[")):
             began = began or where
             plane.append(text)
+            check_limit("statement_letters", sum(map(len, plane)) + len(plane), began)
             _close_planes(file, plane, began)
             began = began if plane else ""
             continue
         word = (_WORD.match(text) or [""])[0].lower()
+        check_limit("statement_letters", len(text), where)
         if text:
             section = _sort(file, section, word, Line(text, where))
     if plane:
@@ -333,6 +337,7 @@ def _sort(file: GeoFile, section: str, word: str, line: Line) -> str:
         return section
     if word in ("global", "local"):
         file.constants.append((word, line))
+        check_limit("constants", len(file.constants), line.where)
     elif word == "abs" and section != "corners":
         file.materials.append(line)
     elif word == "include" and len(line.text.split(None, 1)) == 2:
@@ -373,8 +378,11 @@ def constant(file: GeoFile, name: str, where: str) -> float:
     if name not in file.local and name not in shared.constants:
         raise InputError("a constant is not defined", where=where, found=name)
     owner, line = (file, file.local[name]) if name in file.local else shared.constants[name]
-    with _evaluating(shared, f"constant {name} of {owner.path.name}", where):
-        return value_of(line.text, owner, line.where)
+    # once: constants that double each other would be worked out 2 ** n times
+    if line not in shared.values:
+        with _evaluating(shared, f"constant {name} of {owner.path.name}", where):
+            shared.values[line] = value_of(line.text, owner, line.where)
+    return shared.values[line]
 
 
 def own_corner(file: GeoFile, number: int, where: str) -> Point:

@@ -12,6 +12,7 @@ import numpy as np
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import Surface
+from roomfit.io.door import check_limit, quiet, read_bytes
 from roomfit.io.rooms.model import (
     PARSER_ERRORS,
     Polygon,
@@ -19,7 +20,6 @@ from roomfit.io.rooms.model import (
     check_corners,
     finite,
     joined,
-    read_bytes,
 )
 
 _UNITS = {1: "in", 2: "ft", 4: "mm", 5: "cm", 6: "m"}  # $INSUNITS
@@ -49,12 +49,18 @@ def read_dxf(path: Path) -> RoomModel:
     ----------
     .. [1] Autodesk, "DXF Reference" (2018).
     """
+    with quiet("ezdxf"):
+        return _read(path)
+
+
+def _read(path: Path) -> RoomModel:
     document = _opened(path)
     polygons: list[Polygon] = []
     ignored: Counter[str] = Counter()
     hidden: Counter[str] = Counter()  # on layers that are off
     try:
-        for entity, layer, block in _taken_apart(document.modelspace(), path):
+        counts: Counter[str] = Counter()
+        for entity, layer, block in _taken_apart(document.modelspace(), path, counts):
             kind = str(entity.dxftype())
             if layer in document.layers and _is_off(document.layers.get(layer)):
                 hidden[layer] += 1
@@ -65,6 +71,7 @@ def read_dxf(path: Path) -> RoomModel:
                 ignored[f"open {kind}" if kind.endswith("POLYLINE") else kind] += 1
                 continue
             surface = Surface(layer, block, layer)
+            check_limit("faces", len(polygons) + len(found), str(path))
             for corners in found:
                 points = [[finite(str(float(value)), where) for value in c] for c in corners]
                 polygons.append((np.array(points).reshape(-1, 3), surface))
@@ -92,7 +99,7 @@ def _opened(path: Path) -> Any:
             where=str(path),
             hint="pip install roomfit[cad]",
         ) from None
-    read_bytes(path)
+    read_bytes(path, "room file", most="text_bytes")
     try:
         return readfile(path)
     except (*PARSER_ERRORS, DXFError, StopIteration) as error:
@@ -109,12 +116,22 @@ def _damaged(path: Path, error: Exception) -> InputError:
 
 
 def _taken_apart(
-    entities: Any, path: Path, layer: str | None = None, block: str | None = None, depth: int = 0
+    entities: Any,
+    path: Path,
+    counts: Counter[str],
+    layer: str | None = None,
+    block: str | None = None,
+    depth: int = 0,
 ) -> Iterator[tuple[Any, str, str | None]]:
-    """Yield every entity with its layer and block, those of inserted blocks transformed."""
+    """Yield every entity with its layer and block, those of inserted blocks transformed.
+
+    `counts` goes on from block to block: twenty that each insert ten of the next would never end.
+    """
     if depth > _DEEPEST:
         raise InputError("blocks are inserted into each other", where=str(path), found=block)
     for entity in entities:
+        counts["entities"] += 1
+        check_limit("entities", counts["entities"], str(path))
         own = str(entity.dxf.layer)
         own = layer if own == "0" and layer is not None else own
         if entity.dxftype() != "INSERT":
@@ -131,8 +148,10 @@ def _taken_apart(
             )
         inserts = entity.multi_insert() if entity.mcount > 1 else (entity,)
         for insert in inserts:
+            counts["inserts"] += 1
+            check_limit("inserts", counts["inserts"], str(path))
             inner = _exploded(insert, f"{path}, block {name!r}")
-            yield from _taken_apart(inner, path, own, name, depth + 1)
+            yield from _taken_apart(inner, path, counts, own, name, depth + 1)
 
 
 def _exploded(insert: Any, where: str) -> list[Any]:

@@ -7,12 +7,14 @@ L-shaped floor of 7 m2 came out with 16 m2) and loses names of groups and materi
 from __future__ import annotations
 
 import io
+import json
 import re
 import struct
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,13 +22,12 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
+from roomfit.io.door import check_limit, json_content, quiet, read_bytes, read_text
 from roomfit.io.rooms.model import (
     PARSER_ERRORS,
     RoomModel,
     check_corners,
     finite,
-    read_bytes,
-    read_text,
     whole,
 )
 from roomfit.typing import FloatArray
@@ -56,7 +57,7 @@ class _Lines:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        self._lines = read_text(path).split("\n")
+        self._lines = read_text(path, "room file").split("\n")
         self._next = 0
 
     @property
@@ -271,7 +272,7 @@ def read_obj(path: Path) -> RoomModel:
     faces: list[Face] = []
     lines: list[int] = []  # of each face in the file
     names: dict[str, str | None] = {}  # that apply to the next face
-    for number, words, rest in _statements(read_text(path)):
+    for number, words, rest in _statements(read_text(path, "room file")):
         where = f"{path}, line {number}"
         match words[0]:
             case "v":
@@ -287,6 +288,7 @@ def read_obj(path: Path) -> RoomModel:
                 corners = _corners(words, len(vertices), where)
                 faces.append(Face(corners, Surface(name, group, material)))
                 lines.append(number)
+                check_limit("faces", len(faces), where)
             case "usemtl" | "g" | "o" as key:
                 names[key] = rest or None
     if not faces:
@@ -316,17 +318,16 @@ def _statements(text: str) -> Iterator[tuple[int, list[str], str]]:
 
     A backslash at its end continues a line. A name may contain a "#", as in "Material #25".
     """
-    pending, first = "", 0
+    pending: list[str] = []
     for number, line in enumerate(text.split("\n"), start=1):
-        first = first or number
-        pending += line
-        if pending.endswith("\\"):
-            pending = pending[:-1] + " "
+        if line.endswith("\\"):
+            pending.append(line[:-1])
             continue
-        words = pending.split("#", 1)[0].split()
+        whole_line = " ".join([*pending, line])
+        words = whole_line.split("#", 1)[0].split()
         if words:
-            yield first, words, pending.strip()[len(words[0]) :].strip()
-        pending, first = "", 0
+            yield number - len(pending), words, whole_line.strip()[len(words[0]) :].strip()
+        pending.clear()
 
 
 def _corners(words: list[str], n_vertices: int, where: str) -> tuple[int, ...]:
@@ -392,7 +393,7 @@ def read_ply(path: Path) -> RoomModel:
     ----------
     .. [1] G. Turk, "The PLY polygon file format" (1994).
     """
-    order, elements, body = _header(path, read_bytes(path))
+    order, elements, body = _header(path, read_bytes(path, "room file", most="text_bytes"))
     take = _numbers(path, body, order)
     surface = Surface(path.stem or "unnamed")
     points: list[list[float]] = []
@@ -427,6 +428,7 @@ def _coordinate(row: dict[str, list[float]], axis: str, where: str) -> float:
 def _header(path: Path, content: bytes) -> tuple[str, list[_Element], bytes]:
     """Return byte order ("" for text), the elements, and what follows the header."""
     head, found, rest = content.partition(_HEADER_END)
+    check_limit("header_bytes", len(head) if found else 0, str(path))
     lines = head.decode("latin-1").splitlines()
     if not found or not lines or lines[0].strip() != "ply":
         raise InputError(
@@ -521,22 +523,100 @@ def read_glb(path: Path) -> RoomModel:
     return RoomModel(vertices, faces, (), "m", "y")
 
 
+_GLB_HEAD, _GLB_CHUNK = struct.Struct("<4sII"), struct.Struct("<I4s")
+# What shapes a room, and nothing that looks, moves or is compressed.
+_GLB_NODE = ("name", "children", "mesh", "matrix", "translation", "rotation", "scale")
+_GLB_LARGEST_NUMBER = 64  # bytes of an entry of an accessor: a matrix of 4 by 4
+
+
+def _bare_glb(content: bytes, where: str) -> bytes:
+    """Return the GLB file with its geometry and the names of its materials alone.
+
+    Pictures may unpack to anything, and a table of points without bytes behind it may declare any
+    number of them, all of which the library would make.
+    """
+    magic, version, _ = _GLB_HEAD.unpack_from(content)
+    length, kind = _GLB_CHUNK.unpack_from(content, _GLB_HEAD.size)
+    start = _GLB_HEAD.size + _GLB_CHUNK.size
+    if magic != b"glTF" or version != 2 or kind != b"JSON" or start + length > len(content):
+        raise ValueError("no header of a GLB file of version 2")
+    check_limit("text_bytes", length, where)
+    text = content[start : start + length].decode("utf-8")
+    bare = _bare_tree(json_content(text, "head of the GLB file"), where)
+    body = json.dumps(bare).encode()
+    body += b" " * (-len(body) % 4)
+    rest = content[start + length :]
+    size = start + len(body) + len(rest)
+    return _GLB_HEAD.pack(magic, version, size) + _GLB_CHUNK.pack(len(body), kind) + body + rest
+
+
+def _bare_tree(tree: dict[str, Any], where: str) -> dict[str, Any]:
+    if tree.get("extensionsRequired"):
+        raise ValueError(f"it needs {', '.join(map(str, tree['extensionsRequired']))}")
+    check_limit("inserts", len(tree.get("nodes", [])), where)
+    views: list[Any] = []
+    tables: dict[int, int] = {}  # from a number in the file to the one behind all that is left out
+    accessors: list[dict[str, Any]] = []
+    n_bytes = 0
+
+    def table(index: int) -> int:
+        nonlocal n_bytes
+        if index not in tables:
+            own = tree["accessors"][index]
+            view = tree["bufferViews"][own["bufferView"]]
+            if "sparse" in own or own["count"] < 1 or view["byteLength"] < 0:
+                raise ValueError("points that are stored sparsely, or none at all")
+            n_bytes += view["byteLength"] + _GLB_LARGEST_NUMBER * own["count"]
+            check_limit("unpacked_bytes", n_bytes, where)
+            tables[index] = len(accessors)
+            accessors.append({**own, "bufferView": len(views)})
+            views.append(view)
+        return tables[index]
+
+    def primitive(own: dict[str, Any]) -> dict[str, Any]:
+        kept: dict[str, Any] = {key: own[key] for key in ("mode", "material") if key in own}
+        if "indices" in own:
+            kept["indices"] = table(own["indices"])
+        return {**kept, "attributes": {"POSITION": table(own["attributes"]["POSITION"])}}
+
+    bare: dict[str, Any] = {key: tree[key] for key in ("asset", "scene", "buffers") if key in tree}
+    bare["scenes"] = [{"nodes": s.get("nodes", [])} for s in tree.get("scenes", [])]
+    bare["nodes"] = [{k: n[k] for k in _GLB_NODE if k in n} for n in tree.get("nodes", [])]
+    bare["meshes"] = [
+        {"name": str(m.get("name", "GLTF")), "primitives": [primitive(p) for p in m["primitives"]]}
+        for m in tree.get("meshes", [])
+    ]
+    bare["materials"] = [
+        {"name": str(m["name"])} if "name" in m else {} for m in tree.get("materials", [])
+    ]
+    return {**bare, "accessors": accessors, "bufferViews": views}
+
+
 def _triangles(
     path: Path, kind: str, surface_of: Callable[[str, str | None], Surface]
 ) -> tuple[FloatArray, tuple[Face, ...]]:
     """Return vertices and triangles of all parts, transformed as in the file."""
     import trimesh
 
-    content = io.BytesIO(read_bytes(path))
+    n_corners = n_faces = 0
+    parts = []
     try:
-        scene = trimesh.load_scene(content, file_type=kind, process=False)
-        parts = []
-        for node in scene.graph.nodes_geometry:
-            transform, key = scene.graph[node]
-            mesh = scene.geometry[key]
-            points = trimesh.transform_points(mesh.vertices, transform)
-            material = getattr(getattr(mesh.visual, "material", None), "name", None)
-            parts.append((points, np.asarray(mesh.faces), surface_of(str(node), material or None)))
+        if kind == "glb":
+            content = _bare_glb(read_bytes(path, "room file"), str(path))
+        else:
+            content = read_bytes(path, "room file", most="text_bytes")
+        with quiet("trimesh"):
+            scene = trimesh.load_scene(io.BytesIO(content), file_type=kind, process=False)
+            for node in scene.graph.nodes_geometry:
+                transform, key = scene.graph[node]
+                mesh = scene.geometry[key]
+                n_corners, n_faces = n_corners + len(mesh.vertices), n_faces + len(mesh.faces)
+                check_limit("corners", n_corners, str(path))
+                check_limit("faces", n_faces, str(path))
+                points = trimesh.transform_points(mesh.vertices, transform)
+                material = getattr(getattr(mesh.visual, "material", None), "name", None)
+                surface = surface_of(str(node), material or None)
+                parts.append((points, np.asarray(mesh.faces), surface))
     except PARSER_ERRORS as error:
         raise InputError(
             f"this {kind.upper()} file cannot be read",

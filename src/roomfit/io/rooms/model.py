@@ -14,7 +14,6 @@ from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface
-from roomfit.io.encoding import decoded
 from roomfit.typing import FloatArray
 
 METRES_PER_UNIT = {"m": 1.0, "mm": 1e-3, "cm": 1e-2, "ft": 0.3048, "in": 0.0254}
@@ -114,35 +113,7 @@ class RoomSpec:
 
 # Far above any room in any unit, far below where squares overflow.
 _LARGEST = 1e9
-
-
-def read_bytes(path: Path) -> bytes:
-    """Return the contents of a file; refuse one that is missing, empty, a folder or unreadable."""
-    try:
-        content = Path(path).read_bytes()
-    except FileNotFoundError:
-        hint = "check the path; in a campaign it is relative to the campaign file"
-        raise InputError("the room file does not exist", where=str(path), hint=hint) from None
-    except (OSError, ValueError) as error:
-        raise InputError(
-            "the room file cannot be read", where=str(path), found=str(error)
-        ) from error
-    if not content.strip():
-        raise InputError("the room file is empty", where=str(path), hint="export it again")
-    return content
-
-
-def read_text(path: Path) -> str:
-    """Return a text, UTF-8 or else Latin-1; refuse what `read_bytes` refuses, and a binary file."""
-    content = read_bytes(path)
-    if b"\0" in content:
-        raise InputError(
-            "the room file is not text",
-            where=str(path),
-            needed=f"a text file, as {Path(path).suffix or 'its name'} says",
-            hint="check that the file's name ends as its format demands",
-        )
-    return decoded(content)
+_MOST_DIGITS = 18
 
 
 def finite(token: str, where: str) -> float:
@@ -164,6 +135,8 @@ def finite(token: str, where: str) -> float:
 def whole(token: str, where: str) -> int:
     """Return a whole number; refuse anything else."""
     try:
+        if len(token) > _MOST_DIGITS:
+            raise ValueError
         return int(token)
     except ValueError:
         raise InputError(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -15,7 +14,8 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Surface, area_vector_m2
-from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite, read_text
+from roomfit.io.door import csv_rows, read_text
+from roomfit.io.rooms.model import METRES_PER_UNIT, PolygonSpec, RoomModel, finite
 
 _NUMBER_WORDS = ("number", "no", "no.", "nr", "nr.", "plane no.", "plane no", "plane", "corner no.")
 
@@ -103,20 +103,16 @@ def read_planes(path: Path) -> dict[str, Plane]:
 def _rows(path: Path, needed: tuple[str, ...]) -> Iterator[tuple[str, list[str], list[str]]]:
     """Yield place, cells and heading of each row below a heading; a later heading replaces it."""
     heading: list[str] | None = None
-    reader = csv.reader(read_text(path).split("\n"))
-    try:
-        for row in reader:
-            cells = [cell.strip() for cell in row]
-            words = [" ".join(cell.lower().split()) for cell in cells]
-            if any(w in _NUMBER_WORDS for w in words) and all(
-                any(w.startswith(n) if len(n) > 1 else w == n for w in words) for n in needed
-            ):
-                heading = words
-            elif heading is not None and any(cells):
-                padded = cells + [""] * (len(heading) - len(cells))
-                yield f"{path}, line {reader.line_num}", padded, heading
-    except csv.Error as error:
-        raise InputError("the table cannot be read", where=str(path), found=str(error)) from error
+    for number, row in csv_rows(read_text(path, "room file"), str(path)):
+        cells = [cell.strip() for cell in row]
+        words = [" ".join(cell.lower().split()) for cell in cells]
+        if any(w in _NUMBER_WORDS for w in words) and all(
+            any(w.startswith(n) if len(n) > 1 else w == n for w in words) for n in needed
+        ):
+            heading = words
+        elif heading is not None and any(cells):
+            padded = cells + [""] * (len(heading) - len(cells))
+            yield f"{path}, line {number}", padded, heading
     if heading is None:
         raise InputError(
             "the table has no heading that names its columns",

@@ -1,0 +1,305 @@
+"""The one door through which files come in: regular files, and no more of them than can be meant.
+
+A file may come from a stranger. Every reader of this package takes its bytes from `read_bytes` or
+`read_text`, and counts what it unpacks with `check_limit`. The limits lie far above what rooms and
+their measurements need; the environment variable ``ROOMFIT_LIMITS`` changes them, as in
+``ROOMFIT_LIMITS="faces=500000 file_bytes=4e9"``. They are no keys of a campaign, because the
+campaign may be the stranger's.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import csv
+import io
+import json
+import logging
+import math
+import os
+import stat
+import struct
+import tokenize
+import warnings
+import zipfile
+import zlib
+from collections.abc import Iterable, Iterator, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomfit.errors import InputError, StoreError
+from roomfit.io.encoding import decoded
+
+LIMITS: Mapping[str, tuple[float, str]] = {
+    "file_bytes": (2**30, "bytes of one file"),
+    "text_bytes": (2**26, "bytes of one file of text (tables, drawings, exports of REW)"),
+    "campaign_bytes": (2**22, "bytes of a campaign file"),
+    "header_bytes": (2**16, "bytes of a header (PLY, REW, arrays of NumPy)"),
+    "unpacked_bytes": (2**30, "bytes of the numbers in one file, as float64"),
+    "unpacked_times": (1000, "times its own size that a file may unpack to, beyond 64 MiB"),
+    "corners": (1e6, "corners of a room file"),
+    "faces": (1e5, "polygons of a room file"),
+    "polygon_corners": (2000, "corners of one polygon"),
+    "polygon_pairs": (4e6, "pairs of corners of one polygon, over all polygons beyond 100 corners"),
+    "near_pairs": (1e6, "pairs of corners that are nearer than 0.1 mm without being equal"),
+    "open_edges": (20000, "edges of a room without a neighbour"),
+    "inserts": (10000, "blocks that a drawing inserts, counted as often as they appear"),
+    "entities": (1e6, "entities of a drawing, those of blocks as often as they appear"),
+    "constants": (10000, "constants of one .geo file"),
+    "statement_letters": (20000, "letters of one statement of a .geo file"),
+    "part_pairs": (20000, "pairs of parts of one plane of a .geo file, over all planes"),
+    "reading_s": (20, "seconds of processor time for reading one HDF5 file (SOFA, MAT 7.3)"),
+}
+_VARIABLE = "ROOMFIT_LIMITS"
+_ALWAYS_UNPACKED_BYTES = 2**26
+
+
+def limit(name: str) -> float:
+    """Return a limit: its default, or what ``ROOMFIT_LIMITS`` says.
+
+    Raises
+    ------
+    InputError
+        The variable names no limit, or gives it no positive number.
+
+    Examples
+    --------
+    >>> limit("polygon_corners")
+    2000.0
+    """
+    changed: dict[str, float] = {}
+    for word in os.environ.get(_VARIABLE, "").replace(",", " ").split():
+        key, _, value = word.partition("=")
+        try:
+            changed[key] = float(value)
+        except ValueError:
+            changed[key] = math.nan
+        if key not in LIMITS or not changed[key] > 0.0:
+            raise InputError(
+                "a limit of files is not understood",
+                where=f"the environment variable {_VARIABLE}",
+                found=repr(word[:80]),
+                needed=f"NAME=NUMBER above 0, separated by blanks; names: {', '.join(LIMITS)}",
+            )
+    return changed.get(name, float(LIMITS[name][0]))
+
+
+def check_limit(name: str, found: float, where: str) -> None:
+    """Refuse more of something than a file may hold.
+
+    Raises
+    ------
+    InputError
+        `found` is above the limit of this name, or no number.
+    """
+    most = limit(name)
+    if not found <= most:
+        raise InputError(
+            "a file holds more than is read",
+            where=where,
+            found=f"{found:.10g} {LIMITS[name][1]}",
+            needed=f"at most {most:.10g}",
+            hint=f'if the file is meant: {_VARIABLE}="{name}=NUMBER"',
+        )
+
+
+def unpacked_limit_bytes(packed_bytes: int) -> float:
+    """Return to how much a file of so many bytes may unpack, its numbers counted as float64."""
+    by_size = max(limit("unpacked_times") * packed_bytes, _ALWAYS_UNPACKED_BYTES)
+    return min(limit("unpacked_bytes"), by_size)
+
+
+def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
+    """Return the content of a regular file, at most so much as the limit `most` allows.
+
+    Parameters
+    ----------
+    path : Path
+        A link is followed, and what it leads to must be a regular file.
+    what : str
+        What the file is called in messages: "room file".
+
+    Raises
+    ------
+    InputError
+        There is no such file, its name cannot be one, it is a folder, a pipe, a device or a
+        socket, is empty, or too large.
+    StoreError
+        The disk refuses to read it.
+    """
+    place = str(path)
+    try:
+        _check_regular(Path(path).stat().st_mode, what, place)
+        # not to wait should a pipe have come into its place meanwhile
+        descriptor = os.open(
+            path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)
+        )
+        with open(descriptor, "rb") as stream:  # noqa: PTH123 -- a descriptor has no path
+            status = os.fstat(stream.fileno())
+            _check_regular(status.st_mode, what, place)
+            check_limit(most, status.st_size, place)
+            # files of /proc tell no size
+            content = stream.read(int(limit(most)) + 1)
+    except (FileNotFoundError, NotADirectoryError):
+        raise InputError(
+            f"the {what} does not exist",
+            where=place,
+            hint="check the path; in a campaign it is relative to the campaign file",
+        ) from None
+    except ValueError as error:  # a NUL, or what the system cannot encode, in the name
+        raise InputError(
+            "this is not a name of a file", where=repr(str(path)), found=str(error)
+        ) from error
+    except OSError as error:
+        raise StoreError(
+            f"the {what} cannot be read", where=place, found=error.strerror or str(error)
+        ) from error
+    check_limit(most, len(content), place)
+    if not content:
+        raise InputError(
+            f"the {what} is empty", where=place, found="0 bytes", hint="copy or export it again"
+        )
+    return content
+
+
+def _check_regular(mode: int, what: str, where: str) -> None:
+    if stat.S_ISREG(mode):
+        return
+    kinds = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
+    found = next((name for test, name in kinds if test(mode)), "a device")
+    raise InputError(
+        f"the {what} cannot be read",
+        where=where,
+        found=found,
+        needed="a regular file, or a link to one",
+    )
+
+
+def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
+    """Return a text, UTF-8 (with a byte order mark or without) or else Latin-1.
+
+    Raises
+    ------
+    InputError, StoreError
+        As `read_bytes`; and a file with a byte 0 is no text.
+    """
+    content = read_bytes(path, what, most=most)
+    if b"\0" in content:
+        raise InputError(
+            f"the {what} is not text",
+            where=str(path),
+            needed=f"a text file, as {Path(path).suffix or 'its name'} says",
+            hint="check that the file's name ends as its format demands",
+        )
+    return decoded(content)
+
+
+def json_content(text: str, what: str) -> Any:
+    """Return what a JSON text holds.
+
+    Raises
+    ------
+    InputError
+        No JSON, nested too deep, or with whole numbers of thousands of digits.
+    """
+    try:
+        return json.loads(text.removeprefix("\ufeff"))
+    except (ValueError, RecursionError) as error:
+        raise InputError(f"the {what} is not JSON", found=str(error)[:200]) from error
+
+
+def csv_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
+    """Yield number of the line and cells of each row of a table with commas.
+
+    Raises
+    ------
+    InputError
+        The text is no such table, or a cell has more than 131,072 letters.
+    """
+    reader = csv.reader(text.split("\n"))
+    try:
+        for cells in reader:
+            yield reader.line_num, cells
+    except csv.Error as error:
+        raise InputError("the table cannot be read", where=where, found=str(error)) from error
+
+
+# What unpacking damaged bytes as an archive of arrays can raise.
+_DAMAGE = (
+    *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
+    *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error, tokenize.TokenError),
+    *(zipfile.BadZipFile, zlib.error),
+)
+
+
+def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
+    """Return the arrays of numbers of a NumPy archive by name.
+
+    Headers are read before anything is unpacked: the length that an array declares must be that of
+    its entry. Only numbers and truth values are taken, no text and no objects.
+
+    Raises
+    ------
+    InputError
+        No such archive, damaged, other than numbers, or beyond the limits.
+    """
+    arrays: dict[str, np.ndarray[Any, Any]] = {}
+    try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            entries = archive.infolist()
+            unpacked, most = sum(e.file_size for e in entries), unpacked_limit_bytes(len(content))
+            if unpacked > most:
+                raise ValueError(f"{unpacked} bytes unpacked, and {most:.4g} at most are read")
+            for entry in entries:
+                # others ask for gigabytes before they unpack a byte
+                if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+                    raise ValueError("compressed in another way than by numpy.savez")
+                with archive.open(entry) as stream:
+                    arrays[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
+    except _DAMAGE as error:
+        raise InputError(
+            "this is not a NumPy archive of numbers",
+            where=where,
+            found=" ".join(f"{type(error).__name__}: {error}".split())[:200],
+            needed="a file of numpy.savez that holds arrays of numbers",
+        ) from error
+    return arrays
+
+
+def _array(stream: Any, n_bytes: int) -> np.ndarray[Any, Any]:
+    """Return the array of one entry of so many bytes, header included."""
+    version = np.lib.format.read_magic(stream)
+    if version not in ((1, 0), (2, 0)):
+        raise ValueError(f"version {version} of the format of arrays")
+    read = np.lib.format.read_array_header_1_0
+    shape, by_columns, dtype = (read if version == (1, 0) else np.lib.format.read_array_header_2_0)(
+        stream, max_header_size=int(limit("header_bytes"))
+    )
+    if dtype.kind not in "biufc":
+        raise ValueError(f"an array of type {dtype}, which is no number")
+    size = math.prod(shape)
+    if size < 0 or min(shape, default=0) < 0 or size * dtype.itemsize != n_bytes - stream.tell():
+        raise ValueError(f"an array of shape {shape} in {n_bytes} bytes")
+    values = np.frombuffer(stream.read(size * dtype.itemsize), dtype)
+    return values.reshape(shape, order="F" if by_columns else "C").copy()
+
+
+@contextlib.contextmanager
+def quiet(*loggers: str) -> Iterator[None]:
+    """Keep what libraries log, warn or print about a damaged file off the terminal."""
+    chosen: Iterable[logging.Logger] = [logging.getLogger(name) for name in loggers]
+    before = [logger.disabled for logger in chosen]
+    for logger in chosen:
+        logger.disabled = True
+    try:
+        with (
+            warnings.catch_warnings(),
+            contextlib.redirect_stderr(io.StringIO()),
+            np.errstate(all="ignore"),
+        ):
+            warnings.simplefilter("ignore")
+            yield
+    finally:
+        for logger, state in zip(chosen, before, strict=True):
+            logger.disabled = state

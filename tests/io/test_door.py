@@ -1,0 +1,200 @@
+"""The one door for files: regular files, limits, and a process that may die."""
+
+from __future__ import annotations
+
+import ast
+import os
+import socket
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import roomfit
+from roomfit.errors import InputError
+from roomfit.io import door
+from roomfit.io.campaign import read_campaign
+from roomfit.io.directivity import read_directivity
+from roomfit.io.door import LIMITS, check_limit, limit, read_bytes, read_text
+from roomfit.io.encoding import csv_text, one_line
+from roomfit.io.exports import catt_text, read_material_table
+from roomfit.io.responses import hdf5, read_response
+from roomfit.io.responses.recordings import ResponseSpec
+from roomfit.io.rooms import read_mesh
+from roomfit.io.rooms.model import RoomSpec
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="pipes and devices of POSIX")
+SOURCE = Path(roomfit.__file__).parent
+# They read what roomfit itself has written or brings along.
+OWN = {"cache.py", "materials/catalogue.py", "io/encoding.py"}
+OWN |= {"tracing/bvh.py"}  # compiled code that loads from memory
+OPENING = {"read_bytes", "read_text", "open", "load", "fromfile", "loadtxt", "genfromtxt"}
+
+
+def opened(path: Path) -> list[str]:
+    """Return calls that open a file: methods of paths, `open`, and readers of NumPy."""
+    found = []
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if not isinstance(node, ast.Call):
+            continue
+        method = node.func.attr if isinstance(node.func, ast.Attribute) else ""
+        name = node.func.id if isinstance(node.func, ast.Name) else ""
+        if (method in OPENING and ast.unparse(node.func) != "os.open") or name == "open":
+            found.append(f"{path.relative_to(SOURCE).as_posix()}:{node.lineno}")
+    return found
+
+
+def test_no_reader_opens_a_file_beside_the_door():
+    outside = [p for p in SOURCE.rglob("*.py") if p.relative_to(SOURCE).as_posix() not in OWN]
+    found = [place for p in outside if p.name != "door.py" for place in opened(p)]
+    assert found == []
+    assert opened(SOURCE / "io" / "door.py")
+
+
+def special(folder: Path, kind: str, name: str) -> Path:
+    path = folder / name
+    match kind:
+        case "pipe":
+            os.mkfifo(path)
+        case "device":
+            path = Path("/dev/zero")
+        case "link to a device":
+            path.symlink_to("/dev/zero")
+        case "folder":
+            path.mkdir()
+        case "socket":
+            # the name of a socket must be short
+            os.chdir(folder)
+            socket.socket(socket.AF_UNIX).bind(name)
+        case "link to nothing":
+            path.symlink_to(folder / "nothing")
+    return path
+
+
+@POSIX
+@pytest.mark.parametrize(
+    "kind", ["pipe", "device", "link to a device", "folder", "socket", "link to nothing"]
+)
+def test_only_regular_files_are_read(tmp_path, kind, monkeypatch):
+    """A pipe would be waited for, a device has no end."""
+    monkeypatch.chdir(tmp_path)
+    path = special(tmp_path, kind, "a")
+    with pytest.raises(InputError, match=r"regular file|does not exist") as refused:
+        read_bytes(path, "file")
+    word = kind.removeprefix("link to ").replace("nothing", "not exist")
+    assert word in str(refused.value)
+
+
+@POSIX
+@pytest.mark.parametrize(
+    "read",
+    [
+        lambda path: read_mesh(RoomSpec(file=path.with_suffix(".obj"), unit="m")),
+        lambda path: read_mesh(RoomSpec(file=path.with_suffix(".dxf"), unit="m")),
+        lambda path: read_mesh(RoomSpec(file=path.with_suffix(".glb"), unit="m")),
+        lambda path: read_response(ResponseSpec(path.with_suffix(".wav"))),
+        lambda path: read_response(ResponseSpec(path.with_suffix(".sofa"))),
+        lambda path: read_directivity(path.with_suffix(".sofa"), None),
+        lambda path: read_material_table(path.with_suffix(".csv")),
+        lambda path: read_campaign(path.with_suffix(".toml")),
+    ],
+)
+def test_every_reader_refuses_a_pipe(tmp_path, read):
+    for ending in (".obj", ".dxf", ".glb", ".wav", ".sofa", ".csv", ".toml"):
+        os.mkfifo(tmp_path / f"a{ending}")
+    with pytest.raises(InputError, match="a pipe"):
+        read(tmp_path / "a")
+
+
+def test_a_link_to_a_file_is_followed(tmp_path):
+    (tmp_path / "a").write_text("text")
+    (tmp_path / "b").symlink_to(tmp_path / "a")
+    assert read_bytes(tmp_path / "b", "file") == b"text"
+
+
+def test_a_file_beyond_a_limit_is_refused_with_the_limits_name(tmp_path, monkeypatch):
+    (tmp_path / "a").write_bytes(b"x" * 100)
+    monkeypatch.setenv("ROOMFIT_LIMITS", "file_bytes=99")
+    with pytest.raises(InputError, match=r"100 bytes(?s:.*)at most 99(?s:.*)file_bytes=NUMBER"):
+        read_bytes(tmp_path / "a", "file")
+    monkeypatch.setenv("ROOMFIT_LIMITS", "faces=7, file_bytes=1e2")
+    assert read_bytes(tmp_path / "a", "file") == b"x" * 100
+    assert limit("faces") == 7.0
+    assert limit("corners") == LIMITS["corners"][0]
+
+
+@pytest.mark.parametrize("text", ["face=3", "faces=many", "faces=0", "faces=nan", "faces"])
+def test_a_limit_that_is_none_is_refused(monkeypatch, text):
+    monkeypatch.setenv("ROOMFIT_LIMITS", text)
+    with pytest.raises(InputError, match="not understood"):
+        check_limit("corners", 1, "")
+
+
+def test_the_table_on_the_page_is_that_of_the_code():
+    page = (SOURCE.parents[1] / "docs" / "campaign-file.md").read_text(encoding="utf-8")
+    for name, (most, text) in LIMITS.items():
+        assert f"| `{name}` | {most:,.0f} | {text} |" in page
+
+
+def test_utf_8_with_a_byte_order_mark_is_text(tmp_path):
+    (tmp_path / "a.toml").write_bytes(b"\xef\xbb\xbf[room]\nshoebox = [6, 5, 3]\n")
+    with pytest.raises(InputError, match="no measurement"):
+        read_campaign(tmp_path / "a.toml")
+    (tmp_path / "a.json").write_bytes(b"\xef\xbb\xbf{}")
+    assert door.json_content(read_text(tmp_path / "a.json", "file"), "file") == {}
+
+
+@pytest.mark.parametrize(
+    ("program", "words"),
+    [
+        ("import os; os.abort()", "failed"),
+        ("while True: pass", "come to an end within 0.2 s"),
+        ("import time; time.sleep(600)", "come to an end within 0.2 s"),
+        ("print('no answer')", "Expecting value"),
+        ("print('{}')", "gave no answer"),
+        (
+            'print(\'{"members": [{"shape": [1e18], "name": 1}], "attributes": {}}\')',
+            "more numbers",
+        ),
+        ('print(\'{"members": [{"shape": [9], "name": 1}], "attributes": {}}\')', "reshape"),
+        ('print(\'{"members": [{"shape": [-1], "name": 1}], "attributes": {}}\')', "more numbers"),
+    ],
+)
+def test_a_child_that_dies_or_hangs_or_lies_is_a_refusal(tmp_path, monkeypatch, program, words):
+    """Stand-ins for the library led astray."""
+    (tmp_path / "child.py").write_text(program)
+    monkeypatch.setattr(hdf5, "_PROGRAM", tmp_path / "child.py")
+    monkeypatch.setenv("ROOMFIT_LIMITS", "reading_s=0.2" if "within" in words else "")
+    (tmp_path / "a.sofa").write_bytes(os.urandom(100))
+    with pytest.raises(InputError, match=words):
+        read_response(ResponseSpec(tmp_path / "a.sofa"))
+
+
+def test_the_child_imports_nothing_of_roomfit():
+    """It starts in a quarter of a second, and carries nothing that could be harmed."""
+    tree = ast.parse(hdf5._PROGRAM.read_text(encoding="utf-8"))
+    modules = {
+        alias.name
+        for node in ast.walk(tree)
+        if isinstance(node, ast.Import | ast.ImportFrom)
+        for alias in (node.names if isinstance(node, ast.Import) else [ast.alias(node.module)])
+    }
+    known = {"__future__", "io", "json", "os", "sys", "typing", "resource", "h5py", "numpy"}
+    assert modules <= known
+
+
+def test_no_name_becomes_a_formula_or_a_statement(tmp_path):
+    names = ["=1+1", "+x", "-x", "@x", "'=1", "plain", "\tx", "-0.5"]
+    rows = [line for line in csv_text(["name"], [[n] for n in names]).split("\n")[1:] if line]
+    assert rows == ["'=1+1", "'+x", "'-x", "'@x", "''=1", "plain", "'\tx", "-0.5"]
+    head = ["material", "band_hz", "absorption", "lower95", "upper95", "identifiable"]
+    values = ["500", "0.3", "0.2", "0.4", "true"]
+    path = tmp_path / "absorption.csv"
+    path.write_text(csv_text(head, [[name, *values] for name in names[:6]]))
+    assert list(read_material_table(path).names) == names[:6]
+    hostile = "wall\r\nINCLUDE evil\x0b\x85\u2028\x1aabs x = <1 1 1 1 1 1>"
+    table = np.full((1, 8), 0.3)
+    text = catt_text({hostile: "wall"}, table, table, [f"remark of {hostile}"])
+    assert len(text.splitlines()) == 2
+    assert one_line("a\x1b[2J\nb") == "a?[2J b"

@@ -1,0 +1,231 @@
+"""Output folders: at every moment the old result is there or the new one, and strangers' files."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from roomfit.cache import sole_writer, whole_output_folder
+from roomfit.errors import InputError, StoreError
+
+POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
+OLD = {"result.json": "old", "decay_1.png": "old", "decay_2.png": "old", "inner/table.csv": "old"}
+NEW = {"result.json": "new", "decay_1.png": "new", "inner/table.csv": "new", "more.csv": "new"}
+FOREIGN = {"decay_1_notes.png": "mine", "inner/notes.txt": "mine", "own/notes.txt": "mine"}
+
+
+def fill(folder: Path, content: dict[str, str]) -> None:
+    for name, text in content.items():
+        (folder / name).parent.mkdir(parents=True, exist_ok=True)
+        (folder / name).write_text(text)
+
+
+def content_of(folder: Path) -> dict[str, str]:
+    files = (p for p in folder.rglob("*") if p.is_file() and p.name != ".roomfit-files")
+    return {p.relative_to(folder).as_posix(): p.read_text() for p in files}
+
+
+def write(out: Path, content: dict[str, str]) -> None:
+    """Write a result as a command does."""
+
+    @sole_writer
+    def command(out: Path) -> None:
+        with whole_output_folder(out, overwrite=True) as folder:
+            fill(folder, content)
+
+    command(out)
+
+
+PROGRAM = """
+import os, signal, sys
+from pathlib import Path
+from test_output_folders import NEW, write
+
+STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.call_function", "ctypes.dlsym", "fcntl.")
+left = int(sys.argv[2])
+
+def watch(event, arguments):
+    global left
+    if event.startswith(STEPS):
+        left -= 1
+        if left == 0:
+            os.kill(os.getpid(), signal.SIGKILL)
+
+sys.addaudithook(watch)
+write(Path(sys.argv[1]), NEW)
+"""
+
+
+@POSIX
+@pytest.mark.parametrize("before", [OLD, {}], ids=["over a result", "new"])
+def test_killed_at_any_step_the_old_result_is_there_or_the_new_one(tmp_path, before):
+    """The process is killed before its n-th touch of the disk, for every n until it ends."""
+    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
+    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
+    found = []
+    for step in range(1, 400):
+        out = tmp_path / str(step) / "out"
+        if before:
+            write(out, before)
+            fill(out, FOREIGN)
+        else:
+            out.parent.mkdir()
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM, str(out), str(step)], env=environment, check=False
+        )
+        content = content_of(out)
+        foreign = FOREIGN if before else {}
+        assert content in (before | foreign, NEW | foreign), (step, content)
+        found.append(content.get("result.json"))
+        # the next run finds what is left, and removes it
+        write(out, NEW)
+        assert content_of(out) == NEW | foreign
+        assert [p.name for p in out.parent.iterdir()] == ["out"]
+        if done.returncode == 0:
+            break
+    assert done.returncode == 0
+    assert len(found) > 10 and "new" in found[:-1] and found[0] == before.get("result.json")
+
+
+def test_only_what_the_earlier_result_names_is_removed(tmp_path):
+    write(tmp_path / "out", OLD)
+    fill(tmp_path / "out", FOREIGN)
+    write(tmp_path / "out", NEW)
+    assert content_of(tmp_path / "out") == NEW | FOREIGN
+
+
+def test_a_folder_without_a_list_loses_nothing(tmp_path):
+    """As an earlier version, or somebody else, has written it."""
+    fill(tmp_path / "out", {**OLD, **FOREIGN})
+    write(tmp_path / "out", NEW)
+    assert content_of(tmp_path / "out") == {**OLD, **FOREIGN, **NEW}
+
+
+def test_the_current_folder_keeps_strangers_files(tmp_path, monkeypatch):
+    out = tmp_path / "out"
+    write(out, OLD)
+    fill(out, FOREIGN)
+    monkeypatch.chdir(out)
+    write(Path(), NEW)
+    assert content_of(out) == NEW | FOREIGN
+    assert Path.cwd().samefile(out)
+
+
+def test_a_disk_that_exchanges_nothing_renames_twice(tmp_path, monkeypatch):
+    monkeypatch.setattr("roomfit.cache._exchange", lambda *_: False)
+    write(tmp_path / "out", OLD)
+    fill(tmp_path / "out", FOREIGN)
+    write(tmp_path / "out", NEW)
+    assert content_of(tmp_path / "out") == NEW | FOREIGN
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+def test_what_a_killed_run_has_moved_away_is_put_back(tmp_path):
+    """Killed between the two renames of a disk that exchanges nothing."""
+    fill(tmp_path / ".out.old-abcdefgh", OLD)
+    seen = []
+
+    @sole_writer
+    def command(out: Path) -> None:
+        seen.append(content_of(out))
+
+    command(tmp_path / "out")
+    assert seen == [OLD]
+
+
+def test_a_folder_in_the_place_of_a_new_file_is_not_lost(tmp_path):
+    fill(tmp_path / "out", {"result.json/notes.txt": "mine"})
+    with pytest.raises(StoreError, match="in the place of a file"):
+        write(tmp_path / "out", NEW)
+    assert content_of(tmp_path / "out") == {"result.json/notes.txt": "mine"}
+
+
+@POSIX
+def test_a_second_run_into_the_same_folder_is_refused_until_the_first_ends(tmp_path):
+    """However the first ends: here it is killed."""
+    program = (
+        "import sys, time; from pathlib import Path; from roomfit.cache import sole_writer\n"
+        "@sole_writer\ndef command(out):\n    print('in', flush=True); time.sleep(600)\n"
+        "command(Path(sys.argv[1]))"
+    )
+    first = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path / "out")], stdout=subprocess.PIPE
+    )
+    assert first.stdout is not None and first.stdout.readline() == b"in\n"
+    with pytest.raises(InputError, match="another run is writing"):
+        write(tmp_path / "out", NEW)
+    write(tmp_path / "other", NEW)
+    first.kill()
+    first.wait()
+    first.stdout.close()
+    write(tmp_path / "out", NEW)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["other", "out"]
+
+
+@POSIX
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGHUP, signal.SIGINT])
+def test_a_request_to_end_leaves_nothing(tmp_path, number):
+    program = (
+        "import sys, time, roomfit.cli as cli; from pathlib import Path\n"
+        "from roomfit.cache import whole_output_folder\n"
+        "def run(options):\n"
+        "    with whole_output_folder(Path(sys.argv[1])) as folder:\n"
+        "        (folder / 'half').write_text('x'); print('in', flush=True); time.sleep(600)\n"
+        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "cli.main([])"
+    )
+    run = subprocess.Popen(
+        [sys.executable, "-c", program, str(tmp_path / "out")],
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+    )
+    assert run.stdout is not None and run.stdout.readline() == b"in\n"
+    time.sleep(0.1)
+    run.send_signal(number)
+    _, said = run.communicate(timeout=300)
+    assert run.returncode == 128 + number
+    assert b"nothing half-written" in said
+    assert list(tmp_path.iterdir()) == []
+
+
+@POSIX
+def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
+    """Python prints it as ignored and goes on; the command line asks again."""
+    program = (
+        "import sys, time, roomfit.cli as cli\n"
+        "class Slow:\n"
+        "    def __del__(self):\n"
+        "        print('in', flush=True); time.sleep(600)\n"
+        "def run(options):\n"
+        "    Slow()\n"
+        "    time.sleep(600)\n"
+        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "cli.main([])"
+    )
+    run = subprocess.Popen(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert run.stdout is not None and run.stdout.readline() == b"in\n"
+    run.send_signal(signal.SIGINT)
+    _, said = run.communicate(timeout=300)
+    assert run.returncode == 130
+    assert b"Exception ignored" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_output_to_a_full_device_is_told(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "roomfit", "catalogue", "carpet"],
+            stdout=full,
+            stderr=subprocess.PIPE,
+            check=False,
+        )
+    assert done.returncode == 2
+    assert done.stderr.startswith(b"the disk is full") and b"Traceback" not in done.stderr
