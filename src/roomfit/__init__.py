@@ -41,7 +41,7 @@ if TYPE_CHECKING:
     from roomfit.prediction.predict import predict
     from roomfit.report.html import report_html
     from roomfit.results import Result, absorption_posterior
-    from roomfit.scene import Point, PointGroup, scene_of, shoebox_room
+    from roomfit.scene import Point, scene_of, shoebox_room, with_states
     from roomfit.settings import Settings
     from roomfit.signals.iso3382 import MeasuredValues
 
@@ -60,7 +60,6 @@ __all__ = [
     "Measurement",
     "Observed",
     "Point",
-    "PointGroup",
     "ResponseSpec",
     "Result",
     "RoomSpec",
@@ -88,6 +87,7 @@ __all__ = [
     "report_html",
     "scene_of",
     "shoebox_room",
+    "with_states",
     "write_result",
 ]
 
@@ -115,7 +115,6 @@ _HOME = {
     "Measurement": "measurement",
     "Observed": "impedance.data",
     "Point": "scene",
-    "PointGroup": "scene",
     "predict": "prediction.predict",
     "predict_arguments": "prediction.campaign",
     "read_campaign": "io.campaign",
@@ -131,6 +130,7 @@ _HOME = {
     "scene_of": "scene",
     "Settings": "settings",
     "shoebox_room": "scene",
+    "with_states": "scene",
     "StoreError": "errors",
     "write_result": "io.results",
 }

@@ -387,7 +387,7 @@ def estimate_coverage(
     --------
     One replicate, too few for a statement; ``roomfit coverage`` makes 200.
 
-    >>>     >>> import roomfit
+    >>> import roomfit
     >>> text = '''
     ... [room]
     ... shoebox = [6, 5, 3]

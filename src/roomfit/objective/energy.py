@@ -13,7 +13,13 @@ from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
 from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import RowPattern, directed_rows, weigh_directed
-from roomfit.response.energy import EnergyRows, batch_energies, rows_in_air, weigh
+from roomfit.response.energy import (
+    EnergyResponse,
+    EnergyRows,
+    batch_energies,
+    rows_in_air,
+    weigh,
+)
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
 _RINGING_S = 2e-3
@@ -100,15 +106,20 @@ class EnergyTerm:
         last = 1 + values["absorption"].size
         for o, observation in enumerate(self.observations):
             gain = gains[observation.gain]
-            found = gain * (observation.spreading @ responses_of(self, o, values["absorption"]))
+            if self.patterns:
+                columns = responses_of(self, o, values["absorption"])
+            else:
+                walls, air = values["absorption"][:, None], np.array([self.attenuation_per_m])
+                columns = columns_of(weigh(self.rows[o], walls, air))
+            found = gain * (observation.spreading @ columns)
             signal = found[:, 0]
             signals.append(signal)
             by_absorption.append(found[:, 1:last])
             by_pattern.append(found[:, last:])
-            columns = np.zeros((signal.size, values["gain"].size))
+            per_gain = np.zeros((signal.size, values["gain"].size))
             if observation.gain >= 0:
-                columns[:, observation.gain] = signal / gain
-            by_gain.append(columns)
+                per_gain[:, observation.gain] = signal / gain
+            by_gain.append(per_gain)
         signal = np.concatenate(signals)
         derivatives = {
             "absorption": np.concatenate(by_absorption),
@@ -218,9 +229,14 @@ def responses_of(
     if pattern is not None:
         return weigh_directed(rows, pattern, absorption, attenuation, derivative=derivative)
     found = weigh(rows, absorption[:, None], np.array([attenuation]), derivative=derivative)
+    return columns_of(found, 3 if problem.patterns else 0)
+
+
+def columns_of(found: EnergyResponse, n_known: int = 0) -> FloatArray:
+    """Return energy and derivatives of one band as columns, zeros by what is known behind them."""
     if found.derivative is None:
         return found.energy.T
-    known = np.zeros((3 if problem.patterns else 0, rows.n_windows))
+    known = np.zeros((n_known, found.energy.shape[1]))
     return np.concatenate((found.energy, found.derivative[:, 0], known)).T.copy()
 
 

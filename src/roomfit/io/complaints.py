@@ -1,0 +1,109 @@
+"""What a file's data model complains of, as one message that says what, where, found and needed."""
+
+from __future__ import annotations
+
+import types
+from pathlib import Path
+from typing import Any, Union, get_args, get_origin
+
+from pydantic import BaseModel, ValidationError
+from pydantic_core import ErrorDetails
+
+from roomfit._checks import nearest
+from roomfit.errors import InputError
+
+
+def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> InputError:
+    """Turn pydantic's most telling complaint into one message in our words.
+
+    Parameters
+    ----------
+    path : Path
+        Of the file that was read.
+    error : ValidationError
+    table : type
+        Of the whole file, whose keys are named where one is unknown.
+    """
+    complaints = error.errors(include_url=False)
+    # a union tries every member: an unknown key says most, then what lies deepest in the file
+    first = next((c for c in complaints if c["type"] == "extra_forbidden"), None)
+    if first is None:
+        start = _place(complaints[0])[:2]
+        alike = [c for c in complaints if _place(c)[:2] == start]
+        first = max(alike, key=lambda c: len(_place(c)))
+    place = _place(first)
+    # a position of two numbers lacks its third: the fault is the list's
+    if first["type"] == "missing" and isinstance(place[-1], int):
+        return InputError(
+            "a list in the campaign file is too short",
+            where=f"{path}, {_key_path(place[:-1])}",
+            found=repr(first.get("input")),
+            needed=f"{place[-1] + 1} values or more",
+        )
+    where = f"{path}, {_key_path(place)}"
+    if first["type"] == "extra_forbidden":
+        key = str(first["loc"][-1])
+        known = _known_keys(table, first["loc"][:-1])
+        guess = nearest(key, known)
+        return InputError(
+            "unknown key in the campaign file",
+            where=where,
+            found=repr(key),
+            needed=f"one of {', '.join(known)}" if known else None,
+            hint=f"did you mean {guess!r}?" if guess else None,
+        )
+    if first["type"] == "missing":
+        return InputError(
+            "the campaign file lacks a key",
+            where=f"{path}, {_key_path(place[:-1])}",
+            needed=repr(str(place[-1])),
+        )
+    return InputError(
+        "a value in the campaign file is not what it must be",
+        where=where,
+        found=repr(first.get("input")),
+        needed=first["msg"].removeprefix("Input should be ").split(", unable to parse")[0],
+    )
+
+
+def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:
+    """Return where in the file a complaint points, without the names of union members."""
+    return tuple(
+        part
+        for part in complaint["loc"]
+        if isinstance(part, int)
+        or not (part.endswith("Table") or "[" in part or part in _MEMBER_NAMES)
+    )
+
+
+_MEMBER_NAMES = {
+    *("Spectrum", "Prior", "Directivity", "MeasuredDirectivity", "SharedDirectivity"),
+    *("float", "str", "int", "constrained-float", "constrained-str"),
+}
+
+
+def _key_path(location: tuple[int | str, ...]) -> str:
+    text = ""
+    for part in location:
+        text += f"[{part + 1}]" if isinstance(part, int) else f".{part}"
+    return text.lstrip(".") or "top level"
+
+
+def _known_keys(table: type[BaseModel], location: tuple[int | str, ...]) -> list[str]:
+    """Return the keys that the table at a location may have."""
+    model = table
+    for part in location:
+        if isinstance(part, str) and part in model.model_fields:
+            inner = _models_within(model.model_fields[part].annotation)
+            if not inner:
+                return []
+            model = inner[0]
+    return sorted(model.model_fields)
+
+
+def _models_within(annotation: Any) -> list[type[BaseModel]]:
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    if get_origin(annotation) in (Union, types.UnionType, dict, list):
+        return [m for a in get_args(annotation) for m in _models_within(a)]
+    return []
