@@ -30,7 +30,7 @@ import roomfit
 from roomfit.logit import Z95, logit
 from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.prediction.changes import Change
-from roomfit.prediction.predict import Predicted, predict
+from roomfit.prediction.predict import Predicted, PredictedValue, ValueChange, predict
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.results import Result, absorption_posterior
 from roomfit.scene import Point, Scene, material_areas_m2, with_states
@@ -295,11 +295,11 @@ def swap_together(
         + "".join(f"{f:>8g}" for f in result.bands.centres_hz)
     )
     rows = {
-        f"model of {s}": p.mean["T30_s"].change.before / p.mean["T30_s"].measured
+        f"model of {s}": change_of(p.mean["T30_s"]).before / p.mean["T30_s"].measured
         for s, p in found.items()
     }
     rows[f"{unknown}, model"] = itself.mean["T30_s"].predicted / measured
-    carried = {s: p.mean["T30_s"].change for s, p in found.items()}
+    carried = {s: change_of(p.mean["T30_s"]) for s, p in found.items()}
     rows |= {f"{unknown}, carried over from {s}": c.carried / measured for s, c in carried.items()}
     logs = {
         k: np.mean([np.log(getattr(c, k)) for c in carried.values()], axis=0)
@@ -335,6 +335,13 @@ def error_row(name: str, ratio: FloatArray, judged: BoolArray) -> str:
     return f"{name:<38}{cells}   median {np.median(worst):.1f}, largest {worst.max():.1f}"
 
 
+def change_of(value: PredictedValue) -> ValueChange:
+    """Return what a change does to a value, of a prediction that was made with changes."""
+    if value.change is None:
+        raise ValueError("predicted without a change")
+    return value.change
+
+
 def c50_of(state: str, unknown: str, changed: Predicted, itself: Predicted) -> str:
     """Return how well the change of C50 from a known state is predicted, pair by pair."""
     rows = [
@@ -346,9 +353,9 @@ def c50_of(state: str, unknown: str, changed: Predicted, itself: Predicted) -> s
         for x in (
             [p.measured for p, _ in rows],
             [q.measured for _, q in rows],
-            [p.change.change for p, _ in rows],
-            [p.change.carried_lower95 for p, _ in rows],
-            [p.change.carried_upper95 for p, _ in rows],
+            [change_of(p).change for p, _ in rows],
+            [change_of(p).carried_lower95 for p, _ in rows],
+            [change_of(p).carried_upper95 for p, _ in rows],
         )
     )
     known = np.isfinite(before + truth + change)
