@@ -198,7 +198,7 @@ def energy_answer(
     suspects = omnidirectional(observed)
     directivities = directed_energies(observed, priors, traced, start, unknown)
     doubts: dict[int, DirectivityScore] = {}
-    watch = None if suspects is None else score_sources(observed, case.paths, suspects, doubts)
+    watch = None if suspects is None else score_sources(observed, traced, suspects, doubts)
     fitted = fit_bands(
         energy_objectives(observed, priors, traced, start, directivities),
         priors,

@@ -115,7 +115,7 @@ class CoherentTask:
     tested_sources: DirectivityParameters | None = None
     outliers: Mapping[MeasuredPair, float] = field(default_factory=dict)
     # (n_materials, n_bands) and (n_materials,): coefficients, and the standard deviation they share
-    scattering: tuple[FloatArray, FloatArray] = (np.zeros((0, 0)), np.zeros(0))
+    scattering: tuple[FloatArray, FloatArray] | None = None  # None: known
 
 
 # Bands up to here determine positions within a few millimetres, in spite of hidden images.
@@ -466,13 +466,14 @@ def _relative_errors(
     state: SequentialState, objective: Objective, fit: BandFit, windows: EnergyTerm
 ) -> FloatArray:
     task = state.task
+    known = np.zeros((len(task.priors), len(task.bands))), np.zeros(len(task.priors))
     return relative_errors(
         task.scene.air,
         task.bands,
         windows,
         (state.paths, state.binned),
         physical_values(objective.parameters, fit.vector)[0]["absorption"],
-        task.scattering,
+        task.scattering or known,
     )
 
 
