@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roomfit._numba import in_pool, worker_pool
+from roomfit.workers import in_pool, worker_pool
 from roomfit.errors import InputError
 from roomfit.suh2001.independent import (
     fit_with_other_rays,

@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit._numba import in_pool, worker_pool
+from roomfit.workers import in_pool, worker_pool
 from roomfit.air import attenuation_per_m
 from roomfit.cache import hidden_folder, remove_leftovers, write_json_atomically
 from roomfit.coverage.simulate import (

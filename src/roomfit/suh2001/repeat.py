@@ -19,7 +19,7 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit._checks import int_array
-from roomfit._numba import in_pool, worker_pool
+from roomfit.workers import in_pool, worker_pool
 from roomfit.certified.certificate import certify
 from roomfit.certified.question import GlobalProblem, Misfit
 from roomfit.certified.search import SearchSettings
