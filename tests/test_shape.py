@@ -43,7 +43,7 @@ def test_no_function_outside_of_kernels_takes_more_than_eight_arguments() -> Non
     assert long == {}
 
 
-def test_no_call_spreads_a_tuple_written_on_the_spot() -> None:
+def test_no_tuple_written_on_the_spot_is_spread() -> None:
     """``f(*(a, b), c)`` hides which argument is which."""
     assert [f"{m.name}:{line}" for m, line in shape.splats(FOUND)] == []
 
