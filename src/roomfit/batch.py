@@ -10,30 +10,26 @@ from __future__ import annotations
 import glob
 import os
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, Future
+from concurrent.futures import Executor
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any, Literal
+from urllib.parse import quote
 
 import numpy as np
 
-from roomfit.bands import bands_between
 from roomfit.cache import code_digest, digest, write_json_atomically, write_text_atomically
 from roomfit.commands import identify_to_folder
 from roomfit.errors import InputError, RoomfitError, StoreError
-from roomfit.inversion.identify import identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.door import complete, json_content, read_text
 from roomfit.io.encoding import csv_text, input_digests
-from roomfit.measurement import Measurement
 from roomfit.report.figures import in_file_name
 from roomfit.report.html import tables_page
 from roomfit.report.wording import Cell, Row, Table
-from roomfit.scene import scene_of, shoebox_room
-from roomfit.settings import Settings
 from roomfit.typing import Progress
-from roomfit.workers import completed, failure_of, keep_one_thread
+from roomfit.workers import completed, keep_one_thread, result_of
 
 Status = Literal["done", "refused", "failed", "waiting"]
 ROOMS, FAILURES = "rooms", "failures"
@@ -96,7 +92,7 @@ def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
     for pattern in patterns:
         text = str(pattern)
         is_pattern = glob.has_magic(text) and not Path(text).exists()
-        matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]
+        matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]  # noqa: PTH207 -- may be absolute
         if not matches:
             raise InputError(
                 "no campaign file is called so",
@@ -222,24 +218,23 @@ _End = tuple[int, Status, str]
 
 def _in_this_process(jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
     for number, job in enumerate(jobs):
-        done: Future[str] = Future()
-        try:
-            done.set_result(job())
-        except Exception as error:  # noqa: BLE001 -- one room must not stop the others
-            done.set_exception(error)
-        yield number, *_end(done)
+        yield number, *_end(job)
 
 
 def _in_pool(pool: Executor, jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
     for number, future in completed(pool, jobs):
-        yield number, *_end(future)
+        yield number, *_end(partial(result_of, future))
 
 
-def _end(future: Future[str]) -> tuple[Status, str]:
-    failure = failure_of(future)
-    if failure is not None:
-        return "failed", failure
-    message = future.result()
+def _end(job: Callable[[], str]) -> tuple[Status, str]:
+    try:
+        message = job()
+    except StoreError:
+        raise  # the disk, or the way to the cluster: it would be the same for every room
+    except RoomfitError as error:
+        return "failed", str(error)
+    except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
+        return "failed", f"{type(error).__name__}: {error}"
     return ("refused", message) if message else ("done", "")
 
 
@@ -384,7 +379,7 @@ def _row(row: RoomRow) -> Row:
         return f"{value:.{decimals}f}{unit}" if np.isfinite(value) else ""
 
     mean, lower, upper = row.mean
-    link = f"{row.folder}/report.html" if row.folder else ""
+    link = quote(f"{row.folder}/report.html") if row.folder else ""
     cells = (
         Cell(row.status, tuple(row.message.splitlines()), link=link),
         Cell(f"{row.identifiable} of {row.values}" if row.values else ""),
@@ -410,21 +405,3 @@ def rooms_text(rows: Sequence[RoomRow]) -> str:
         lines.append(line)
         lines += [f"{'':<{width}}    {text}" for text in r.message.splitlines()]
     return "\n".join([*lines, "", counted(rows)])
-
-
-def compile_kernels() -> None:
-    """Identify a small box, so that the compiled kernels lie on this machine's disk."""
-    keep_one_thread()
-    rng, rate_hz = np.random.default_rng(1), 16000.0
-    pressure = rng.standard_normal(12000) * np.exp(-np.arange(12000) / 2000.0)
-    pressure[:200] = 0.0
-    scene = scene_of(
-        shoebox_room((6.0, 5.0, 3.0), "walls"), {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)}
-    )
-    measurement = Measurement("S", "R", pressure, rate_hz)
-    identify(
-        scene,
-        [measurement],
-        bands=bands_between("octave", 1000, 1000),
-        settings=Settings(n_rays=2000),
-    )

@@ -29,7 +29,7 @@ import numba
 
 from roomfit._numba import keep_one_blas_thread
 from roomfit.cache import code_digest
-from roomfit.errors import InputError, StoreError
+from roomfit.errors import CannotTell, InputError, StoreError
 from roomfit.typing import Progress
 
 T = TypeVar("T")
@@ -44,8 +44,10 @@ _LIFETIME_S = 3600
 # A task that has taken so many workers with it is not given to another.
 _MOST_DEATHS = 2
 _ONE_THREAD = {
-    name: "1"
-    for name in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
 }
 
 
@@ -131,14 +133,14 @@ def in_pool(
     """Return the results of all tasks in their order; the first failure ends the wait."""
     results: dict[int, T] = {}
     for number, future in completed(pool, tasks):
-        results[number] = future.result()
+        results[number] = result_of(future)
         if progress is not None:
             progress(len(results) / len(tasks))
     return [results[number] for number in range(len(tasks))]
 
 
 def bundled(
-    tasks: Sequence[Callable[[], T]], seconds_each: Callable[[], float | None], n_workers: int
+    tasks: Sequence[Callable[[], T]], seconds_each: Callable[[], float | None]
 ) -> Iterator[Callable[[], list[T]]]:
     """Yield tasks in bundles that take `SHORTEST_TASK_S` or longer, in their order.
 
@@ -146,15 +148,11 @@ def bundled(
     ----------
     seconds_each : callable
         What a task has taken until now; None while that is not known, and tasks go one by one.
-    n_workers : int
-        As long as all have something to do, bundles grow; near the end they shrink to share out
-        what is left.
     """
     at = 0
     while at < len(tasks):
         each = seconds_each()
         size = 1 if each is None else int(SHORTEST_TASK_S / max(each, 1e-3)) + 1
-        size = max(min(size, (len(tasks) - at) // max(n_workers, 1)), 1)
         yield partial(_one_after_another, tuple(tasks[at : at + size]))
         at += size
 
@@ -266,7 +264,7 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
     """Refuse workers whose answers may differ from those of this process."""
     try:
         found = client.run(about_this_process)
-    except Exception as error:  # noqa: BLE001 -- whatever the workers lack arrives as it is
+    except Exception as error:
         raise InputError(
             "the workers cannot load roomfit",
             where=str(scheduler),
@@ -298,15 +296,15 @@ def _one_a_machine(client: Any) -> list[str]:
     return list({w["host"]: address for address, w in workers.items()}.values())
 
 
-def failure_of(future: Future[Any]) -> str | None:
-    """Return why a cluster did not carry a task out; None where it did.
+def result_of(future: Future[T]) -> T:
+    """Return what a task returned, or raise what it raised.
 
     Raises
     ------
+    CannotTell
+        Every worker that had the task died of it.
     StoreError
         The connection to the scheduler is lost.
-    KeyboardInterrupt
-        The task was interrupted.
     """
     if future.cancelled():
         raise StoreError(
@@ -315,13 +313,10 @@ def failure_of(future: Future[Any]) -> str | None:
             hint="run the same command again: what is done is not done again",
         )
     error = future.exception()
-    if error is None:
-        return None
-    if isinstance(error, KeyboardInterrupt):
-        raise error
     if type(error).__name__ == "KilledWorker":
-        return (
-            f"the worker's process died {_MOST_DEATHS + 1} times; memory is the usual reason: fewer"
-            " workers on a machine leave more for each"
+        raise CannotTell(
+            "every worker that had the task died",
+            found=f"{_MOST_DEATHS + 1} of them",
+            hint="memory is the usual reason: fewer workers on a machine leave more for each",
         )
-    return f"{type(error).__name__}: {error}"
+    return future.result()
