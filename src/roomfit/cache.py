@@ -81,11 +81,23 @@ def code_digest() -> str:
 
 
 _OUTLINE = "outline"
-# What reading damaged bytes as an archive, as arrays, as JSON, as a record can raise.
-_DAMAGE = (
-    *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
-    *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error),
-    *(zipfile.BadZipFile, zlib.error, lzma.LZMAError, tokenize.TokenError, RoomfitError),
+# What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.
+ARCHIVE_DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    lzma.LZMAError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
 )
 
 
@@ -140,7 +152,7 @@ def load_record(path: Path, classes: Iterable[type]) -> Any:
         return _rebuilt(json.loads(str(arrays[_OUTLINE])), arrays, known)
     except FileNotFoundError:
         raise
-    except _DAMAGE as error:
+    except (RoomfitError, *ARCHIVE_DAMAGE) as error:
         raise BrokenRecordError(f"{path}: {error}") from error
 
 

@@ -19,9 +19,6 @@ from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
 if TYPE_CHECKING:
-    pass
-
-if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 Use = Literal["fit", "validate"]

@@ -13,7 +13,9 @@ import zlib
 from functools import cache
 
 import numpy as np
-from examples import absorption, campaign, examples, glb, mat, npz, obj, result, rew
+from examples import absorption, campaign, examples, glb, mat, npz, result, rew
+
+from box_files import obj
 
 
 def _constants() -> bytes:

@@ -28,7 +28,7 @@ from random import Random
 from typing import Any
 
 HERE = Path(__file__).resolve().parent
-sys.path.insert(0, str(HERE))
+sys.path[:0] = [str(HERE), str(HERE.parent / "helpers")]
 
 from corpus import corpus  # noqa: E402
 from examples import examples  # noqa: E402
@@ -61,7 +61,7 @@ def case(seed: int, number: int, names: list[str]) -> tuple[str, bytes]:
 
 
 def run(
-    cases: Iterator[tuple[int, str, bytes]], told: Callable[[Failure], None] = lambda _: None
+    cases: Iterator[tuple[int, str, bytes]], report: Callable[[Failure], None] = lambda _: None
 ) -> tuple[Counter[str], list[Failure], list[float]]:
     """Read every case in a worker; return how they ended, the failures, and seconds of each."""
     ends: Counter[str] = Counter()
@@ -80,7 +80,7 @@ def run(
             ends["failed" if failed else str(answer["end"])] += 1
             if failed:
                 failures.append(Failure(name, number, str(answer["end"]), content))
-                told(failures[-1])
+                report(failures[-1])
             if failed and not answer.get("alive"):
                 worker.close()
                 worker = None
@@ -325,7 +325,7 @@ def main() -> None:
                 sys.stderr.write(f"{number} cases, {time.monotonic() - begin:.0f} s\n")
             yield number, *case(options.seed, number, names)
 
-    def told(failure: Failure) -> None:
+    def report(failure: Failure) -> None:
         print(f"--- case {failure.number} of seed {options.seed}, {failure.name}: {failure.what}")
         sys.stdout.flush()
         if options.keep:
@@ -333,7 +333,7 @@ def main() -> None:
             place = options.keep / f"{options.seed}-{failure.number}--{failure.name}"
             place.write_bytes(failure.content)
 
-    ends, failures, seconds = run(cases(), told)
+    ends, failures, seconds = run(cases(), report)
     print(
         f"{sum(ends.values())} cases: {dict(ends)}; {time.monotonic() - begin:.0f} s, "
         f"the slowest {max(seconds, default=0.0):.2f} s of processor time"

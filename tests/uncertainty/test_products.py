@@ -227,8 +227,8 @@ def test_draws_have_the_correlation_of_the_prior_where_data_say_nothing():
     mean, covariance = prior_logit_law(walls)
     drawn = prior_absorptions(walls, 0, 4000, rng)
     a = expit(mean[:, 0])
-    told = np.ones(3, dtype=np.bool_)
-    after = band_draws(a, covariance[0], mean[:, 0], covariance[0], 4000, rng, specified=told)
+    specified = np.ones(3, dtype=np.bool_)
+    after = band_draws(a, covariance[0], mean[:, 0], covariance[0], 4000, rng, specified=specified)
     known = information_from_priors(walls, BANDS, 4000, rng)
     for draws in (drawn, after, known.draws[:, :, 0]):
         assert correlation(draws) == pytest.approx(2.25 / 2.34, abs=0.0052)

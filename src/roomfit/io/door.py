@@ -17,17 +17,15 @@ import logging
 import math
 import os
 import stat
-import struct
-import tokenize
 import warnings
 import zipfile
-import zlib
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from roomfit.cache import ARCHIVE_DAMAGE
 from roomfit.errors import InputError, StoreError
 from roomfit.io.encoding import decoded
 
@@ -209,6 +207,25 @@ def json_content(text: str, what: str) -> Any:
         raise InputError(f"the {what} is not JSON", found=str(error)[:200]) from error
 
 
+@contextlib.contextmanager
+def complete(what: str, needed: str) -> Iterator[None]:
+    """Refuse content of JSON that lacks keys or has other things in their place.
+
+    Raises
+    ------
+    InputError
+        In place of what reaching into such content raises.
+    """
+    try:
+        yield
+    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
+        raise InputError(
+            f"the {what} is incomplete",
+            found=f"{type(error).__name__}: {error}"[:200],
+            needed=needed,
+        ) from error
+
+
 def csv_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
     """Yield number of the line and cells of each row of a table with commas.
 
@@ -223,14 +240,6 @@ def csv_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
             yield reader.line_num, cells
     except csv.Error as error:
         raise InputError("the table cannot be read", where=where, found=str(error)) from error
-
-
-# What unpacking damaged bytes as an archive of arrays can raise.
-_DAMAGE = (
-    *(OSError, EOFError, ValueError, KeyError, IndexError, TypeError, AttributeError),
-    *(OverflowError, MemoryError, RuntimeError, SyntaxError, struct.error, tokenize.TokenError),
-    *(zipfile.BadZipFile, zlib.error),
-)
 
 
 def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
@@ -257,7 +266,7 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
                     raise ValueError("compressed in another way than by numpy.savez")
                 with archive.open(entry) as stream:
                     arrays[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
-    except _DAMAGE as error:
+    except ARCHIVE_DAMAGE as error:
         raise InputError(
             "this is not a NumPy archive of numbers",
             where=where,

@@ -22,7 +22,7 @@ from roomfit._checks import bool_array, float_array, unique_names
 from roomfit.bands import OCTAVES_HZ, Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
-from roomfit.io.door import csv_rows, json_content, read_text
+from roomfit.io.door import complete, csv_rows, json_content, read_text
 from roomfit.io.encoding import csv_text, one_line, without_apostrophe
 from roomfit.typing import BoolArray, FloatArray
 
@@ -251,7 +251,9 @@ def _from_json(text: str) -> MaterialTable:
             found=f"format_version {content.get('format_version')}",
             needed="format_version 1",
         )
-    try:
+    with complete(
+        "result", "bands_hz, and for each material absorption, lower95, upper95, identifiable"
+    ):
         materials: dict[str, Any] = content["materials"]
         entries = list(materials.values())
         scattering = [m.get("scattering") for m in entries]
@@ -264,12 +266,6 @@ def _from_json(text: str) -> MaterialTable:
             np.array([m["identifiable"] for m in entries]),
             None if None in scattering or not entries else np.array(scattering),
         )
-    except (KeyError, AttributeError, TypeError, ValueError, OverflowError) as error:
-        raise InputError(
-            "the result is incomplete",
-            found=f"{type(error).__name__}: {error}"[:200],
-            needed="bands_hz, and for each material absorption, lower95, upper95, identifiable",
-        ) from error
 
 
 def _from_csv(text: str) -> MaterialTable:

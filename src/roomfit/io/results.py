@@ -6,8 +6,7 @@ contract: they keep their names where a term in the code is another.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +14,7 @@ import numpy as np
 
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError, located
-from roomfit.io.door import json_content, read_text
+from roomfit.io.door import complete, json_content, read_text
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
 from roomfit.io.exports import read_material_table
 from roomfit.logit import logit
@@ -56,7 +55,7 @@ def read_result(path: Path) -> AbsorptionPosterior:
     table = read_material_table(path)
     is_table = path.suffix.lower() == ".csv"
     content = {} if is_table else json_content(read_text(path, "result"), "result")
-    with located(str(path)), _complete():
+    with located(str(path)), complete("result", "a result.json as roomfit writes it"):
         posterior = content.get("posterior")
         if posterior is None:
             covariance = covariance_from_intervals(table.absorption, table.lower95, table.upper95)
@@ -86,19 +85,6 @@ def read_result(path: Path) -> AbsorptionPosterior:
             prior_specified=None if flags is None else np.array(flags, dtype=np.bool_),
             draws=_posterior_table(posterior, "draws") if "draws" in (posterior or {}) else None,
         )
-
-
-@contextmanager
-def _complete() -> Iterator[None]:
-    """Refuse what lacks keys or has other things in their place."""
-    try:
-        yield
-    except (ArithmeticError, AttributeError, LookupError, TypeError, ValueError) as error:
-        raise InputError(
-            "the result is incomplete",
-            found=f"{type(error).__name__}: {error}"[:200],
-            needed="a result.json as roomfit writes it",
-        ) from error
 
 
 def _posterior_table(posterior: Any, name: str) -> FloatArray:
