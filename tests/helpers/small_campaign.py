@@ -93,7 +93,7 @@ def write_wav(path: Path, pressure: np.ndarray, rate_hz: int = RATE_HZ) -> None:
 
 
 def write_campaign(folder: Path, *changes: tuple[str, str]) -> Path:
-    """Write the campaign with its two files, the text changed as told, and return its path.
+    """Write the campaign with its two files, the text changed as specified, and return its path.
 
     Each change replaces every occurrence of a text that must stand there.
     """
