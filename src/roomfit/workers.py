@@ -199,7 +199,13 @@ def cluster_pool(
             import dask
 
             stack.enter_context(
-                dask.config.set({"distributed.scheduler.allowed-failures": _MOST_DEATHS})
+                dask.config.set(
+                    {
+                        "distributed.scheduler.allowed-failures": _MOST_DEATHS,
+                        # a task that waits at a worker would be blamed for its death, too
+                        "distributed.scheduler.worker-saturation": 1.0,
+                    }
+                )
             )
             address = stack.enter_context(
                 distributed.LocalCluster(
@@ -207,7 +213,8 @@ def cluster_pool(
                     threads_per_worker=1,
                     processes=True,
                     host="127.0.0.1",
-                    dashboard_address=None,
+                    # without an address its web server would listen to the whole network
+                    dashboard_address="127.0.0.1:0",
                     env=_ONE_THREAD,
                     lifetime=f"{_LIFETIME_S} seconds",
                     lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
@@ -263,6 +270,15 @@ def about_this_process() -> dict[str, str]:
 def _check_alike(client: Any, scheduler: str | None) -> None:
     """Refuse workers whose answers may differ from those of this process."""
     try:
+        # those of a job array come one by one: the first are enough to begin
+        client.wait_for_workers(1, timeout=_CONNECTING_S)
+    except TimeoutError:
+        raise InputError(
+            "the scheduler has no workers",
+            where=str(scheduler),
+            hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
+        ) from None
+    try:
         found = client.run(about_this_process)
     except Exception as error:
         raise InputError(
@@ -272,12 +288,6 @@ def _check_alike(client: Any, scheduler: str | None) -> None:
             needed="the same roomfit on every worker as here",
             hint="install it in the workers' environment",
         ) from error
-    if not found:
-        raise InputError(
-            "the scheduler has no workers",
-            where=str(scheduler),
-            hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
-        )
     here = about_this_process()
     for address, there in found.items():
         other = [name for name in here if there.get(name) != here[name]]

@@ -35,11 +35,11 @@ def die() -> None:
 
 
 def fill_memory() -> int:
-    """Ask for more and more memory, 40 MB at a time."""
+    """Ask for more and more memory, 100 MB at a time; a watch looks at it ten times a second."""
     held = []
-    for _ in range(200):
-        held.append(np.ones(5_000_000))
-        time.sleep(0.02)
+    for _ in range(20):
+        held.append(np.ones(12_500_000))
+        time.sleep(0.15)
     return len(held)
 
 

@@ -470,7 +470,8 @@ def _in_bundles(
     bundles = bundled(tasks, lambda: float(np.median(taken_s)) if taken_s else None)
     # enough for every worker; and the first to end tell how long the others take
     for _, future in completed(pool, bundles, window=64):
-        taken_s += result_of(future)
+        seconds: list[float] = result_of(future)
+        taken_s += seconds
         if progress is not None:
             progress(len(taken_s) / len(tasks))
 
