@@ -109,7 +109,7 @@ def completed(
     """Yield the number and the future of each task as it ends.
 
     Tasks are taken from their iterable as others end, so that at most `window` are submitted and
-    not yet yielded. When the iterator is closed, those that have not begun are dropped.
+    not yet yielded. When the iterator is closed, those that wait are dropped.
     """
     waiting = enumerate(tasks)
     running: dict[Future[T], int] = {}
