@@ -163,12 +163,13 @@ def is_compiled(function: ast.FunctionDef) -> bool:
 
 
 def splats(found: list[Module]) -> list[tuple[Module, int]]:
-    """Return where a tuple written on the spot is spread: ``f(*(a, b), c)``, ``[*(a, b), c]``."""
+    """Return where a call spreads a tuple written on the spot: ``f(*(a, b), c)``."""
     return [
         (m, node.lineno)
         for m in found
         for node in ast.walk(m.tree)
-        if isinstance(node, ast.Starred) and isinstance(node.value, ast.Tuple)
+        if isinstance(node, ast.Call)
+        and any(isinstance(a, ast.Starred) and isinstance(a.value, ast.Tuple) for a in node.args)
     ]
 
 
