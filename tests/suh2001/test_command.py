@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from roomfit._numba import in_pool, worker_pool
 from roomfit.errors import InputError
 from roomfit.suh2001.independent import (
     fit_with_other_rays,
@@ -26,6 +25,7 @@ from roomfit.suh2001.independent import (
 )
 from roomfit.suh2001.repeat import METHODS, Run, problems_of, record, search_seeds
 from roomfit.suh2001.room import SPECIFICATIONS, PaperProblem, paper_scene, trace_paper_room
+from roomfit.workers import in_pool, worker_pool
 
 COMMAND = (sys.executable, "-m", "roomfit", "paper", "--out")
 

@@ -19,6 +19,7 @@ from contextlib import contextmanager
 
 import roomfit
 from roomfit.cli import (
+    batch,
     catalogue,
     check,
     coverage,
@@ -35,8 +36,17 @@ from roomfit.cli.terminal import warn
 from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
-    *(catalogue, check, coverage, demo, design),
-    *(export, identify, impedance, paper, predict),
+    batch,
+    catalogue,
+    check,
+    coverage,
+    demo,
+    design,
+    export,
+    identify,
+    impedance,
+    paper,
+    predict,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

@@ -43,7 +43,14 @@ def add(commands: Commands) -> None:
         type=number,
     )
     parser.add_option("--seed", "Of the draws.", type=whole_number, default=1)
-    parser.add_option("--workers", "Processes.", type=whole_number, default=1)
+    where = parser.add_mutually_exclusive_group()
+    where.add_argument("--workers", type=whole_number, default=1, help="Processes (default: 1).")
+    where.add_argument(
+        "--scheduler",
+        metavar="ADDRESS",
+        help="Address of a running dask scheduler (needs the extra cluster), which must reach the "
+        "output folder by the same path.",
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -58,6 +65,7 @@ def run(options: argparse.Namespace) -> None:
         snr_db=options.snr_db,
         seed=options.seed,
         workers=options.workers,
+        scheduler=options.scheduler,
     )
     with progress_line("estimating coverage") as progress:
         result = estimate_coverage_to_folder(

@@ -11,7 +11,8 @@ import shutil
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +21,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from roomfit._numba import in_pool, worker_pool
 from roomfit.air import attenuation_per_m
 from roomfit.cache import hidden_folder, remove_leftovers, write_json_atomically
 from roomfit.coverage.simulate import (
@@ -40,7 +40,7 @@ from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
 from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, code_of
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
-from roomfit.inversion.identify import identify
+from roomfit.inversion.identify import compile_kernels, identify
 from roomfit.io.campaign import Campaign
 from roomfit.io.door import json_content, read_text
 from roomfit.io.inputs import identify_arguments
@@ -48,6 +48,14 @@ from roomfit.logit import expit
 from roomfit.materials.priors import prior_logit_law
 from roomfit.results import Result
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+from roomfit.workers import (
+    bundled,
+    cluster_pool,
+    completed,
+    keep_one_thread,
+    result_of,
+    worker_pool,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -421,7 +429,7 @@ def estimate_coverage(
     plan = coverage_plan(campaign, settings)
     there = {n: read_replicate(out, n, plan.digest) for n in range(settings.replicates)}
     missing = [n for n in settings.numbers if there[n] is None]
-    with _scratch(out) as scratch:
+    with _scratch(out.absolute()) as scratch:
         _simulate(plan, settings, missing, out, scratch, progress)
     return collected(plan, out, settings)
 
@@ -434,29 +442,51 @@ def _simulate(
     scratch: Path,
     progress: Progress | None,
 ) -> None:
-    if settings.workers == 1:
+    if settings.workers == 1 and settings.scheduler is None:
         for done, number in enumerate(missing):
             share = part(progress, done / len(missing), (done + 1) / len(missing))
             write_replicate(out, replicated(plan, settings.seed, number, scratch, share))
         return
-    tasks = [partial(_task, plan, settings.seed, n, out, scratch) for n in missing]
-    with worker_pool(settings.workers) as pool:
+    tasks = [partial(_task, plan, settings.seed, n, out.absolute(), scratch) for n in missing]
+    workers = (
+        worker_pool(settings.workers)
+        if settings.scheduler is None
+        else cluster_pool(scheduler=settings.scheduler, warm=compile_kernels)
+    )
+    with workers as pool:
         try:
-            in_pool(pool, tasks, progress)
+            _in_bundles(pool, tasks, progress)
         except BaseException:
             # workers look for the folder as they go on; without it they stop within seconds
             shutil.rmtree(scratch, ignore_errors=True)
             raise
 
 
-def _task(plan: CoveragePlan, seed: int, number: int, out: Path, scratch: Path) -> None:
-    """Write one replicate in a worker, unless the work was called off."""
+def _in_bundles(
+    pool: Executor, tasks: Sequence[Callable[[], float]], progress: Progress | None
+) -> None:
+    """Have all tasks done, several short ones as one."""
+    taken_s: list[float] = []
+    bundles = bundled(tasks, lambda: float(np.median(taken_s)) if taken_s else None)
+    # enough for every worker; and the first to end tell how long the others take
+    for _, future in completed(pool, bundles, window=64):
+        seconds: list[float] = result_of(future)
+        taken_s += seconds
+        if progress is not None:
+            progress(len(taken_s) / len(tasks))
+
+
+def _task(plan: CoveragePlan, seed: int, number: int, out: Path, scratch: Path) -> float:
+    """Write one replicate in a worker, unless the work was called off; return its seconds."""
 
     def watch(_: float) -> None:
         if not scratch.is_dir():
-            raise KeyboardInterrupt
+            raise StoreError("the work was called off", where=str(scratch))
 
-    write_replicate(out, replicated(plan, seed, number, scratch, watch))
+    keep_one_thread()
+    replicate = replicated(plan, seed, number, scratch, watch)
+    write_replicate(out, replicate)
+    return replicate.seconds
 
 
 def collected(plan: CoveragePlan, out: Path, settings: CoverageSettings) -> CoverageResult:

@@ -51,6 +51,7 @@ class CoverageSettings:
     snr_db: float | None = None
     seed: int = 1  # of the draws; replicate n of one seed is the same in any slice
     workers: int = 1  # processes
+    scheduler: str | None = None  # address of a dask scheduler, in place of processes
 
     def __post_init__(self) -> None:
         only = self.replicates if self.only is None else self.only

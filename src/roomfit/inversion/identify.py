@@ -77,7 +77,7 @@ from roomfit.objective.observation import (
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
-from roomfit.scene import Scene, check_groups, material_areas_m2
+from roomfit.scene import Scene, check_groups, material_areas_m2, scene_of, shoebox_room
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
@@ -466,3 +466,19 @@ def _eyring_start(measured: Measurements) -> FloatArray:
         for t, m in zip(decay_s, attenuation, strict=True)
     ]
     return np.array(starts)
+
+
+def compile_kernels() -> None:
+    """Identify a small box, so that the compiled kernels lie on this machine's disk."""
+    rng, rate_hz = np.random.default_rng(1), 16000.0
+    pressure = rng.standard_normal(12000) * np.exp(-np.arange(12000) / 2000.0)
+    pressure[:200] = 0.0
+    scene = scene_of(
+        shoebox_room((6.0, 5.0, 3.0), "walls"), {"S": (1.5, 1.2, 1.5)}, {"R": (4.0, 3.5, 1.2)}
+    )
+    identify(
+        scene,
+        [Measurement("S", "R", pressure, rate_hz)],
+        bands=bands_between("octave", 1000, 1000),
+        settings=Settings(n_rays=2000),
+    )

@@ -53,6 +53,7 @@ from roomfit.report.room_figure import MOST_FACES, drawn_faces, room_figure
 from roomfit.report.wording import (
     DASH,
     Cell,
+    Table,
     area,
     band_heads,
     band_ranges,
@@ -249,7 +250,7 @@ def report_html(
     (True, False)
     """
     choices = tuple(pair for pair in answer.pairs if has_curves(pair))
-    text: str = _template().render(
+    text: str = _template("report.html.j2").render(
         title=title,
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
@@ -274,6 +275,12 @@ def report_html(
         provenance=_provenance(answer, scene, campaign),
         inputs=tuple((inputs_sha256 or {}).items()),
     )
+    return _sealed(text)
+
+
+def tables_page(title: str, lead: str, shown: Iterable[Table]) -> str:
+    """Return a page of a few tables, in the style and under the policy of the report."""
+    text: str = _template("list.html.j2").render(title=title, lead=lead, shown=tuple(shown))
     return _sealed(text)
 
 
@@ -450,7 +457,7 @@ def _provenance(answer: Result, scene: Scene, campaign: str | None) -> tuple[tup
     )
 
 
-def _template() -> Any:
+def _template(name: str) -> Any:
     environment = Environment(
         loader=PackageLoader("roomfit.report"),
         autoescape=True,
@@ -458,4 +465,4 @@ def _template() -> Any:
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    return environment.get_template("report.html.j2")
+    return environment.get_template(name)

@@ -161,11 +161,12 @@ BANDS_AT_MOST = 8
 
 @dataclass(frozen=True, slots=True)
 class Cell:
-    """Text, smaller lines below it, and the style sheet's name for what it means."""
+    """Text, smaller lines below it, the style sheet's name for what it means, and a link."""
 
     text: str
     small: tuple[str, ...] = ()
     style: str = ""
+    link: str = ""  # relative address, quoted as in a URL
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,7 +19,6 @@ from typing import NamedTuple
 import numpy as np
 
 from roomfit._checks import int_array
-from roomfit._numba import in_pool, worker_pool
 from roomfit.certified.certificate import certify
 from roomfit.certified.question import GlobalProblem, Misfit
 from roomfit.certified.search import SearchSettings
@@ -70,6 +69,7 @@ from roomfit.suh2001.searches import (
 )
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
+from roomfit.workers import in_pool, worker_pool
 
 _WALLS_APART_STARTS = 60
 

@@ -1,0 +1,407 @@
+"""Many rooms: each is identified into a folder of its own, and one table shows them all.
+
+A room's folder carries the digest of all that decides its answer, the code included, and comes into
+being whole. A run that was stopped goes on where it was, a room that is done twice does no harm,
+and one that fails stops no other.
+"""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Callable, Iterator, Sequence
+from concurrent.futures import Executor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any, Literal
+from urllib.parse import quote
+
+import numpy as np
+
+from roomfit.cache import code_digest, digest, write_json_atomically, write_text_atomically
+from roomfit.commands import identify_to_folder
+from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit.io.campaign import input_files, read_campaign
+from roomfit.io.door import complete, json_content, read_text
+from roomfit.io.encoding import csv_text, input_digests
+from roomfit.report.figures import in_file_name
+from roomfit.report.html import tables_page
+from roomfit.report.wording import Cell, Row, Table
+from roomfit.typing import Progress
+from roomfit.workers import completed, keep_one_thread, result_of
+
+Status = Literal["done", "refused", "failed", "waiting"]
+ROOMS, FAILURES = "rooms", "failures"
+# Where the field quotes one number for a room.
+_MIDDLE_HZ = (500.0, 1000.0)
+_COLUMNS = (
+    "room",
+    "status",
+    "result",
+    "identifiable",
+    "values",
+    "room_mean_absorption",
+    "room_mean_lower95",
+    "room_mean_upper95",
+    "T_measured_s",
+    "T_predicted_s",
+    "largest_reduced_chi_square",
+    "findings",
+    "seconds",
+    "message",
+)
+
+
+@dataclass(frozen=True, slots=True)
+class RoomTask:
+    """A campaign of a batch, and where its answer lies."""
+
+    name: str
+    campaign: Path
+    address: str  # name of the result's folder; "" where the campaign could not be read
+    refusal: str = ""  # why it could not
+
+
+@dataclass(frozen=True, slots=True)
+class RoomRow:
+    """What the table says of a room."""
+
+    name: str
+    status: Status
+    folder: str = ""  # of the result, relative to that of the batch
+    message: str = ""  # why there is no answer
+    identifiable: int = 0
+    values: int = 0  # materials times bands
+    mean: tuple[float, float, float] = (np.nan, np.nan, np.nan)  # of 500 and 1000 Hz, with bounds
+    decay_s: tuple[float, float] = (np.nan, np.nan)  # there, measured and predicted
+    chi2_reduced: float = np.nan  # the largest
+    findings: tuple[str, ...] = ()  # codes above "info"
+    seconds: float = np.nan
+
+
+def campaign_paths(patterns: Sequence[str | Path]) -> tuple[Path, ...]:
+    """Return the campaign files that paths and patterns (``*``, ``?``, ``**``) name, each once.
+
+    Raises
+    ------
+    InputError
+        A pattern matches nothing.
+    """
+    found: list[Path] = []
+    for pattern in patterns:
+        text = str(pattern)
+        is_pattern = glob.has_magic(text) and not Path(text).exists()
+        matches = sorted(glob.glob(text, recursive=True)) if is_pattern else [text]  # noqa: PTH207 -- may be absolute
+        if not matches:
+            raise InputError(
+                "no campaign file is called so",
+                found=repr(text),
+                hint="put the pattern in quotation marks, relative to this folder",
+            )
+        found += [Path(m).absolute() for m in matches]
+    return tuple(dict.fromkeys(found))
+
+
+def room_tasks(campaigns: Sequence[Path]) -> tuple[RoomTask, ...]:
+    """Return the tasks of a batch, in the order of the campaigns.
+
+    Names are what differs between the paths. A campaign that cannot be read has its refusal in
+    place of an address.
+    """
+    paths = [Path(c).absolute() for c in campaigns]
+    above = Path(os.path.commonpath([p.parent for p in paths])) if paths else Path()
+    same_file = len({p.name for p in paths}) == 1 and len(paths) > 1
+    tasks = []
+    for path in paths:
+        inner = path.parent if same_file else path.with_suffix("")
+        name = inner.relative_to(above).as_posix()
+        try:
+            files = input_files(read_campaign(path))
+            address = digest(code_digest(), "batch", input_digests(files))
+        except RoomfitError as error:
+            tasks.append(RoomTask(name, path, "", str(error)))
+        else:
+            tasks.append(RoomTask(name, path, f"{in_file_name(name)}-{address[:12]}"))
+    return tuple(tasks)
+
+
+def shard_of(tasks: Sequence[RoomTask], shard: tuple[int, int]) -> tuple[RoomTask, ...]:
+    """Return every n-th task from the i-th on, i and n from 1: the share of one job of an array.
+
+    Raises
+    ------
+    InputError
+        Not 1 <= i <= n.
+    """
+    i, n = shard
+    if not 1 <= i <= n:
+        raise InputError(
+            "the shard is out of range",
+            found=f"{i}/{n}",
+            needed="i/n with 1 <= i <= n: 3/10 is the third of ten jobs",
+        )
+    return tuple(tasks[i - 1 :: n])
+
+
+def identify_rooms(
+    campaigns: Sequence[Path],
+    out: Path,
+    *,
+    pool: Executor | None = None,
+    shard: tuple[int, int] = (1, 1),
+    progress: Progress | None = None,
+) -> tuple[RoomRow, ...]:
+    """Identify the rooms of many campaigns and write ``rooms.csv`` and ``rooms.html``.
+
+    Rooms that are done already, with the same files and the same roomfit, are not done again; those
+    that failed are. A room that fails stops no other.
+
+    Parameters
+    ----------
+    campaigns : sequence of Path
+    out : Path
+        A folder, made if needed; it may hold results of this and of other batches. With a pool of
+        several machines all of them must reach it, and the campaigns, by the same paths.
+    pool : Executor, optional
+        See `roomfit.workers`; by default one room after the other in this process.
+    shard : tuple of int
+        i and n: only every n-th room from the i-th is identified; the table shows all.
+    progress : callable, optional
+
+    Returns
+    -------
+    tuple of RoomRow
+        Of all campaigns, in their order.
+
+    Raises
+    ------
+    InputError
+        The shard is out of range, or `out` is a file.
+    StoreError
+        The disk refuses, or the connection to a cluster is lost.
+    """
+    out, tasks = Path(out).absolute(), room_tasks(campaigns)
+    own = shard_of(tasks, shard)
+    _make_folders(out)
+    missing = [t for t in own if t.address and not (out / ROOMS / t.address).exists()]
+    jobs = [partial(identify_room, t.campaign, out / ROOMS / t.address) for t in missing]
+    try:
+        ends = _in_this_process(jobs) if pool is None else _in_pool(pool, jobs)
+        for n_done, (number, status, message) in enumerate(ends, start=1):
+            _note(out, missing[number], status, message)
+            if progress is not None:
+                progress(n_done / len(jobs))
+    finally:
+        rows = tuple(room_row(out, task) for task in tasks)
+        write_table(out, rows)
+    return rows
+
+
+def identify_room(campaign: Path, folder: Path) -> str:
+    """Identify one room into a folder, with one thread; return why there is no answer, or "".
+
+    Where the folder has come into being meanwhile, by whomever, it stays as it is.
+    """
+    keep_one_thread()
+    try:
+        identify_to_folder(campaign, folder, keep=False)
+    except StoreError:
+        raise
+    except RoomfitError as error:
+        return "" if folder.exists() else str(error)
+    return ""
+
+
+_End = tuple[int, Status, str]
+
+
+def _in_this_process(jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
+    for number, job in enumerate(jobs):
+        yield number, *_end(job)
+
+
+def _in_pool(pool: Executor, jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
+    for number, future in completed(pool, jobs):
+        yield number, *_end(partial(result_of, future))
+
+
+def _end(job: Callable[[], str]) -> tuple[Status, str]:
+    try:
+        message = job()
+    except StoreError:
+        raise  # the disk, or the way to the cluster: it would be the same for every room
+    except RoomfitError as error:
+        return "failed", str(error)
+    except Exception as error:  # noqa: BLE001 -- a fault in one room must not stop the others
+        return "failed", f"{type(error).__name__}: {error}"
+    return ("refused", message) if message else ("done", "")
+
+
+def _make_folders(out: Path) -> None:
+    try:
+        for name in (ROOMS, FAILURES):
+            (out / name).mkdir(parents=True, exist_ok=True)
+    except (FileExistsError, NotADirectoryError) as error:
+        raise InputError(
+            "the output folder is a file, or in one", where=str(out), hint="choose another name"
+        ) from error
+    except OSError as error:
+        raise StoreError(
+            "the output folder cannot be made", where=str(out), found=str(error)
+        ) from error
+
+
+def _note(out: Path, task: RoomTask, status: Status, message: str) -> None:
+    """Keep why a room has no answer, for the tables of other runs; forget it when it has one."""
+    path = out / FAILURES / f"{task.address}.json"
+    if status == "done":
+        path.unlink(missing_ok=True)
+    else:
+        write_json_atomically(path, {"status": status, "message": message})
+
+
+def room_row(out: Path, task: RoomTask) -> RoomRow:
+    """Return what the files of a batch say of a room."""
+    if not task.address:
+        return RoomRow(task.name, "refused", message=task.refusal)
+    folder = out / ROOMS / task.address
+    if folder.exists():
+        try:
+            return _answered(task.name, folder, f"{ROOMS}/{task.address}")
+        except InputError as error:
+            return RoomRow(task.name, "failed", message=f"{error}\n  remove the folder {folder}")
+    failure = out / FAILURES / f"{task.address}.json"
+    if not failure.exists():
+        return RoomRow(task.name, "waiting")
+    content = json_content(read_text(failure, "record of a failure"), "record of a failure")
+    status: Status = "refused" if content.get("status") == "refused" else "failed"
+    return RoomRow(task.name, status, message=str(content.get("message")))
+
+
+def _answered(name: str, folder: Path, shown: str) -> RoomRow:
+    path = folder / "result.json"
+    content = json_content(read_text(path, "result"), "result")
+    with complete("result", "a result.json as roomfit writes it"):
+        centres_hz = np.array(content["bands_hz"], dtype=np.float64)
+        middle = np.isin(centres_hz, _MIDDLE_HZ)
+        middle = middle if middle.any() else np.ones(len(centres_hz), dtype=np.bool_)
+        sure = np.array([m["identifiable"] for m in content["materials"].values()], dtype=bool)
+        means = {c["band_hz"]: c for c in reversed(content["combinations"]) if c["kind"] == "mean"}
+        chosen = [means[f] for f in centres_hz[middle] if f in means]
+        mean = [
+            float(np.mean([c[key] for c in chosen])) if chosen else np.nan
+            for key in ("absorption", "lower95", "upper95")
+        ]
+        codes = [f["code"] for f in content["findings"] if f["severity"] != "info"]
+        return RoomRow(
+            name,
+            "done",
+            shown,
+            identifiable=int(sure.sum()),
+            values=int(sure.size),
+            mean=(mean[0], mean[1], mean[2]),
+            decay_s=_decay_s(content["pairs"], middle),
+            chi2_reduced=max((x for x in content["fit"]["phi"] if x is not None), default=np.nan),
+            findings=tuple(dict.fromkeys(codes)),
+            seconds=float(content["fit"]["seconds"]),
+        )
+
+
+def _decay_s(pairs: Sequence[Any], middle: Any) -> tuple[float, float]:
+    """Return the mean decay time of the fitted pairs, measured and predicted: T20, else T30."""
+    for key in ("T20_s", "T30_s", "EDT_s"):
+        own = [p["parameters"][key] for p in pairs if p["use"] == "fit" and key in p["parameters"]]
+        both = np.array(
+            [[p["measured"], p["predicted"]] for p in own], dtype=np.float64
+        )  # null becomes NaN
+        if both.size:
+            known = both[:, :, middle].transpose(1, 0, 2).reshape(2, -1)
+            known = known[:, np.isfinite(known).all(axis=0)]
+            if known.size:
+                return float(known[0].mean()), float(known[1].mean())
+    return np.nan, np.nan
+
+
+def write_table(out: Path, rows: Sequence[RoomRow]) -> None:
+    """Write ``rooms.csv`` and ``rooms.html``, whole.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    write_text_atomically(out / "rooms.csv", csv_text(_COLUMNS, [_cells(row) for row in rows]))
+    write_text_atomically(out / "rooms.html", tables_page("Rooms", counted(rows), (_table(rows),)))
+
+
+def counted(rows: Sequence[RoomRow]) -> str:
+    """Return how many rooms are done and how many are not, in a sentence."""
+    kinds: tuple[Status, ...] = ("done", "refused", "failed", "waiting")
+    numbers = [(sum(r.status == kind for r in rows), kind) for kind in kinds]
+    return f"{len(rows)} rooms: " + ", ".join(f"{n} {kind}" for n, kind in numbers if n) + "."
+
+
+def _cells(row: RoomRow) -> list[object]:
+    def shown(value: float, decimals: int) -> str:
+        return f"{value:.{decimals}f}" if np.isfinite(value) else ""
+
+    return [
+        row.name,
+        row.status,
+        f"{row.folder}/report.html" if row.folder else "",
+        row.identifiable,
+        row.values,
+        *(shown(v, 4) for v in row.mean),
+        *(shown(v, 3) for v in row.decay_s),
+        shown(row.chi2_reduced, 2),
+        " ".join(row.findings),
+        shown(row.seconds, 1),
+        " ".join(row.message.split()),
+    ]
+
+
+def _table(rows: Sequence[RoomRow]) -> Table:
+    columns = (
+        "Status",
+        "Identifiable values",
+        "Mean absorption of the room, 500 and 1000 Hz",
+        "Decay time there, measured",
+        "predicted",
+        "Largest reduced chi-square",
+        "Findings",
+    )
+    return Table("Every room with its key figures", "Room", columns, tuple(map(_row, rows)))
+
+
+def _row(row: RoomRow) -> Row:
+    def shown(value: float, decimals: int, unit: str = "") -> str:
+        return f"{value:.{decimals}f}{unit}" if np.isfinite(value) else ""
+
+    mean, lower, upper = row.mean
+    link = quote(f"{row.folder}/report.html") if row.folder else ""
+    cells = (
+        Cell(row.status, tuple(row.message.splitlines()), link=link),
+        Cell(f"{row.identifiable} of {row.values}" if row.values else ""),
+        Cell(shown(mean, 2), (f"{lower:.2f} to {upper:.2f}",) if np.isfinite(lower) else ()),
+        Cell(shown(row.decay_s[0], 2, " s")),
+        Cell(shown(row.decay_s[1], 2, " s")),
+        Cell(shown(row.chi2_reduced, 2)),
+        Cell("", row.findings),
+    )
+    return Row(row.name, cells)
+
+
+def rooms_text(rows: Sequence[RoomRow]) -> str:
+    """Return the table for a terminal: a line a room, and what failed below it."""
+    width = max((len(r.name) for r in rows), default=4)
+    lines = [f"{'room':<{width}}  status   identifiable  mean absorption      T (predicted)"]
+    for r in rows:
+        line = f"{r.name:<{width}}  {r.status:<7}"
+        if r.status == "done":
+            mean, lower, upper = r.mean
+            line += f"  {f'{r.identifiable} of {r.values}':<12}  {mean:.2f} ({lower:.2f} to "
+            line += f"{upper:.2f})  {r.decay_s[0]:.2f} s ({r.decay_s[1]:.2f} s)"
+        lines.append(line)
+        lines += [f"{'':<{width}}    {text}" for text in r.message.splitlines()]
+    return "\n".join([*lines, "", counted(rows)])

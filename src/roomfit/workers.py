@@ -1,0 +1,332 @@
+"""Processes that carry out tasks: those of this machine, or those of a dask cluster.
+
+A task is a `functools.partial` of a function at module level. It leaves its results in files that
+are written whole, so that doing one twice is harmless, and returns little: nothing large travels
+between processes.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import (
+    FIRST_COMPLETED,
+    Executor,
+    Future,
+    ProcessPoolExecutor,
+    ThreadPoolExecutor,
+    wait,
+)
+from contextlib import ExitStack, contextmanager
+from functools import partial
+from importlib.metadata import version
+from itertools import islice
+from multiprocessing import active_children, get_context
+from typing import Any, TypeVar
+
+import numba
+
+from roomfit._numba import keep_one_blas_thread
+from roomfit.cache import code_digest
+from roomfit.errors import CannotTell, InputError, StoreError
+from roomfit.typing import Progress
+
+T = TypeVar("T")
+
+# In the hands of an executor at once: dask's scheduler slows down from some 10,000 on.
+LARGEST_WINDOW = 10_000
+# Below it the work of the scheduler (a few ms a task) and of a worker's turn shows.
+SHORTEST_TASK_S = 5.0
+_CONNECTING_S = 20
+# Memory that libraries do not give back goes with the process.
+_LIFETIME_S = 3600
+# A task that has taken so many workers with it is not given to another.
+_MOST_DEATHS = 2
+_ONE_THREAD = {
+    "NUMBA_NUM_THREADS": "1",
+    "OMP_NUM_THREADS": "1",
+    "OPENBLAS_NUM_THREADS": "1",
+    "MKL_NUM_THREADS": "1",
+}
+
+
+@contextmanager
+def worker_pool(n_workers: int) -> Iterator[Executor]:
+    """Give an executor with so many processes; 1 stays in this process.
+
+    When the block is left early, tasks that have not started are dropped and running ones are
+    waited for, so that nothing is left behind; an interrupt ends running ones as well.
+
+    Notes
+    -----
+    Processes are spawned, not forked, because compiled threads do not survive a fork. A script
+    that asks for more than one must therefore guard its main part with
+    ``if __name__ == "__main__":``.
+    """
+    _check_workers(n_workers)
+    pool: Executor
+    if n_workers == 1:
+        pool = ThreadPoolExecutor(1)
+    else:
+        pool = ProcessPoolExecutor(
+            n_workers, mp_context=get_context("spawn"), initializer=_become_worker
+        )
+    others = set(active_children())
+    try:
+        yield pool
+    except KeyboardInterrupt:
+        # Running tasks may be ended: what they write is moved to its place only when it is whole.
+        # A worker that was just starting is not among the pool's own yet, and would be waited for
+        # without end.
+        for worker in set(active_children()) - others:
+            worker.terminate()
+        raise
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _check_workers(n_workers: int) -> None:
+    if n_workers < 1:
+        raise InputError("number of workers is out of range", found=str(n_workers), needed="1 up")
+
+
+def _become_worker() -> None:
+    # an interrupt reaches the whole group; only the parent decides what happens then
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    keep_one_thread()
+
+
+def keep_one_thread() -> None:
+    """Give linear algebra and compiled kernels, as called from this thread, one thread."""
+    keep_one_blas_thread()
+    numba.set_num_threads(1)
+
+
+def completed(
+    pool: Executor, tasks: Iterable[Callable[[], T]], window: int = LARGEST_WINDOW
+) -> Iterator[tuple[int, Future[T]]]:
+    """Yield the number and the future of each task as it ends.
+
+    Tasks are taken from their iterable as others end, so that at most `window` are submitted and
+    not yet yielded. When the iterator is closed, those that wait are dropped.
+    """
+    waiting = enumerate(tasks)
+    running: dict[Future[T], int] = {}
+    try:
+        while True:
+            for number, task in islice(waiting, window - len(running)):
+                running[pool.submit(task)] = number
+            if not running:
+                return
+            done, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in done:
+                yield running.pop(future), future
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def in_pool(
+    pool: Executor, tasks: Sequence[Callable[[], T]], progress: Progress | None = None
+) -> list[T]:
+    """Return the results of all tasks in their order; the first failure ends the wait."""
+    results: dict[int, T] = {}
+    for number, future in completed(pool, tasks):
+        results[number] = result_of(future)
+        if progress is not None:
+            progress(len(results) / len(tasks))
+    return [results[number] for number in range(len(tasks))]
+
+
+def bundled(
+    tasks: Sequence[Callable[[], T]], seconds_each: Callable[[], float | None]
+) -> Iterator[Callable[[], list[T]]]:
+    """Yield tasks in bundles that take `SHORTEST_TASK_S` or longer, in their order.
+
+    Parameters
+    ----------
+    seconds_each : callable
+        What a task has taken until now; None while that is not known, and tasks go one by one.
+    """
+    at = 0
+    while at < len(tasks):
+        each = seconds_each()
+        size = 1 if each is None else int(SHORTEST_TASK_S / max(each, 1e-3)) + 1
+        yield partial(_one_after_another, tuple(tasks[at : at + size]))
+        at += size
+
+
+def _one_after_another(tasks: tuple[Callable[[], T], ...]) -> list[T]:
+    return [task() for task in tasks]
+
+
+@contextmanager
+def cluster_pool(
+    *,
+    scheduler: str | None = None,
+    n_workers: int = 1,
+    warm: Callable[[], object] | None = None,
+) -> Iterator[Executor]:
+    """Give an executor whose tasks are carried out by the workers of a dask cluster.
+
+    A task whose worker dies is given to another, up to three times. Dask's own configuration
+    (``distributed.comm.tls``, ``distributed.scheduler.allowed-failures``) holds, as files or as
+    variables of the environment.
+
+    Parameters
+    ----------
+    scheduler : str, optional
+        Address of a running scheduler, as ``tcp://10.0.0.1:8786`` or ``tls://...``. Without it, a
+        cluster of processes on this machine is started, which listens on the loopback alone and
+        ends with the block.
+    n_workers : int
+        Processes of that own cluster, one thread each, renewed every hour.
+    warm : callable, optional
+        Called once on each machine before the first task: compiles what is kept on disk.
+
+    Raises
+    ------
+    InputError
+        dask.distributed is not installed, no scheduler answers, it has no workers, or these run
+        another version of Python, roomfit or numba.
+    """
+    _check_workers(n_workers)
+    distributed = _distributed()
+    with ExitStack() as stack:
+        address: Any = scheduler
+        if scheduler is None:
+            import dask
+
+            stack.enter_context(
+                dask.config.set(
+                    {
+                        "distributed.scheduler.allowed-failures": _MOST_DEATHS,
+                        # a task that waits at a worker would be blamed for its death, too
+                        "distributed.scheduler.worker-saturation": 1.0,
+                    }
+                )
+            )
+            address = stack.enter_context(
+                distributed.LocalCluster(
+                    n_workers=n_workers,
+                    threads_per_worker=1,
+                    processes=True,
+                    host="127.0.0.1",
+                    # without an address its web server would listen to the whole network
+                    dashboard_address="127.0.0.1:0",
+                    env=_ONE_THREAD,
+                    lifetime=f"{_LIFETIME_S} seconds",
+                    lifetime_stagger=f"{_LIFETIME_S // 10} seconds",
+                    lifetime_restart=True,
+                    silence_logs=50,  # a worker that dies is reported by us
+                )
+            )
+        try:
+            client = stack.enter_context(
+                distributed.Client(address, timeout=_CONNECTING_S, set_as_default=False)
+            )
+        except (OSError, ValueError) as error:
+            raise InputError(
+                "no scheduler answers",
+                where=str(scheduler),
+                found=" ".join(str(error).split())[:200],
+                needed="the address of a running dask scheduler, as tcp://10.0.0.1:8786",
+                hint="start one with: dask scheduler --host 127.0.0.1",
+            ) from error
+        _check_alike(client, scheduler)
+        if warm is not None:
+            client.run(warm, workers=_one_a_machine(client))
+        pool = client.get_executor(pure=False)
+        try:
+            yield pool
+        finally:
+            pool.shutdown(wait=False)
+
+
+def _distributed() -> Any:
+    try:
+        import distributed
+    except ImportError as error:
+        raise InputError(
+            "a cluster needs a package that is not installed",
+            found=str(error),
+            needed="dask.distributed",
+            hint="pip install 'roomfit[cluster]'",
+        ) from error
+    return distributed
+
+
+def about_this_process() -> dict[str, str]:
+    """Return the versions that decide numbers, and the digest of roomfit's own code."""
+    python = ".".join(str(part) for part in sys.version_info[:2])
+    return {
+        "Python": python,
+        **{name: version(name) for name in ("roomfit", "numba", "numpy", "scipy")},
+        "code of roomfit": code_digest()[:12],
+    }
+
+
+def _check_alike(client: Any, scheduler: str | None) -> None:
+    """Refuse workers whose answers may differ from those of this process."""
+    try:
+        # those of a job array come one by one: the first are enough to begin
+        client.wait_for_workers(1, timeout=_CONNECTING_S)
+    except TimeoutError:
+        raise InputError(
+            "the scheduler has no workers",
+            where=str(scheduler),
+            hint="start one on every machine: dask worker ADDRESS --nthreads 1 --nworkers N",
+        ) from None
+    try:
+        found = client.run(about_this_process)
+    except Exception as error:
+        raise InputError(
+            "the workers cannot load roomfit",
+            where=str(scheduler),
+            found=f"{type(error).__name__}: {error}"[:200],
+            needed="the same roomfit on every worker as here",
+            hint="install it in the workers' environment",
+        ) from error
+    here = about_this_process()
+    for address, there in found.items():
+        other = [name for name in here if there.get(name) != here[name]]
+        if other:
+            raise InputError(
+                "a worker runs other versions than this process",
+                where=str(address),
+                found=", ".join(f"{name} {there.get(name, 'missing')}" for name in other),
+                needed=", ".join(f"{name} {here[name]}" for name in other),
+                hint="install the same on both sides; answers would depend on who computed them",
+            )
+
+
+def _one_a_machine(client: Any) -> list[str]:
+    workers = client.scheduler_info(n_workers=-1)["workers"]
+    return list({w["host"]: address for address, w in workers.items()}.values())
+
+
+def result_of(future: Future[T]) -> T:
+    """Return what a task returned, or raise what it raised.
+
+    Raises
+    ------
+    CannotTell
+        Every worker that had the task died of it.
+    StoreError
+        The connection to the scheduler is lost.
+    """
+    if future.cancelled():
+        raise StoreError(
+            "the connection to the scheduler is lost",
+            found="tasks were cancelled",
+            hint="run the same command again: what is done is not done again",
+        )
+    error = future.exception()
+    if type(error).__name__ == "KilledWorker":
+        raise CannotTell(
+            "every worker that had the task died",
+            found=f"{_MOST_DEATHS + 1} of them",
+            hint="memory is the usual reason: fewer workers on a machine leave more for each",
+        )
+    return future.result()

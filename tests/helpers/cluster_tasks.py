@@ -1,0 +1,48 @@
+"""Tasks for workers in processes of their own: they must be importable there."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from pathlib import Path
+
+import numpy as np
+
+
+def number_into(folder: Path, number: int, seconds: float = 0.0) -> int:
+    """Write a number's own random numbers, aside first; return the number of the process."""
+    time.sleep(seconds)
+    text = " ".join(f"{x:.17g}" for x in np.random.default_rng(number).standard_normal(50).cumsum())
+    aside = folder / f".{number}-{os.getpid()}"
+    aside.write_text(text)
+    aside.replace(folder / f"{number}.txt")
+    return os.getpid()
+
+
+def die_once(folder: Path, number: int) -> int:
+    """Kill the process at the first call, and do the task at the next."""
+    mark = folder / f".died-{number}"
+    if not mark.exists():
+        mark.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return number_into(folder, number)
+
+
+def die() -> None:
+    """Kill the process at every call."""
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def fill_memory() -> int:
+    """Ask for more and more memory, 100 MB at a time; a watch looks at it ten times a second."""
+    held = []
+    for _ in range(20):
+        held.append(np.ones(12_500_000))
+        time.sleep(0.15)
+    return len(held)
+
+
+def fail(text: str) -> None:
+    """Raise."""
+    raise ValueError(text)

@@ -1,0 +1,181 @@
+"""Many rooms: one table, nothing done twice, nothing stopped by another's failure."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from roomfit import batch
+from roomfit.batch import campaign_paths, identify_rooms, room_tasks, rooms_text, shard_of
+from roomfit.cli import main
+from roomfit.errors import InputError
+
+ROOM = """
+[room]
+shoebox = [6, 5, 3]
+materials = { walls = "felt", ceiling = "plaster" }
+[sources.S]
+position = [1.5, 1.2, 1.5]
+[receivers.R]
+position = [4.0, 3.5, 1.2]
+[identify]
+from_hz = 1000
+to_hz = 1000
+[settings]
+n_rays = 2000
+[[measurements]]
+parameters = "measured.csv"
+"""
+
+
+def write_room(folder: Path, decay_s: float = 0.3) -> Path:
+    folder.mkdir(parents=True)
+    table = f"source,receiver,parameter,1000\nS,R,T30,{decay_s}\n"
+    (folder / "measured.csv").write_text(table)
+    path = folder / "campaign.toml"
+    path.write_text(ROOM)
+    return path
+
+
+@pytest.fixture
+def rooms(tmp_path: Path) -> list[Path]:
+    return [write_room(tmp_path / "rooms" / name, t) for name, t in (("a", 0.3), ("b", 0.4))]
+
+
+def table(out: Path) -> list[dict[str, str]]:
+    with (out / "rooms.csv").open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def results(out: Path) -> dict[str, object]:
+    """The answers, without how long they took."""
+    found = {}
+    for path in sorted((out / "rooms").glob("*/result.json")):
+        content = json.loads(path.read_text())
+        del content["fit"]["seconds"]
+        content["provenance"] = {}
+        found[path.parent.name] = content
+    return found
+
+
+def test_a_room_that_fails_stops_no_other_and_the_table_says_why(
+    rooms: list[Path], tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (rooms[0].parent / "measured.csv").write_text("source,receiver,parameter,1000\nS,R,T30,-1\n")
+    broken = write_room(tmp_path / "rooms" / "c <script>")
+    broken.write_text("[room\n")
+    with pytest.raises(SystemExit) as ended:
+        main(["batch", str(tmp_path / "rooms/*/campaign.toml"), "--out", str(tmp_path / "out")])
+    assert ended.value.code == 2
+    rows = table(tmp_path / "out")
+    assert [(r["room"], r["status"]) for r in rows] == [
+        ("a", "refused"),
+        ("b", "done"),
+        ("c <script>", "refused"),
+    ]
+    assert "-1" in rows[0]["message"]
+    page = (tmp_path / "out" / "rooms.html").read_text()
+    assert "<script>" not in page
+    link = rows[1]["result"]
+    assert f'href="{link}"' in page
+    assert (tmp_path / "out" / link).is_file()
+    assert float(rows[1]["T_measured_s"]) == 0.4
+    assert float(rows[1]["T_predicted_s"]) == pytest.approx(0.4, rel=0.05)
+    content = json.loads((tmp_path / "out" / link).with_name("result.json").read_text())
+    mean = content["combinations"][0]
+    assert float(rows[1]["room_mean_absorption"]) == pytest.approx(mean["absorption"], abs=1e-4)
+    assert "3 rooms: 1 done, 2 refused." in capsys.readouterr().out
+
+
+def test_what_is_done_is_not_done_again_unless_something_changed(
+    rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    out = tmp_path / "out"
+    first = identify_rooms(rooms, out)
+    done: list[Path] = []
+    real = batch.identify_to_folder
+
+    def watched(campaign: Path, folder: Path, **settings: object) -> object:
+        done.append(campaign)
+        return real(campaign, folder, **settings)  # type: ignore[arg-type]
+
+    monkeypatch.setattr(batch, "identify_to_folder", watched)
+    assert rooms_text(identify_rooms(rooms, out)) == rooms_text(first)
+    assert done == []
+    (rooms[1].parent / "measured.csv").write_text("source,receiver,parameter,1000\nS,R,T30,0.5\n")
+    again = identify_rooms(rooms, out)
+    assert done == [rooms[1]]
+    assert again[1].decay_s[0] == 0.5
+
+
+def test_a_fault_of_the_program_in_one_room_is_a_row_of_the_table_and_tried_again(
+    rooms: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    real = batch.identify_to_folder
+
+    def faulty(campaign: Path, folder: Path, **settings: object) -> object:
+        if campaign == rooms[0]:
+            raise ZeroDivisionError("on purpose")
+        return real(campaign, folder, **settings)  # type: ignore[arg-type]
+
+    with monkeypatch.context() as patch:
+        patch.setattr(batch, "identify_to_folder", faulty)
+        rows = identify_rooms(rooms, tmp_path / "out")
+    assert [r.status for r in rows] == ["failed", "done"]
+    assert "ZeroDivisionError: on purpose" in rows[0].message
+    assert [r.status for r in identify_rooms(rooms, tmp_path / "out")] == ["done", "done"]
+    assert list((tmp_path / "out" / "failures").iterdir()) == []
+
+
+def test_shards_together_do_every_room_once(rooms: list[Path], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    assert [r.status for r in identify_rooms(rooms, out, shard=(2, 2))] == ["waiting", "done"]
+    assert [r.status for r in identify_rooms(rooms, out, shard=(1, 2))] == ["done", "done"]
+    tasks = room_tasks(rooms * 1)
+    parts = [shard_of(tasks, (i, 3)) for i in (1, 2, 3)]
+    assert sorted(t.name for part in parts for t in part) == ["a", "b"]
+    for wrong in ((0, 3), (4, 3)):
+        with pytest.raises(InputError, match="shard is out of range"):
+            shard_of(tasks, wrong)
+
+
+def test_a_pattern_that_matches_nothing_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no campaign file is called so"):
+        campaign_paths([tmp_path / "*.toml"])
+
+
+def test_rooms_of_one_folder_are_called_by_their_files(tmp_path: Path) -> None:
+    first = write_room(tmp_path / "house")
+    second = first.with_name("renovated.toml")
+    second.write_text(ROOM)
+    assert [t.name for t in room_tasks([first, second])] == ["campaign", "renovated"]
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_bits_after_its_client_was_killed(
+    rooms: list[Path], tmp_path: Path
+) -> None:
+    """The first client goes without a word; what its workers do goes on, or is done again."""
+    command = [sys.executable, "-m", "roomfit", "batch", *map(str, rooms)]
+    there = tmp_path / "there"
+    cluster = [*command, "--out", str(there), "--workers", "2"]
+    client = subprocess.Popen(cluster, start_new_session=True, stdout=subprocess.DEVNULL)
+    deadline = time.monotonic() + 300.0
+    while not list(there.glob("rooms/*")) and client.poll() is None:
+        assert time.monotonic() < deadline
+        time.sleep(0.05)
+    os.killpg(client.pid, signal.SIGKILL)
+    client.wait()
+    again = subprocess.run(cluster, capture_output=True, text=True, timeout=600, check=False)
+    assert again.returncode == 0, again.stderr
+    identify_rooms(rooms, tmp_path / "here")
+    assert len(results(there)) == 2
+    assert results(there) == results(tmp_path / "here")

@@ -1,0 +1,279 @@
+"""Tasks reach every worker once, whatever dies on the way, and nothing listens to the world."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
+from functools import partial
+from importlib import metadata
+from pathlib import Path
+
+import pytest
+
+from cluster_tasks import die, die_once, fail, fill_memory, number_into
+from roomfit import workers
+from roomfit.errors import CannotTell, InputError, StoreError
+from roomfit.workers import bundled, cluster_pool, completed, in_pool, result_of
+
+HELPERS = Path(__file__).parent / "helpers"
+
+
+def test_no_more_than_a_window_of_tasks_is_submitted_at_once() -> None:
+    submitted, yielded = 0, 0
+
+    def tasks() -> Iterator[Callable[[], int]]:
+        nonlocal submitted
+        for number in range(50):
+            submitted += 1
+            assert submitted - yielded <= 7
+            yield partial(int, number)
+
+    with ThreadPoolExecutor(3) as pool:
+        found = {}
+        for number, future in completed(pool, tasks(), window=7):
+            found[number] = future.result()
+            yielded += 1
+    assert found == {n: n for n in range(50)}
+
+
+def test_tasks_that_have_not_begun_are_dropped_when_nobody_waits_for_them() -> None:
+    with ThreadPoolExecutor(1) as pool:
+        ends = completed(pool, [partial(time.sleep, 0.05)] * 30)
+        next(ends)
+        begin = time.monotonic()
+        ends.close()
+        pool.shutdown(wait=True)
+    assert time.monotonic() - begin < 1.0  # 29 of them take 1.5 s
+
+
+def test_bundles_hold_every_task_once_and_last_long_enough() -> None:
+    known: list[float] = []
+    tasks = [partial(int, n) for n in range(40)]
+    sizes, numbers = [], []
+    for bundle in bundled(tasks, lambda: known[-1] if known else None):
+        numbers += bundle()
+        sizes.append(len(bundle.args[0]))
+        if len(sizes) == 2:
+            known.append(0.4)
+    assert numbers == list(range(40))
+    assert sizes[:2] == [1, 1]
+    assert all(size * 0.4 >= workers.SHORTEST_TASK_S for size in sizes[2:-1])
+
+
+def test_without_the_package_or_a_scheduler_the_message_says_what_to_do(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(workers, "_CONNECTING_S", 0.5)
+    with (
+        pytest.raises(InputError, match=r"no scheduler answers[^§]*dask scheduler"),
+        cluster_pool(scheduler="tcp://127.0.0.1:9"),
+    ):
+        pass
+    monkeypatch.setitem(sys.modules, "distributed", None)
+    with pytest.raises(InputError, match=r"roomfit\[cluster\]"), cluster_pool():
+        pass
+
+
+class Cluster:
+    """A scheduler and its workers, each a process of its own, on the loopback."""
+
+    def __init__(self, folder: Path, *, n_workers: int = 4, memory: str = "500MB") -> None:
+        self._environment = os.environ | {
+            "PYTHONPATH": os.pathsep.join([str(HELPERS), *sys.path]),
+            "NUMBA_NUM_THREADS": "1",
+            "DASK_DISTRIBUTED__SCHEDULER__ALLOWED_FAILURES": "2",
+            "DASK_DISTRIBUTED__SCHEDULER__WORKER_SATURATION": "1.0",
+            # a cut connection is given up soon
+            "DASK_DISTRIBUTED__COMM__TIMEOUTS__CONNECT": "5s",
+        }
+        place = folder / "scheduler.json"
+        module = [sys.executable, "-m", "distributed.cli.dask_scheduler"]
+        loopback = ["--host", "127.0.0.1", "--dashboard-address", "127.0.0.1:0"]
+        self.scheduler = self._run([*module, *loopback, "--port", "0", "--scheduler-file", place])
+        module = [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", place]
+        options = ["--nworkers", n_workers, "--nthreads", 1, "--memory-limit", memory]
+        self.workers = self._run(
+            [*module, *loopback, *options, "--local-directory", folder / "space"]
+        )
+        self.address = self._address(place)
+
+    def _run(self, command: list[object]) -> subprocess.Popen[bytes]:
+        return subprocess.Popen(
+            [str(word) for word in command],
+            env=self._environment,
+            start_new_session=True,
+            stdout=subprocess.DEVNULL,
+            stderr=subprocess.DEVNULL,
+        )
+
+    def _address(self, place: Path) -> str:
+        import json
+
+        deadline = time.monotonic() + 300.0
+        while time.monotonic() < deadline:
+            if place.exists() and (text := place.read_text()).strip().endswith("}"):
+                return str(json.loads(text)["address"])
+            time.sleep(0.1)
+        raise TimeoutError("no scheduler")
+
+    def close(self) -> None:
+        for process in (self.workers, self.scheduler):
+            process.terminate()
+            try:
+                process.wait(5)
+            except subprocess.TimeoutExpired:  # a nanny may wait for a worker that was killed
+                os.killpg(process.pid, signal.SIGKILL)
+                process.wait()
+
+
+@pytest.fixture(scope="module")
+def cluster(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    made = Cluster(tmp_path_factory.mktemp("cluster"))
+    try:
+        yield made
+    finally:
+        made.close()
+
+
+@pytest.fixture
+def pool(cluster: Cluster, monkeypatch: pytest.MonkeyPatch) -> Iterator[Executor]:
+    monkeypatch.setattr(workers, "_CONNECTING_S", 120)
+    with cluster_pool(scheduler=cluster.address) as executor:
+        yield executor
+
+
+def failure(future: Future[object]) -> str | None:
+    """Why a task was not done."""
+    try:
+        result_of(future)
+    except (CannotTell, ValueError) as error:
+        return str(error)
+    return None
+
+
+def content(folder: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() for p in folder.glob("*.txt")}
+
+
+@pytest.mark.slow
+def test_a_worker_killed_in_the_middle_loses_nothing_and_alters_no_bit(
+    pool: Executor, tmp_path: Path
+) -> None:
+    here, there = tmp_path / "here", tmp_path / "there"
+    here.mkdir()
+    there.mkdir()
+    for number in range(40):
+        number_into(here, number)
+    tasks = [partial(number_into, there, number, 0.1) for number in range(40)]
+    killed = None
+    for _, future in completed(pool, tasks):
+        assert failure(future) is None
+        if killed is None:
+            killed = future.result()
+            os.kill(killed, signal.SIGKILL)
+    assert killed is not None
+    assert content(there) == content(here)
+
+
+@pytest.mark.slow
+def test_a_task_that_takes_its_worker_with_it_is_given_up_and_the_others_are_done(
+    pool: Executor, tmp_path: Path
+) -> None:
+    """One dies once and is done by another worker; one dies always; one raises."""
+    tasks = [
+        partial(die_once, tmp_path, 1),
+        partial(die),
+        partial(fail, "on purpose"),
+        partial(number_into, tmp_path, 2),
+    ]
+    failures = {number: failure(future) for number, future in completed(pool, tasks)}
+    assert failures[0] is None
+    assert failures[3] is None
+    assert "3 of them" in str(failures[1])
+    assert failures[2] == "on purpose"
+    assert set(content(tmp_path)) == {"1.txt", "2.txt"}
+
+
+@pytest.mark.slow
+def test_a_worker_that_runs_out_of_memory_is_replaced(pool: Executor, tmp_path: Path) -> None:
+    tasks = [partial(fill_memory), *(partial(number_into, tmp_path, n) for n in range(8))]
+    failures = {number: failure(future) for number, future in completed(pool, tasks)}
+    assert "memory" in str(failures[0])
+    assert [failures[n] for n in range(1, 9)] == [None] * 8
+    assert len(content(tmp_path)) == 8
+
+
+@pytest.mark.slow
+def test_workers_of_another_version_are_refused(
+    cluster: Cluster, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def other(name: str) -> str:
+        return "0.1" if name == "numba" else metadata.version(name)
+
+    monkeypatch.setattr(workers, "version", other)  # of this process alone
+    monkeypatch.setattr(workers, "_CONNECTING_S", 120)
+    with (
+        pytest.raises(InputError, match=r"runs other versions[^§]*numba 0\.1"),
+        cluster_pool(scheduler=cluster.address),
+    ):
+        pass
+
+
+@pytest.mark.slow
+def test_a_scheduler_that_dies_is_reported_and_what_is_done_stays(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(workers, "_CONNECTING_S", 120)
+    (tmp_path / "out").mkdir()
+    made = Cluster(tmp_path, n_workers=1)
+    try:
+        tasks = [partial(number_into, tmp_path / "out", n, 0.3) for n in range(100)]
+        n_done = 0
+        with (
+            pytest.raises(StoreError, match="connection to the scheduler is lost"),
+            cluster_pool(scheduler=made.address) as executor,
+        ):
+            for _, future in completed(executor, tasks):
+                assert failure(future) is None
+                n_done += 1
+                if n_done == 3:
+                    made.scheduler.kill()
+    finally:
+        made.close()
+    assert 3 <= n_done < 100
+    assert len(content(tmp_path / "out")) >= n_done
+
+
+@pytest.mark.slow
+def test_an_own_cluster_listens_on_the_loopback_alone_and_ends_with_its_block(
+    tmp_path: Path,
+) -> None:
+    psutil = pytest.importorskip("psutil")
+    this = psutil.Process()
+    before = {p.pid for p in this.children(recursive=True)}
+    with cluster_pool(n_workers=2) as executor:
+        family = [this, *(p for p in this.children(recursive=True) if p.pid not in before)]
+        listening = [c for p in family for c in p.net_connections("inet") if c.status == "LISTEN"]
+        assert {c.laddr.ip for c in listening} == {"127.0.0.1"}
+        pids = in_pool(executor, [partial(number_into, tmp_path, n, 0.2) for n in range(10)])
+    assert len(set(pids)) == 2
+    assert os.getpid() not in pids
+    deadline = time.monotonic() + 60.0
+    while {p.pid for p in this.children(recursive=True)} - before - _trackers(this):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)
+
+
+def _trackers(process: object) -> set[int]:
+    """Return the helpers of multiprocessing, which stay as long as the process does."""
+    found = process.children(recursive=True)  # type: ignore[attr-defined]
+    return {
+        p.pid
+        for p in found
+        if any(w in " ".join(p.cmdline()) for w in ("resource_tracker", "forkserver"))
+    }
