@@ -262,6 +262,9 @@ def read_spectrum(path: Path) -> Observed:
         return Observed(arrays["f"], tau_s, pressure[None], noise, has_phase)
 
 
+_MOST_FREQUENCIES = 5000
+
+
 def _grid(
     campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[Observed]
 ) -> tuple[FloatArray, float]:
@@ -275,6 +278,16 @@ def _grid(
             found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
         )
     if not read:
+        n = (table.to_hz - table.from_hz) / table.step_hz
+        if n > _MOST_FREQUENCIES:
+            raise InputError(
+                "more frequencies than can be fitted",
+                where=f"{where}.step_hz",
+                found=f"{n:.0f}, every {table.step_hz:g} Hz from {table.from_hz:g} to "
+                f"{table.to_hz:g} Hz",
+                needed=f"at most {_MOST_FREQUENCIES}",
+                hint="finer than 1/(2 pi tau_s) adds no information",
+            )
         return np.arange(
             table.from_hz, table.to_hz + 0.5 * table.step_hz, table.step_hz
         ), table.tau_s

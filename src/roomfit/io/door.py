@@ -163,6 +163,18 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
     return content
 
 
+def same_file(path: Path) -> tuple[int, int] | str:
+    """Return what two spellings of one file have in common, links included.
+
+    Where there is no such file yet, the path without what leads nowhere.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return os.path.normpath(path)
+    return (status.st_dev, status.st_ino)
+
+
 def _check_regular(mode: int, what: str, where: str) -> None:
     if stat.S_ISREG(mode):
         return
