@@ -123,12 +123,29 @@ def in_pool(
 
     With processes, a task is a `functools.partial` of a function at module level.
     """
-    futures = [pool.submit(task) for task in tasks]
+    with _interrupts_held():
+        futures = [pool.submit(task) for task in tasks]
     for done, future in enumerate(as_completed(futures), start=1):
         future.result()
         if progress is not None:
             progress(done / len(futures))
     return [future.result() for future in futures]
+
+
+@contextmanager
+def _interrupts_held() -> Iterator[None]:
+    """Hold interrupts until the block ends; processes that start within it never get any.
+
+    Control-C reaches the whole group, also workers that still load and would print a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _become_worker() -> None:

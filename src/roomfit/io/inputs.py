@@ -17,12 +17,14 @@ from roomfit.io.campaign import (
     SharedDirectivity,
     SourceDirectivity,
     Spectrum,
+    input_files,
     read_campaign,
 )
 from roomfit.io.campaign import (
     Directivity as FirstOrderTable,
 )
 from roomfit.io.directivity import read_directivity
+from roomfit.io.door import check_files
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
@@ -263,6 +265,7 @@ def load_campaign(path: Path | str) -> IdentifyArguments:
 
 def identify_arguments(campaign: Campaign) -> IdentifyArguments:
     """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`."""
+    check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)
     return {
         "scene": campaign_scene(campaign, room),
