@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,7 +11,7 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import material_priors
+from roomfit.io.inputs import campaign_room, material_priors
 from roomfit.materials.catalogue import broad_prior_findings, catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 
@@ -318,3 +320,33 @@ def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
     campaign = campaign_from(tmp_path, PANELS.replace("scattering = 0.2", "absorption = 1.0"))
     with pytest.raises(InputError, match="at its bound"):
         material_priors(campaign, ("carpet", "wall"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('[[states]]\nname = ""\nmaterials = {north = "x"}', r"states\[1\].name(?s:.*)at least 1 "),
+        ('[[states]]\nname = "a"\nmaterials = {}', r"states\[1\].materials(?s:.*)at least 1 item$"),
+        (
+            '[[states]]\nname = "a"\nmaterials = {north = "x"}\n' * 2,
+            "two states have the same name",
+        ),
+        ('[states.a]\nmaterials = {north = "x"}', r"states\n(?s:.*)a valid list"),
+        ("[groups.g]\nmembers = []\nsd = 0.1", r"groups.g.members(?s:.*)at least 1 item$"),
+        (
+            '[groups.g]\nmembers = ["*"]\nsd = "x"',
+            r"groups.g.sd(?s:.*)number, or a valid (tuple|list)",
+        ),
+    ],
+)
+def test_what_is_wrong_with_states_and_groups_is_told_in_words(tmp_path, line, words):
+    with pytest.raises(InputError, match=words) as refusal:
+        campaign_from(tmp_path, f"{GOOD}\n{line}\n")
+    assert not re.search("String|Dictionary|validation|instance", str(refusal.value))
+
+
+def test_a_state_names_where_its_wall_is_unknown(tmp_path):
+    text = GOOD + '[[states]]\nname = "a"\nmaterials = {nort = "x"}\n'
+    with pytest.raises(InputError, match=r"campaign.toml, states.a, materials\n") as refusal:
+        campaign_room(campaign_from(tmp_path, text))
+    assert "did you mean 'north'" in str(refusal.value)

@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from roomfit._checks import check_name, did_you_mean, nearest
+from roomfit._checks import check_name, did_you_mean, nearest, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
@@ -403,6 +403,7 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
         for kind, names in named.items():
             for own in names:
                 check_name(kind, own)
+        unique_names("state", named["state"])
     _check_products(path, campaign)
     for own, of_source in campaign.sources.items():
         table = of_source.directivity

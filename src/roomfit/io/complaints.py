@@ -74,7 +74,10 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
     )
 
 
-_OF_PYDANTIC = r"^Input should be |, unable to parse.*| or (instance|an object).*"
+_OF_PYDANTIC = (
+    r"^Input should be |^\w+ should have |, unable to parse.*| after validation.*"
+    r"| or (instance|an object).*"
+)
 
 
 def _reason(table: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
