@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
@@ -107,20 +108,21 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
     # what is known of a product is stated with it
     stated = table if product is None else product
     prior = stated.prior
-    own = material_prior(
-        name,
-        bands,
-        absorption=table.absorption,
-        prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
-        bounds=stated.bounds,
-        scattering=(
-            _at_bands(scattering, bands, f"materials.{name}.scattering")
-            if isinstance(scattering, Spectrum)
-            else scattering
-        ),
-        same_absorption_as=table.same_absorption_as,
-        delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
-    )
+    with nullcontext() if product is None else located(f"products.{table.product}"):
+        own = material_prior(
+            name,
+            bands,
+            absorption=table.absorption,
+            prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
+            bounds=stated.bounds,
+            scattering=(
+                _at_bands(scattering, bands, f"materials.{name}.scattering")
+                if isinstance(scattering, Spectrum)
+                else scattering
+            ),
+            same_absorption_as=table.same_absorption_as,
+            delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+        )
     return own if product is None else replace(own, product=table.product, product_sd=product.sd)
 
 
