@@ -14,6 +14,7 @@ import pytest
 
 from roomfit.cache import shared_folder, sole_writer, whole_output_folder
 from roomfit.errors import InputError, StoreError
+from small_campaign import run_command
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
 OLD = {"result.json": "old", "decay_1.png": "old", "decay_2.png": "old", "inner/table.csv": "old"}
@@ -217,6 +218,31 @@ def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     _, said = run.communicate(timeout=300)
     assert run.returncode == 130
     assert b"Exception ignored" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_where_messages_cannot_be_written_the_exit_code_still_tells(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "roomfit", "check", str(tmp_path / "none.toml")],
+            stdout=full,
+            stderr=full,
+            check=False,
+        )
+    assert done.returncode == 2
+
+
+@POSIX
+def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsys):
+    table = tmp_path / "absorption.csv"
+    head = "material,band_hz,absorption,lower95,upper95,identifiable"
+    table.write_text(f"{head}\ncarpet,500,0.3,0.25,0.36,true\n")
+    os.mkfifo(tmp_path / "pipe")
+    for more in ([], ["--overwrite"]):
+        wanted = ["export", table, "--format", "isimpa", "--out", tmp_path / "pipe", *more]
+        assert run_command(monkeypatch, *wanted) == 2
+        assert "something else is in its place" in capsys.readouterr().err
+    assert (tmp_path / "pipe").is_fifo()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")

@@ -172,6 +172,13 @@ def _check_place(out: Path, overwrite: bool) -> None:
             where=str(out),
             hint=f"write --out {out / 'materials.txt'}",
         )
+    if out.exists() and not out.is_file():
+        raise InputError(
+            "the export is one file, and something else is in its place",
+            where=str(out),
+            found="a device, a pipe or a socket, which would be replaced",
+            needed="a new name",
+        )
     if out.exists() and not overwrite:
         raise InputError(
             "the file to write exists",
@@ -264,7 +271,7 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
-    with cache_unless_refused(out, keep=use_cache) as cache:
+    with located(str(campaign_file)), cache_unless_refused(out, keep=use_cache) as cache:
         predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_predicted(folder, predicted, files_read())

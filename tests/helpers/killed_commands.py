@@ -75,7 +75,7 @@ STUBS: dict[str, dict[str, Any]] = {
     },
     "predict": {
         COMMANDS + "read_result": nothing,
-        COMMANDS + "predict_arguments": dict,
+        COMMANDS + "predict_arguments": lambda *_: {},
         COMMANDS + "predict": lambda **_: SimpleNamespace(
             compares_states=True, pairs=(SimpleNamespace(source="S", receiver="R"),)
         ),

@@ -16,9 +16,12 @@ import pytest
 from scipy.io import savemat
 
 from roomfit.cache import CACHE_FOLDER
+from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.inputs import load_campaign
+from roomfit.prediction.changes import read_change
 from small_campaign import (
+    ABSORPTION,
     MATERIALS,
     RATE_HZ,
     box_obj,
@@ -405,7 +408,6 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
 
 
 def test_a_file_that_changes_between_two_readings_is_refused(tmp_path):
-    from roomfit.errors import InputError
     from roomfit.io.door import files_read, read_bytes, reading_noted
 
     file = tmp_path / "a.wav"
@@ -419,3 +421,20 @@ def test_a_file_that_changes_between_two_readings_is_refused(tmp_path):
                 assert read_bytes(file, "response file") == content
         assert files_read() == {file: hashlib.sha256(b"one").hexdigest()}
     assert files_read() == {}
+
+
+@pytest.mark.parametrize("written", ["1e300", "0.3+-1e300", "xnan", "-0.5", "inf", "0.3,,0.4"])
+def test_a_change_that_is_no_number_is_not_taken_for_a_material(written):
+    with pytest.raises(InputError, match=r"not written as it must be(?s:.*)MATERIAL=0.3"):
+        read_change(f"carpet={written}")
+    assert read_change("carpet=3mm-glass").entry == "3mm-glass"
+
+
+@pytest.mark.slow
+def test_a_room_of_which_everything_is_known_is_identified_and_reported(tmp_path, monkeypatch):
+    """Nothing is fitted: the answer is what was specified, and no interval has a width."""
+    known = [(f"[materials.{m}]", f"[materials.{m}]\nabsorption = 0.3") for m in ABSORPTION]
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"), *known)
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {m["absorption"][0] for m in result["materials"].values()} == {0.3}

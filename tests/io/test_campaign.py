@@ -335,8 +335,10 @@ def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
         ("[groups.g]\nmembers = []\nsd = 0.1", r"groups.g.members(?s:.*)at least 1 item$"),
         (
             '[groups.g]\nmembers = ["*"]\nsd = "x"',
-            r"groups.g.sd(?s:.*)number, or a valid (tuple|list)",
+            r"groups.g.sd(?s:.*)number, or a valid list$",
         ),
+        ('[groups.""]\nmembers = ["*"]\nsd = 0.1', r"group without a name(?s:.*)toml, \[groups\]"),
+        ('[products.""]\nsd = 0.1', r"product without a name(?s:.*)campaign.toml, \[products\]"),
     ],
 )
 def test_what_is_wrong_with_states_and_groups_is_told_in_words(tmp_path, line, words):

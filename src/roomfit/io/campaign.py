@@ -14,7 +14,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from roomfit._checks import check_name, did_you_mean, nearest, unique_names
+from roomfit._checks import did_you_mean, nearest, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
@@ -391,7 +391,9 @@ def _check_products(path: Path, campaign: CampaignTable) -> None:
 def _check_names(path: Path, campaign: CampaignTable) -> None:
     used = [campaign.room.materials, *(state.materials for state in campaign.states)]
     named: dict[str, Iterable[str]] = {
-        "material": [*campaign.materials, *(name for given in used for name in given.values())],
+        "material": dict.fromkeys(
+            [*campaign.materials, *(name for given in used for name in given.values() if name)]
+        ),
         "product": campaign.products,
         "loudspeaker": campaign.loudspeakers,
         "source": campaign.sources,
@@ -401,9 +403,8 @@ def _check_names(path: Path, campaign: CampaignTable) -> None:
     }
     with located(str(path)):
         for kind, names in named.items():
-            for own in names:
-                check_name(kind, own)
-        unique_names("state", named["state"])
+            with located(f"[{kind}s]"):
+                unique_names(kind, names)
     _check_products(path, campaign)
     for own, of_source in campaign.sources.items():
         table = of_source.directivity

@@ -69,7 +69,9 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
         "a value in the campaign file is not what it must be",
         where=where,
         found=repr(first.get("input")),
-        needed=", or ".join(dict.fromkeys(needed)).replace("a valid dictionary", "a table"),
+        needed=", or ".join(dict.fromkeys(needed))
+        .replace("a valid dictionary", "a table")
+        .replace("valid tuple", "valid list"),
         hint=_reason(table, place) if ranged else None,
     )
 
