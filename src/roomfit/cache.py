@@ -341,11 +341,13 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
     if sys.platform == "win32":
         yield False
         return
-    lock, descriptor = _lock_file(path, parent, "shared"), -1
+    lock, descriptor, locked = _lock_file(path, parent, "shared"), -1, False
     try:
         while descriptor < 0:
             descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
-            locked = _lock_waiting(descriptor, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+                locked = True
             if not _is_same(descriptor, lock):  # its last owner has just removed it
                 os.close(descriptor)
                 descriptor = -1
@@ -359,14 +361,6 @@ def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
         if _try_lock(descriptor):  # the last of them
             _remove(lock)
         os.close(descriptor)
-
-
-def _lock_waiting(descriptor: int, kind: int) -> bool:
-    try:
-        fcntl.flock(descriptor, kind)
-    except OSError:
-        return False
-    return True
 
 
 @contextmanager
@@ -587,10 +581,7 @@ def _whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text_atomically(path: Path, text: str) -> Path:
-    """Write a UTF-8 text file; see `write_bytes_atomically`.
-
-    Names of files that are no UTF-8 cannot be written in it: they get question marks.
-    """
+    """Write UTF-8, ? for bytes of names that are none; see `write_bytes_atomically`."""
     return write_bytes_atomically(path, text.encode(errors="replace"))
 
 
