@@ -190,7 +190,7 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     time.sleep(0.1)
     run.send_signal(number)
-    _, said = run.communicate(timeout=300)
+    _, said = run.communicate()
     assert run.returncode == 128 + number
     assert b"nothing half-written" in said
     assert list(tmp_path.iterdir()) == []
@@ -215,7 +215,7 @@ def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     )
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     run.send_signal(signal.SIGINT)
-    _, said = run.communicate(timeout=300)
+    _, said = run.communicate()
     assert run.returncode == 130
     assert b"Exception ignored" in said
 
