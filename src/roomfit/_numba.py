@@ -123,7 +123,7 @@ def in_pool(
 
     With processes, a task is a `functools.partial` of a function at module level.
     """
-    with _interrupts_held():
+    with _interrupts_deferred():
         futures = [pool.submit(task) for task in tasks]
     for done, future in enumerate(as_completed(futures), start=1):
         future.result()
@@ -133,7 +133,7 @@ def in_pool(
 
 
 @contextmanager
-def _interrupts_held() -> Iterator[None]:
+def _interrupts_deferred() -> Iterator[None]:
     """Hold interrupts until the block ends; processes that start within it never get any.
 
     Control-C reaches the whole group, also workers that still load and would print a traceback.

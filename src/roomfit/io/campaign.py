@@ -35,7 +35,7 @@ def _limited(low: float, high: float, why: str) -> Any:
 
 Fraction = Annotated[float, _limited(0.0, 1.0, "a share of energy")]
 PerBand = Fraction | list[Fraction]
-# smaller ones cannot be told from none, and their logit has no bounds
+# smaller ones cannot be distinguished from none, and their logit has no bounds
 InnerFraction = Annotated[
     float, _limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
 ]
