@@ -10,14 +10,17 @@ from copy import deepcopy
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
 from number_limits import ELSEWHERE, limits, table
 from roomfit.errors import InputError, RoomfitError
 from roomfit.experiment_design.campaign import design_arguments
-from roomfit.impedance.campaign import impedance_arguments
+from roomfit.experiment_design.candidates import Region, grid_positions
+from roomfit.impedance.campaign import impedance_arguments, read_spectrum
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import identify_arguments
+from roomfit.io.iso3382 import read_parameters
 from small_campaign import write_campaign
 
 DOCS = Path(__file__).parents[2] / "docs" / "campaign-file.md"
@@ -187,3 +190,41 @@ def test_a_refused_number_is_told_with_the_reason(folder, place, number, words) 
     with pytest.raises(InputError) as refusal:
         read_campaign(written(folder, place, number))
     assert re.search(words, str(refusal.value)), refusal.value
+
+
+@pytest.mark.parametrize("name", ["p", "noise", "f", "tau"])
+def test_pressures_that_no_sound_has_are_refused(tmp_path: Path, name: str) -> None:
+    """Their squares are no numbers."""
+    arrays = {"f": np.arange(100.0, 110.0), "tau": 0.1, "p": np.ones(10) + 0j, "noise": 1e-3}
+    np.savez(tmp_path / "good.npz", **arrays)
+    assert read_spectrum(tmp_path / "good.npz").pressure.shape == (1, 10)
+    np.savez(tmp_path / "bad.npz", **arrays | {name: 1e300 * np.asarray(arrays[name])})
+    with pytest.raises(InputError, match=r"bad\.npz"):
+        read_spectrum(tmp_path / "bad.npz")
+
+
+@pytest.mark.parametrize("text", ["1e300", "-1e300", "inf", "nan", "-1", "0"])
+def test_room_parameters_that_no_room_has_are_refused(folder: Path, text: str) -> None:
+    (folder / "iso.csv").write_text(f"source,receiver,parameter,500,1000\nLS1,MP1,T30,{text},0.8\n")
+    with pytest.raises(InputError, match=r"iso\.csv"):
+        read_parameters(folder / "iso.csv")
+
+
+@pytest.mark.parametrize(
+    ("table", "keys", "words"),
+    [
+        ("impedance", {"step_hz": 0.1, "to_hz": 20000}, r"199000(?s:.*)at most 5000"),
+        ("design", {"grid_m": 0.1, "wall_distance_m": 0.01}, r"at most 20000(?s:.*)wider spacing"),
+    ],
+)
+def test_grids_of_too_many_points_are_refused(folder: Path, table: str, keys, words: str) -> None:
+    content = deepcopy(GOOD) | {table: keys}
+    (folder / "grid.toml").write_text("\n".join(f"{k} = {toml(v)}" for k, v in content.items()))
+    campaign = read_campaign(folder / "grid.toml")
+    with pytest.raises(InputError, match=words):
+        if table == "impedance":
+            impedance_arguments(campaign)
+        else:
+            arguments = design_arguments(campaign)
+            region = Region(np.zeros(3), np.array([20.0, 20.0, 2.0]))
+            grid_positions(arguments["scene"].room, region, arguments["options"].grid_m)
