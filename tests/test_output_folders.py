@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -11,8 +12,9 @@ from pathlib import Path
 
 import pytest
 
-from roomfit.cache import sole_writer, whole_output_folder
+from roomfit.cache import shared_folder, sole_writer, whole_output_folder
 from roomfit.errors import InputError, StoreError
+from small_campaign import run_command
 
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
 OLD = {"result.json": "old", "decay_1.png": "old", "decay_2.png": "old", "inner/table.csv": "old"}
@@ -188,7 +190,7 @@ def test_a_request_to_end_leaves_nothing(tmp_path, number):
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     time.sleep(0.1)
     run.send_signal(number)
-    _, said = run.communicate(timeout=300)
+    _, said = run.communicate()
     assert run.returncode == 128 + number
     assert b"nothing half-written" in said
     assert list(tmp_path.iterdir()) == []
@@ -213,9 +215,34 @@ def test_an_interrupt_that_falls_into_a_destructor_is_not_lost():
     )
     assert run.stdout is not None and run.stdout.readline() == b"in\n"
     run.send_signal(signal.SIGINT)
-    _, said = run.communicate(timeout=300)
+    _, said = run.communicate()
     assert run.returncode == 130
     assert b"Exception ignored" in said
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
+def test_where_messages_cannot_be_written_the_exit_code_still_tells(tmp_path):
+    with Path("/dev/full").open("w") as full:
+        done = subprocess.run(
+            [sys.executable, "-m", "roomfit", "check", str(tmp_path / "none.toml")],
+            stdout=full,
+            stderr=full,
+            check=False,
+        )
+    assert done.returncode == 2
+
+
+@POSIX
+def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsys):
+    table = tmp_path / "absorption.csv"
+    head = "material,band_hz,absorption,lower95,upper95,identifiable"
+    table.write_text(f"{head}\ncarpet,500,0.3,0.25,0.36,true\n")
+    os.mkfifo(tmp_path / "pipe")
+    for more in ([], ["--overwrite"]):
+        wanted = ["export", table, "--format", "isimpa", "--out", tmp_path / "pipe", *more]
+        assert run_command(monkeypatch, *wanted) == 2
+        assert "something else is in its place" in capsys.readouterr().err
+    assert (tmp_path / "pipe").is_fifo()
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
@@ -229,3 +256,88 @@ def test_output_to_a_full_device_is_told(tmp_path):
         )
     assert done.returncode == 2
     assert done.stderr.startswith(b"the disk is full") and b"Traceback" not in done.stderr
+
+
+@POSIX
+@pytest.mark.parametrize(
+    "command", ["identify", "predict", "design", "coverage", "paper", "impedance"]
+)
+def test_a_command_killed_at_any_step_leaves_the_old_result_or_the_new_one(tmp_path, command):
+    """Whole, beside strangers' files, and the next run removes what is left."""
+    program = Path(__file__).parent / "helpers" / "killed_commands.py"
+    done = subprocess.run(
+        [sys.executable, str(program), command, str(tmp_path)],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 0, done.stderr
+    found = json.loads(done.stdout)
+    assert len(found) > 20 and found[0] == "old" and found[-1] == "new"
+    assert found == sorted(found, reverse=True)  # once the new one is there, it stays
+
+
+@POSIX
+def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(tmp_path):
+    """`roomfit coverage` may run on several machines into one folder."""
+    program = (
+        "import sys; from pathlib import Path\n"
+        "from killed_commands import replicate\n"
+        "from roomfit.coverage.estimate import write_replicate\n"
+        "print('in', flush=True)\n"
+        "for number in range(40):\n"
+        "    write_replicate(Path(sys.argv[1]), replicate(number))\n"
+    )
+    out = tmp_path / "out"
+    other = subprocess.Popen(
+        [sys.executable, "-c", program, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert other.stdout is not None and other.stdout.readline() == b"in\n"
+    while other.poll() is None:
+        with (
+            shared_folder(out, alone=True) as locked,
+            whole_output_folder(out, overwrite=True) as folder,
+        ):
+            assert locked
+            (folder / "calibration.csv").write_text("table")
+    _, said = other.communicate()
+    assert other.returncode == 0, said
+    assert len(list((out / "replicates").iterdir())) == 40
+    assert (out / "calibration.csv").read_text() == "table"
+    assert [p.name for p in tmp_path.iterdir()] == ["out"]
+
+
+@POSIX
+def test_an_interrupt_within_exec_ends_with_the_same_code():
+    """Dataclasses are made by exec, and Python ends by a signal after an interrupt in one."""
+    program = (
+        "import roomfit.cli as cli\n"
+        "def run(options):\n"
+        "    exec('raise KeyboardInterrupt')\n"
+        "cli._parsed = lambda _: type('O', (), {'run': staticmethod(run)})\n"
+        "cli.main([])"
+    )
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, check=False)
+    assert done.returncode == 130
+    assert done.stderr.startswith(b"interrupted")
+
+
+@POSIX
+def test_workers_that_are_starting_get_no_interrupt():
+    """Control-C reaches the whole group; only the parent says so, and ends them."""
+    program = (
+        "import os, signal, threading, time\n"
+        "from functools import partial\n"
+        "from roomfit._numba import in_pool, worker_pool\n"
+        "if __name__ == '__main__':\n"
+        "    ask = partial(signal.pthread_sigmask, signal.SIG_BLOCK, ())\n"
+        "    before = ask()\n"
+        "    with worker_pool(2) as pool:\n"
+        "        masks = in_pool(pool, [ask, ask])\n"
+        "    assert all(signal.SIGINT in mask for mask in masks), masks\n"
+        "    assert ask() == before\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import difflib
+import lzma
+import struct
+import tokenize
+import unicodedata
+import zipfile
+import zlib
 from collections.abc import Iterable
 from itertools import islice
 from typing import Any
@@ -132,11 +138,12 @@ def check_range(
 
 
 def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
-    """Return the names as a tuple; refuse an empty or a repeated one."""
+    """Return the names as a tuple; refuse an empty, a repeated or an unprintable one."""
     names = tuple(names)
     for i, name in enumerate(names):
         if not name:
             raise InputError(f"{kind} without a name", where=f"number {i + 1}")
+        check_name(kind, name)
         if name in names[:i]:
             raise InputError(
                 f"two {kind}s have the same name",
@@ -144,6 +151,21 @@ def unique_names(kind: str, names: Iterable[str]) -> tuple[str, ...]:
                 needed=f"every {kind} under its own name",
             )
     return names
+
+
+_STEERING = {"Cc", "Cs", "Zl", "Zp"}  # of Unicode: controls, surrogates, ends of lines
+_TURNING = "\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069"  # the direction of writing
+
+
+def check_name(kind: str, name: str) -> None:
+    """Refuse letters in a name that steer terminals, end lines or turn the direction of writing."""
+    bad = next((c for c in name if unicodedata.category(c) in _STEERING or c in _TURNING), None)
+    if bad is not None:
+        raise InputError(
+            f"the name of a {kind} has a control character",
+            found=f"U+{ord(bad):04X} in {name!a}",
+            needed="letters that can be printed in one line",
+        )
 
 
 def nearest(word: str, known: Iterable[str]) -> str | None:
@@ -160,3 +182,23 @@ def did_you_mean(word: str, known: Iterable[str]) -> str | None:
     """Return a hint at the known word most like `word`, None where nothing comes near."""
     like = nearest(word, known)
     return f"did you mean {like!r}?" if like else None
+
+
+# What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.
+ARCHIVE_DAMAGE = (
+    ArithmeticError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    SyntaxError,
+    TypeError,
+    ValueError,
+    lzma.LZMAError,
+    struct.error,
+    tokenize.TokenError,
+    zipfile.BadZipFile,
+    zlib.error,
+)

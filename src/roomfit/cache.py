@@ -12,17 +12,12 @@ import ctypes
 import errno
 import hashlib
 import json
-import lzma
 import os
 import shutil
-import struct
 import sys
 import tempfile
-import tokenize
-import zipfile
-import zlib
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
 from enum import Enum
 from functools import cache, wraps
@@ -34,7 +29,8 @@ from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
 
-from roomfit.errors import InputError, RoomfitError, StoreError
+from roomfit._checks import ARCHIVE_DAMAGE
+from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
 from roomfit.findings import Code, Finding
 
 if sys.platform != "win32":
@@ -81,24 +77,6 @@ def code_digest() -> str:
 
 
 _OUTLINE = "outline"
-# What reading damaged bytes as an archive of arrays, and its entries as JSON, can raise.
-ARCHIVE_DAMAGE = (
-    ArithmeticError,
-    AttributeError,
-    EOFError,
-    LookupError,
-    MemoryError,
-    OSError,
-    RuntimeError,
-    SyntaxError,
-    TypeError,
-    ValueError,
-    lzma.LZMAError,
-    struct.error,
-    tokenize.TokenError,
-    zipfile.BadZipFile,
-    zlib.error,
-)
 
 
 class BrokenRecordError(ValueError):
@@ -240,7 +218,7 @@ def check_output_folder(path: Path, *, overwrite: bool = False) -> None:
     """
     path = Path(path)
     try:
-        nearest = _nearest_existing(path)
+        nearest = nearest_existing(path)
         filled = path.is_dir() and not _holds_only_cache(path)
     except OSError as error:
         raise _cannot_be_made(path, error) from error
@@ -289,7 +267,7 @@ def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path
     """
     check_output_folder(path, overwrite=overwrite)
     path = Path(path).resolve()
-    parent = _nearest_existing(path.parent)
+    parent = nearest_existing(path.parent)
     with hidden_folder(parent, f".{path.name}.making-") as aside:
         yield aside
         try:
@@ -325,15 +303,54 @@ def sole_writer(command: Callable[P, T]) -> Callable[P, T]:
     @wraps(command)
     def alone(*args: P.args, **kwargs: P.kwargs) -> T:
         path = Path(wanted.bind(*args, **kwargs).arguments[place]).resolve()
-        parent = _nearest_existing(path.parent)
+        parent = nearest_existing(path.parent)
         if not (parent.is_dir() and os.access(parent, os.W_OK | os.X_OK)):
             return command(*args, **kwargs)  # which refuses
-        mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
-        with _locked(parent / f".roomfit-{mark}.lock", path):
+        with _locked(_lock_file(path, parent, "lock"), path):
             _recover(path, parent)
             return command(*args, **kwargs)
 
     return alone
+
+
+def _lock_file(path: Path, parent: Path, kind: str) -> Path:
+    mark = hashlib.sha256(os.fsencode(path)).hexdigest()[:16]
+    return parent / f".roomfit-{mark}.{kind}"
+
+
+@contextmanager
+def shared_folder(path: Path, *, alone: bool) -> Iterator[bool]:
+    """Wait until a folder into which several runs write at once is free; tell whether it is locked.
+
+    Those who add files hold it together (`alone` false). Who puts a new folder into its place holds
+    it alone, so that no file is lost between; what killed runs have left behind is removed then.
+    A disk without locks keeps nobody waiting.
+    """
+    path = Path(path).resolve()
+    parent = nearest_existing(path.parent)
+    if sys.platform == "win32":
+        yield False
+        return
+    lock, descriptor, locked = _lock_file(path, parent, "shared"), -1, False
+    try:
+        while descriptor < 0:
+            descriptor = os.open(lock, os.O_RDWR | os.O_CREAT | os.O_NOFOLLOW, 0o666)
+            with suppress(OSError):
+                fcntl.flock(descriptor, fcntl.LOCK_EX if alone else fcntl.LOCK_SH)
+                locked = True
+            if not _is_same(descriptor, lock):  # its last owner has just removed it
+                os.close(descriptor)
+                descriptor = -1
+        if alone and locked:
+            _recover(path, parent)
+    except OSError as error:
+        raise _cannot_be_made(path, error) from error
+    try:
+        yield locked
+    finally:
+        if _try_lock(descriptor):  # the last of them
+            _remove(lock)
+        os.close(descriptor)
 
 
 @contextmanager
@@ -554,8 +571,8 @@ def _whole_file(path: Path) -> Iterator[Path]:
 
 
 def write_text_atomically(path: Path, text: str) -> Path:
-    """Write a UTF-8 text file; see `write_bytes_atomically`."""
-    return write_bytes_atomically(path, text.encode())
+    """Write UTF-8, ? for bytes of names that are none; see `write_bytes_atomically`."""
+    return write_bytes_atomically(path, text.encode(errors="replace"))
 
 
 def write_json_atomically(path: Path, content: Mapping[str, Any]) -> Path:
@@ -585,7 +602,7 @@ def _listed(value: object) -> Any:
     raise TypeError(f"{type(value).__name__} has no form in JSON")
 
 
-def _nearest_existing(path: Path) -> Path:
+def nearest_existing(path: Path) -> Path:
     """Return the path itself, or the nearest folder above it that exists."""
     return next((p for p in (path, *path.absolute().parents) if p.exists()), Path.cwd())
 
@@ -637,6 +654,26 @@ def cache_of(output: Path, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> Cache:
     '.roomfit-cache'
     """
     return Cache(Path(output) / CACHE_FOLDER, limit_bytes)
+
+
+@contextmanager
+def cache_unless_refused(output: Path, *, keep: bool = True) -> Iterator[Cache | None]:
+    """Give the cache of an output folder; what is refused leaves none that was not there before.
+
+    Interrupted runs do leave it, and go on from it. None is given where `keep` is false.
+    """
+    cache = cache_of(output)
+    folders = (cache.folder, *cache.folder.absolute().parents)
+    new = [folder for folder in folders if not folder.exists()]
+    try:
+        yield cache if keep else None
+    except (InputError, CannotTell):
+        if new and keep:
+            shutil.rmtree(cache.folder, ignore_errors=True)
+            for folder in new[1:]:
+                with suppress(OSError):  # not empty: another's
+                    folder.rmdir()
+        raise
 
 
 def cached(

@@ -7,6 +7,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,9 @@ from typing import Any
 import numpy as np
 
 from roomfit.cache import (
-    cache_of,
+    cache_unless_refused,
     check_output_folder,
+    shared_folder,
     sole_writer,
     whole_output_folder,
     write_bytes_atomically,
@@ -31,7 +33,8 @@ from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
-from roomfit.io.campaign import Campaign, input_files, read_campaign
+from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.door import files_read, reading_noted
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import identify_arguments, material_priors
@@ -169,6 +172,13 @@ def _check_place(out: Path, overwrite: bool) -> None:
             where=str(out),
             hint=f"write --out {out / 'materials.txt'}",
         )
+    if out.exists() and not out.is_file():
+        raise InputError(
+            "the export is one file, and something else is in its place",
+            where=str(out),
+            found="a device, a pipe or a socket, which would be replaced",
+            needed="a new name",
+        )
     if out.exists() and not overwrite:
         raise InputError(
             "the file to write exists",
@@ -185,6 +195,7 @@ def _check_place(out: Path, overwrite: bool) -> None:
 
 
 @sole_writer
+@reading_noted()
 def design_to_folder(
     campaign_file: Path,
     out: Path,
@@ -219,11 +230,8 @@ def design_to_folder(
     arguments = design_arguments(campaign, found, changed)
     with located(str(campaign_file)):
         answer = design(**arguments, progress=part(progress, 0.0, 0.98))
-    inputs = input_files(campaign)
-    if result_file is not None:
-        inputs = (*inputs, Path(result_file))
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_design(folder, answer, inputs)
+        write_design(folder, answer, files_read())
         write_bytes_atomically(folder / "design_map.png", png(design_map(answer)))
         write_bytes_atomically(folder / "design_gain.png", png(design_gain(answer)))
     return answer
@@ -233,6 +241,7 @@ _MOST_PICTURES = 24
 
 
 @sole_writer
+@reading_noted()
 def predict_to_folder(
     campaign_file: Path,
     absorption_file: Path,
@@ -262,14 +271,10 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
-    predicted = predict(
-        **arguments,
-        cache=cache_of(out) if use_cache else None,
-        progress=part(progress, 0.0, 0.95),
-    )
-    inputs = (*input_files(campaign), Path(absorption_file))
+    with located(str(campaign_file)), cache_unless_refused(out, keep=use_cache) as cache:
+        predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite) as folder:
-        write_predicted(folder, predicted, inputs)
+        write_predicted(folder, predicted, files_read())
         if predicted.compares_states:
             write_bytes_atomically(folder / "change.png", png(change_figure(predicted)))
         shown = predicted.pairs[:_MOST_PICTURES]
@@ -301,9 +306,14 @@ def estimate_coverage_to_folder(
     from roomfit.report.figures import png
 
     result = estimate_coverage(read_campaign(campaign_file), out, settings, progress=progress)
-    write_text_atomically(out / "calibration.csv", coverage_csv(result))
-    write_bytes_atomically(out / "calibration.png", png(coverage_figure(result.found)))
-    write_json_atomically(out / "calibration.json", coverage_json(result))
+    picture = png(coverage_figure(result.found))
+    with shared_folder(out, alone=True) as locked:
+        # without locks other runs may add replicates at this moment: files one by one
+        place = whole_output_folder(out, overwrite=True) if locked else nullcontext(out)
+        with place as folder:
+            write_text_atomically(folder / "calibration.csv", coverage_csv(result))
+            write_bytes_atomically(folder / "calibration.png", picture)
+            write_json_atomically(folder / "calibration.json", coverage_json(result))
     return result
 
 
@@ -364,6 +374,7 @@ def _covered(answer: Result, true_absorption: FloatArray) -> BoolArray:
 
 
 @sole_writer
+@reading_noted()
 def identify_to_folder(
     campaign_file: Path,
     out: Path,
@@ -400,13 +411,9 @@ def identify_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     arguments = identify_arguments(campaign)
-    with located(str(campaign_file)):
-        answer = identify(
-            **arguments,
-            cache=cache_of(out) if keep else None,
-            progress=part(progress, 0.0, 0.95),
-        )
-    inputs = input_files(campaign)
+    with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
+        answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
+    inputs = tuple(files_read())
     page = report_html(
         answer,
         measured_scene(arguments["scene"], arguments["measurements"]),

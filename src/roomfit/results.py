@@ -207,6 +207,7 @@ def certificate_distance(answer: Result, band: int) -> float:
     """Return the largest difference of any absorption from the certified minimiser's.
 
     An answer from pressures is not the minimiser of energies: this is how far apart they are.
+    0 where every absorption is known, so that none was found.
 
     Parameters
     ----------
@@ -216,8 +217,9 @@ def certificate_distance(answer: Result, band: int) -> float:
     proof = answer.certificates[band]
     assert proof is not None  # noqa: S101 - the caller's promise
     best = dict(zip(proof.coordinates, proof.clusters[0].minimiser, strict=True))
-    return max(
+    differences = (
         abs(float(best[name]) - float(answer.absorption[i, band]))
         for i, name in enumerate(answer.materials)
         if name in best
     )
+    return max(differences, default=0.0)

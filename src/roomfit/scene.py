@@ -146,7 +146,7 @@ def with_states(room: Room, states: Mapping[str, Mapping[str, str]]) -> Room:
         if not state:
             raise InputError("a state without a name", needed="a name for each state")
         with located(f"states.{state}"):
-            _check_keys(room.mesh.surfaces, materials)
+            _check_keys(room.mesh.surfaces, materials, "materials")
         own = []
         for s, before in zip(room.mesh.surfaces, room.surface_material, strict=True):
             keys = [k for k in (s.name, s.group, s.file_material) if k is not None]
@@ -279,12 +279,14 @@ def material_areas(mesh: Mesh, materials: Mapping[str, str]) -> dict[str | None,
     return dict(sorted(total.items(), key=lambda item: -item[1]))
 
 
-def _check_keys(surfaces: Iterable[Surface], materials: Mapping[str, str]) -> None:
+def _check_keys(
+    surfaces: Iterable[Surface], materials: Mapping[str, str], where: str = "[room.materials]"
+) -> None:
     names = [n for s in surfaces for n in (s.name, s.group, s.file_material) if n]
     known = list(dict.fromkeys(names))
     for key, material in materials.items():
         if not material:
-            raise InputError("a material without a name", where=f"[room.materials] {key!r}")
+            raise InputError("a material without a name", where=f"{where} {key!r}", needed="a name")
         if key in known:
             continue
         like = nearest(key, known)
@@ -292,7 +294,7 @@ def _check_keys(surfaces: Iterable[Surface], materials: Mapping[str, str]) -> No
         more = f" and {len(known) - _SHOWN} more" if len(known) > _SHOWN else ""
         raise InputError(
             "a material is given to a surface that does not exist",
-            where="[room.materials]",
+            where=where,
             found=repr(key),
             needed=f"a surface, group or material of the file: {listing}{more}",
             hint=f"did you mean {like!r}?" if like else None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from typing import Any, Literal, get_args
 
@@ -17,6 +18,28 @@ SPEED_OF_SOUND_SD = 2e-3
 DECAY_RANGE_DB = 50.0
 # Of updated weights; four to twelve suffice nearly always, and a round costs a few evaluations.
 MAX_ROUNDS = 100
+
+# Lowest and highest value of every number, and why it ends there.
+_RAYS = "1e8 take hours and gigabytes"
+SETTING_LIMITS: Mapping[str, tuple[float, float, str]] = {
+    "seed": (0, 2**63 - 1, "a whole number of 63 bits"),
+    "n_rays": (1, 10**8, _RAYS),
+    "n_rays_beside_images": (1, 10**8, _RAYS),
+    "receiver_radius_m": (0.01, 5.0, "smaller catch no ray, larger average over the room"),
+    "default_scattering": (0.0, 1.0, "a share of energy"),
+    "n_draws": (2, 10**6, "one has no spread; more take gigabytes"),
+    "n_random_starts": (0, 1000, "each costs as much as a fit"),
+    "n_scattering_rays": (1, 10**8, _RAYS),
+    "most_images": (1, 10**8, _RAYS),
+    "most_coherent_images": (1, 10**8, _RAYS),
+    "most_triangles_for_images": (0, 10**7, "no room file has more"),
+    "coherent_until_s": (0.01, 10.0, "s; earlier than any reflection, later than any decay"),
+    "speed_of_sound_sd": (1e-6, 0.2, "relative; air in a room is between -20 and 50 degrees"),
+    "decay_range_db": (10.0, 200.0, "dB; less holds no decay, more no recording"),
+    "max_rounds": (1, 10_000, "a fit that needs more does not converge"),
+    "smoothness_per_octave": (1e-3, 1e3, "in logit: below, all bands are equal, above, unlinked"),
+    "temperature_sd_c": (0.0, 30.0, "degrees; rooms are between -20 and 50"),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,25 +103,7 @@ class Settings:
                     found=repr(value),
                     needed=", ".join(map(repr, known)),
                 )
-        for key, low, high in (
-            ("seed", 0, 2**63 - 1),
-            ("n_rays", 1, 10**8),
-            ("n_rays_beside_images", 1, 10**8),
-            ("receiver_radius_m", 0.01, 5.0),
-            ("default_scattering", 0.0, 1.0),
-            ("n_draws", 2, 10**6),
-            ("n_random_starts", 0, 1000),
-            ("n_scattering_rays", 1, 10**8),
-            ("most_images", 1, 10**8),
-            ("most_coherent_images", 1, 10**8),
-            ("most_triangles_for_images", 0, 10**7),
-            ("coherent_until_s", 0.01, 10.0),
-            ("speed_of_sound_sd", 1e-6, 0.2),
-            ("decay_range_db", 10.0, 200.0),
-            ("max_rounds", 1, 10_000),
-            ("smoothness_per_octave", 1e-6, 1e6),
-            ("temperature_sd_c", 0.0, 100.0),
-        ):
+        for key, (low, high, why) in SETTING_LIMITS.items():
             value = getattr(self, key)
             if value is not None and not low <= value <= high:
                 raise InputError(
@@ -106,6 +111,7 @@ class Settings:
                     where=f"settings.{key}",
                     found=f"{value:g}",
                     needed=f"{low:g} to {high:g}",
+                    hint=why,
                 )
 
     def changed(self) -> dict[str, Any]:

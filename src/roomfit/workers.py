@@ -86,6 +86,22 @@ def worker_pool(n_workers: int) -> Iterator[Executor]:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
+@contextmanager
+def _interrupts_deferred() -> Iterator[None]:
+    """Hold interrupts until the block ends; processes that start within it never get any.
+
+    Control-C reaches the whole group, also workers that still load and would print a traceback.
+    """
+    if not hasattr(signal, "pthread_sigmask"):
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
+
+
 def _check_workers(n_workers: int) -> None:
     if n_workers < 1:
         raise InputError("number of workers is out of range", found=str(n_workers), needed="1 up")
@@ -115,8 +131,9 @@ def completed(
     running: dict[Future[T], int] = {}
     try:
         while True:
-            for number, task in islice(waiting, window - len(running)):
-                running[pool.submit(task)] = number
+            with _interrupts_deferred():
+                for number, task in islice(waiting, window - len(running)):
+                    running[pool.submit(task)] = number
             if not running:
                 return
             done, _ = wait(running, return_when=FIRST_COMPLETED)

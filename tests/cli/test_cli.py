@@ -96,7 +96,8 @@ def test_progress_is_drawn_on_a_terminal_only_and_cleared_at_the_end(monkeypatch
     monkeypatch.setenv("COLUMNS", "40")
     with progress_line("working") as progress:
         progress(0.5)
-        time.sleep(0.1)  # a hundred times as long as until the next drawing
+        while " 50 %" not in sys.stderr.getvalue():  # drawn by a thread, however busy the machine
+            time.sleep(0.001)
     drawn = capsys.readouterr().err.split("\r")
     assert f"{' 50 %  0:00  working':<39}" in drawn
     assert drawn[-2:] == [" " * 39, ""]

@@ -437,7 +437,8 @@ def test_slices_stop_and_go_and_give_the_same_replicates(tmp_path):
     assert (result.done, result.syntheses) == (2, {BOX: 2})
     assert second.stat().st_mtime_ns == written
     assert {p.name for p in (tmp_path / "a").iterdir()} == {
-        *("replicates", "calibration.csv", "calibration.json", "calibration.png")
+        *("replicates", "calibration.csv", "calibration.json", "calibration.png"),
+        ".roomfit-files",
     }
     reported = json.loads((tmp_path / "a" / "calibration.json").read_text())
     assert reported == json.loads(json_text(coverage_json(result)))

@@ -62,9 +62,12 @@ def case(seed: int, number: int, names: list[str]) -> tuple[str, bytes]:
 
 def run(
     cases: Iterator[tuple[int, str, bytes]], report: Callable[[Failure], None] = lambda _: None
-) -> tuple[Counter[str], list[Failure], list[float]]:
-    """Read every case in a worker; return how they ended, the failures, and seconds of each."""
-    ends: Counter[str] = Counter()
+) -> tuple[Counter[tuple[str, str]], list[Failure], list[float]]:
+    """Read every case in a worker; return how they ended, the failures, and seconds of each.
+
+    The ends are counted by name and end.
+    """
+    ends: Counter[tuple[str, str]] = Counter()
     failures: list[Failure] = []
     seconds: list[float] = []
     worker = None
@@ -77,7 +80,7 @@ def run(
             answer = worker.ask(name, content)
             seconds.append(float(answer.get("seconds", MOST_SECONDS)))
             failed = answer["end"] not in ("read", "refused")
-            ends["failed" if failed else str(answer["end"])] += 1
+            ends[name, "failed" if failed else str(answer["end"])] += 1
             if failed:
                 failures.append(Failure(name, number, str(answer["end"]), content))
                 report(failures[-1])
@@ -334,10 +337,15 @@ def main() -> None:
             place.write_bytes(failure.content)
 
     ends, failures, seconds = run(cases(), report)
+    together: Counter[str] = Counter()
+    for (_, end), n in ends.items():
+        together[end] += n
     print(
-        f"{sum(ends.values())} cases: {dict(ends)}; {time.monotonic() - begin:.0f} s, "
+        f"{sum(ends.values())} cases: {dict(together)}; {time.monotonic() - begin:.0f} s, "
         f"the slowest {max(seconds, default=0.0):.2f} s of processor time"
     )
+    for name in sorted({name for name, _ in ends}):
+        print(f"  {name:<20}", *(f"{end} {ends[name, end]:>6}  " for end in together))
     sys.exit(1 if failures else 0)
 
 

@@ -182,11 +182,11 @@ def look_at(file: Path, folder: Path) -> tuple[Path, str, list[str]]:
     ]  # fmt: skip
     shown = subprocess.run(
         [*common, f"--screenshot={picture}", file.as_uri()],
-        capture_output=True, text=True, timeout=300, check=True,
+        capture_output=True, text=True, timeout=3600, check=True,
     )  # fmt: skip
     drawn = subprocess.run(
         [*common, "--dump-dom", file.as_uri()],
-        capture_output=True, text=True, timeout=300, check=True,
+        capture_output=True, text=True, timeout=3600, check=True,
     )  # fmt: skip
     logged = re.findall(r"CONSOLE:\d+\] (\".*)", shown.stderr + drawn.stderr)
     # what the graphics driver says of its own speed is no fault of the page

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
+import os
 import re
 import subprocess
 import sys
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +16,12 @@ import pytest
 from scipy.io import savemat
 
 from roomfit.cache import CACHE_FOLDER
+from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.io.inputs import load_campaign
+from roomfit.prediction.changes import read_change
 from small_campaign import (
+    ABSORPTION,
     MATERIALS,
     RATE_HZ,
     box_obj,
@@ -331,3 +338,103 @@ def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
     assert done.stdout == ""
     assert "silent" in one_message(done.stderr)
     assert not (tmp_path / "out").exists()
+
+
+def test_all_files_that_are_missing_are_told_at_once_before_one_is_read(refusal, tmp_path):
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        (FIRST_FILE, 'file = "none.wav"'),
+        (SOURCE, f'{SOURCE}\ndirectivity = "/dev/zero"'),
+        (SHOEBOX, OBJ),
+        (MATERIALS, ""),
+    )
+    (tmp_path / "campaign" / "LS1_MP2.wav").write_bytes(b"")
+    message = refusal(campaign)
+    for part in ("4 files", "room.obj does not", "none.wav does", "MP2.wav is empty", "a device"):
+        assert part in message
+
+
+@pytest.mark.parametrize("earlier", [False, True])
+def test_what_is_refused_after_the_trace_leaves_no_cache(tmp_path, monkeypatch, capsys, earlier):
+    """A cache of an interrupted run stays: it is what the next run goes on from."""
+    import roomfit.inversion.identify as stages
+    from roomfit.errors import CannotTell
+
+    def refused(*_args: object, **_settings: object) -> None:
+        raise CannotTell("nothing can be told", where="here")
+
+    monkeypatch.setattr(stages, "broad_prior_findings", refused)
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
+    out = tmp_path / "deep" / "out"
+    if earlier:
+        (out / CACHE_FOLDER).mkdir(parents=True)
+    assert run_command(monkeypatch, "identify", campaign, "--out", out) == 2
+    assert "nothing can be told" in capsys.readouterr().err
+    assert (tmp_path / "deep").exists() == earlier
+    assert bool(list(tmp_path.rglob("*.npz"))) == earlier
+
+
+def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch, capsys):
+    """The campaign, whose name is no UTF-8 and whose walls have two $, changes during the fit."""
+    import roomfit.commands
+    import roomfit.report.html
+
+    campaign = write_campaign(
+        tmp_path / "campaign",
+        ("to_hz = 1000", "to_hz = 500"),
+        ('"carpet"', '"$\\\\frac{$ \u30ab"'),
+        ("materials.carpet", 'materials."$\\\\frac{$ \u30ab"'),
+    )
+    try:
+        campaign = campaign.rename(os.fsdecode(os.fsencode(campaign.parent) + b"/caf\xe9.toml"))
+    except OSError:
+        pytest.skip("the disk takes no such name")
+    before = {p.name: hashlib.sha256(p.read_bytes()).hexdigest() for p in campaign.parent.iterdir()}
+    identify = roomfit.commands.identify
+
+    def slow(**arguments: object) -> object:
+        campaign.write_text("something else")
+        (campaign.parent / "LS1_MP1.wav").unlink()
+        return identify(**arguments)
+
+    monkeypatch.setattr(roomfit.commands, "identify", slow)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
+    assert capsys.readouterr().err == ""
+    told = json.loads((tmp_path / "out" / "result.json").read_text())["provenance"]["inputs_sha256"]
+    assert told == {name.encode(errors="replace").decode(): own for name, own in before.items()}
+    assert "caf?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_file_that_changes_between_two_readings_is_refused(tmp_path):
+    from roomfit.io.door import files_read, read_bytes, reading_noted
+
+    file = tmp_path / "a.wav"
+    with reading_noted():
+        for content in (b"one", b"one", b"two"):
+            file.write_bytes(content)
+            if content == b"two":
+                with pytest.raises(InputError, match="changed while it was in use"):
+                    read_bytes(file, "response file")
+            else:
+                assert read_bytes(file, "response file") == content
+        assert files_read() == {file: hashlib.sha256(b"one").hexdigest()}
+    assert files_read() == {}
+
+
+@pytest.mark.parametrize("written", ["1e300", "0.3+-1e300", "xnan", "-0.5", "inf", "0.3,,0.4"])
+def test_a_change_that_is_no_number_is_not_taken_for_a_material(written):
+    with pytest.raises(InputError, match=r"not written as it must be(?s:.*)MATERIAL=0.3"):
+        read_change(f"carpet={written}")
+    assert read_change("carpet=3mm-glass").entry == "3mm-glass"
+
+
+@pytest.mark.slow
+def test_a_room_of_which_everything_is_known_is_identified_and_reported(tmp_path, monkeypatch):
+    """Nothing is fitted: the answer is what was specified, and no interval has a width."""
+    known = [(f"[materials.{m}]", f"[materials.{m}]\nabsorption = 0.3") for m in ABSORPTION]
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"), *known)
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert {m["absorption"][0] for m in result["materials"].values()} == {0.3}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -9,8 +11,8 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import material_priors
-from roomfit.materials.catalogue import catalogue, catalogue_prior
+from roomfit.io.inputs import campaign_room, material_priors
+from roomfit.materials.catalogue import broad_prior_findings, catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 
 GOOD = """
@@ -99,7 +101,10 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
     [
         ("bounds = [0.9, 0.2]", r"lower bound is not below the upper(?s:.*)carpet"),
         ("absorption = [0.1, 0.2]", r"one value per fitted band(?s:.*)6 values"),
-        ("prior = {mean = 0.3, sd = 0.0}", "no spread"),
+        ("prior = {mean = 0.3, sd = 0.0}", r"prior.sd(?s:.*)what is known is fixed"),
+        ("bounds = [0.4, 0.4]", r"lower bound is not below(?s:.*)absorption = \.\.\."),
+        ("bounds = [0, 0]", r"lower bound is not below(?s:.*)carpet.bounds"),
+        ("scattering = {centres_hz = [0, -5], values = [0.1, 0.2]}", r"centres_hz\[1\]"),
         ("prior = {mean = 0.3, sd = 0.1}\nbounds = [0.4, 0.9]", "outside of its bounds"),
         ("absorption = 0.3\nbounds = [0.4, 0.9]", "outside of its own bounds"),
         ("scattering = {centres_hz = [125, 250], values = [0.1]}", "as many values"),
@@ -113,6 +118,64 @@ def test_what_is_told_of_a_material_is_checked(tmp_path, line, words):
     text = GOOD.replace("scattering = 0.2", line)
     with pytest.raises(InputError, match=words):
         material_priors(campaign_from(tmp_path, text), ("carpet", "other"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("[settings]\nn_rays = 'many'", r"n_rays\n(?s:.*)a valid integer, or 'auto'"),
+        ("[settings]\nreceiver_radius_m = 'big'", r"a valid number, or 'auto'"),
+        ("[settings]\nmax_rounds = 0", r"campaign.toml, settings.max_rounds(?s:.*)1 to 10000"),
+        ("[identify]\nbands = 7", r"'octave' or 'third-octave', or a valid list"),
+    ],
+)
+def test_everything_that_a_key_may_be_is_named(tmp_path, line, words):
+    with pytest.raises(InputError, match=words):
+        campaign_from(tmp_path, f"{GOOD}\n{line}\n")
+
+
+NAMED = GOOD + (
+    '[products.p]\n[loudspeakers.l]\n[groups.g]\nmembers = ["*"]\nsd = 0.1\n'
+    '[[states]]\nname = "s"\nmaterials = {north = "m"}\n'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ('"carpet"\n', '"car\\u001bpet"\n'),
+        ("[materials.carpet]", '[materials."car\\npet"]'),
+        ("[sources.LS1]", '[sources."LS\\u00851"]'),
+        ("[receivers.MP1]", '[receivers."MP\\u202e1"]'),
+        ("[products.p]", '[products."p\\u0000"]'),
+        ("[loudspeakers.l]", '[loudspeakers."\\u0007"]'),
+        ("[groups.g]", '[groups."\\t"]'),
+        ('name = "s"', 'name = "\\u2028"'),
+        ('north = "m"', 'north = "\\u007f"'),
+    ],
+)
+def test_names_with_control_characters_are_refused(tmp_path, old, new):
+    assert NAMED.count(old) == 1
+    with pytest.raises(InputError, match=r"has a control character(?s:.*)U\+") as refusal:
+        campaign_from(tmp_path, NAMED.replace(old, new))
+    assert str(refusal.value).isascii()
+
+
+def test_names_of_any_language_are_taken(tmp_path):
+    name = "\u30ab\u30fc\u30da\u30c3\u30c8 \u00e9 $x$"
+    text = NAMED.replace("[materials.carpet]", f'[materials."{name}"]').replace("carpet", name)
+    assert list(campaign_from(tmp_path, text).materials) == [name]
+
+
+@pytest.mark.parametrize("spelled", ["./a.wav", "../{folder}/a.wav", "{path}", "link.wav"])
+def test_one_file_by_two_spellings_is_one_file(tmp_path, spelled):
+    (tmp_path / "a.wav").write_bytes(b"x")
+    (tmp_path / "link.wav").symlink_to("a.wav")
+    other = spelled.format(folder=tmp_path.name, path=tmp_path / "a.wav")
+    second = GOOD[GOOD.index("[[measurements]]") :].replace("MP1", "MP2").replace("a.wav", other)
+    third = "channel = 0\n[receivers.MP2]\nposition = [3.0, 2.5, 1.5]\n"
+    with pytest.raises(InputError, match="two pairs have the same response"):
+        campaign_from(tmp_path, GOOD + second + third)
 
 
 def test_a_material_that_the_room_does_not_have_is_refused_with_the_nearest(tmp_path):
@@ -223,6 +286,19 @@ def test_a_product_of_which_nothing_is_stated_has_the_broad_prior(tmp_path):
         np.testing.assert_array_equal(own.prior_logit_sd, 1.5)
 
 
+def test_the_finding_of_a_broad_prior_names_where_more_can_be_said(tmp_path):
+    """Members of a product have no prior of their own: it belongs to the product."""
+    given = material_priors(campaign_from(tmp_path, PANELS), ("carpet", "wall"))
+    (finding,) = broad_prior_findings(given)
+    assert "under [products.panel]." in finding.sentence
+    more = material_priors(campaign_from(tmp_path, PANELS), ("carpet", "wall", "other"))
+    (finding,) = broad_prior_findings(more)
+    assert "under [products.panel] or [materials.NAME]." in finding.sentence
+    alone = material_priors(campaign_from(tmp_path, GOOD), ("carpet",))
+    (finding,) = broad_prior_findings(alone)
+    assert "under [materials.NAME]." in finding.sentence
+
+
 @pytest.mark.parametrize(
     ("change", "words"),
     [
@@ -244,3 +320,35 @@ def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
     campaign = campaign_from(tmp_path, PANELS.replace("scattering = 0.2", "absorption = 1.0"))
     with pytest.raises(InputError, match="at its bound"):
         material_priors(campaign, ("carpet", "wall"))
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ('[[states]]\nname = ""\nmaterials = {north = "x"}', r"states\[1\].name(?s:.*)at least 1 "),
+        ('[[states]]\nname = "a"\nmaterials = {}', r"states\[1\].materials(?s:.*)at least 1 item$"),
+        (
+            '[[states]]\nname = "a"\nmaterials = {north = "x"}\n' * 2,
+            "two states have the same name",
+        ),
+        ('[states.a]\nmaterials = {north = "x"}', r"states\n(?s:.*)a valid list"),
+        ("[groups.g]\nmembers = []\nsd = 0.1", r"groups.g.members(?s:.*)at least 1 item$"),
+        (
+            '[groups.g]\nmembers = ["*"]\nsd = "x"',
+            r"groups.g.sd(?s:.*)number, or a valid list$",
+        ),
+        ('[groups.""]\nmembers = ["*"]\nsd = 0.1', r"group without a name(?s:.*)toml, \[groups\]"),
+        ('[products.""]\nsd = 0.1', r"product without a name(?s:.*)campaign.toml, \[products\]"),
+    ],
+)
+def test_what_is_wrong_with_states_and_groups_is_told_in_words(tmp_path, line, words):
+    with pytest.raises(InputError, match=words) as refusal:
+        campaign_from(tmp_path, f"{GOOD}\n{line}\n")
+    assert not re.search("String|Dictionary|validation|instance", str(refusal.value))
+
+
+def test_a_state_names_where_its_wall_is_unknown(tmp_path):
+    text = GOOD + '[[states]]\nname = "a"\nmaterials = {nort = "x"}\n'
+    with pytest.raises(InputError, match=r"campaign.toml, states.a, materials\n") as refusal:
+        campaign_room(campaign_from(tmp_path, text))
+    assert "did you mean 'north'" in str(refusal.value)

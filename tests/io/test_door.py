@@ -113,6 +113,20 @@ def test_a_link_to_a_file_is_followed(tmp_path):
     assert read_bytes(tmp_path / "b", "file") == b"text"
 
 
+def test_outlines_that_cross_each_other_are_refused_before_they_take_minutes(tmp_path):
+    """200 polygons of 99 corners each took half a minute: every piece is a part of its own."""
+    rng = np.random.default_rng(1)
+    lines, faces = [], []
+    for polygon in range(100):
+        corners = rng.uniform(0.0, 5.0, (99, 2)).round(6)
+        lines += [f"v {x} {y} {0.05 * polygon}" for x, y in corners]
+        faces.append("f " + " ".join(str(99 * polygon + k + 1) for k in range(99)))
+    file = tmp_path / "crossing.obj"
+    file.write_text("\n".join([*lines, *faces]))
+    with pytest.raises(InputError, match=r"9900 edges of a room(?s:.*)open_edges=NUMBER"):
+        read_mesh(RoomSpec(file=file, unit="m"))
+
+
 def test_a_file_beyond_a_limit_is_refused_with_the_limits_name(tmp_path, monkeypatch):
     (tmp_path / "a").write_bytes(b"x" * 100)
     monkeypatch.setenv("ROOMFIT_LIMITS", "file_bytes=99")

@@ -71,6 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> None:
         sys.exit(2)
     except KeyboardInterrupt as interrupt:
         warn("interrupted; nothing half-written was left behind")
+        # Python ends by a signal after an interrupt that fell into exec (a dataclass that was being
+        # made), though it has been caught; the next exec forgets it
+        exec("")
         sys.exit(128 + interrupt.args[0] if interrupt.args else _INTERRUPTED)
     except BrokenPipeError:
         _drop_output()  # the reader of the output (head, less) went first

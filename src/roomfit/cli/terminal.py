@@ -7,7 +7,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TextIO
 
 _EVERY_S = 0.5
@@ -22,8 +22,10 @@ def say(text: object) -> None:
 
 
 def warn(text: object) -> None:
-    """Write a message to standard error, as `say` writes an answer."""
-    sys.stderr.write(f"{_writable(printable(str(text)), sys.stderr)}\n")
+    """Write a message to standard error, as `say` writes an answer; on a full disk, nothing."""
+    with suppress(OSError):
+        sys.stderr.write(f"{_writable(printable(str(text)), sys.stderr)}\n")
+        sys.stderr.flush()
 
 
 def _writable(text: str, stream: TextIO) -> str:

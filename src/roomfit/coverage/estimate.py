@@ -22,7 +22,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from roomfit.air import attenuation_per_m
-from roomfit.cache import hidden_folder, remove_leftovers, write_json_atomically
+from roomfit.cache import (
+    hidden_folder,
+    nearest_existing,
+    shared_folder,
+    write_json_atomically,
+)
 from roomfit.coverage.simulate import (
     synthetic_campaign,
     synthetic_rate_hz,
@@ -110,12 +115,6 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
         The disk refuses.
     """
     path = replicate_path(out, replicate.number)
-    try:
-        path.parent.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            "the folder of replicates cannot be made", where=str(path.parent), found=str(error)
-        ) from error
     content: dict[str, Any] = {
         "format": _FORMAT,
         "format_version": _VERSION,
@@ -132,7 +131,14 @@ def write_replicate(out: Path, replicate: Replicate) -> Path:
             content[key] = getattr(found, _KEYS.get(key, key)).tolist()
         content["models"] = list(found.models)
         content["findings"] = [code.value for code in found.findings]
-    return write_json_atomically(path, content)
+    with shared_folder(out, alone=False):
+        try:
+            path.parent.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise StoreError(
+                "the folder of replicates cannot be made", where=str(path.parent), found=str(error)
+            ) from error
+        return write_json_atomically(path, content)
 
 
 def read_replicate(out: Path, number: int, digest: str) -> Replicate | None:
@@ -295,9 +301,6 @@ def _uniform(plan: CoveragePlan, answer: Result) -> FloatArray:
                 )
                 break
     return out
-
-
-_SCRATCH = ".making-"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -550,13 +553,12 @@ def _check_folder(out: Path) -> None:
 
 @contextmanager
 def _scratch(out: Path) -> Iterator[Path]:
-    """Give a folder for synthetic responses on the same disk, and remove it in any case."""
-    try:
-        out.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise StoreError(
-            "the output folder cannot be written to", where=str(out), found=str(error)
-        ) from error
-    remove_leftovers(out, _SCRATCH)
-    with hidden_folder(out, _SCRATCH) as folder:
+    """Give a folder for synthetic responses on the same disk, and remove it in any case.
+
+    It lies beside the output folder, which may be put into its place anew meanwhile.
+    """
+    out = Path(out).resolve()
+    with shared_folder(out, alone=True):
+        pass  # what killed runs have left behind is gone
+    with hidden_folder(nearest_existing(out.parent), f".{out.name}.making-") as folder:
         yield folder

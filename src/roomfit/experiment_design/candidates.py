@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import get_args
 
@@ -161,6 +162,9 @@ def spread_positions(room: Room, region: Region, n: int, seed: int) -> FloatArra
     return found[:n]
 
 
+_MOST_IN_GRID = 20_000
+
+
 def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
     """Return the positions of a grid in a region, shape (n, 3).
 
@@ -173,8 +177,16 @@ def grid_positions(room: Room, region: Region, spacing_m: float) -> FloatArray:
         No position is allowed.
     """
     axes = []
-    for low, high in zip(region.low_m, region.high_m, strict=True):
-        n = int((high - low) / spacing_m + 1e-9)
+    steps = [int(side / spacing_m + 1e-9) for side in region.high_m - region.low_m]
+    if math.prod(n + 1 for n in steps) > _MOST_IN_GRID:
+        raise InputError(
+            "a grid of more positions than can be examined",
+            where="grid_m",
+            found=f"{' x '.join(str(n + 1) for n in steps)} positions, {spacing_m:g} m apart",
+            needed=f"at most {_MOST_IN_GRID}",
+            hint="a wider spacing, or region_m",
+        )
+    for low, high, n in zip(region.low_m, region.high_m, steps, strict=True):
         axes.append(0.5 * (low + high) + spacing_m * (np.arange(n + 1) - 0.5 * n))
     positions = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     positions = positions[_clear(room, region, positions)]

@@ -34,7 +34,7 @@ from roomfit.io.campaign import (
     input_files,
     read_campaign,
 )
-from roomfit.io.door import npz_arrays, read_bytes
+from roomfit.io.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.io.inputs import read_file
 from roomfit.io.rooms import read_room
 from roomfit.measurement import LATENCY_SD_S
@@ -81,6 +81,7 @@ def identify_campaign_impedance(
 
 
 @sole_writer
+@reading_noted()
 def impedance_to_folder(
     campaign_file: Path,
     out: Path,
@@ -102,7 +103,7 @@ def impedance_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     result = identify_campaign_impedance(campaign, progress=part(progress, 0.0, 0.95))
-    write_impedance(out, result, input_files(campaign), overwrite=overwrite)
+    write_impedance(out, result, files_read(), overwrite=overwrite)
     return result
 
 
@@ -126,6 +127,8 @@ def impedance_arguments(campaign: Campaign) -> tuple[ImpedanceArguments, tuple[F
             needed="impulse responses (file) or damped spectra (spectrum)",
             hint="room parameters do not determine impedances",
         )
+    fitted = replace(campaign, measurements=tuple(files), spectra=tuple(spectra), tables=())
+    check_files(input_files(fitted), str(campaign.path))
     scene = _scene(campaign, room, [*files, *spectra])
     read = [read_spectrum(s.path) for s in spectra]
     frequency_hz, tau_s = _grid(campaign, spectra, read)
@@ -262,6 +265,9 @@ def read_spectrum(path: Path) -> Observed:
         return Observed(arrays["f"], tau_s, pressure[None], noise, has_phase)
 
 
+_MOST_FREQUENCIES = 5000
+
+
 def _grid(
     campaign: Campaign, spectra: list[MeasuredSpectrum], read: list[Observed]
 ) -> tuple[FloatArray, float]:
@@ -275,6 +281,16 @@ def _grid(
             found=f"from_hz = {table.from_hz:g}, to_hz = {table.to_hz:g}",
         )
     if not read:
+        n = (table.to_hz - table.from_hz) / table.step_hz
+        if n > _MOST_FREQUENCIES:
+            raise InputError(
+                "more frequencies than can be fitted",
+                where=f"{where}.step_hz",
+                found=f"{n:.0f}, every {table.step_hz:g} Hz from {table.from_hz:g} to "
+                f"{table.to_hz:g} Hz",
+                needed=f"at most {_MOST_FREQUENCIES}",
+                hint="finer than 1/(2 pi tau_s) adds no information",
+            )
         return np.arange(
             table.from_hz, table.to_hz + 0.5 * table.step_hz, table.step_hz
         ), table.tau_s

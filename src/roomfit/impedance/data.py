@@ -20,6 +20,7 @@ from roomfit.typing import ComplexArray, FloatArray
 MODEL_ERROR = 0.16
 PLANE_MODEL_ERROR = 1.3
 _SMOOTHED_OVER = 0.15
+_LOUDEST = 1e12  # of a recording, too
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,12 +91,18 @@ class Observed:
                 "pressures are not finite everywhere",
                 found=f"{p[pair, at]} of pair {pair} at {f[at]:g} Hz",
             )
+        if not np.abs(p).max(initial=0.0) <= _LOUDEST:
+            raise InputError(
+                "pressures that no sound has",
+                found=f"{np.abs(p).max():.3g}",
+                needed=f"at most {_LOUDEST:g} in whatever unit, so that squares stay finite",
+            )
         if not p.any():
             raise InputError("pressures are 0 everywhere", needed="what was measured, not silence")
         object.__setattr__(self, "frequency_hz", f)
         object.__setattr__(self, "pressure", read_only(p))
         if self.noise is not None:
-            noise = float_array("noise (rms)", self.noise, p.shape, low=0.0)
+            noise = float_array("noise (rms)", self.noise, p.shape, low=0.0, high=_LOUDEST)
             object.__setattr__(self, "noise", noise)
 
 

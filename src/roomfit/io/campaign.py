@@ -6,7 +6,7 @@ Every complaint names the key and what was needed.
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -14,23 +14,42 @@ from typing import Annotated, Any, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
-from roomfit._checks import did_you_mean, nearest
+from roomfit._checks import did_you_mean, nearest, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
 from roomfit.io.complaints import explained
-from roomfit.io.door import read_bytes
+from roomfit.io.door import read_bytes, same_file
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point, PointGroup, check_groups
-from roomfit.settings import Settings
+from roomfit.settings import SETTING_LIMITS, Settings
 
-Position = tuple[float, float, float]
-Fraction = Annotated[float, Field(ge=0.0, le=1.0)]
+
+def _limited(low: float, high: float, why: str) -> Any:
+    """Return the range of a number of the file, and why it ends there: a refusal says it."""
+    return Field(ge=low, le=high, description=why)
+
+
+Fraction = Annotated[float, _limited(0.0, 1.0, "a share of energy")]
 PerBand = Fraction | list[Fraction]
-Metre = Annotated[float, Field(ge=0.0, le=1.0)]
+# smaller ones cannot be distinguished from none, and their logit has no bounds
+InnerFraction = Annotated[
+    float, _limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
+]
+PriorSd = Annotated[
+    float, _limited(1e-4, 1.0, "absorption lies between 0 and 1; what is known is fixed")
+]
+Metre = Annotated[float, _limited(0.0, 1.0, "m; what is off by more must be measured again")]
+Coordinate = Annotated[float, _limited(-1e6, 1e6, "m; the corners of a room are not farther off")]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+Height = Annotated[float, _limited(0.0, 1e4, "m above the lowest point of a room")]
+Number = Annotated[int, _limited(0, 10**6, "counted from 0; no file holds more")]
+Start = Annotated[float, _limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
+Strength = Annotated[float, _limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
+Hertz = Annotated[float, _limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
 
 
 class Table(BaseModel):
@@ -72,7 +91,7 @@ class AirTable(Table):
     """``[air]``."""
 
     temperature_c: float = 20.0
-    temperature_sd_c: float | None = Field(default=None, ge=0.0)
+    temperature_sd_c: Annotated[float, _limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
     humidity_percent: float = 50.0
     pressure_kpa: float = 101.325
     speed_of_sound_m_s: float | None = None
@@ -82,15 +101,15 @@ class AirTable(Table):
 class Spectrum(Table):
     """Values at frequencies, for scattering."""
 
-    centres_hz: list[float] = Field(min_length=1)
+    centres_hz: list[Hertz] = Field(min_length=1)
     values: list[Fraction] = Field(min_length=1)
 
 
 class Prior(Table):
     """Prior of an absorption coefficient: its mean and standard deviation."""
 
-    mean: PerBand
-    sd: float | list[float]
+    mean: InnerFraction | list[InnerFraction]
+    sd: PriorSd | list[PriorSd]
 
 
 class MaterialTable(Table):
@@ -102,15 +121,19 @@ class MaterialTable(Table):
     bounds: tuple[Fraction, Fraction] | None = None
     same_absorption_as: str | None = None
     product: str | None = None
-    delay_sd_ms: float | None = Field(default=None, ge=0.0, le=5.0)
+    delay_sd_ms: (
+        Annotated[float, _limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None
+    ) = None
     impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
-    impedance_start: dict[str, float | list[float]] | None = None
+    impedance_start: dict[str, Start | list[Start]] | None = None
 
 
 class ProductTable(Table):
     """``[products.NAME]``: what all materials of one product have in common."""
 
-    sd: float = Field(default=PRODUCT_SD, ge=PRODUCT_SDS[0], le=PRODUCT_SDS[1])
+    sd: Annotated[
+        float, _limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
+    ] = PRODUCT_SD
     prior: Prior | str | None = None
     bounds: tuple[Fraction, Fraction] | None = None
 
@@ -120,8 +143,8 @@ class Directivity(Table):
 
     aim: Position
     order: Literal[1] = 1
-    b: float = Field(ge=0.0, le=10.0)
-    b_sd: float = Field(default=0.0, ge=0.0, le=10.0)
+    b: Strength
+    b_sd: Strength = 0.0
 
 
 class MeasuredDirectivity(Table):
@@ -144,7 +167,9 @@ class LoudspeakerTable(Table):
     """``[loudspeakers.NAME]``: what all sources of one make have in common."""
 
     directivity: str = "fit"
-    b_sd: float = Field(default=0.5, gt=0.0, le=10.0)
+    b_sd: Annotated[
+        float, _limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
+    ] = 0.5
 
 
 SourceDirectivity = str | Directivity | MeasuredDirectivity | SharedDirectivity
@@ -154,7 +179,7 @@ class SourceTable(Table):
     """``[sources.NAME]``."""
 
     position: Position
-    position_sd: float | None = Field(default=None, ge=0.0)
+    position_sd: Metre | None = None
     directivity: SourceDirectivity = "omni"
 
 
@@ -162,7 +187,7 @@ class ReceiverTable(Table):
     """``[receivers.NAME]``."""
 
     position: Position
-    position_sd: float | None = Field(default=None, ge=0.0)
+    position_sd: Metre | None = None
 
 
 class MeasurementTable(Table):
@@ -172,18 +197,23 @@ class MeasurementTable(Table):
     receiver: str | None = None
     file: str | None = None
     excitation: str | None = None
-    excitation_channel: int | None = Field(default=None, ge=0)
+    excitation_channel: Number | None = None
     parameters: str | None = None
     spectrum: str | None = None
-    channel: int | None = Field(default=None, ge=0)
+    channel: Number | None = None
     variable: str | None = None
     sampling_rate_variable: str | None = None
-    sampling_rate_hz: float | None = Field(default=None, gt=0.0)
-    measurement: int | None = Field(default=None, ge=0)
-    receiver_index: int | None = Field(default=None, ge=0)
+    sampling_rate_hz: (
+        Annotated[float, _limited(100.0, 1e7, "Hz; sound of walls is recorded with 8 to 192 kHz")]
+        | None
+    ) = None
+    measurement: Number | None = None
+    receiver_index: Number | None = None
     time_zero: Literal["emission", "direct", "unknown"] = "emission"
-    latency_s: float = Field(default=0.0, ge=-10.0, le=10.0)
-    latency_sd_s: float | None = Field(default=None, ge=0.0, le=0.1)
+    latency_s: Annotated[float, _limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
+    latency_sd_s: (
+        Annotated[float, _limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
+    ) = None
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
     use: Literal["fit", "validate"] = "fit"
     state: str = ""
@@ -199,30 +229,36 @@ class StateTable(Table):
 class IdentifyTable(Table):
     """``[identify]``."""
 
-    bands: Literal["octave", "third-octave"] | list[float] = "octave"
-    from_hz: float = Field(default=125.0, gt=0.0)
-    to_hz: float = Field(default=4000.0, gt=0.0)
+    bands: Literal["octave", "third-octave"] | list[Hertz] = "octave"
+    from_hz: Hertz = 125.0
+    to_hz: Hertz = 4000.0
     method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
         "auto"
     )
     model: Literal["auto", "energy", "coherent"] = "auto"
     positions: Literal["auto", "fit", "fixed"] = "auto"
     wall_delays: bool = True
-    smoothness_per_octave: float | None = Field(default=None, gt=0.0)
-    seed: int = Field(default=1, ge=0, lt=2**63)
+    smoothness_per_octave: (
+        Annotated[float, _limited(*SETTING_LIMITS["smoothness_per_octave"])] | None
+    ) = None
+    seed: Annotated[int, _limited(*SETTING_LIMITS["seed"])] = 1
 
 
 class ImpedanceTable(Table):
     """``[impedance]``: what ``roomfit impedance`` fits, and how."""
 
-    from_hz: float = Field(default=100.0, gt=0.0)
-    to_hz: float = Field(default=1000.0, gt=0.0)
-    step_hz: float = Field(default=10.0, gt=0.0)
-    tau_s: float = Field(default=0.015, gt=0.0, le=1.0)
+    from_hz: Hertz = 100.0
+    to_hz: Hertz = 1000.0
+    step_hz: Annotated[
+        float, _limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
+    ] = 10.0
+    tau_s: Annotated[
+        float, _limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
+    ] = 0.015
     gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
     positions: Literal["fit", "fixed"] = "fit"
     speed_of_sound: Literal["fit", "fixed"] = "fit"
-    random_starts: int = Field(default=3, ge=0, le=100)
+    random_starts: Annotated[int, _limited(0, 100, "each costs as much as a fit")] = 3
 
 
 class DesignTable(Table):
@@ -230,20 +266,28 @@ class DesignTable(Table):
 
     sources: list[Position] = []
     receivers: list[Position] = []
-    new_sources: int = Field(default=8, ge=0, le=1000)
-    grid_m: float | None = Field(default=None, gt=0.0)
-    source_heights_m: tuple[float, float] = (1.0, 2.0)
-    receiver_heights_m: tuple[float, float] = (1.0, 2.0)
+    new_sources: Annotated[int, _limited(0, 1000, "candidates are traced one by one")] = 8
+    grid_m: (
+        Annotated[float, _limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None
+    ) = None
+    source_heights_m: tuple[Height, Height] = (1.0, 2.0)
+    receiver_heights_m: tuple[Height, Height] = (1.0, 2.0)
     region_m: tuple[Position, Position] | None = None
-    wall_distance_m: float = Field(default=1.0, ge=0.01)
-    source_distance_m: float | None = Field(default=None, ge=0.1)
-    receiver_distance_m: float = Field(default=2.0, ge=0.0)
-    most_sources: int | None = Field(default=None, ge=1)
+    wall_distance_m: Annotated[
+        float, _limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
+    ] = 1.0
+    source_distance_m: (
+        Annotated[float, _limited(0.1, 1000.0, "m; nearer is the source itself")] | None
+    ) = None
+    receiver_distance_m: Annotated[float, _limited(0.0, 1000.0, "m; no room is so long")] = 2.0
+    most_sources: Annotated[int, _limited(1, 1000, "candidates are traced one by one")] | None = (
+        None
+    )
     criterion: Literal["determinant", "mean", "worst"] = "determinant"
-    decay_range_db: float = Field(default=45.0, ge=10.0, le=120.0)
-    position_sd: float = Field(default=0.02, ge=0.0)
+    decay_range_db: Annotated[float, _limited(10.0, 120.0, "dB; no recording has more")] = 45.0
+    position_sd: Metre = 0.02
     level: Literal["per-source", "per-file", "absolute"] = "per-source"
-    draws: int = Field(default=2, ge=1, le=100)
+    draws: Annotated[int, _limited(1, 100, "each costs as much as a design")] = 2
 
 
 class SettingsTable(Table):
@@ -345,6 +389,22 @@ def _check_products(path: Path, campaign: CampaignTable) -> None:
 
 
 def _check_names(path: Path, campaign: CampaignTable) -> None:
+    used = [campaign.room.materials, *(state.materials for state in campaign.states)]
+    named: dict[str, Iterable[str]] = {
+        "material": dict.fromkeys(
+            [*campaign.materials, *(name for given in used for name in given.values() if name)]
+        ),
+        "product": campaign.products,
+        "loudspeaker": campaign.loudspeakers,
+        "source": campaign.sources,
+        "receiver": campaign.receivers,
+        "group": campaign.groups,
+        "state": [state.name for state in campaign.states],
+    }
+    with located(str(path)):
+        for kind, names in named.items():
+            with located(f"[{kind}s]"):
+                unique_names(kind, names)
     _check_products(path, campaign)
     for own, of_source in campaign.sources.items():
         table = of_source.directivity
@@ -399,9 +459,10 @@ def _check_pairs(path: Path, campaign: CampaignTable) -> None:
     visited: dict[tuple[object, ...], int] = {}
     for number, row in enumerate(campaign.measurements, start=1):
         data = row.file or row.parameters or row.spectrum
-        # a table of parameters holds many pairs, a file's channel one
+        # a table of parameters holds many pairs, a file's channel one; unspecified, it is the first
         pair = () if row.file else (row.source, row.receiver, row.state)
-        key = (data, row.channel, row.variable, row.measurement, row.receiver_index, *pair)
+        part = (row.channel or 0, row.variable, row.measurement or 0, row.receiver_index or 0)
+        key = (same_file(path.parent / str(data)), *part, *pair)
         earlier = visited.setdefault(key, number)
         if earlier != number:
             other = campaign.measurements[earlier - 1]
@@ -572,7 +633,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         ),
         _bands(path, table.identify),
         dict(table.materials),
-        _settings(table),
+        _settings(path, table),
         {name: source.directivity for name, source in table.sources.items()},
         dict(table.loudspeakers),
         dict(table.products),
@@ -597,21 +658,22 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
 DEFAULTS = Settings()  # of what a campaign file does not say
 
 
-def _settings(table: CampaignTable) -> Settings:
+def _settings(path: Path, table: CampaignTable) -> Settings:
     own = table.identify
     stated: dict[str, Any] = table.settings.model_dump(exclude_none=True)
     stated = {name: None if value == "auto" else value for name, value in stated.items()}
-    return replace(
-        DEFAULTS,
-        method=own.method,
-        model=own.model,
-        seed=own.seed,
-        positions=own.positions,
-        reflection_delays=own.wall_delays,
-        smoothness_per_octave=own.smoothness_per_octave,
-        temperature_sd_c=table.air.temperature_sd_c,
-        **stated,
-    )
+    with located(str(path)):
+        return replace(
+            DEFAULTS,
+            method=own.method,
+            model=own.model,
+            seed=own.seed,
+            positions=own.positions,
+            reflection_delays=own.wall_delays,
+            smoothness_per_octave=own.smoothness_per_octave,
+            temperature_sd_c=table.air.temperature_sd_c,
+            **stated,
+        )
 
 
 def input_files(campaign: Campaign) -> tuple[Path, ...]:

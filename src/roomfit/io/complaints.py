@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 import types
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
+from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from roomfit._checks import nearest
@@ -58,12 +61,43 @@ def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> Inp
             where=f"{path}, {_key_path(place[:-1])}",
             needed=repr(str(place[-1])),
         )
+    # where several kinds are taken, a number of the right kind but out of its range says most
+    same = [c for c in complaints if _place(c) == place]
+    ranged = [c for c in same if c["type"].endswith("than_equal")]
+    needed = (re.sub(_OF_PYDANTIC, "", c["msg"]) for c in ranged or same)
     return InputError(
         "a value in the campaign file is not what it must be",
         where=where,
         found=repr(first.get("input")),
-        needed=first["msg"].removeprefix("Input should be ").split(", unable to parse")[0],
+        needed=", or ".join(dict.fromkeys(needed))
+        .replace("a valid dictionary", "a table")
+        .replace("valid tuple", "valid list"),
+        hint=_reason(table, place) if ranged else None,
     )
+
+
+_OF_PYDANTIC = (
+    r"^Input should be |^\w+ should have |, unable to parse.*| after validation.*"
+    r"| or (instance|an object).*"
+)
+
+
+def _reason(table: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
+    """Return why a number of the file ends where it does."""
+    model, found = table, None
+    for part in place:
+        field = model.model_fields.get(str(part))
+        if field is not None:
+            found = field.description or next(_descriptions(field.annotation), None)
+            model = next(iter(_models_within(field.annotation)), model)
+    return found
+
+
+def _descriptions(annotation: Any) -> Iterator[str]:
+    for part in (*get_args(annotation), *getattr(annotation, "__metadata__", ())):
+        if isinstance(part, FieldInfo) and part.description:
+            yield part.description
+        yield from _descriptions(part)
 
 
 def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:

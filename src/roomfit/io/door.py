@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import contextlib
 import csv
+import hashlib
 import io
 import json
 import logging
@@ -20,14 +21,14 @@ import stat
 import warnings
 import zipfile
 from collections.abc import Iterable, Iterator, Mapping
+from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from roomfit.cache import ARCHIVE_DAMAGE
+from roomfit._checks import ARCHIVE_DAMAGE
 from roomfit.errors import InputError, StoreError
-from roomfit.io.encoding import decoded
 
 LIMITS: Mapping[str, tuple[float, str]] = {
     "file_bytes": (2**30, "bytes of one file"),
@@ -41,7 +42,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "polygon_corners": (2000, "corners of one polygon"),
     "polygon_pairs": (4e6, "pairs of corners of one polygon, over all polygons beyond 100 corners"),
     "near_pairs": (1e6, "pairs of corners that are nearer than 0.1 mm without being equal"),
-    "open_edges": (20000, "edges of a room without a neighbour"),
+    "open_edges": (8000, "edges of a room without a neighbour"),
     "inserts": (10000, "blocks that a drawing inserts, counted as often as they appear"),
     "entities": (1e6, "entities of a drawing, those of blocks as often as they appear"),
     "constants": (10000, "constants of one .geo file"),
@@ -158,20 +159,108 @@ def read_bytes(path: Path, what: str, *, most: str = "file_bytes") -> bytes:
         raise InputError(
             f"the {what} is empty", where=place, found="0 bytes", hint="copy or export it again"
         )
+    _note(Path(path), content)
     return content
 
 
-def _check_regular(mode: int, what: str, where: str) -> None:
-    if stat.S_ISREG(mode):
+_NOTED: ContextVar[dict[Path, str] | None] = ContextVar("digests of files as they were read")
+
+
+@contextlib.contextmanager
+def reading_noted() -> Iterator[None]:
+    """Keep the SHA-256 of every file that is read within the block, for `files_read`.
+
+    A file that lies there when a run of an hour ends need not be the one that was read.
+    """
+    before = _NOTED.set({})
+    try:
+        yield
+    finally:
+        _NOTED.reset(before)
+
+
+def _note(path: Path, content: bytes) -> None:
+    noted = _NOTED.get(None)
+    if noted is None:
         return
-    kinds = ((stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"), (stat.S_ISSOCK, "a socket"))
-    found = next((name for test, name in kinds if test(mode)), "a device")
-    raise InputError(
-        f"the {what} cannot be read",
-        where=where,
-        found=found,
-        needed="a regular file, or a link to one",
-    )
+    digest = hashlib.sha256(content).hexdigest()
+    if noted.setdefault(path, digest) != digest:
+        raise InputError(
+            "a file changed while it was in use",
+            where=str(path),
+            found="another content than a moment ago",
+            hint="run the command again when nothing writes into it",
+        )
+
+
+def files_read() -> dict[Path, str]:
+    """Return the files read since `reading_noted` began, in order, and the SHA-256 of each."""
+    return dict(_NOTED.get(None) or {})
+
+
+def check_files(paths: Iterable[Path], where: str) -> None:
+    """Refuse all files at once that cannot be read; a single one is left to its own reader.
+
+    Raises
+    ------
+    InputError
+        Several are missing, empty, too large, or no regular files.
+    """
+    faults = []
+    for path in paths:
+        try:
+            status = path.stat()
+            kind = _kind(status.st_mode)
+            fault = f"is {kind}" if kind else "is empty" if not status.st_size else ""
+            fault = fault or ("is too large" if status.st_size > limit("file_bytes") else "")
+        except (FileNotFoundError, NotADirectoryError):
+            fault = "does not exist"
+        except (OSError, ValueError) as error:
+            fault = str(getattr(error, "strerror", None) or error)
+        if fault:
+            faults.append(f"{path.name or path} {fault}")
+    if len(faults) > 1:
+        more = len(faults) - _MOST_NAMED
+        raise InputError(
+            f"{len(faults)} files that the campaign names cannot be read",
+            where=where,
+            found="; ".join(faults[:_MOST_NAMED]) + (f"; and {more} more" if more > 0 else ""),
+            needed="regular files",
+            hint="check the paths, which are relative to the campaign file",
+        )
+
+
+_MOST_NAMED = 20
+
+
+def same_file(path: Path) -> tuple[int, int] | str:
+    """Return what two spellings of one file have in common, links included.
+
+    Where there is no such file yet, the path without what leads nowhere.
+    """
+    try:
+        status = path.stat()
+    except (OSError, ValueError):
+        return os.path.normpath(path)
+    return (status.st_dev, status.st_ino)
+
+
+def _check_regular(mode: int, what: str, where: str) -> None:
+    found = _kind(mode)
+    if found:
+        raise InputError(
+            f"the {what} cannot be read",
+            where=where,
+            found=found,
+            needed="a regular file, or a link to one",
+        )
+
+
+def _kind(mode: int) -> str:
+    """Return what a file is that is not a regular one, "" for a regular one."""
+    kinds = ((stat.S_ISREG, ""), (stat.S_ISDIR, "a folder"), (stat.S_ISFIFO, "a pipe"))
+    more = ((stat.S_ISSOCK, "a socket"),)
+    return next((name for test, name in (*kinds, *more) if test(mode)), "a device")
 
 
 def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
@@ -191,6 +280,15 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
             hint="check that the file's name ends as its format demands",
         )
     return decoded(content)
+
+
+def decoded(content: bytes) -> str:
+    """Return text, UTF-8 or else Latin-1, with newlines at the ends of lines."""
+    try:
+        text = content.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = content.decode("latin-1")
+    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def json_content(text: str, what: str) -> Any:

@@ -13,18 +13,9 @@ from typing import Any
 
 import numpy as np
 
-from roomfit.errors import StoreError
 from roomfit.findings import Finding
+from roomfit.io.door import files_read, read_bytes
 from roomfit.typing import FloatArray
-
-
-def decoded(content: bytes) -> str:
-    """Return text, UTF-8 or else Latin-1, with newlines at the ends of lines."""
-    try:
-        text = content.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = content.decode("latin-1")
-    return text.replace("\r\n", "\n").replace("\r", "\n")
 
 
 def numbers_or_null(values: FloatArray) -> list[float | None]:
@@ -104,15 +95,15 @@ def provenance(inputs: Iterable[Path]) -> dict[str, Any]:
 
 
 def input_digests(inputs: tuple[Path, ...]) -> dict[str, str]:
-    """Return the SHA-256 of every file, named relative to the folder of the first."""
+    """Return the SHA-256 of every file, named relative to the folder of the first.
+
+    As it was read, within `roomfit.io.door.reading_noted`; else of what lies there now.
+    """
     folder = inputs[0].parent if inputs else Path()
-    digests = {}
+    noted, digests = files_read(), {}
     for path in inputs:
         name = path.relative_to(folder).as_posix() if path.is_relative_to(folder) else str(path)
-        try:
-            digests[name] = hashlib.sha256(path.read_bytes()).hexdigest()
-        except OSError as error:
-            raise StoreError(
-                "an input file cannot be read again", where=str(path), found=str(error)
-            ) from error
+        content = noted.get(path) or hashlib.sha256(read_bytes(path, "input file")).hexdigest()
+        # names of files need not be UTF-8
+        digests[name.encode(errors="replace").decode()] = content
     return digests

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
@@ -17,12 +18,14 @@ from roomfit.io.campaign import (
     SharedDirectivity,
     SourceDirectivity,
     Spectrum,
+    input_files,
     read_campaign,
 )
 from roomfit.io.campaign import (
     Directivity as FirstOrderTable,
 )
 from roomfit.io.directivity import read_directivity
+from roomfit.io.door import check_files
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
@@ -105,20 +108,21 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
     # what is known of a product is stated with it
     stated = table if product is None else product
     prior = stated.prior
-    own = material_prior(
-        name,
-        bands,
-        absorption=table.absorption,
-        prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
-        bounds=stated.bounds,
-        scattering=(
-            _at_bands(scattering, bands, f"materials.{name}.scattering")
-            if isinstance(scattering, Spectrum)
-            else scattering
-        ),
-        same_absorption_as=table.same_absorption_as,
-        delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
-    )
+    with nullcontext() if product is None else located(f"products.{table.product}"):
+        own = material_prior(
+            name,
+            bands,
+            absorption=table.absorption,
+            prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
+            bounds=stated.bounds,
+            scattering=(
+                _at_bands(scattering, bands, f"materials.{name}.scattering")
+                if isinstance(scattering, Spectrum)
+                else scattering
+            ),
+            same_absorption_as=table.same_absorption_as,
+            delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
+        )
     return own if product is None else replace(own, product=table.product, product_sd=product.sd)
 
 
@@ -263,6 +267,7 @@ def load_campaign(path: Path | str) -> IdentifyArguments:
 
 def identify_arguments(campaign: Campaign) -> IdentifyArguments:
     """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`."""
+    check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)
     return {
         "scene": campaign_scene(campaign, room),

@@ -346,11 +346,16 @@ def broad_prior_findings(priors: Sequence[MaterialPrior]) -> tuple[Finding, ...]
     if not broad:
         return ()
     entries = {name: suggested_entries(name) for name in broad}
+    products = dict.fromkeys(k.product for k in priors if k.product and k.name in broad)
+    tables = [f"[products.{name}]" for name in products]
+    if not {k.name for k in priors if k.product}.issuperset(broad):
+        tables.append("[materials.NAME]")
+    place = " or ".join(tables)
     hints = [f"{name}: {', '.join(found)}" for name, found in entries.items() if found]
     sentence = (
         f"Nothing is specified of {', '.join(broad)}: a broad prior was taken, 95 % of it from "
         f'0.01 to 0.77. Where more is known, say it: prior = "ENTRY" or '
-        "{mean = [...], sd = [...]} under [materials.NAME]."
+        f"{{mean = [...], sd = [...]}} under {place}."
     )
     if hints:
         sentence += f" By their names these entries of the catalogue may fit: {'; '.join(hints)}."
@@ -414,6 +419,9 @@ def _eight(values: list[float]) -> FloatArray:
     return eight
 
 
+_NARROWEST = 1e-3  # between bounds
+
+
 def material_prior(
     name: str,
     bands: Bands,
@@ -468,6 +476,14 @@ def material_prior(
     mean, sd = plain.prior_logit_mean, plain.prior_logit_sd
     lower, upper = bounds if bounds is not None else (0.0, 1.0)
     if bounds is not None:
+        if not (lower >= 0.0 and upper <= 1.0 and upper - lower >= _NARROWEST):
+            raise InputError(
+                "lower bound is not below the upper one",
+                where=f"{where}.bounds",
+                found=f"{lower:g} and {upper:g}",
+                needed=f"0 <= lower, upper <= 1, and {_NARROWEST:g} between them",
+                hint="an absorption that is known is fixed: absorption = ...",
+            )
         # the broad prior's middle where it lies well between the bounds, else theirs
         share = (DEFAULT_MEAN - lower) / (upper - lower)
         share = share if 0.1 <= share <= 0.9 else 0.5

@@ -12,7 +12,8 @@ from roomfit._checks import did_you_mean
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
 from roomfit.findings import Code, Finding
-from roomfit.io.campaign import Campaign
+from roomfit.io.campaign import Campaign, input_files
+from roomfit.io.door import check_files
 from roomfit.io.inputs import (
     campaign_room,
     campaign_scene,
@@ -112,6 +113,7 @@ def predict_arguments(
     >>> arguments["absorption"].absorption
     array([[0.3]])
     """
+    check_files(input_files(replace(campaign, spectra=())), str(campaign.path))
     room = campaign_room(campaign)
     with located(f"{campaign.path}, identify"):
         bands, doubts = common_bands(campaign.bands, absorption.bands)

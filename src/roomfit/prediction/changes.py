@@ -26,6 +26,8 @@ _NEEDED = (
 )
 _NUMBER = r"(\d+\.?\d*|\.\d+)"
 _VALUE = re.compile(rf"^(x?){_NUMBER}(?:(?:\+-|±){_NUMBER})?$")
+# what is meant as a number, and is none of these; a material may be called 3mm-glass
+_LIKE_NUMBERS = re.compile(r"x?([-+±.,\deE]+|[-+]?(nan|inf))")
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,6 +72,8 @@ def read_change(text: str) -> Change:
         raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
     found = [_VALUE.match(part.replace(" ", "")) for part in specified.split(",")]
     matches = [m for m in found if m is not None]
+    if not matches and _LIKE_NUMBERS.fullmatch(specified):
+        raise InputError("a change is not written as it must be", found=repr(text), needed=_NEEDED)
     if not matches:
         return Change(material, "catalogue", entry=specified)
     factors = {m[1] for m in matches}

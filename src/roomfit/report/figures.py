@@ -9,7 +9,9 @@ from __future__ import annotations
 import html
 import io
 import re
-from collections.abc import Sequence
+import warnings
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +21,7 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.colors import BoundaryNorm, ListedColormap
 from matplotlib.figure import Figure
+from matplotlib.text import Text
 from matplotlib.ticker import FuncFormatter, NullLocator
 
 from roomfit.cache import write_bytes_atomically
@@ -143,11 +146,24 @@ def new_figure(width_in: float, height_in: float) -> Figure:
     return figure
 
 
-def png(figure: Figure, dpi: int = 130) -> bytes:
-    """Return a figure as the bytes of a PNG file."""
+def png(figure: Figure, dpi: int = 130, *, formulas: bool = False) -> bytes:
+    """Return a figure as the bytes of a PNG file; `formulas`: what stands between $ is one."""
     stream = io.BytesIO()
-    figure.savefig(stream, format="png", dpi=dpi)
+    with _formulas(figure, formulas):
+        figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
+
+
+@contextmanager
+def _formulas(figure: Figure, wanted: bool) -> Iterator[None]:
+    """Take or leave formulas in a figure's texts: names may have two $, and need be none."""
+    for text in figure.findobj(Text):
+        text.set_parse_math(wanted)
+    # ticks get their texts when they are drawn; control characters have been refused in names,
+    # and what else the type lacks is drawn as a box
+    with mpl.rc_context({"text.parse_math": wanted}), warnings.catch_warnings():
+        warnings.filterwarnings("ignore", "Glyph .* missing from")
+        yield
 
 
 def svg(figure: Figure, name: str, title: str) -> str:
@@ -167,7 +183,10 @@ def svg(figure: Figure, name: str, title: str) -> str:
         What the figure shows, for those who do not see it.
     """
     stream = io.StringIO()
-    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
+    with (
+        mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}),
+        _formulas(figure, wanted=False),
+    ):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     # the declaration, the document type and the licence of the metadata have no place in a page
     text = stream.getvalue()

@@ -82,7 +82,7 @@ def run_paper(
         for name, (heading, rows) in _tables(result).items():
             write_text_atomically(aside / f"{name}.csv", _csv(heading, rows))
         for name, figure in _figures(result).items():
-            write_bytes_atomically(aside / f"{name}.png", png(figure))
+            write_bytes_atomically(aside / f"{name}.png", png(figure, formulas=True))
         write_json_atomically(aside / "paper.json", paper_json(result))
     return result
 

@@ -29,8 +29,7 @@ import soundfile
 from roomfit._checks import nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.door import limit, quiet, unpacked_limit_bytes
-from roomfit.io.encoding import decoded
+from roomfit.io.door import decoded, limit, quiet, unpacked_limit_bytes
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray

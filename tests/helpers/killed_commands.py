@@ -1,0 +1,201 @@
+"""Each command over an earlier result, killed before every touch of the disk.
+
+What a command computes and draws is left out: only how its results come into their folder. In a
+process of its own, because it forks: ``python killed_commands.py COMMAND FOLDER``.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import signal
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+
+STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.", "fcntl.")
+WORD = ["old"]
+
+
+def told(*_: Any, **__: Any) -> str:
+    return WORD[0]
+
+
+def told_bytes(*_: Any, **__: Any) -> bytes:
+    return WORD[0].encode()
+
+
+def nothing(*_: Any, **__: Any) -> None:
+    return None
+
+
+def empty(*_: Any, **__: Any) -> dict[str, Any]:
+    return {"scene": None, "measurements": None}
+
+
+def writes(*names: str) -> Callable[..., None]:
+    from roomfit.cache import write_text_atomically
+
+    def write(folder: Path, *_: Any) -> None:
+        for name in names:
+            write_text_atomically(folder / name, WORD[0])
+
+    return write
+
+
+def replicate(number: int) -> Any:
+    from roomfit.coverage.estimate import Replicate
+
+    return Replicate(number, "d", "box", np.zeros((1, 1)), "refused", None, 0.0)
+
+
+def covered(_: Any, out: Path, *__: Any, **___: Any) -> Any:
+    from roomfit.coverage.estimate import write_replicate
+
+    write_replicate(out, replicate(0 if WORD[0] == "old" else 1))
+    return SimpleNamespace(found=None)
+
+
+COMMANDS = "roomfit.commands."
+STUBS: dict[str, dict[str, Any]] = {
+    "identify": {
+        COMMANDS + "identify_arguments": empty,
+        COMMANDS + "identify": nothing,
+        COMMANDS + "measured_scene": nothing,
+        "roomfit.report.html.report_html": told,
+        COMMANDS + "write_result": writes("result.json", "absorption.csv"),
+        COMMANDS + "write_pictures": writes("absorption.png"),
+    },
+    "predict": {
+        COMMANDS + "read_result": nothing,
+        COMMANDS + "predict_arguments": lambda *_: {},
+        COMMANDS + "predict": lambda **_: SimpleNamespace(
+            compares_states=True, pairs=(SimpleNamespace(source="S", receiver="R"),)
+        ),
+        COMMANDS + "write_predicted": writes("predicted.json", "predicted.csv"),
+        "roomfit.prediction.output.change_figure": nothing,
+        "roomfit.prediction.output.predicted_decay_figure": nothing,
+    },
+    "design": {
+        COMMANDS + "design_arguments": lambda *_: {},
+        COMMANDS + "design": nothing,
+        COMMANDS + "write_design": writes("design.json", "design.csv"),
+        "roomfit.experiment_design.output.design_map": nothing,
+        "roomfit.experiment_design.output.design_gain": nothing,
+    },
+    "coverage": {
+        COMMANDS + "estimate_coverage": covered,
+        "roomfit.coverage.output.coverage_csv": told,
+        "roomfit.coverage.output.coverage_figure": nothing,
+        "roomfit.coverage.output.coverage_json": lambda _: {"word": WORD[0]},
+    },
+    "paper": {
+        "roomfit.suh2001.output.repeat_paper": nothing,
+        "roomfit.suh2001.output._tables": lambda _: {"methods": ((), ())},
+        "roomfit.suh2001.output._csv": told,
+        "roomfit.suh2001.output._figures": lambda _: {"figure2": None},
+        "roomfit.suh2001.output.paper_json": lambda _: {"word": WORD[0]},
+        "roomfit.suh2001.output.png": told_bytes,
+    },
+    "impedance": {
+        "roomfit.impedance.campaign.read_campaign": nothing,
+        "roomfit.impedance.campaign.identify_campaign_impedance": lambda *_, **__: SimpleNamespace(
+            materials=(SimpleNamespace(name="wool"),), evaluations=0, pairs=()
+        ),
+        "roomfit.impedance.output._csv": told,
+        "roomfit.impedance.output.impedance_content": lambda *_: {"word": WORD[0]},
+        "roomfit.impedance.output.walls_figure": nothing,
+        "roomfit.impedance.output.png": told_bytes,
+    },
+}
+
+
+def run(command: str, out: Path) -> None:
+    """Run a command into a folder, whose files then hold the word of the hour."""
+    from roomfit import commands
+    from roomfit.impedance.campaign import impedance_to_folder
+    from roomfit.suh2001.output import run_paper
+
+    campaign = out.parent / "none.toml"
+    calls: dict[str, Callable[[], object]] = {
+        "identify": lambda: commands.identify_to_folder(campaign, out, overwrite=True),
+        "predict": lambda: commands.predict_to_folder(campaign, campaign, out, overwrite=True),
+        "design": lambda: commands.design_to_folder(campaign, out, overwrite=True),
+        "coverage": lambda: commands.estimate_coverage_to_folder(campaign, out),
+        "paper": lambda: run_paper(out, overwrite=True),
+        "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),
+    }
+    usual = {COMMANDS + "read_campaign": nothing, "roomfit.report.figures.png": told_bytes}
+    with ExitStack() as stack:
+        for name, stub in {**usual, **STUBS[command]}.items():
+            stack.enter_context(patch(name, stub))
+        calls[command]()
+
+
+def forked(command: str, out: Path, killed_at: int = 0) -> bool:
+    """Run a command in a process of its own; return whether it came to its end."""
+    child = os.fork()
+    if child == 0:
+        left = [killed_at]
+
+        def watch(event: str, _: object) -> None:
+            if event.startswith(STEPS):
+                left[0] -= 1
+                if left[0] == 0:
+                    os.kill(os.getpid(), signal.SIGKILL)
+
+        sys.addaudithook(watch)
+        try:
+            run(command, out)
+        except BaseException:  # noqa: BLE001 -- whatever it is, the child must end here
+            sys.excepthook(*sys.exc_info())
+            os._exit(1)
+        os._exit(0)
+    ended = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+    assert ended in (0, -signal.SIGKILL), ended
+    return ended == 0
+
+
+def content(out: Path) -> dict[str, str]:
+    """Return the result's own files; replicates are results by themselves."""
+    files = (p for p in out.rglob("*") if p.is_file() and p.name != ".roomfit-files")
+    named = {p.relative_to(out).as_posix(): p.read_text() for p in files}
+    return {name: text for name, text in named.items() if not name.startswith("replicates/")}
+
+
+def outcomes(command: str, folder: Path) -> Iterator[str]:
+    """Yield which result is there, killed before each step, until the command ends."""
+    saved = {}
+    for word in ("new", "old"):
+        WORD[0] = word
+        run(command, folder / word / "out")
+        saved[word] = content(folder / word / "out")
+        (folder / word / "out" / "notes.txt").write_text("mine")
+    assert saved["old"].keys() == saved["new"].keys() and len(saved["old"]) >= 3
+    WORD[0], step, ended = "new", 0, False
+    while not ended:
+        step += 1
+        out = folder / str(step) / "out"
+        shutil.copytree(folder / "old", out.parent)
+        ended = forked(command, out, step)
+        found = content(out)
+        assert found.pop("notes.txt", "") == "mine", (step, sorted(found))
+        assert found in saved.values(), (step, found)
+        assert command != "coverage" or (out / "replicates" / "0000.json").exists(), step
+        # the next run goes on, and removes what is left
+        assert forked(command, out)
+        assert content(out) == saved["new"] | {"notes.txt": "mine"}, step
+        assert [p.name for p in out.parent.iterdir()] == ["out"], step
+        shutil.rmtree(out.parent)
+        yield "old" if found == saved["old"] else "new"
+
+
+if __name__ == "__main__":
+    print(json.dumps(list(outcomes(sys.argv[1], Path(sys.argv[2])))))
