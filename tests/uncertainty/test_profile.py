@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import binom
 
 from posterior_cases import (
+    Linear,
     Posynomial,
     absorption_block,
     decay_case,
@@ -84,6 +87,53 @@ def test_the_profile_of_a_linear_problem_is_the_gaussian(seed):
     np.testing.assert_allclose(found.rise[[0, -1]], RISE95, rtol=1e-6)
     assert found.evaluations == 2
     assert may_be_bent(fit, 0) == (sd > 0.3)
+
+
+@dataclass(frozen=True, eq=False)
+class Dependent(Linear):
+    """Data of which three count as one."""
+
+    def correlation_length(self) -> np.ndarray:
+        return np.full(self.observed.size, 3.0)
+
+
+def test_windows_that_depend_on_each_other_count_once_in_a_profile():
+    """The ends of normal equations written out, under a deviation that is stated too small."""
+    plain = linear_case(11, n_geometry=2)
+    dependent = Dependent(plain.matrix, plain.observed, 0.25, plain.parameters)
+    fit = fitted(dependent)
+    assert fit.chi2_reduced > 2.0
+    mean = np.append(np.full(3, np.log(0.15 / 0.85)), np.zeros(2))
+    prior = np.diag([1.5**-2] * 3 + [1.0] * 2)
+    information = plain.matrix.T @ plain.matrix / (3.0 * 0.25**2) + prior
+    pull = plain.matrix.T @ plain.observed / (3.0 * 0.25**2) + prior @ mean
+    answer = np.linalg.solve(information, pull)
+    sd = np.sqrt(np.diag(np.linalg.inv(information)) * fit.chi2_reduced)
+    for entry in range(3):
+        found = profile(dependent, fit, entry)
+        ends = answer[entry] + 1.959964 * sd[entry] * np.array([-1.0, 1.0])
+        np.testing.assert_allclose((found.lower, found.upper), ends, rtol=1e-6)
+        np.testing.assert_allclose(found.rise[[0, -1]], RISE95, rtol=1e-6)
+
+
+@pytest.mark.parametrize("neighbours", [1.0, 3.0])
+def test_a_skew_profile_of_dependent_windows_ends_where_written_out(neighbours):
+    """One hard wall: cost over absorption on a grid, each window's square over so many times."""
+    problem = hard_wall_case(np.random.default_rng(12), 0.03)
+    sharing = {"correlation_length": lambda self: np.full(20, neighbours)}
+    dependent = type("Sharing", (Posynomial,), sharing)(**vars(problem))
+    fit = fitted(dependent)
+    found = profile(dependent, fit, 0)
+    x = np.linspace(fit.vector[0] - 4.0, fit.vector[0] + 2.5, 40_001)
+    a = 1.0 / (1.0 + np.exp(-x))
+    expected = (1.0 - a)[:, None] ** problem.hits[:, 0, 0]
+    squares = ((problem.observed - expected) ** 2 / fit.variance).sum(axis=1) / neighbours
+    cost = 0.5 * (squares + ((x - np.log(0.15 / 0.85)) / 1.5) ** 2)
+    rise = (cost - cost.min()) / max(fit.chi2_reduced, 1.0)
+    inside = x[rise <= RISE95]
+    # an end is looked for within 8 % of the rise, 4 % of a side
+    np.testing.assert_allclose((found.lower, found.upper), inside[[0, -1]], atol=0.06)
+    assert not found.gaussian
 
 
 def hard_wall_case(rng: np.random.Generator, a: float) -> Posynomial:
