@@ -195,6 +195,18 @@ def test_a_phase_that_reflections_add_at_random_takes_its_variance_a_hit() -> No
     assert kept.sum() > 20
 
 
+def test_what_no_unknown_stands_for_still_takes_some_coherence() -> None:
+    """Nothing unknown: half a millimetre at both ends, and 1e-4 of the time."""
+    term = small_term(4000.0)
+    found = with_coherence(term, np.zeros((14, 14))).images
+    length = np.linalg.norm(found.image_to_receiver_m, axis=1)
+    variance = (2.0 * 0.5e-3**2 + (1e-4 * length) ** 2) / SPEED**2
+    kept = found.coherence > 0.0
+    expected = np.exp(-((2.0 * np.pi * term.energies.centre_hz) ** 2) * variance)
+    np.testing.assert_allclose(found.coherence[kept], expected[kept], rtol=1e-9)
+    assert kept.mean() > 0.9
+
+
 def test_shifts_are_counted_from_where_paths_were_traced() -> None:
     """Speed, latency and delays are not: they are those of the free numbers themselves."""
     geometry = small_geometry()
