@@ -47,7 +47,9 @@ def test_attenuation_is_that_of_the_published_table(
     np.testing.assert_allclose(found[published > 100], published[published > 100], atol=0.51)
 
 
-def bass_attenuation_np_per_m(f_hz: float, temperature_k: float, percent: float, pressure_pa: float):
+def bass_attenuation_np_per_m(
+    f_hz: float, temperature_k: float, percent: float, pressure_pa: float
+):
     """Return the attenuation of pressure by Bass et al. in nepers a metre, written out anew.
 
     H. E. Bass, L. C. Sutherland, A. J. Zuckerwar, D. T. Blackstock, D. M. Hester, "Atmospheric
@@ -92,7 +94,9 @@ def test_attenuation_is_that_of_bass_and_others(temperature_c, humidity_percent,
     octaves = bands_between("octave", 125, 8000)
     expected = np.array(
         [
-            bass_attenuation_np_per_m(f, temperature_c + 273.15, humidity_percent, 1e3 * pressure_kpa)
+            bass_attenuation_np_per_m(
+                f, temperature_c + 273.15, humidity_percent, 1e3 * pressure_kpa
+            )
             for f in octaves.exact_centres_hz
         ]
     )
@@ -108,7 +112,9 @@ def test_energies_and_pressures_fall_by_the_decibels_of_the_standard():
     pressure = pressure_decay_per_m(air, np.array([1000.0 * 10.0**0.6]))[0]
     assert 10.0 * np.log10(np.exp(-1000.0 * energy)) == pytest.approx(-22.9, abs=0.06)
     assert 20.0 * np.log10(np.exp(-1000.0 * pressure)) == pytest.approx(-22.9, abs=0.06)
-    assert not attenuation_per_m(replace(air, attenuation="none"), bands_between("octave", 125, 4000)).any()
+    assert not attenuation_per_m(
+        replace(air, attenuation="none"), bands_between("octave", 125, 4000)
+    ).any()
 
 
 def test_speed_outside_of_the_fitted_range_goes_on_as_the_root_of_temperature():

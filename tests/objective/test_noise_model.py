@@ -303,3 +303,11 @@ def test_timing_is_as_uncertain_as_both_ends_together():
     first, second = (timing_sd_s(scene, SimpleNamespace(pair=i)) for i in (0, 1))
     assert first == pytest.approx(0.005 / 340.0)
     assert second == pytest.approx(np.hypot(0.02, 0.004) / 340.0)
+
+
+def test_windows_count_as_dependent_as_boxes_of_known_absorption_showed():
+    """Three energies as one, and 1.35 windows of pressures (decisions 0002 and 0022)."""
+    term = small_term()
+    values = {"absorption": np.full(3, 0.2), "gain": np.ones(1)}
+    np.testing.assert_array_equal(term.energies.correlation_length(values), 3.0)
+    np.testing.assert_array_equal(term.correlation_length(values), 1.35)
