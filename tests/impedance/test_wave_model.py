@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.special import wofz
 
-from impedance_cases import exact
+from impedance_cases import exact, nearest
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.data import Observed, complex_frequency_hz, standard_deviation
 from roomfit.impedance.laws import (
     absorption_random,
+    causal_curve,
     constant,
     impedance_of_r0,
     law_curve,
@@ -277,3 +280,101 @@ def test_sums_and_single_reflections_are_those_of_plain_numpy_and_scipy():
 def test_what_cannot_be_is_refused(make, words):
     with pytest.raises(InputError, match=words):
         make()
+
+
+# Walls that are passive and causal, and any that are smooth.
+
+
+def damped(low=100.0, high=1000.0, step=25.0, tau_s=0.010):
+    return np.arange(low, high + 1.0, step) - 0.5j / (np.pi * tau_s)
+
+
+def strictly_causal():
+    curve = causal_curve(damped())
+    return replace(curve, basis=0.0 * curve.basis)
+
+
+@pytest.mark.parametrize("tau_s", [0.005, 0.015, 0.2])
+def test_the_slope_of_a_causal_curve_is_that_of_central_differences(tau_s):
+    curve = causal_curve(damped(tau_s=tau_s))
+    x = curve.start + 0.03 * np.random.default_rng(1).normal(size=len(curve.start))
+    numeric = np.column_stack(
+        [(curve.r0(x + e) - curve.r0(x - e)) / 2e-6 for e in 1e-6 * np.eye(len(x))]
+    )
+    slope = curve.slope(x)
+    np.testing.assert_allclose(numeric, slope, atol=1e-7 * np.abs(slope).max())
+    chosen = np.array([3, 8, 20])
+    np.testing.assert_array_equal(curve.at(chosen).r0(x), curve.r0(x)[chosen])
+    np.testing.assert_array_equal(curve.at(chosen).slope(x), slope[chosen])
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_whatever_its_density_a_causal_curve_is_a_wall_that_energy_and_time_allow(seed):
+    """Pick's matrix, whose eigenvalues are none of them negative exactly for such functions.
+
+    Of R at s and at its conjugates, ``(1 - R_i R_j*) / (s_i + s_j*)``; to the error of the sum that
+    stands for the integral, a thousandth.
+    """
+    f = damped(step=50.0)
+    curve = causal_curve(f)
+    rng = np.random.default_rng(seed)
+    n = len(curve.log_coefficients)
+    x = curve.start
+    x[:n] += 0.1 * np.cumsum(rng.normal(size=n)) / np.sqrt(n) + 0.03 * rng.normal(size=n)
+    s = 2j * np.pi * f.real + 1.0 / 0.010
+    r = np.append(curve.r0(x), curve.r0(x).conj())
+    s = np.append(s, s.conj())
+    pick = (1.0 - np.outer(r, r.conj())) / (s[:, None] + s.conj())
+    pick = pick * 2.0 * np.sqrt(np.outer(s.real, s.real))
+    assert np.linalg.eigvalsh(pick).min() > -1e-3
+    assert np.abs(r).max() < 1.0
+
+
+@pytest.mark.parametrize("power", [-0.25, 0.0, 0.25])
+def test_a_density_that_is_a_power_of_frequency_has_that_power_as_its_admittance(power):
+    """``s**p`` over its size in the middle of the band: the integral in closed form.
+
+    Beyond three octaves on either side the density is level: that is worth a few per cent at the
+    ends of the band.
+    """
+    f = damped()
+    admittance = 0.2 * np.exp(0.5j * np.pi * power)
+    curve = causal_curve(f, complex((1.0 - admittance) / (1.0 + admittance)))
+    found = (1.0 - curve.r0(curve.start)) / (1.0 + curve.r0(curve.start))
+    s = (2j * np.pi * f.real + 100.0) / (2.0 * np.pi * np.sqrt(100.0 * 1000.0))
+    np.testing.assert_allclose(found, 0.2 * s**power, rtol=0.1 if power else 3e-3)
+
+
+def test_walls_of_every_law_are_causal_curves_or_nearly_so():
+    """Panels, resonators and springy walls to 0.003; layers by Miki are off causality by .006."""
+    f, curve = damped(), strictly_causal()
+    for z, most in (
+        (panel(f, 0.5, 4.0, 0.05, 343.0), 0.003),
+        (resonator(f, 0.3, 0.3, 0.08, 3e3, 343.0), 0.006),
+        (70.0 - 10.0j * 200.0 / f, 0.003),
+        (miki_layer(f, 2e4, 0.04, 0.0, 343.0), 0.009),
+    ):
+        r0 = r0_of_impedance(z)
+        found = curve.r0(nearest(curve, r0, 1e-5))
+        assert np.sqrt(np.mean(np.abs(found - r0) ** 2)) < most
+
+
+def test_a_rigid_wall_cannot_answer_before_it_is_struck_but_may_answer_late():
+    """|R0| = .97 turned ahead as if it stood 10 mm nearer, and turned back.
+
+    The second is a wall set back, or one that yields; the first is what points moved away from a
+    wall look like, and no course of a density comes near it.
+    """
+    curve, k = strictly_causal(), 2.0 * np.pi * damped().real / 343.0
+    off = []
+    for moved_m in (0.01, -0.01):
+        r0 = 0.97 * np.exp(2j * k * moved_m)
+        found = curve.r0(nearest(curve, r0, 1e-5))
+        off.append(np.sqrt(np.mean(np.abs(found - r0) ** 2)))
+    assert off[0] > 0.08
+    assert off[1] < 0.02
+
+
+def test_of_few_frequencies_each_is_free():
+    curve = causal_curve(damped(200.0, 400.0, 100.0), 0.3 + 0.2j)
+    np.testing.assert_array_equal(curve.r0(curve.start), np.full(3, 0.3 + 0.2j))

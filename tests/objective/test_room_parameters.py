@@ -202,7 +202,7 @@ def test_what_is_stated_and_what_the_model_errs_add_to_the_variance_of_values():
 
 
 def test_values_that_say_the_same_count_once_together():
-    """Two decay times with one common error count as two of the same, a level beside them as one."""
+    """Two decay times of one common error count as two of the same, a level beside them as one."""
     found = exponential_values(("EDT_s", "T20_s", "G_dB"), jnd=0.3).correlation_length(START)
     np.testing.assert_allclose(found, [2.0, 2.0, 1.0], atol=1e-3)
 

@@ -153,7 +153,7 @@ def test_random_places_have_the_energies_on_average_and_the_variance_stated() ->
 
 @pytest.mark.parametrize("observation", [0, 1])
 def test_gamma_of_a_path_is_the_squared_mean_of_its_phasor(observation: int) -> None:
-    """Direct sound and a first reflection, their arrival moved by draws of all that is unknown.
+    """Direct sound, one reflection, two of one wall: arrivals moved by draws of all that is unknown.
 
     The energy of a mean pressure is |E exp(i w t)|^2. Both ends move exactly, the source's image by
     its mirror; each path reads its own latency and the delay of its wall. What no unknown stands
@@ -170,7 +170,8 @@ def test_gamma_of_a_path_is_the_squared_mean_of_its_phasor(observation: int) -> 
     hits = found.hits.sum(axis=1)
     columns = geometry.columns[observation]
     w = 2.0 * np.pi * term.energies.centre_hz
-    for path in (own[hits[own] == 0][0], own[hits[own] == 1][0]):
+    twice = np.flatnonzero((found.hits[own] == 2).any(axis=1))
+    for path in (own[hits[own] == 0][0], own[hits[own] == 1][0], own[twice[0]]):
         image = found.image_transform[path].reshape(3, 3)
         moved = free * geometry.sd
         step = moved[:, columns[3:6]] - moved[:, columns[:3]] @ image.T

@@ -202,8 +202,10 @@ class CausalCurve:
 
     def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
         n = len(self.log_coefficients)
+        # a trial step may lead anywhere
         density = np.exp(np.clip(_LOG_UNIT * (self.density @ x[:n]), -50.0, 15.0))
-        factor = np.exp(_DEPARTURE * _complex(self.basis, x[n:]))
+        departure = _DEPARTURE * _complex(self.basis, x[n:])
+        factor = np.exp(np.clip(departure.real, -2.0, 2.0) + 1j * departure.imag)
         admittance = factor * (self.kernel @ density)
         by = -2.0 / (1.0 + admittance) ** 2
         by_log = (_DEPARTURE * by * admittance)[:, None] * self.basis
@@ -245,7 +247,7 @@ def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalC
         (
             np.geomspace(knots[0], low, 20 * len(steps), endpoint=False),
             np.arange(low, high, fine_hz),
-            np.geomspace(high, knots[-1], 20 * len(steps)),
+            np.geomspace(high, knots[-1], math.ceil(_BEYOND_OCTAVES * high / (2.0 * fine_hz))),
         )
     )
     s = (2j * np.pi * f + damping)[:, None]
