@@ -1,10 +1,10 @@
 """Bugs planted one at a time in code that decides answers: how many do the tests near it notice?
 
 ``python benchmarks/mutants.py`` plants all of mutants.toml, half an hour on two cores; with names
-of bugs or areas, some: ``python benchmarks/mutants.py gamma-halved air``. Each bug is a text that stands once
-in a file of src, replaced in a temporary copy; the tests named beside it run against that copy,
-nearest first, and stop at the first that fails. A bug that all of them pass has survived. Before
-that the same tests run once without any bug, and must pass.
+of bugs or areas, some: ``python benchmarks/mutants.py gamma-halved air``. Each bug is a text that
+stands once in a file of src, replaced in a temporary copy; the tests named beside it run against
+that copy, nearest first, and stop at the first that fails. A bug that all of them pass has
+survived. Before that the same tests run once without any bug, and must pass.
 """
 
 from __future__ import annotations

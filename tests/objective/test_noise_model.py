@@ -131,7 +131,7 @@ def test_the_error_of_the_model_is_a_share_of_what_is_expected_or_half_of_what_i
     noise = np.full(3, 5.0)
     own = noise_and_model_variance(term(0.2), observation(measured + noise, noise, edges), signal)
     scattered = noise * (noise + 2.0 * signal) / (BANDWIDTH_HZ * 1e4)
-    np.testing.assert_allclose(own, scattered + [0.16, 0.04, 0.81], rtol=1e-9)
+    np.testing.assert_allclose(own - scattered, [0.16, 0.04, 0.81], rtol=1e-9)
     assert np.all(scattered < 1e-4)
 
 

@@ -221,6 +221,21 @@ def test_the_noise_of_a_mean_falls_with_the_number_of_pairs_and_the_model_s_erro
         np.testing.assert_allclose(mean.predicted, values(predicted, name).mean(axis=0))
 
 
+def test_draws_of_more_absorption_move_every_value_the_way_it_goes(campaign):
+    """All draws a tenth above the estimate: their intervals lie about what is predicted there."""
+    known = posterior(0.02)
+    higher = known.absorption + 0.1
+    drawn = replace(known, draws=np.tile(higher, (4, 1, 1)))
+    found = predict_campaign(campaign, drawn, n_draws=4)
+    there = predict_campaign(campaign, replace(known, absorption=higher), n_draws=2)
+    for name, rises in (("C80_dB", True), ("D50_percent", True), ("G_dB", False), ("TS_ms", False)):
+        end = values(found, name, "upper95" if rises else "lower95")
+        away = end - values(there, name)
+        # the ends of the noise alone; rows are thinned for draws, which moves them a little
+        reach = 1.96 * values(found, name, "sd_rest")
+        np.testing.assert_allclose(away if rises else -away, reach, rtol=0.35)
+
+
 def test_another_seed_draws_other_absorptions_and_traces_other_rays(campaign):
     """What is the same in both is the room alone."""
     found = [

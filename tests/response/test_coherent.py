@@ -153,7 +153,7 @@ def test_random_places_have_the_energies_on_average_and_the_variance_stated() ->
 
 @pytest.mark.parametrize("observation", [0, 1])
 def test_gamma_of_a_path_is_the_squared_mean_of_its_phasor(observation: int) -> None:
-    """Direct sound, one reflection, two of one wall: arrivals moved by draws of all that is unknown.
+    """Direct sound, one reflection, two of one wall: arrivals moved by draws of the unknowns.
 
     The energy of a mean pressure is |E exp(i w t)|^2. Both ends move exactly, the source's image by
     its mirror; each path reads its own latency and the delay of its wall. What no unknown stands
