@@ -120,11 +120,14 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
     context.set_forkserver_preload(_PRELOADED)
     process = context.Process(target=run_tests, args=(str(copy), tuple(tests), str(log)))
     process.start()
-    process.join(limit_s)
-    late = process.is_alive()
-    if process.pid is not None:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
+    try:
+        process.join(limit_s)
+        late = process.is_alive()
+    finally:
+        # with whatever the tests have started
+        if process.pid is not None:
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
     process.join()
     text = log.read_text(encoding="utf-8") if log.exists() else ""
     failed = [line for line in text.splitlines() if line.startswith(("FAILED", "ERROR"))]
