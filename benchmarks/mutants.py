@@ -10,6 +10,7 @@ survived. Before that the same tests run once without any bug, and must pass.
 from __future__ import annotations
 
 import argparse
+import ast
 import contextlib
 import os
 import shutil
@@ -80,6 +81,18 @@ def mutated(mutant: Mutant) -> str:
     return text.replace(mutant.old, mutant.new)
 
 
+def _is_compiled(mutant: Mutant) -> bool:
+    """Whether a bug lies in a compiled function."""
+    text = (SOURCE / "roomfit" / mutant.path).read_text(encoding="utf-8")
+    line = text[: text.index(mutant.old)].count("\n") + 1
+    return any(
+        isinstance(node, ast.FunctionDef)
+        and node.lineno <= line <= (node.end_lineno or 0)
+        and any("kernel" in ast.unparse(d) for d in node.decorator_list)
+        for node in ast.walk(ast.parse(text))
+    )
+
+
 def run_tests(copy: str, tests: Sequence[str], log: str) -> None:
     """Run tests of this repository against the package below `copy`; exit with pytest's status."""
     os.setsid()
@@ -112,8 +125,8 @@ def tried(mutant: Mutant | None, tests: Sequence[str], folder: Path, limit_s: fl
     if mutant is not None:
         path = copy / "roomfit" / mutant.path
         path.write_text(mutated(mutant), encoding="utf-8")
-        if "@kernel" in path.read_text(encoding="utf-8"):
-            # machine code of callers may hold what was changed
+        if _is_compiled(mutant):
+            # machine code of callers, in other files, may hold what was changed
             for kept in copy.glob("roomfit/**/__pycache__/*.nb[ci]"):
                 kept.unlink()
     context = get_context("forkserver")

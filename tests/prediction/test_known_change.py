@@ -64,6 +64,10 @@ def test_what_is_carried_over_has_both_noises_and_the_spread_of_the_measured_val
     # sixteen steps of equal probability end at 1.86 of their standard deviations
     assert width == pytest.approx(2 * 1.96 * 1.1 * relative, rel=0.08)
     assert found.carried[0] == pytest.approx(1.1)
+    # what is not shared moves the change, draw by draw
+    apart = _change(row, before, numbers(1.0, 0.05, np.exp(-shared)), np.ones(1), np.zeros(1))
+    ends = np.quantile(0.5 * np.exp(-2.0 * shared), (0.025, 0.975))
+    np.testing.assert_allclose((apart.change_lower95[0], apart.change_upper95[0]), ends)
     level = VALUE_NAMES.index("C80_dB")
     before, after = numbers(2.0, 0.6, 2.0 + shared), numbers(1.0, 0.5, 1.0 + shared)
     found = _change(level, before, after, np.array([2.2]), np.array([0.4]))

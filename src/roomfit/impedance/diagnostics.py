@@ -318,8 +318,8 @@ def _wall_condition(fit: ImpedanceFit) -> float:
     before = fit.problem.layout
     problem = replace(fit.problem, curves=tuple(as_spline(c) for c in fit.problem.curves))
     x = np.zeros(problem.layout.size)
-    places = zip(before.curves, problem.layout.curves, strict=True)
-    for (old, new), curve, r0 in zip(places, problem.curves, fit.r0, strict=True):
+    blocks = zip(before.curves, problem.layout.curves, strict=True)
+    for (old, new), curve, r0 in zip(blocks, problem.curves, fit.r0, strict=True):
         if isinstance(curve, Spline):
             found = np.linalg.lstsq(curve.basis, r0, rcond=None)[0]
             x[new] = np.concatenate((found.real, found.imag))
