@@ -76,6 +76,28 @@ def test_derivatives_by_the_energies_are_those_of_finite_differences(seed):
     check_slopes(gradients @ direction, values(-1e-7)[0], here, values(1e-7)[0], 1e-7)
 
 
+def test_derivatives_count_what_comes_after_the_echogram():
+    """A decay of 2 s of which half a second is known: the rest follows from its last third.
+
+    By moving the last bins alone: all values that look at the whole energy move with the tail.
+    """
+    edges = 1e-3 * np.arange(0, 501)
+    energy = -np.diff(np.exp(-6.9 * edges))
+    late = np.where(np.arange(500) >= 400, energy, 0.0)
+
+    def values(step):
+        curve = echogram_decay_curve(ONE_BAND, (energy + step * late)[None], edges, 0.0)
+        return value_gradients(curve, 0, ("C80_dB", "D50_percent", "TS_ms", "G_dB"))
+
+    slope = (values(1e-4)[0] - values(-1e-4)[0]) / 2e-4
+    _, gradients = values(0.0)
+    np.testing.assert_allclose(gradients @ late, slope, rtol=1e-5)
+    # what those bins hold by themselves is little beside what they say of the tail
+    total = energy.sum() + np.exp(-6.9 * 0.5)
+    alone = 10.0 / np.log(10.0) * late.sum() / total
+    assert slope[3] > 1.5 * alone
+
+
 def check_slopes(claimed, before, here, after, step):
     """Check a slope against those on both sides, which differ where the curve has a corner.
 

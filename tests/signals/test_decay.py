@@ -235,6 +235,39 @@ def test_a_bent_decay_is_called_bent():
     assert found.nonlinearity_permille[1, 0] > 10.0
 
 
+@pytest.mark.parametrize("end_s", [0.15, 0.4, 1.0])
+def test_what_follows_an_echogram_is_the_rest_of_its_exponential(end_s):
+    """Cut after 9, 24 and 60 dB: the whole energy and its last part are those of the integral."""
+    bands = bands_between("octave", 1000.0, 1000.0)
+    edges = np.linspace(0.0, end_s, 601)
+    curve = echogram_decay_curve(bands, exponential_echogram(1.0, edges)[None, :], edges, 0.0)
+    rate = 6.0 * np.log(10.0)
+    expected = np.exp(-rate * edges) / rate
+    np.testing.assert_allclose(curve.energy_left[0], expected, rtol=1e-9)
+    assert curve.tail_time_constant_s[0] == pytest.approx(1.0 / rate, rel=1e-9)
+
+
+def test_decay_times_of_a_bent_decay_are_read_over_the_ranges_of_the_standard():
+    """0 to 10, 5 to 25 and 5 to 35 dB below the beginning: lines through the level in closed form.
+
+    ISO 3382-1:2009, 5.3 and A.2.2; the two slopes give each range a decay time of its own.
+    """
+    bands = bands_between("octave", 1000.0, 1000.0)
+    edges = np.linspace(0.0, 6.0, 60_001)
+    energy = exponential_echogram(0.5, edges) + 0.01 * exponential_echogram(2.0, edges)
+    found = room_parameters(echogram_decay_curve(bands, energy[None, :], edges, 0.0))
+    t = np.linspace(0.0, 2.0, 400_001)
+    rates = 6.0 * np.log(10.0) / np.array([0.5, 2.0])
+    left = np.exp(-rates[0] * t) / rates[0] + 0.01 * np.exp(-rates[1] * t) / rates[1]
+    level = 10.0 * np.log10(left / left[0])
+    times = []
+    for name, high, low in (("EDT_s", 0, 10), ("T20_s", 5, 25), ("T30_s", 5, 35)):
+        own = (level <= -high) & (level >= -low)
+        times.append(-60.0 / np.polyfit(t[own], level[own], 1)[0])
+        assert found.of(name)[0] == pytest.approx(times[-1], rel=2e-3)
+    assert times[2] > 1.2 * times[1] > 1.4 * times[0]
+
+
 def test_measured_and_predicted_curves_of_the_same_energy_have_the_same_parameters():
     """The echogram of a filtered pressure, at 1 ms, through the other entrance."""
     response = tones(3.0, delay_s=0.05)
