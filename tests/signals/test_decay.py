@@ -16,6 +16,7 @@ from roomfit.signals.decay import (
     decay_curve,
     decay_curve_db,
     echogram_decay_curve,
+    jnd_of,
     range_findings,
     room_parameters,
 )
@@ -233,6 +234,20 @@ def test_a_bent_decay_is_called_bent():
     found = room_parameters(echogram_decay_curve(bands, energy[None, :], edges, 0.0))
     assert found.curvature_percent[0] > 10.0
     assert found.nonlinearity_permille[1, 0] > 10.0
+
+
+def test_a_just_noticeable_difference_is_that_of_the_standard():
+    """ISO 3382-1:2009, table A.1; T20 and T30 as EDT, C50 as C80."""
+    for name in ("EDT_s", "T20_s", "T30_s"):
+        np.testing.assert_allclose(jnd_of(name, np.array([0.4, 2.0])), [0.02, 0.1])
+    for name, step in (
+        ("C50_dB", 1),
+        ("C80_dB", 1),
+        ("D50_percent", 5),
+        ("TS_ms", 10),
+        ("G_dB", 1),
+    ):
+        np.testing.assert_array_equal(jnd_of(name, np.array([0.4, 2.0])), [step, step])
 
 
 @pytest.mark.parametrize("end_s", [0.15, 0.4, 1.0])
