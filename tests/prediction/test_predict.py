@@ -237,15 +237,17 @@ def test_draws_of_more_absorption_move_every_value_the_way_it_goes(campaign):
 
 
 def test_another_seed_draws_other_absorptions_and_traces_other_rays(campaign):
-    """What is the same in both is the room alone."""
+    """What is the same in both is the room alone; the spread of a change is that of draws alone."""
     found = [
         predict_campaign(
             replace(campaign, settings=replace(campaign.settings, seed=seed, n_rays=2000)),
             posterior(0.3),
+            [read_change("carpet=x1+-0.2")],
             n_draws=8,
         )
         for seed in (1, 2)
     ]
+    assert np.all(found[0].lower95[1] != found[1].lower95[1])
     widths = [values(f, "T20_s", "sd_absorption") for f in found]
     assert np.all(widths[0] != widths[1])
     assert [f.seed for f in found] == [1, 2]
