@@ -16,6 +16,13 @@ from roomfit.cache import shared_folder, sole_writer, whole_output_folder
 from roomfit.errors import InputError, StoreError
 from small_campaign import run_command
 
+# processes of these tests import their helpers, too
+_PATHS = [str(Path(__file__).parent), str(Path(__file__).parent / "helpers")]
+ENVIRONMENT = {
+    **os.environ,
+    "PYTHONPATH": os.pathsep.join([*_PATHS, os.environ.get("PYTHONPATH", "")]),
+    "PYTHONDONTWRITEBYTECODE": "1",
+}
 POSIX = pytest.mark.skipif(sys.platform == "win32", reason="signals and locks of POSIX")
 OLD = {"result.json": "old", "decay_1.png": "old", "decay_2.png": "old", "inner/table.csv": "old"}
 NEW = {"result.json": "new", "decay_1.png": "new", "inner/table.csv": "new", "more.csv": "new"}
@@ -68,8 +75,6 @@ write(Path(sys.argv[1]), NEW)
 @pytest.mark.parametrize("before", [OLD, {}], ids=["over a result", "new"])
 def test_killed_at_any_step_the_old_result_is_there_or_the_new_one(tmp_path, before):
     """The process is killed before its n-th touch of the disk, for every n until it ends."""
-    path = os.pathsep.join([str(Path(__file__).parent), os.environ.get("PYTHONPATH", "")])
-    environment = {**os.environ, "PYTHONPATH": path, "PYTHONDONTWRITEBYTECODE": "1"}
     found = []
     for step in range(1, 400):
         out = tmp_path / str(step) / "out"
@@ -79,7 +84,7 @@ def test_killed_at_any_step_the_old_result_is_there_or_the_new_one(tmp_path, bef
         else:
             out.parent.mkdir()
         done = subprocess.run(
-            [sys.executable, "-c", PROGRAM, str(out), str(step)], env=environment, check=False
+            [sys.executable, "-c", PROGRAM, str(out), str(step)], env=ENVIRONMENT, check=False
         )
         content = content_of(out)
         foreign = FOREIGN if before else {}
@@ -290,7 +295,10 @@ def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(
     )
     out = tmp_path / "out"
     other = subprocess.Popen(
-        [sys.executable, "-c", program, str(out)], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+        [sys.executable, "-c", program, str(out)],
+        env=ENVIRONMENT,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
     )
     assert other.stdout is not None and other.stdout.readline() == b"in\n"
     while other.poll() is None:
@@ -328,7 +336,7 @@ def test_workers_that_are_starting_get_no_interrupt():
     program = (
         "import os, signal, threading, time\n"
         "from functools import partial\n"
-        "from roomfit._numba import in_pool, worker_pool\n"
+        "from roomfit.workers import in_pool, worker_pool\n"
         "if __name__ == '__main__':\n"
         "    ask = partial(signal.pthread_sigmask, signal.SIG_BLOCK, ())\n"
         "    before = ask()\n"

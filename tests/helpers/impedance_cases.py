@@ -1,8 +1,9 @@
-"""The exact wave fields of the data folder as measurements."""
+"""The exact wave fields of the data folder as measurements, and curves drawn through walls."""
 
 from __future__ import annotations
 
 import numpy as np
+from scipy.optimize import least_squares
 
 from roomfit.impedance.data import Observed
 
@@ -12,3 +13,19 @@ def exact(data, name="exact_M3"):
     file = np.load(data / "impedance_exact" / f"{name}.npz")
     p = file["p"].T
     return Observed(file["f"], float(file["tau"]), p, np.zeros(p.shape))
+
+
+def nearest(curve, r0, weak=1e-4):
+    """Return the numbers of a curve that come nearest to some R0, smooth where it does not say."""
+    n = len(curve.start)
+    rough = weak * np.vstack([curve.roughness, np.eye(n)])
+
+    def rows(x):
+        off = curve.r0(x) - r0
+        return np.concatenate([off.real, off.imag, rough @ (x - curve.start)])
+
+    def slopes(x):
+        by = curve.slope(x)
+        return np.vstack([by.real, by.imag, rough])
+
+    return least_squares(rows, curve.start, slopes, max_nfev=60).x

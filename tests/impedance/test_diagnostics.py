@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from images_reference import l_shaped_room
+from impedance_cases import nearest
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.impedance.data import Observed, level_at, model_error
@@ -113,9 +114,7 @@ def start_with(problem, r0):
     """Return unknowns whose curves are the best of theirs to some R0."""
     x = start_of(problem)
     for place, curve, own in zip(problem.layout.curves, problem.curves, r0, strict=True):
-        by = curve.slope(x[place])
-        rows = np.vstack([by.real, by.imag])
-        x[place] = np.linalg.lstsq(rows, np.concatenate([own.real, own.imag]), rcond=None)[0]
+        x[place] = nearest(curve, own)
     return x
 
 

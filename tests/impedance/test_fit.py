@@ -13,7 +13,15 @@ from roomfit.impedance.fit import WallModel
 from roomfit.impedance.identify import ImpedanceSettings, identify_impedance
 from roomfit.impedance.laws import absorption_normal, impedance_of_r0, spline
 from roomfit.impedance.wave_model import Nuisances, at_rest, predicted_pressure, wave_model
-from simulated_rooms.impedance_box import WALLS, box_scene, noisy, rms_by_material, true_r0
+from simulated_rooms.impedance_box import (
+    SURFACES,
+    WALLS,
+    box_scene,
+    exact_pressure,
+    noisy,
+    rms_by_material,
+    true_r0,
+)
 from simulated_rooms.wave_images import bulk_reacting, image_pressure, locally_reacting
 
 EXACT = Nuisances(position_sd_m=0.0, speed_sd=0.0)
@@ -26,12 +34,23 @@ def found_r0(answer):
 
 
 @pytest.mark.slow
-def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_plane_ones(real_data):
+@pytest.mark.parametrize("field", ["own", "another"])
+def test_walls_of_an_exact_wave_field_are_found_by_spherical_waves_and_not_by_plane_ones(
+    request, field
+):
     """A2 of docs/impedance.md at every second frequency; the field knows no image sources."""
-    whole, scene = exact(real_data), box_scene()
-    observed = Observed(
-        whole.frequency_hz[::2], whole.tau_s, whole.pressure[:, ::2], whole.noise[:, ::2]
-    )
+    scene = box_scene()
+    if field == "own":
+        f = np.arange(100.0, 1001.0, 20.0)
+        r0 = true_r0(Observed(f, 0.015, np.ones((1, len(f)))), scene.room.materials)
+        walls = {s: r0[scene.room.materials.index(WALLS.get(s, "plaster"))] for s in SURFACES}
+        p = exact_pressure(f, 0.015, walls)
+        observed = Observed(f, 0.015, p, np.zeros(p.shape))
+    else:
+        whole = exact(request.getfixturevalue("real_data"))
+        observed = Observed(
+            whole.frequency_hz[::2], whole.tau_s, whole.pressure[:, ::2], whole.noise[:, ::2]
+        )
     r0 = true_r0(observed, scene.room.materials)
     f = observed.frequency_hz
 

@@ -17,7 +17,7 @@ from roomfit.bands import bands_between
 from roomfit.cache import json_text
 from roomfit.commands import identify_to_folder
 from roomfit.findings import Code, Finding
-from roomfit.inversion.identify import identify
+from roomfit.inversion.identify import combine, identify
 from roomfit.io.campaign import input_files, read_campaign
 from roomfit.io.inputs import identify_arguments, load_campaign
 from roomfit.io.results import absorption_csv, result_content
@@ -175,26 +175,65 @@ def test_an_absorption_that_is_given_stays_exactly(tmp_path, few_rays):
     np.testing.assert_allclose(answer.absorption[walls], ABSORPTION["walls"], atol=0.06)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("code", [Code.SCATTERING_UNDERESTIMATED, Code.WALL_POSITION_MISMATCH])
-def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(
-    tmp_path, few_rays, monkeypatch, code
-):
-    """Whoever finds it; and the walls are not blamed for being inseparable."""
+@pytest.fixture(scope="module")
+def combined(tmp_path_factory):
+    """What the bands of a fit with a given carpet are combined from, but for the findings."""
+    given = []
 
-    def doubt(_):
-        return (Finding(code, "It is.", {}),)
+    def keep(*arguments):
+        given.append(arguments)
+        return combine(*arguments)
 
     specified = (CARPET, f"{CARPET}\nabsorption = 0.4")
-    sure = answer_to(tmp_path / "sure", specified)
-    monkeypatch.setattr("roomfit.inversion.identify.description_findings", doubt)
-    unsure = answer_to(tmp_path / "unsure", specified)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(roomfit.io.campaign, "DEFAULTS", Settings(n_rays=4000))
+        patch.setattr("roomfit.inversion.identify.combine", keep)
+        answer_to(tmp_path_factory.mktemp("combined"), specified)
+    *fitted, _, settings = given[0]
+    return lambda *findings: combine(*fitted, findings, settings)
+
+
+VOIDS = (
+    "displacement-detected",
+    "model-misfit-all-bands",
+    "position-inconsistent",
+    "reflection-delay-detected",
+    "scattering-underestimated",
+    "source-not-omnidirectional",
+    "wall-position-mismatch",
+)
+
+
+@pytest.mark.parametrize("text", VOIDS)
+def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(combined, text):
+    """Whoever finds it; and the walls are not blamed for being inseparable."""
+    sure, unsure = combined(), combined(Finding(Code(text), "It is.", {}))
     held = np.array(unsure.materials) == "carpet"
     assert sure.identifiable[~held].any()
     assert not unsure.identifiable[~held].any()
     assert unsure.identifiable[held].all()
     assert Code.MATERIALS_NOT_SEPARABLE not in codes(unsure)
     np.testing.assert_array_equal(sure.absorption, unsure.absorption)
+
+
+def test_no_other_finding_takes_anything_from_what_is_identifiable(combined):
+    """All of them at once."""
+    others = [Finding(c, "It is.", {}) for c in Code if c.value not in VOIDS]
+    np.testing.assert_array_equal(combined(*others).identifiable, combined().identifiable)
+
+
+def test_two_seeds_give_two_answers(tmp_path, monkeypatch):
+    """Walls that scatter, so that rays count, and no random number but those of the trace."""
+    found = []
+    for seed in (1, 2):
+        few = Settings(n_rays=2000, n_rays_beside_images=500)
+        monkeypatch.setattr(roomfit.io.campaign, "DEFAULTS", few)
+        rough = ("scattering = 0.0", "scattering = 0.5")
+        one = ("to_hz = 1000", f'to_hz = 500\nmodel = "energy"\nseed = {seed}')
+        found.append(answer_to(tmp_path / str(seed), rough, one))
+    assert [answer.seed for answer in found] == [1, 2]
+    assert np.all(found[0].absorption != found[1].absorption)
+    np.testing.assert_allclose(found[0].absorption, found[1].absorption, atol=0.1)
 
 
 @pytest.mark.parametrize("method", ["least-squares", "simplex", "annealing"])

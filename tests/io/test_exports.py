@@ -119,6 +119,13 @@ def test_raven_bands_are_those_of_a_published_set(real_data):
     assert RAVEN_BANDS.centres_hz.tolist() == centres
 
 
+def test_raven_bands_are_the_31_third_octaves_from_20_hz_to_20_khz():
+    """Nominal centres, as IEC 61260-1 has them."""
+    decade = np.array([20, 25, 31.5, 40, 50, 63, 80, 100, 125, 160])
+    expected = np.concatenate([decade, 10 * decade, 100 * decade, [20_000]])
+    np.testing.assert_array_equal(RAVEN_BANDS.centres_hz, expected)
+
+
 def test_catt_lines_follow_its_grammar(tmp_path):
     """Name of at most 15 letters, digits and _; six whole percents, a colon, two more; colour."""
     export_result(write_result(tmp_path, 0.3), "catt", tmp_path / "materials.geo")

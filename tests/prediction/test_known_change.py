@@ -20,8 +20,10 @@ from roomfit.materials.catalogue import _WORDS, broad_prior_findings, catalogue,
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, unknown_material
 from roomfit.prediction.campaign import predict_arguments
 from roomfit.prediction.changes import Change, prior_dominated, read_change
+from roomfit.prediction.decay import PairNumbers, PredictedDecay
 from roomfit.prediction.output import COLUMNS, change_figure, predicted_content, predicted_csv
-from roomfit.prediction.predict import predict
+from roomfit.prediction.predict import _change, predict
+from roomfit.signals.iso3382 import VALUE_NAMES
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 from small_campaign import ABSORPTION, write_campaign
 
@@ -35,6 +37,43 @@ def posterior(sd: float, materials: tuple[str, ...] = NAMES) -> AbsorptionPoster
     low, high = (1.0 / (1.0 + np.exp(-(logit(a) + s * 1.96 * sd))) for s in (-1, 1))
     covariance = np.stack([np.eye(len(materials)) * sd**2] * 2)
     return AbsorptionPosterior(materials, BANDS, a, low, high, covariance)
+
+
+def numbers(values: float, noise_sd: float, draws: np.ndarray) -> PairNumbers:
+    """Return one band's predictions of a pair, alike for all parameters."""
+    n = len(VALUE_NAMES)
+    drawn = np.tile(draws[:, None, None], (1, n, 1))
+    nothing = PredictedDecay(np.zeros(1), *(np.zeros((1, 1)),) * 3)
+    return PairNumbers(np.full((n, 1), values), drawn, np.full((n, 1), noise_sd), nothing)
+
+
+def test_what_is_carried_over_has_both_noises_and_the_spread_of_the_measured_value():
+    """By hand, absorption known: ratios of times by relative errors, levels by their own.
+
+    A fifth of absorption's spread that both states share leaves no trace in either.
+    """
+    shared = np.array([-0.2, -0.1, 0.1, 0.2])
+    before = numbers(2.0, 0.06, 2.0 * np.exp(shared))
+    after = numbers(1.0, 0.05, 1.0 * np.exp(shared))
+    row = VALUE_NAMES.index("T20_s")
+    found = _change(row, before, after, np.array([2.2]), np.array([0.11]))
+    assert found.change[0] == pytest.approx(0.5)
+    assert found.change_lower95[0] == pytest.approx(0.5) == found.change_upper95[0]
+    relative = np.sqrt(0.03**2 + 0.05**2 + 0.05**2)
+    width = found.carried_upper95[0] - found.carried_lower95[0]
+    # sixteen steps of equal probability end at 1.86 of their standard deviations
+    assert width == pytest.approx(2 * 1.96 * 1.1 * relative, rel=0.08)
+    assert found.carried[0] == pytest.approx(1.1)
+    # what is not shared moves the change, draw by draw
+    apart = _change(row, before, numbers(1.0, 0.05, np.exp(-shared)), np.ones(1), np.zeros(1))
+    ends = np.quantile(0.5 * np.exp(-2.0 * shared), (0.025, 0.975))
+    np.testing.assert_allclose((apart.change_lower95[0], apart.change_upper95[0]), ends)
+    level = VALUE_NAMES.index("C80_dB")
+    before, after = numbers(2.0, 0.6, 2.0 + shared), numbers(1.0, 0.5, 1.0 + shared)
+    found = _change(level, before, after, np.array([2.2]), np.array([0.4]))
+    assert found.carried[0] == pytest.approx(1.2)
+    width = found.carried_upper95[0] - found.carried_lower95[0]
+    assert width == pytest.approx(2 * 1.96 * np.sqrt(0.36 + 0.25 + 0.16), rel=0.08)
 
 
 @pytest.fixture(scope="module")

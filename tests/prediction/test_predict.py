@@ -29,6 +29,7 @@ from roomfit.prediction.decay import scene_decay_s
 from roomfit.prediction.predict import Predicted, predict
 from roomfit.response.energy import energy_rows, thinned_rows, weigh
 from roomfit.scene import Point, Scene
+from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.synthetic.boxes import add_noise
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
@@ -182,6 +183,74 @@ def test_an_interval_is_at_least_as_wide_as_what_it_is_made_of(predicted):
         width = values(predicted, name, "upper95") - values(predicted, name, "lower95")
         parts = [values(predicted, name, w) for w in ("sd_absorption", "sd_rest")]
         np.testing.assert_allclose(width, 2 * 1.96 * np.hypot(*parts), rtol=0.15)
+
+
+def test_what_is_not_absorption_is_the_noise_of_the_pair_and_the_error_of_the_model(campaign):
+    """In a room that decays as Eyring says, known exactly: ISO 3382-2 and 5 % times 0.3.
+
+    The standard's standard deviations hold for diffuse fields and whole decays: within a third.
+    """
+    text = campaign.path.read_text().replace("scattering = 0.0", "scattering = 0.9")
+    path = campaign.path.with_name("noisy.toml")
+    path.write_text(text)
+    a = np.full((3, 2), 0.05)
+    exact = AbsorptionPosterior(NAMES, BANDS, a, a, a, np.zeros((2, 3, 3)))
+    found = predict_campaign(read_campaign(path), exact, n_draws=2)
+    bandwidth_hz = statistical_bandwidth_hz(FilterBank(BANDS))
+    for name, factor in (("T20_s", 0.88), ("T30_s", 0.55)):
+        time_s = values(found, name)
+        noise = np.sqrt(values(found, name, "sd_rest") ** 2 - (0.3 * 0.05 * time_s) ** 2)
+        standard = factor * time_s / np.sqrt(bandwidth_hz * time_s)
+        np.testing.assert_allclose(noise / standard, 1.0, atol=1.0 / 3.0)
+        width = values(found, name, "upper95") - values(found, name, "lower95")
+        np.testing.assert_allclose(width, 2 * 1.96 * values(found, name, "sd_rest"), rtol=0.1)
+
+
+def test_the_noise_of_a_mean_falls_with_the_number_of_pairs_and_the_model_s_error_does_not(
+    predicted,
+):
+    """Two pairs are independent: half the root of the sum of their squares."""
+    for name, model in (("T20_s", 0.3 * 0.05), ("C80_dB", 0.3), ("TS_ms", 3.0)):
+        mean = predicted.mean[name]
+        size = values(predicted, name) if name == "T20_s" else np.ones((2, 2))
+        noise = np.sqrt(values(predicted, name, "sd_rest") ** 2 - (model * size) ** 2)
+        own = model * (mean.predicted if name == "T20_s" else 1.0)
+        expected = np.hypot(0.5 * np.hypot(*noise), own)
+        np.testing.assert_allclose(mean.sd_rest, expected, rtol=1e-9)
+        assert np.all(noise > 0.2 * own)
+        np.testing.assert_allclose(mean.predicted, values(predicted, name).mean(axis=0))
+
+
+def test_draws_of_more_absorption_move_every_value_the_way_it_goes(campaign):
+    """All draws a tenth above the estimate: their intervals lie about what is predicted there."""
+    known = posterior(0.02)
+    higher = known.absorption + 0.1
+    drawn = replace(known, draws=np.tile(higher, (4, 1, 1)))
+    found = predict_campaign(campaign, drawn, n_draws=4)
+    there = predict_campaign(campaign, replace(known, absorption=higher), n_draws=2)
+    for name, rises in (("C80_dB", True), ("D50_percent", True), ("G_dB", False), ("TS_ms", False)):
+        end = values(found, name, "upper95" if rises else "lower95")
+        away = end - values(there, name)
+        # the ends of the noise alone; rows are thinned for draws, which moves them a little
+        reach = 1.96 * values(found, name, "sd_rest")
+        np.testing.assert_allclose(away if rises else -away, reach, rtol=0.35)
+
+
+def test_another_seed_draws_other_absorptions_and_traces_other_rays(campaign):
+    """What is the same in both is the room alone; the spread of a change is that of draws alone."""
+    found = [
+        predict_campaign(
+            replace(campaign, settings=replace(campaign.settings, seed=seed, n_rays=2000)),
+            posterior(0.3),
+            [read_change("carpet=x1+-0.2")],
+            n_draws=8,
+        )
+        for seed in (1, 2)
+    ]
+    assert np.all(found[0].lower95[1] != found[1].lower95[1])
+    widths = [values(f, "T20_s", "sd_absorption") for f in found]
+    assert np.all(widths[0] != widths[1])
+    assert [f.seed for f in found] == [1, 2]
 
 
 def test_a_changed_material_is_predicted_as_if_it_had_been_found_so(campaign):

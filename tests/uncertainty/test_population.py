@@ -9,6 +9,8 @@ import pytest
 
 from posterior_cases import ExactValues, decay_case, exchangeable_case
 from roomfit.solvers.least_squares import fit_band
+from roomfit.uncertainty.gaussian import FittedBand, band_estimate
+from roomfit.uncertainty.intervals import Refinement
 from roomfit.uncertainty.population import posterior_draws
 from roomfit.uncertainty.sampling import log_posterior
 
@@ -70,3 +72,20 @@ def test_equal_seeds_give_equal_draws():
     np.testing.assert_array_equal(one, same)
     assert one.shape == (40, 3)
     assert not np.array_equal(one, other)
+
+
+def test_draws_and_samples_are_those_of_the_seed():
+    """Two seeds differ and one repeats itself, with draws for predictions and with samples."""
+    case = decay_case(np.random.default_rng(4), np.array([0.2]), gain=False)
+    fit = fit_band(case)
+    answer = band_estimate(case.parameters, fit, np.ones(1), "energy")
+    band = FittedBand(answer, case, fit)
+    drawn, samples = (
+        [Refinement(way, np.ones(1), seed, n_draws=16)(band) for seed in (1, 2, 2)]
+        for way in ("gaussian", "posterior")
+    )
+    assert not np.array_equal(drawn[0].draws, drawn[1].draws)
+    np.testing.assert_array_equal(drawn[1].draws, drawn[2].draws)
+    chains = [s.sampling.draws for s in samples]
+    assert not np.array_equal(chains[0], chains[1])
+    np.testing.assert_array_equal(chains[1], chains[2])

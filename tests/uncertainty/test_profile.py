@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -10,6 +12,7 @@ from scipy.optimize import brentq, least_squares
 from scipy.stats import binom
 
 from posterior_cases import (
+    Linear,
     Posynomial,
     absorption_block,
     decay_case,
@@ -86,6 +89,53 @@ def test_the_profile_of_a_linear_problem_is_the_gaussian(seed):
     assert may_be_bent(fit, 0) == (sd > 0.3)
 
 
+@dataclass(frozen=True, eq=False)
+class Dependent(Linear):
+    """Data of which three count as one."""
+
+    def correlation_length(self) -> np.ndarray:
+        return np.full(self.observed.size, 3.0)
+
+
+def test_windows_that_depend_on_each_other_count_once_in_a_profile():
+    """The ends of normal equations written out, under a deviation that is stated too small."""
+    plain = linear_case(11, n_geometry=2)
+    dependent = Dependent(plain.matrix, plain.observed, 0.25, plain.parameters)
+    fit = fitted(dependent)
+    assert fit.chi2_reduced > 2.0
+    mean = np.append(np.full(3, np.log(0.15 / 0.85)), np.zeros(2))
+    prior = np.diag([1.5**-2] * 3 + [1.0] * 2)
+    information = plain.matrix.T @ plain.matrix / (3.0 * 0.25**2) + prior
+    pull = plain.matrix.T @ plain.observed / (3.0 * 0.25**2) + prior @ mean
+    answer = np.linalg.solve(information, pull)
+    sd = np.sqrt(np.diag(np.linalg.inv(information)) * fit.chi2_reduced)
+    for entry in range(3):
+        found = profile(dependent, fit, entry)
+        ends = answer[entry] + 1.959964 * sd[entry] * np.array([-1.0, 1.0])
+        np.testing.assert_allclose((found.lower, found.upper), ends, rtol=1e-6)
+        np.testing.assert_allclose(found.rise[[0, -1]], RISE95, rtol=1e-6)
+
+
+@pytest.mark.parametrize("neighbours", [1.0, 3.0])
+def test_a_skew_profile_of_dependent_windows_ends_where_written_out(neighbours):
+    """One hard wall: cost over absorption on a grid, each window's square over so many times."""
+    problem = hard_wall_case(np.random.default_rng(12), 0.03)
+    sharing = {"correlation_length": lambda _: np.full(20, neighbours)}
+    dependent = type("Sharing", (Posynomial,), sharing)(**vars(problem))
+    fit = fitted(dependent)
+    found = profile(dependent, fit, 0)
+    x = np.linspace(fit.vector[0] - 4.0, fit.vector[0] + 2.5, 40_001)
+    a = 1.0 / (1.0 + np.exp(-x))
+    expected = (1.0 - a)[:, None] ** problem.hits[:, 0, 0]
+    squares = ((problem.observed - expected) ** 2 / fit.variance).sum(axis=1) / neighbours
+    cost = 0.5 * (squares + ((x - np.log(0.15 / 0.85)) / 1.5) ** 2)
+    rise = (cost - cost.min()) / max(fit.chi2_reduced, 1.0)
+    inside = x[rise <= RISE95]
+    # an end is looked for within 8 % of the rise, 4 % of a side
+    np.testing.assert_allclose((found.lower, found.upper), inside[[0, -1]], atol=0.06)
+    assert not found.gaussian
+
+
 def hard_wall_case(rng: np.random.Generator, a: float) -> Posynomial:
     """One material of little absorption in twenty windows: many hits, much scatter."""
     hits = np.repeat(np.arange(1.0, 11.0), 2)[:, None, None]
@@ -140,6 +190,51 @@ def test_profiles_replace_gaussian_intervals_where_they_are_skew_and_are_named()
 
     assert np.all(sides(better) >= LEAST_SIDE * sides(gauss) - 1e-9)
     assert np.all(better.absorption == gauss.absorption)
+
+
+def skew_case():
+    problem = decay_case(np.random.default_rng(1), np.array([0.02, 0.5]))
+    fit = fitted(problem)
+    return problem, fit, band_estimate(problem.parameters, fit, np.array([10.0, 20.0]), "energy")
+
+
+def logits(a):
+    return np.log(a) - np.log1p(-a)
+
+
+def test_what_a_fit_does_not_know_of_widens_either_side_of_a_profile_by_itself():
+    """Rays add 0.2 to the standard deviation of a logit: each side as a root of squares."""
+    problem, fit, plain = skew_case()
+    more = replace(plain, logit_covariance=plain.logit_covariance + 0.04 * np.eye(2))
+    found = profiled(problem, fit, more)
+    assert "profile" in found.kinds
+    for own in np.flatnonzero(np.array(found.kinds) == "profile"):
+        line, at = profile(problem, fit, int(own)), fit.vector[own]
+        sides = np.array([at - line.lower, line.upper - at])
+        assert abs(sides[0] / sides[1] - 1.0) > 0.1
+        ends = logits(np.array([found.lower95[own], found.upper95[own]]))
+        expected = np.hypot(sides, 1.959964 * 0.2)
+        np.testing.assert_allclose(np.abs(ends - at), expected, rtol=1e-6)
+
+
+def test_a_profile_narrows_no_side_to_less_than_half_of_the_gaussian(monkeypatch):
+    """Whatever it says: here, next to nothing below and three standard deviations above."""
+    problem, fit, plain = skew_case()
+    sd = np.sqrt(np.diag(plain.logit_covariance))
+
+    def narrow(_objective, _fit, entry, _answer=None):
+        at = fit.vector[entry]
+        found = profile(problem, fit, entry)
+        return replace(found, lower=at - 0.01 * sd[entry], upper=at + 3.0 * sd[entry],
+                       gaussian=False)  # fmt: skip
+
+    monkeypatch.setattr("roomfit.uncertainty.intervals.profile", narrow)
+    found = profiled(problem, fit, plain)
+    for own in np.flatnonzero(np.array(found.kinds) == "profile"):
+        below = fit.vector[own] - logits(found.lower95[own])
+        above = logits(found.upper95[own]) - fit.vector[own]
+        assert below == pytest.approx(0.5 * 1.959964 * sd[own], rel=1e-6)
+        assert above == pytest.approx(3.0 * sd[own], rel=1e-6)
 
 
 def test_random_starts_find_the_other_of_two_exchangeable_materials():

@@ -19,7 +19,7 @@ from roomfit.impedance.fit import (
     reduced_chi2,
     refit,
 )
-from roomfit.impedance.laws import LAWS, LawCurve
+from roomfit.impedance.laws import LAWS, LawCurve, Spline, as_spline
 from roomfit.impedance.problem import Problem, data_rows, factor_of, source_spectra
 from roomfit.impedance.result import (
     Z95,
@@ -92,7 +92,7 @@ def data_findings(problem: Problem, walls: dict[str, WallModel]) -> tuple[Findin
         )
         return (Finding(Code.TOO_FEW_DATA, sentence, {**evidence, "materials": n_materials}),)
     needed = sum(
-        len(LAWS[wall.kind][1]) if wall.kind in LAWS else len(curve.start)
+        len(LAWS[wall.kind][1]) if wall.kind in LAWS else len(as_spline(curve).start)
         for wall, curve in zip(walls.values(), problem.curves, strict=True)
     )
     data = (2 if observed.has_phase else 1) * n_pairs * n_f
@@ -314,8 +314,20 @@ def _wall_condition(fit: ImpedanceFit) -> float:
     Largest over smallest singular value of the weighted Jacobian by the walls' numbers, without
     priors of theirs, after what the other unknowns can explain.
     """
-    _, jacobian = data_rows(fit.problem, fit.x, fit.correction)
-    n = fit.problem.layout.curves[-1].stop
+    # by the numbers of a spline of R0: of a density's, some mean frequencies beyond the data
+    before = fit.problem.layout
+    problem = replace(fit.problem, curves=tuple(as_spline(c) for c in fit.problem.curves))
+    x = np.zeros(problem.layout.size)
+    blocks = zip(before.curves, problem.layout.curves, strict=True)
+    for (old, new), curve, r0 in zip(blocks, problem.curves, fit.r0, strict=True):
+        if isinstance(curve, Spline):
+            found = np.linalg.lstsq(curve.basis, r0, rcond=None)[0]
+            x[new] = np.concatenate((found.real, found.imag))
+        else:
+            x[new] = fit.x[old]
+    n = problem.layout.curves[-1].stop
+    x[n:] = fit.x[before.curves[-1].stop :]
+    _, jacobian = data_rows(problem, x, fit.correction)
     own, other = jacobian[:, :n], jacobian[:, n:]
     if other.shape[1]:
         weak: FloatArray = np.eye(other.shape[1])

@@ -22,6 +22,7 @@ from roomfit.errors import InputError
 from roomfit.impedance.data import complex_frequency_hz
 from roomfit.impedance.laws import (
     LAWS,
+    CausalCurve,
     Curve,
     LawCurve,
     Parameter,
@@ -438,7 +439,7 @@ def multistart(
         x = start_of(thin)
         if number > 0:
             for place, curve in zip(thin.layout.curves, thin.curves, strict=True):
-                x[place] = _random_start(curve.start, isinstance(curve, Spline), rng)
+                x[place] = _random_start(curve, rng)
         end = continuation(thin, x, gain=1e-5)
         found.append(Start(end.x, r0_of(thin, end.x), end.cost))
         if progress is not None:
@@ -446,11 +447,11 @@ def multistart(
     return tuple(sorted(found, key=lambda s: s.cost))
 
 
-def _random_start(usual: FloatArray, is_spline: bool, rng: np.random.Generator) -> FloatArray:
-    if not is_spline:
-        return np.asarray(usual + rng.normal(size=usual.shape))
+def _random_start(curve: Curve, rng: np.random.Generator) -> FloatArray:
+    if not isinstance(curve, Spline | CausalCurve):
+        return np.asarray(curve.start + rng.normal(size=curve.start.shape))
     r0 = _LARGEST_START * np.sqrt(rng.random()) * np.exp(2j * np.pi * rng.random())
-    return np.repeat([r0.real, r0.imag], len(usual) // 2)
+    return replace(curve, start_r0=complex(r0)).start
 
 
 def distance(a: ComplexArray, b: ComplexArray) -> float:
@@ -475,7 +476,8 @@ def agreeing(starts: tuple[Start, ...]) -> int:
 def thinned(problem: Problem) -> Problem:
     """Return the problem at about as few frequencies as its curves allow."""
     n_f = len(problem.observed.frequency_hz)
-    most = max((c.basis.shape[1] for c in problem.curves if isinstance(c, Spline)), default=n_f)
+    coupled = [c for c in problem.curves if isinstance(c, Spline | CausalCurve)]
+    most = max((c.basis.shape[1] for c in coupled), default=n_f)
     every = max(n_f // (_PER_FUNCTION * most), 1)
     if every == 1:
         return problem

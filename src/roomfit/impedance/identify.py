@@ -15,6 +15,7 @@ from roomfit.impedance.data import (
     MODEL_ERROR,
     PLANE_MODEL_ERROR,
     Observed,
+    complex_frequency_hz,
     level_at,
     standard_deviation,
 )
@@ -36,7 +37,7 @@ from roomfit.impedance.fit import (
     reduced_chi2,
     with_laws,
 )
-from roomfit.impedance.laws import constant, spline
+from roomfit.impedance.laws import causal_curve, constant
 from roomfit.impedance.problem import Problem
 from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
@@ -215,9 +216,11 @@ def _problem(
     usual = MODEL_ERROR if settings.spherical else PLANE_MODEL_ERROR
     factor = usual if settings.model_error is None else settings.model_error
     sd = _deviation(model, observed, factor)
-    # a search starts with a spline for everything but a constant
+    # a search starts with any smooth course for everything but a constant
     curves = tuple(
-        (constant if wall.kind == "constant" else spline)(observed.frequency_hz, wall.start_r0)
+        constant(observed.frequency_hz, wall.start_r0)
+        if wall.kind == "constant"
+        else causal_curve(complex_frequency_hz(observed), wall.start_r0)
         for wall in (walls.get(name, WallModel()) for name in materials)
     )
     return Problem(model, observed, sd, curves, nuisances, settings.spherical, factor)

@@ -21,6 +21,8 @@ from roomfit.typing import ComplexArray, FloatArray, IntArray
 
 _KNOTS_PER_OCTAVE = 4
 _CLOSEST_KNOTS_HZ = 25.0
+# Fewer frequencies than a cubic spline has coefficients are free, each for itself.
+_LEAST_COUPLED = 4
 
 
 class Curve(Protocol):
@@ -110,7 +112,7 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
         A start that is not passive.
     """
     check_passive(start_r0)
-    if len(frequency_hz) < 4:
+    if len(frequency_hz) < _LEAST_COUPLED:
         eye = np.eye(len(frequency_hz))
         return Spline("spline", eye, eye, start_r0)
     knots = _knots_hz(float(frequency_hz[0]), float(frequency_hz[-1]))
@@ -125,6 +127,155 @@ def spline(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:
         return np.asarray(BSpline.design_matrix(inside, t, 3).toarray())
 
     return Spline("spline", at(frequency_hz), at(dense), start_r0)
+
+
+# Standard deviation of the factor by which an admittance may leave those of passive, causal walls:
+# models of materials are not quite causal themselves, Miki's layers by 0.5 % of R0.
+_DEPARTURE = 0.03
+# The density reaches so many octaves beyond the data on either side, with coarser knots.
+_BEYOND_OCTAVES, _KNOTS_PER_OCTAVE_BEYOND = 3, 2
+# One unit of a density's numbers is e^30, so that their prior of one unit says nothing.
+_LOG_UNIT = 30.0
+# Damping below which the density is not resolved any finer, 1/s: a width of 4 Hz.
+_LEAST_DAMPING = 25.0
+_STEEPEST = 0.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CausalCurve:
+    """R0 of a wall that is passive and answers only after it was struck, and of any smooth course.
+
+    A function of s = j w has a positive real part wherever s has one, which is what passivity and
+    causality ask of an admittance, if and only if it is ``c s`` and an integral of
+    ``2 s / (pi (s^2 + v^2))`` over a density of v that is nowhere negative [1]_. Its logarithm is a
+    cubic spline, of which x holds the coefficients first; then come the real and imaginary parts of
+    the logarithm of a factor that departs a little from such a wall.
+
+    Notes
+    -----
+    Without it the phase of a nearly rigid wall is that of its position: all points moved away from
+    the wall by d, and R0 turned ahead by 2 k d, explain the same pressures. No causal wall turns
+    R0 ahead by more than ``(1 - |R0|) / (1 + |R0|)`` or so.
+
+    References
+    ----------
+    .. [1] W. Cauer, "The Poisson integral for functions with positive real part", Bull. Amer. Math.
+           Soc. 38, 713-717 (1932).
+    """
+
+    kind: str  # "spline"
+    kernel: ComplexArray  # (n_frequencies, n_points): admittance by the density at each point
+    density: FloatArray  # (n_points, n_coefficients), the spline of its logarithm
+    log_coefficients: FloatArray  # (n_coefficients,), logarithm of v over the middle of the band
+    basis: FloatArray  # (n_frequencies, n_functions), of the departure
+    start_r0: complex = 0.8
+
+    @property
+    def start(self) -> FloatArray:
+        """A density that is a power of v gives an admittance of one phase at all frequencies."""
+        r0 = complex(self.start_r0)
+        admittance = (1.0 - r0) / (1.0 + r0 if abs(1.0 + r0) > 1e-3 else 1e-3)
+        size = float(np.clip(abs(admittance), 1e-3, 1e3))
+        power = float(np.clip(np.angle(admittance) / (0.5 * np.pi), -_STEEPEST, _STEEPEST))
+        level = math.log(size * math.cos(0.5 * np.pi * power))
+        log_density = level + power * self.log_coefficients
+        return np.concatenate((log_density / _LOG_UNIT, np.zeros(2 * self.basis.shape[1])))
+
+    @property
+    def roughness(self) -> FloatArray:
+        n = len(self.log_coefficients)
+        rows = np.diff(np.eye(n), 2, axis=0)
+        return np.hstack((rows, np.zeros((len(rows), 2 * self.basis.shape[1]))))
+
+    @property
+    def prior_sd(self) -> float:
+        return 1.0
+
+    def r0(self, x: FloatArray) -> ComplexArray:
+        return self.between(x)[0]
+
+    def slope(self, x: FloatArray) -> ComplexArray:
+        return self.between(x)[1]
+
+    def at(self, chosen: IntArray) -> CausalCurve:
+        return replace(self, kernel=self.kernel[chosen], basis=self.basis[chosen])
+
+    def between(self, x: FloatArray) -> tuple[ComplexArray, ComplexArray]:
+        n = len(self.log_coefficients)
+        # a trial step may lead anywhere
+        density = np.exp(np.clip(_LOG_UNIT * (self.density @ x[:n]), -50.0, 15.0))
+        departure = _DEPARTURE * _complex(self.basis, x[n:])
+        factor = np.exp(np.clip(departure.real, -2.0, 2.0) + 1j * departure.imag)
+        admittance = factor * (self.kernel @ density)
+        by = -2.0 / (1.0 + admittance) ** 2
+        by_log = (_DEPARTURE * by * admittance)[:, None] * self.basis
+        by_density = self.kernel @ ((_LOG_UNIT * density)[:, None] * self.density)
+        r0 = (1.0 - admittance) / (1.0 + admittance)
+        return r0, np.hstack(((by * factor)[:, None] * by_density, by_log, 1j * by_log))
+
+
+def causal_curve(frequency_hz: ComplexArray, start_r0: complex = 0.8) -> CausalCurve | Spline:
+    """Return any smooth course of R0 that a passive, causal wall can have, or nearly so.
+
+    The density has the knots of `spline` within the frequencies, two an octave over three octaves
+    beyond, and is level farther out. Fewer than four frequencies are free, as those of `spline`.
+
+    Parameters
+    ----------
+    frequency_hz : complex array, shape (n_frequencies,)
+        By `roomfit.impedance.data.complex_frequency_hz`.
+
+    Raises
+    ------
+    InputError
+        A start that is not passive.
+    """
+    f = np.asarray(frequency_hz.real)
+    free = spline(f, start_r0)
+    if len(f) < _LEAST_COUPLED:
+        return free
+    low, high = float(f[0]), float(f[-1])
+    steps = np.arange(1, _BEYOND_OCTAVES * _KNOTS_PER_OCTAVE_BEYOND + 1) / _KNOTS_PER_OCTAVE_BEYOND
+    inner = _knots_hz(low, high)
+    if len(inner) + 2 > len(f):
+        inner = np.geomspace(low, high, len(f) - 2)
+    knots = np.concatenate((low * 2.0 ** -steps[::-1], inner, high * 2.0**steps))
+    t = np.log(np.concatenate(([knots[0]] * 3, knots, [knots[-1]] * 3)))
+    damping = max(-2.0 * np.pi * float(frequency_hz[0].imag), _LEAST_DAMPING)
+    fine_hz = min(damping / (8.0 * np.pi), 0.1 * low)
+    points = np.concatenate(
+        (
+            np.geomspace(knots[0], low, 20 * len(steps), endpoint=False),
+            np.arange(low, high, fine_hz),
+            np.geomspace(high, knots[-1], math.ceil(_BEYOND_OCTAVES * high / (2.0 * fine_hz))),
+        )
+    )
+    s = (2j * np.pi * f + damping)[:, None]
+    edges = np.concatenate((points[:1], 0.5 * (points[1:] + points[:-1]), points[-1:]))
+    v = 2.0 * np.pi * points
+    kernel = s / (s**2 + v**2) * (2.0 * np.pi * np.diff(edges))
+    # the integrals below the first point and above the last, where the density is level
+    kernel[:, 0] += np.arctan(v[0] / s[:, 0])
+    kernel[:, -1] += 0.5 * np.pi - np.arctan(v[-1] / s[:, 0])
+    inside = np.clip(np.log(points), t[0], t[-1])
+    density = BSpline.design_matrix(inside, t, 3).toarray()
+    # where a spline's coefficients are those of a straight line
+    at = np.array([t[i + 1 : i + 4].mean() for i in range(density.shape[1])])
+    return CausalCurve(
+        "spline",
+        np.asarray(2.0 / np.pi * kernel, dtype=np.complex128),
+        density,
+        at - 0.5 * math.log(low * high),
+        free.basis,
+        start_r0,
+    )
+
+
+def as_spline(curve: Curve) -> Curve:
+    """Return a spline in place of a causal curve, every other curve as it is."""
+    if not isinstance(curve, CausalCurve):
+        return curve
+    return Spline(curve.kind, curve.basis, curve.basis, curve.start_r0)
 
 
 def constant(frequency_hz: FloatArray, start_r0: complex = 0.8) -> Spline:

@@ -1,0 +1,86 @@
+"""Gaussian intervals by hand: what widens them, and what is called identifiable."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from posterior_cases import absorption_block, linear_case
+from roomfit.logit import expit
+from roomfit.objective.parameters import Parameters
+from roomfit.solvers.least_squares import fit_band
+from roomfit.uncertainty.gaussian import (
+    absorption_intervals,
+    add_covariance,
+    answer_steps,
+    band_estimate,
+    is_identifiable,
+    weighted_mean_interval,
+)
+
+VECTOR = np.array([-1.0, 0.4])
+# correlated, far better determined than by the priors of 1.5
+COVARIANCE = np.array([[0.04, 0.015], [0.015, 0.09]])
+
+
+def intervals(misfit: float):
+    parameters = Parameters((absorption_block(2),))
+    return absorption_intervals(parameters, VECTOR, np.linalg.inv(COVARIANCE), misfit)
+
+
+@pytest.mark.parametrize(("misfit", "wider"), [(0.2, 1.0), (1.0, 1.0), (1.7, 1.7), (4.0, 4.0)])
+def test_misfit_widens_an_interval_and_a_good_fit_does_not_narrow_it(misfit, wider):
+    """1.96 roots of the variance times max(phi, 1), in the logit."""
+    found = intervals(misfit)
+    reach = 1.959964 * np.sqrt(wider * np.diag(COVARIANCE))
+    np.testing.assert_allclose(found.lower95, expit(VECTOR - reach), rtol=1e-6)
+    np.testing.assert_allclose(found.upper95, expit(VECTOR + reach), rtol=1e-6)
+    np.testing.assert_allclose(found.covariance, wider * COVARIANCE, rtol=1e-9)
+
+
+def test_the_mean_of_the_room_has_the_spread_of_draws():
+    """Of 200,000 draws in the logit; what bends between them is below 3 % of the width."""
+    parameters, weights = Parameters((absorption_block(2),)), np.array([0.7, 0.3])
+    small = 0.04 * COVARIANCE
+    mean, low, high = weighted_mean_interval(parameters, VECTOR, small, weights)
+    drawn = np.random.default_rng(1).multivariate_normal(VECTOR, small, 200_000)
+    expected = np.quantile(expit(drawn) @ weights, (0.025, 0.975))
+    assert mean == pytest.approx(float(weights @ expit(VECTOR)), rel=1e-9)
+    np.testing.assert_allclose((low - mean, high - mean), expected - mean, rtol=0.03)
+
+
+def test_what_is_called_identifiable_and_what_is_not():
+    """Each of the three conditions alone fails it, just beyond its limit and not just before."""
+    ends, sd, prior = (np.array([0.2]), np.array([0.4])), np.array([0.75]), np.array([1.5])
+    assert is_identifiable(2.0, ends[0], ends[1] - 1e-9, sd, prior).all()
+    assert not is_identifiable(2.01, ends[0], ends[1] - 1e-9, sd, prior).any()
+    assert not is_identifiable(2.0, ends[0], ends[1] + 1e-3, sd, prior).any()
+    assert not is_identifiable(2.0, ends[0], ends[1] - 1e-9, sd + 1e-3, prior).any()
+
+
+def test_an_error_that_all_data_share_moves_the_answer_as_stated_and_is_added_once():
+    """By fitting data that are off by it; the misfit does not multiply what is added."""
+    problem = linear_case(6)
+    fit = fit_band(problem)
+    error = np.linspace(0.1, 0.3, problem.observed.size)
+    moved = fit_band(type(problem)(problem.matrix, problem.observed + error, problem.sd,
+                                   problem.parameters))  # fmt: skip
+    steps = answer_steps(problem, fit, error[:, None])
+    np.testing.assert_allclose(steps[:, 0], moved.vector - fit.vector, atol=1e-6)
+    misfit = max(fit.chi2_reduced, 1.0)
+    wider = add_covariance(fit, steps)
+    found = (np.linalg.inv(wider.information) - np.linalg.inv(fit.information)) * misfit
+    np.testing.assert_allclose(found, steps @ steps.T, rtol=1e-6, atol=1e-12)
+
+
+def test_an_estimate_carries_the_covariance_of_its_intervals():
+    """Misfit included, for whatever is drawn from it later."""
+    problem = linear_case(6)
+    fit = fit_band(problem)
+    answer = band_estimate(problem.parameters, fit, np.ones(3), "energy")
+    sd = np.sqrt(np.diag(answer.logit_covariance))
+    np.testing.assert_allclose(answer.lower95, expit(fit.vector[:3] - 1.959964 * sd), rtol=1e-6)
+    np.testing.assert_allclose(
+        answer.logit_covariance,
+        np.linalg.inv(fit.information)[:3, :3] * max(fit.chi2_reduced, 1.0),
+    )
