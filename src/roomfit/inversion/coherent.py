@@ -55,9 +55,8 @@ from roomfit.inversion.sequential import (
 )
 from roomfit.inversion.systematics import (
     relative_errors,
-    shared_steps,
     with_both_intervals,
-    with_tracing_noise,
+    with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
@@ -88,7 +87,7 @@ from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, add_covariance, band_estimate
+from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -453,10 +452,9 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             yield None
             continue
         objective, windows = found.objective, band.coherent.energies
-        noisy = with_tracing_noise(objective, windows, _sources(task, number), found.fit)
         relative = _relative_errors(state, objective, found.fit, windows)
-        steps = shared_steps(objective, found.fit, windows, relative, band)
-        noisy = add_covariance(noisy, steps)
+        sources = _sources(task, number)
+        noisy = with_shared_errors(objective, found.fit, sources, relative, band)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
@@ -522,9 +520,8 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             factor = variance_inflation(windows, files, outliers, n_data)
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
-        noisy = with_tracing_noise(objective, windows, _sources(task, number), own_fit)
         relative = _relative_errors(state, objective, own_fit, windows)
-        noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, relative))
+        noisy = with_shared_errors(objective, own_fit, _sources(task, number), relative)
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, objective, own_fit)
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -17,13 +18,14 @@ from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
-from roomfit.objective.coherent import fully_coherent
-from roomfit.objective.directivity import directed
+from roomfit.objective.coherent import CoherentTerm, fully_coherent
+from roomfit.objective.directivity import DirectedTerm, directed
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
 from roomfit.response.binned import BinnedPaths, in_band, rows_at
+from roomfit.response.directivity import directed_rows
 from roomfit.response.energy import batch_energies, first_rows, reweighed_rows, weigh
 from roomfit.solvers.least_squares import BandFit
 from roomfit.tracing.paths import Paths
@@ -33,6 +35,7 @@ from roomfit.uncertainty.gaussian import (
     BandEstimate,
     add_covariance,
     answer_steps,
+    costs_of_terms,
 )
 
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
@@ -143,35 +146,58 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
     )
 
 
-def shared_steps(
+def with_shared_errors(
     objective: Objective,
     fit: BandFit,
-    energies: EnergyTerm,
+    sources: Sequence[int],
     relative: FloatArray,
     coherent: CoherentBand | None = None,
-) -> FloatArray:
-    """Return the shifts of the answer by errors that all windows share, shape (n_free, n_errors).
+) -> BandFit:
+    """Return a fit whose information allows for the errors that its windows share.
 
-    Each column is one standard deviation: of what `relative` holds, and of reflections that
-    interfere and are taken for energies that add.
+    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) is added:
+    over the batches of rays [1]_, by one standard deviation of what `relative` holds, and by
+    reflections that interfere and are taken for energies that add. `costs` of the fit says how
+    well the unknowns were known without one term or the other.
 
     Parameters
     ----------
     objective : Objective
-        What was fitted; the windows of `energies` are its first data.
+        What was fitted; windows are its first data.
     fit : BandFit
-    energies : EnergyTerm
-    relative : float array, shape (n_windows, n_errors)
+    sources : sequence of int
+        Source of each observation: rays of one reach all of its receivers.
+    relative : float array, shape (n_windows, 2)
         Of the expected energy, see `air_error` and `scattering_error`.
     coherent : CoherentBand, optional
         The band, where pressures were fitted.
+
+    References
+    ----------
+    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
+           section 3: the delete-one variance of an estimate, here linearised.
     """
+    energies = fitted_energies(objective, fit.vector)
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
-    columns = [signal[:, None] * relative]
+    shared = {
+        "rays": batch_spread(energies, objective.parameters, fit.vector, sources),
+        "air": (signal * relative[:, 0])[:, None],
+        "scattering": (signal * relative[:, 1])[:, None],
+    }
     if coherent is not None:
-        columns.append((signal * lost_coherence(coherent, fit))[:, None])
-    return answer_steps(objective, fit, np.concatenate(columns, axis=1))
+        shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
+    costs = costs_of_terms(objective, fit, shared)
+    steps = answer_steps(objective, fit, np.concatenate(list(shared.values()), axis=1))
+    return replace(add_covariance(fit, steps), costs=costs)
+
+
+def fitted_energies(objective: Objective, vector: FloatArray) -> EnergyTerm:
+    """Return an objective's windows as energies, its paths with their sources' directivity."""
+    first = objective.terms[0]
+    if isinstance(first, DirectedTerm):
+        return first.weighed(physical_values(objective.parameters, vector)[0])
+    return first.energies if isinstance(first, CoherentTerm) else cast(EnergyTerm, first)
 
 
 def relative_errors(
@@ -309,34 +335,6 @@ def _middle_s(energies: EnergyTerm) -> FloatArray:
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))
 
 
-def with_tracing_noise(
-    objective: Objective, energies: EnergyTerm, sources: Sequence[int], fit: BandFit
-) -> BandFit:
-    """Return a fit whose information allows for the Monte-Carlo noise that windows share.
-
-    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) over the
-    batches of rays [1]_ is added.
-
-    Parameters
-    ----------
-    objective : Objective
-        What was fitted; the windows of `energies` are its first data.
-    energies : EnergyTerm
-    sources : sequence of int
-        Source of each observation: rays of one reach all of its receivers.
-    fit : BandFit
-
-    References
-    ----------
-    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
-           section 3: the delete-one variance of an estimate, here linearised.
-    """
-    spread = batch_spread(energies, objective.parameters, fit.vector, sources)
-    if not spread.size:
-        return fit
-    return add_covariance(fit, answer_steps(objective, fit, spread))
-
-
 def batch_spread(
     energies: EnergyTerm, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
 ) -> FloatArray:
@@ -356,7 +354,10 @@ def batch_spread(
         return np.zeros((n_windows, 0))
     out: FloatArray = np.zeros((n_windows, len(names), n_batches))
     first = 0
-    for rows, observed, source in zip(energies.rows, energies.observations, sources, strict=True):
+    patterns = energies.patterns or (None,) * len(energies.rows)
+    each = zip(energies.rows, patterns, energies.observations, sources, strict=True)
+    for traced, pattern, observed, source in each:
+        rows = traced if pattern is None else directed_rows(traced, pattern.factor())
         batches = batch_energies(
             rows, values["absorption"][:, None], np.array([energies.attenuation_per_m])
         )[:, 0, :]
