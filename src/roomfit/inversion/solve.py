@@ -202,7 +202,7 @@ def coherent_answers(
         coherent.append(None if band is None else refine(band, done))
     areas_m2 = material_areas_m2(task.scene.room)
     energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
-    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
+    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2, task.priors))
     # where no response has data, room parameters or the prior
     alone = [
         None if e is not None else values_alone(task.values[band], task.priors, band, task.start)

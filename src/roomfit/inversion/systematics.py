@@ -18,6 +18,7 @@ from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.directivity import DirectedTerm, directed
 from roomfit.objective.energy import EnergyTerm
@@ -48,34 +49,52 @@ _SLOT_S = 0.04
 
 
 def widened_by_neighbours(
-    answers: Sequence[BandEstimate | None], areas_m2: FloatArray
+    answers: Sequence[BandEstimate | None],
+    areas_m2: FloatArray,
+    priors: tuple[MaterialPrior, ...] = (),
 ) -> tuple[BandEstimate | None, ...]:
     """Return intervals that allow for absorption that changes within a band.
 
     A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
     to the neighbours. The difference of the mean from the value at the centre, if absorption runs
     smoothly between the fitted bands, is taken as one more standard deviation. The bands at either
-    end lack a neighbour, and take the step to the other for it.
+    end lack a neighbour, and take the step to the other for it. Materials that are tied have one
+    error, those of a product errors that are as alike as their absorptions.
 
     Parameters
     ----------
     answers : sequence of BandEstimate or None, one a band, low to high
     areas_m2 : float array, shape (n_materials,)
+    priors : tuple of MaterialPrior, optional
+        What says which materials are alike; without them none are.
     """
     out: list[BandEstimate | None] = []
     neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
-    for answer, below, above in neighbours:
-        if answer is None:
-            out.append(None)
-        elif above is not None and below is not None:
-            up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
-            out.append(_widened(answer, np.abs(ABOVE * up + BELOW * down), areas_m2))
-        elif (only := above or below) is not None:
-            sd = np.hypot(ABOVE, BELOW) * np.abs(only.absorption - answer.absorption)
-            out.append(_widened(answer, sd, areas_m2))
-        else:
+    for band, (answer, below, above) in enumerate(neighbours):
+        if answer is None or (above is None and below is None):
             out.append(answer)
+            continue
+        if above is not None and below is not None:
+            up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
+            step = ABOVE * up + BELOW * down
+        else:
+            only = cast(BandEstimate, above or below)
+            step = np.hypot(ABOVE, BELOW) * (only.absorption - answer.absorption)
+        a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
+        sd = np.abs(step) / (a * (1.0 - a))
+        out.append(widened(answer, _likeness(priors, band, a.size) * np.outer(sd, sd), areas_m2))
     return tuple(out)
+
+
+def _likeness(priors: tuple[MaterialPrior, ...], band: int, n: int) -> FloatArray:
+    """Return the prior correlation of n materials in a band, 1 between those that are tied."""
+    if not priors:
+        return np.eye(n)
+    names = [k.name for k in priors]
+    leader = [names.index(k.tied_to or k.name) for k in priors]
+    covariance = prior_logit_law(priors)[1][band][np.ix_(leader, leader)]
+    sd = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(sd, sd))
 
 
 def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
@@ -109,12 +128,15 @@ def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray |
     return np.where(from_other, other[: len(one)], one)
 
 
-def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> BandEstimate:
-    """Return the answer with an independent error of absorption added, shape (n_materials,)."""
+def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) -> BandEstimate:
+    """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
+
+    What is fixed stays.
+    """
     fixed = answer.upper95 <= answer.lower95
-    sd = np.where(fixed, 0.0, sd)
+    covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
+    logit_sd = np.sqrt(np.diag(covariance))
     a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    logit_sd = sd / (a * (1.0 - a))
     middle = logit(a, _LEAST)
     lower = middle - np.hypot(middle - logit(answer.lower95, _LEAST), Z95 * logit_sd)
     upper = middle + np.hypot(logit(answer.upper95, _LEAST) - middle, Z95 * logit_sd)
@@ -122,13 +144,16 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
     upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
-    more = Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
+    slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
+    more = Z95 * float(np.sqrt(slope @ covariance @ slope))
+    size, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(size, 0.0))
 
     def moved(samples: FloatArray | None) -> FloatArray | None:
         if samples is None:
             return None
-        noise = np.random.default_rng(1).standard_normal(samples.shape)
-        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise * logit_sd), samples)
+        noise = np.random.default_rng(1).standard_normal(samples.shape) @ root.T
+        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise), samples)
 
     return replace(
         answer,
@@ -137,7 +162,7 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
         samples=moved(answer.samples),
         draws=moved(answer.draws),
         identifiable=answer.identifiable & narrow,
-        logit_covariance=answer.logit_covariance + np.diag(logit_sd**2),
+        logit_covariance=answer.logit_covariance + covariance,
         mean=(
             mean,
             max(mean - float(np.hypot(mean - low, more)), 0.0),

@@ -16,6 +16,7 @@ from roomfit.bands import Bands
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, MeasuredPair
 from roomfit.objective.energy import (
+    WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     Observation,
     Weighed,
@@ -59,9 +60,6 @@ _LEAST_COHERENCE = 1e-3
 _TIMING_SHARE = 1e-4
 # The same of a position, per coordinate, in m.
 _POSITION_SD_M = 0.5e-3
-# Windows share errors that no term of the covariance stands for, as a description that is a little
-# off; see docs/decisions/0022-how-many-windows-count-as-one.md.
-WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -17,7 +17,6 @@ from scipy.sparse import block_diag, csr_array
 
 from roomfit.objective.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
 from roomfit.objective.energy import (
-    WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     late_shares,
     model_variance,
@@ -36,6 +35,9 @@ from roomfit.tracing.paths import Paths, hits
 from roomfit.typing import FloatArray, IntArray
 
 _LEAST = 1e-12
+# These windows are half as long as the band's filter resolves; the thresholds of what counts as
+# displaced were chosen with three of them as one.
+WINDOWS_PER_INDEPENDENT_ONE = 3.0
 _TINY = float(np.finfo(np.float64).tiny)
 
 

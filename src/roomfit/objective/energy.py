@@ -28,10 +28,9 @@ _RINGING_S = 2e-3
 # Key of the derivative by b of the source that each window receives, shape (n_windows, 3).
 PATTERN = "pattern"
 
-# Windows are not independent: the band filter overlaps neighbours, and every pair and every window
-# sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
-# checked on six others: docs/decisions/0002-three-windows-count-as-one.md.
-WINDOWS_PER_INDEPENDENT_ONE = 3.0
+# Neighbours share what the band filter spreads. Residuals of measured and of simulated rooms count
+# 1.0 to 1.7 windows as one: docs/decisions/0037-what-a-window-costs.md.
+WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
