@@ -221,7 +221,7 @@ def costs_of_terms(
     shared : mapping to float arrays, shape (n, n_errors)
         Errors that the first n data share, in their unit.
     """
-    parameters, n_data = objective.parameters, fit.measured.size
+    parameters = objective.parameters
     _, rows = prior_residuals(parameters, fit.vector)
     ends = np.cumsum([0, *(int(np.count_nonzero(b.fitted)) for b in parameters.blocks)])
     known = {
@@ -233,7 +233,7 @@ def costs_of_terms(
         objective.predict(fit.vector).jacobian,
         rows.T @ rows,
         objective.variance_parts(fit.vector),
-        {n: np.pad(u, ((0, n_data - len(u)), (0, 0))) for n, u in shared.items()},
+        shared,
         objective.correlation_length(),
         known,
         max(fit.chi2_reduced, 1.0),
@@ -262,9 +262,9 @@ def sds_without(
         Information.
     parts : mapping to float arrays, shape (n_data,)
         What the variance of each datum is the sum of.
-    shared : mapping to float arrays, shape (n_data, n_errors)
-        Errors that data share, one standard deviation a column; those that have the name of a part
-        are left out with it.
+    shared : mapping to float arrays, shape (n, n_errors)
+        Errors that the first n data share, one standard deviation a column; those that have the
+        name of a part are left out with it.
     neighbours : float array, shape (n_data,)
         How many data count as one.
     known : mapping to int arrays
@@ -301,7 +301,8 @@ def sds_without(
         variance = np.diag(inverse) * (1.0 if without == "misfit" else misfit)
         for name, errors in shared.items():
             if name != without:
-                steps = inverse @ (rows.T @ (weight[:, None] * errors))
+                n = len(errors)  # which may be many columns: no copy of them
+                steps = inverse @ ((rows[:n].T * weight[:n]) @ errors)
                 variance = variance + np.sum(steps**2, axis=1)
         out[free] = np.sqrt(variance)
         return out
