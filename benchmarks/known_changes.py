@@ -185,9 +185,14 @@ def wall_table(result: Result) -> str:
 
 
 def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
-    """Return the rms standardised difference of walls that did not change, from 500 Hz up."""
+    """Return the rms standardised difference of walls that did not change, from 500 Hz up.
+
+    Below 1 where a prior is in both answers: of the variance v of an answer under a prior of the
+    variance p the share 1 - v / p is scatter of the estimate (of one unknown; as much of several
+    as far as their data do not hang together).
+    """
     at = np.flatnonzero(first.bands.centres_hz > 400.0)
-    z, half, marks = [], [], []
+    z, half, marks, shares = [], [], [], []
     for name in walls:
         m = first.materials.index(name)
         logits = [logit(r.absorption[m, at]) for r in (first, second)]
@@ -196,11 +201,19 @@ def unchanged(first: Result, second: Result, walls: Sequence[str]) -> str:
             for r in (first, second)
         ]
         z.append((logits[0] - logits[1]) / np.hypot(*spreads))
+        known = [
+            np.minimum((s / r.logit_prior[1, m, at]) ** 2, 1.0)
+            for s, r in zip(spreads, (first, second), strict=True)
+            if r.logit_prior is not None
+        ]
+        scatter = sum(s**2 * (1.0 - k) for s, k in zip(spreads, known, strict=True))
+        shares.append(scatter / np.sum(np.square(spreads), axis=0))
         for r in (first, second):
             half.append(0.5 * (r.upper95[m, at] - r.lower95[m, at]))
             marks.append(r.identifiable[m, at])
     return (
-        f"{', '.join(walls)}: standardised difference rms {np.sqrt(np.mean(np.square(z))):.2f}, "
+        f"{', '.join(walls)}: standardised difference rms {np.sqrt(np.mean(np.square(z))):.2f} "
+        f"({np.sqrt(np.mean(shares)):.2f} to be expected), "
         f"median half width {np.median(half):.2f}, identifiable {np.sum(marks)} of {np.size(marks)}"
     )
 

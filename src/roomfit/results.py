@@ -125,6 +125,9 @@ class Result:
     trace: Mapping[str, float] = field(default_factory=dict)
     # as `mean_absorption`, of each further state of the room by its name
     state_means: Mapping[str, FloatArray] = field(default_factory=dict)
+    # by band, (n_materials,), standard deviation of each logit absorption by which term of the
+    # uncertainty were left out, "" for none (`roomfit.uncertainty.gaussian.sds_without`)
+    costs: tuple[Mapping[str, FloatArray], ...] = ()
 
     def __str__(self) -> str:
         """Return what the command line prints: absorption, errors of predictions, findings."""

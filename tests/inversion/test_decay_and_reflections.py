@@ -17,6 +17,7 @@ from roomfit.inversion.model_checks import certain_misses, decay_misses, fit_fin
 from roomfit.inversion.paths import traced_paths
 from roomfit.inversion.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.materials.priors import complete_priors
+from roomfit.objective.windows import windows_t20_s
 from roomfit.response.directivity import Pattern
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
@@ -66,6 +67,22 @@ def test_a_decay_30_percent_too_long_is_missed_and_one_8_percent_too_long_is_not
     assert decay_misses(OCTAVES, [compared(2.0, 1.08, None)] * 2, fitted) == ()
     kept = [replace(compared(2.0, 1.3, None), use="validate")]
     assert decay_misses(OCTAVES, kept, fitted) == ()
+
+
+def test_a_decay_that_pressures_reproduce_is_not_missed_though_energies_miss_it() -> None:
+    """And one that the fitted windows miss by 30 % as well, is: pairs of 2 s without noise."""
+    pairs, fitted = [compared(2.0, 1.3, None)] * 3, [True] * len(OCTAVES)
+    as_fitted = [np.array([[2.0] * 3, [2.0 * off] * 3]) for off in (1.3, 1.05, 1.0, 0.7, 1.05, 1.3)]
+    found = decay_misses(OCTAVES, pairs, fitted, [*as_fitted[:4], None, as_fitted[5]])
+    assert [m.band for m in found] == [0, 3, 4, 5]
+
+
+def test_windows_of_an_exponential_decay_have_its_reverberation_time() -> None:
+    """Within 1 %, windows growing by a tenth; and none where three do not fall by 25 dB."""
+    edges_s = np.concatenate(([0.0], 0.01 * 1.1 ** np.arange(60)))
+    energy = -np.diff(10.0 ** (-6.0 * edges_s / 0.7))
+    assert windows_t20_s(edges_s, energy) == pytest.approx(0.7, rel=0.01)
+    assert np.isnan(windows_t20_s(edges_s[:3], energy[:2]))
 
 
 # One box of six materials, measured twice over, as image sources with phase have it.

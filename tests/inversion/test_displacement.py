@@ -11,12 +11,14 @@ import pytest
 import roomfit
 from roomfit.errors import InputError
 from roomfit.findings import Code
+from roomfit.inversion import displacement as whole_displacement
 from roomfit.inversion import identify as whole
 from roomfit.inversion.displacement import (
     LENGTH_SD_M,
     displaced,
     displaced_terms,
     located,
+    offset_steps,
     offsets_of,
 )
 from roomfit.io.campaign import read_campaign
@@ -118,6 +120,26 @@ def test_an_offset_within_its_stated_deviation_is_fitted_and_reported():
     change, sd = result.geometry.change[at], result.geometry.sd[at]
     assert abs(change + 0.15) < max(3.0 * sd, 0.03)
     assert sd < 0.1 and result.geometry.prior_sd[at] == 0.1
+
+
+def test_what_is_open_of_an_offset_is_in_the_covariance(monkeypatch):
+    """As large as fits at other places are apart; here made 3 in the logit, to be seen."""
+    real = []
+
+    def keep(outline, sd_m):
+        real.append(offset_steps(outline, sd_m))
+        return {band: np.full_like(step, 3.0) for band, step in real[-1].items()}
+
+    monkeypatch.setattr(whole_displacement, "offset_steps", keep)
+    scene = specified(simulated(500)[0])
+    scene = replace(scene, groups=(PointGroup("array", ("*",), (0.1, 0.0, 0.0)),))
+    result = fitted(scene, 500)
+    assert result.logit_covariance is not None
+    for band, step in real[0].items():
+        assert step.shape == (len(result.materials), 1)
+        assert 0.0 < np.abs(step).max() < 1.0
+        assert np.linalg.eigvalsh(result.logit_covariance[band] - 9.0).min() > -1e-9
+        assert np.all(result.upper95[:, band] - result.lower95[:, band] > 0.7)
 
 
 def test_derivatives_are_those_of_finite_differences(monkeypatch):

@@ -50,7 +50,13 @@ def test_a_campaign_with_a_product_is_answered_and_its_file_draws_the_same(tmp_p
     assert np.all(answer.interval_kinds[0][i] != "none" for i in (left, right))
 
     path = tmp_path / "result.json"
-    path.write_text(json_text(result_content(answer, ())))
+    content = result_content(answer, ())
+    path.write_text(json_text(content))
+    assert len(content["sd_without"]) == len(answer.bands)
+    for band, covariance in zip(content["sd_without"], answer.logit_covariance, strict=True):
+        assert set(band) >= {"nothing", "interference", "model", "prior", "gain", "air"}
+        # what is reported also allows for absorption that changes within the band
+        assert np.all(band["nothing"] <= np.sqrt(np.diag(covariance)) + 1e-3)
     read, made = read_result(path), absorption_posterior(answer)
     law, own = prior_law(read), prior_law(made)
     assert law is not None

@@ -9,7 +9,7 @@ import pytest
 
 from coherent_cases import END_S, MATERIALS, energy_term, objective_of, small_scene, small_term
 from roomfit.bands import Bands
-from roomfit.inversion.systematics import batch_spread, with_tracing_noise
+from roomfit.inversion.systematics import batch_spread, with_shared_errors
 from roomfit.materials.priors import uniform_scattering
 from roomfit.objective.energy import EnergyTerm, tracing_variance
 from roomfit.objective.parameters import start_vector
@@ -48,7 +48,7 @@ def fitted(seed: int, data: FloatArray) -> tuple[FloatArray, FloatArray]:
     term = replace(coarse, observations=tuple(replace(o, energy=e) for o, e in observed))
     problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
-    wider = with_tracing_noise(problem, term, (0, 0), fit)
+    wider = with_shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
     more = np.linalg.inv(wider.information) - np.linalg.inv(fit.information)
     return fit.vector, np.diag(more) * max(fit.chi2_reduced, 1.0)
 
@@ -90,4 +90,5 @@ def test_without_rays_nothing_is_widened() -> None:
     term = small_term(CENTRE_HZ).energies
     problem = objective_of(term)
     fit = score_band(problem, start_vector(problem.parameters))
-    assert with_tracing_noise(problem, term, (0, 0), fit) is fit
+    same = with_shared_errors(problem, fit, (0, 0), np.zeros((fit.measured.size, 2)))
+    assert same.information is fit.information

@@ -10,6 +10,7 @@ import pytest
 from coherent_cases import estimate_of, objective_of, small_geometry, small_term, with_data
 from roomfit.inversion.sequential import cavity_prior
 from roomfit.inversion.systematics import widened_by_neighbours
+from roomfit.materials.priors import unknown_material
 from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import (
     GEOMETRY,
@@ -189,3 +190,23 @@ def test_a_material_that_is_held_stays_held() -> None:
     wide = widened_by_neighbours([held, estimate_of([0.6, 0.7], 0.02)], np.ones(2))[0]
     assert wide is not None
     np.testing.assert_array_equal(wide.lower95, wide.upper95)
+
+
+def test_tied_walls_jump_together_and_those_of_a_product_nearly() -> None:
+    """The tie stays in the covariance, and the mean knows that their errors do not average."""
+    names = ("one", "two", "panel_a", "panel_b")
+    priors = tuple(unknown_material(n, 2) for n in names)
+    tied = (
+        priors[0],
+        replace(priors[1], tied_to="one"),
+        *(replace(k, product="panel", product_sd=0.3) for k in priors[2:]),
+    )
+    bands = [estimate_of([0.3] * 4, 0.02), estimate_of([0.8] * 4, 0.02)]
+    apart, alike = (widened_by_neighbours(bands, np.ones(4), k)[0] for k in (priors, tied))
+    assert apart is not None and alike is not None
+    np.testing.assert_allclose(alike.lower95, apart.lower95)
+    more = alike.logit_covariance - bands[0].logit_covariance
+    assert more[0, 1] == pytest.approx(more[0, 0])
+    assert more[2, 3] == pytest.approx(more[2, 2] * 1.5**2 / (1.5**2 + 0.3**2))
+    assert more[0, 2] == 0.0
+    assert alike.mean[2] - alike.mean[0] > 1.15 * (apart.mean[2] - apart.mean[0])

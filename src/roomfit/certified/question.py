@@ -12,6 +12,7 @@ from roomfit._checks import bool_array, float_array
 from roomfit.errors import InputError
 from roomfit.objective.energy import EnergyTerm, Observation
 from roomfit.objective.parameters import Block, Parameters, leaders, physical_values, to_free
+from roomfit.objective.problem import total
 from roomfit.response.energy import EnergyRows, window_of_rows
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
@@ -181,7 +182,7 @@ def energy_global_problem(
     ]
     counts = np.concatenate([p[0] for p in parts])
     centre = np.log(gain.start[free_gains])
-    spread = energies.variance(values) * energies.correlation_length(values)
+    spread = total(energies.variance_parts(values)) * energies.correlation_length(values)
     prior = np.zeros((own.size + free_gains.size, 4))
     prior[: own.size, 0] = 0.5 / absorption.prior_sd[own] ** 2
     prior[: own.size, 1] = absorption.prior_mean[own]

@@ -55,9 +55,8 @@ from roomfit.inversion.sequential import (
 )
 from roomfit.inversion.systematics import (
     relative_errors,
-    shared_steps,
     with_both_intervals,
-    with_tracing_noise,
+    with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import MeasuredPair
@@ -83,12 +82,13 @@ from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
+from roomfit.objective.windows import windows_t20_s
 from roomfit.response.binned import BinnedPaths, paths_at
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, add_covariance, band_estimate
+from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
@@ -453,13 +453,26 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             yield None
             continue
         objective, windows = found.objective, band.coherent.energies
-        noisy = with_tracing_noise(objective, windows, _sources(task, number), found.fit)
         relative = _relative_errors(state, objective, found.fit, windows)
-        steps = shared_steps(objective, found.fit, windows, relative, band)
-        noisy = add_covariance(noisy, steps)
+        sources = _sources(task, number)
+        noisy = with_shared_errors(objective, found.fit, sources, relative, band)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
+        own = replace(own, window_t20_s=_window_t20_s(windows, found.fit))
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
+
+
+def _window_t20_s(windows: EnergyTerm, fit: BandFit) -> FloatArray:
+    """Return T20 of each file from its windows, measured and as fitted, shape (2, n_files)."""
+    ends = np.cumsum([o.energy.size for o in windows.observations])[:-1]
+    each = zip(
+        windows.observations, np.split(fit.expected[: windows.measured().size], ends), strict=True
+    )
+    times_s = [
+        [windows_t20_s(o.edges_s, e - o.noise) for e in (o.energy, expected)]
+        for o, expected in each
+    ]
+    return np.array(times_s).T
 
 
 def _relative_errors(
@@ -522,9 +535,8 @@ def energy_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
             factor = variance_inflation(windows, files, outliers, n_data)
             objective = replace(objective, inflation=factor)
         own_fit = fit_band(objective, max_rounds=task.settings.max_rounds)
-        noisy = with_tracing_noise(objective, windows, _sources(task, number), own_fit)
         relative = _relative_errors(state, objective, own_fit, windows)
-        noisy = add_covariance(noisy, shared_steps(objective, own_fit, windows, relative))
+        noisy = with_shared_errors(objective, own_fit, _sources(task, number), relative)
         answer = band_estimate(objective.parameters, noisy, areas_m2, "energy")
         yield FittedBand(answer, objective, own_fit)
 

@@ -53,11 +53,12 @@ from roomfit.uncertainty.gaussian import BandEstimate
 # Three unknowns that explain nothing gain one and a half in log-likelihood on average: where the
 # second-order estimate is larger, b is fitted.
 _BY_CHANCE = 1.5
-# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 9
-# in six bands. Chance gives a third of it where three windows count as one. Six omnidirectional
-# sources in three boxes of another program (benchmarks/other_boxes.py) gained 2 to 4 in all; of six
-# with |b| = 0.5 one gained 4, the others 21 to 52.
-_GAIN_PER_BAND, _GAIN = 0.5, 6.0
+# Larger gains, so much for each band and so much besides, contradict an omnidirectional source: 20
+# in six bands, where chance gives 9. With three windows counted as one, all gains and limits 0.45
+# times as large, six omnidirectional sources in three boxes of another program
+# (benchmarks/other_boxes.py) gained 2 to 4 in all; of six with |b| = 0.5 one gained 4, the others
+# 21 to 52.
+_GAIN_PER_BAND, _GAIN = 1.1, 13.4
 
 DirectivityScore: TypeAlias = tuple[FloatArray, FloatArray]
 """Evidence of one band against omnidirectional sources.

@@ -23,6 +23,8 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.scattering import band_factors
 from roomfit.inversion.solve import BandFits
+from roomfit.inversion.systematics import widened
+from roomfit.logit import logit
 from roomfit.materials.priors import MaterialPrior, Scattering
 from roomfit.measurement import MeasuredPair
 from roomfit.objective.coherent import FittedGeometry
@@ -51,6 +53,7 @@ from roomfit.scene import (
     Room,
     Scene,
     distances_m,
+    material_areas_m2,
     position_findings,
 )
 from roomfit.signals.filters import FilterBank, SpreadingKernel, spreading_kernel
@@ -399,7 +402,10 @@ def located(outline: Outline) -> Located:
 
 
 def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
-    """Return fits with the finding, and with the offsets that were fitted among the geometry."""
+    """Return fits with the finding, and with the offsets that were fitted among the geometry.
+
+    Intervals allow for what is left open of these offsets.
+    """
     own = np.flatnonzero([o.is_stated for o in outline.offsets])
     doubts = () if found.finding is None else (found.finding,)
     fits = replace(fits, findings=(*fits.findings, *doubts))
@@ -416,7 +422,42 @@ def with_offsets(fits: BandFits, outline: Outline, found: Located) -> BandFits:
         prior_sd=np.concatenate((before.prior_sd, [outline.offsets[k].sd_m for k in own])),
         n_offsets=own.size,
     )
-    return replace(fits, geometry=geometry)
+    answers = list(fits.answers)
+    areas_m2 = material_areas_m2(outline.measured.scene.room)
+    for band, steps in offset_steps(outline, found.sd_m).items():
+        answers[band] = widened(answers[band], steps @ steps.T, areas_m2)
+    return replace(fits, geometry=geometry, answers=tuple(answers))
+
+
+def offset_steps(outline: Outline, sd_m: FloatArray) -> dict[int, FloatArray]:
+    """Return how far the logit absorption of a band moves by one sd of each stated offset.
+
+    Half the difference of fits of the early windows with the offset one standard deviation to
+    either side. Bands that are too low to be looked at do not move.
+
+    Parameters
+    ----------
+    sd_m : float array, shape (n_offsets,)
+
+    Returns
+    -------
+    dict from band to float array, shape (n_materials, n_stated)
+        0 for an offset that is not possible to either side.
+    """
+    ways = np.diag(sd_m)[[o.is_stated for o in outline.offsets]]
+    n = len(outline.measured.scene.room.materials)
+    found = {own.band: np.zeros((n, len(ways))) for own in outline.bands}
+    for number, way in enumerate(ways):
+        sides = [displaced(outline.measured.scene, outline.offsets, s * way) for s in (-1.0, 1.0)]
+        if not all(_is_possible(scene) for scene in sides):
+            continue
+        for sign in (-1.0, 1.0):
+            terms = displaced_terms(outline, sign * way)
+            for own, term in zip(outline.bands, terms, strict=True):
+                fit = score_band(Objective(own.parameters, (term,)), own.start, rounds=4)
+                values, _ = physical_values(own.parameters, fit.vector)
+                found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
+    return found
 
 
 def _tolerance_m(offset: Offset) -> float:

@@ -278,7 +278,8 @@ def combine(
     areas = material_areas_m2(scene.room)
     pairs = compare_all(measured, traced.binned, absorption)
     covariance = _logit_covariance(found, absorption, priors)
-    misses = decay_misses(bands, pairs, [b.model != "prior" for b in found])
+    by_pressures = [b.window_t20_s if b.model == "coherent" else None for b in found]
+    misses = decay_misses(bands, pairs, [b.model != "prior" for b in found], by_pressures)
     misses = certain_misses(measured, traced, misses, absorption, covariance, settings)
     missed = np.zeros_like(identifiable)
     missed[:, [m.band for m in misses]] = True
@@ -383,6 +384,7 @@ def combine(
         geometry=fits.geometry,
         directivities=fits.directivities,
         certificates=tuple(b.certificate for b in found),
+        costs=tuple(b.costs for b in found),
         settings=settings,
         trace=traced_with(traced),
         state_means={name: _room_means(own) for name, own in state_means.items()},

@@ -44,6 +44,9 @@ ScatteringFit = Callable[[FloatArray], FloatArray]
 GRID = (0.02, 0.05, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7)
 # Half of the 95 % point of chi-square with one degree of freedom.
 _WITHIN_95 = 1.92
+# Coefficients are compared by energies with three windows counted as one, in place of 1.35: where
+# the model is wrong in a way that all windows share, likelihoods claim more than they know.
+_CAUTION = 0.45
 _MAX_SWEEPS = 2
 # More unknown coefficients than these get one value in common.
 _MAX_SEPARATE = 3
@@ -405,7 +408,7 @@ def _energy_fit(
                 if found is not None and column_of_band.reshape(-1)[band] == number:
                     windows, parameters = found
                     fitted = fit_band(Objective(parameters, (windows,)))
-                    out[band] = fitted.log_likelihood
+                    out[band] = _CAUTION * fitted.log_likelihood
         return out
 
     default = np.full(len(priors), settings.default_scattering)

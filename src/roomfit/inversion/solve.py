@@ -28,10 +28,10 @@ from roomfit.inversion.measurements import Measurements
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import CoherentOptions
 from roomfit.inversion.systematics import (
+    fitted_energies,
     relative_errors,
-    shared_steps,
     widened_by_neighbours,
-    with_tracing_noise,
+    with_shared_errors,
 )
 from roomfit.materials.priors import MaterialPrior
 from roomfit.objective.coherent import FittedGeometry
@@ -50,7 +50,7 @@ from roomfit.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance, add_covariance
+from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -74,13 +74,11 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
     scene, bands = measured.scene, measured.bands
 
     def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
-        first = objective.terms[0]
-        windows = first.energies if isinstance(first, DirectedTerm) else first
-        if not isinstance(windows, EnergyTerm) or not fit.vector.size:
+        if not isinstance(objective.terms[0], EnergyTerm | DirectedTerm) or not fit.vector.size:
             return fit
+        windows = fitted_energies(objective, fit.vector)
         files = fitted_in_band(measured.responses, band)
         sources = [int(scene.pairs[m.pair][0]) for m in files]
-        noisy = with_tracing_noise(objective, windows, sources, fit)
         walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
         relative = relative_errors(
             scene.air,
@@ -90,7 +88,7 @@ def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> Shar
             walls,
             (traced.scattering, traced.scattering_sd),
         )
-        return add_covariance(noisy, shared_steps(objective, fit, windows, relative))
+        return with_shared_errors(objective, fit, sources, relative)
 
     return add_shared_errors
 
@@ -204,7 +202,7 @@ def coherent_answers(
         coherent.append(None if band is None else refine(band, done))
     areas_m2 = material_areas_m2(task.scene.room)
     energy = [None if b is None else refine(b, None) for b in energy_estimates(fit)]
-    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2))
+    chosen = decided(fit, energy, widened_by_neighbours(tuple(coherent), areas_m2, task.priors))
     # where no response has data, room parameters or the prior
     alone = [
         None if e is not None else values_alone(task.values[band], task.priors, band, task.start)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import cast
 
 import numpy as np
 
@@ -17,13 +18,15 @@ from roomfit.air import Air, attenuation_per_m, pressure_decay_per_m, speed_of_s
 from roomfit.bands import Bands, steps_per_octave
 from roomfit.inversion.sequential import CoherentBand
 from roomfit.logit import Z95, expit, logit
-from roomfit.objective.coherent import fully_coherent
-from roomfit.objective.directivity import directed
+from roomfit.materials.priors import MaterialPrior, prior_logit_law
+from roomfit.objective.coherent import CoherentTerm, fully_coherent
+from roomfit.objective.directivity import DirectedTerm, directed
 from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
 from roomfit.response.binned import BinnedPaths, in_band, rows_at
+from roomfit.response.directivity import directed_rows
 from roomfit.response.energy import batch_energies, first_rows, reweighed_rows, weigh
 from roomfit.solvers.least_squares import BandFit
 from roomfit.tracing.paths import Paths
@@ -33,6 +36,7 @@ from roomfit.uncertainty.gaussian import (
     BandEstimate,
     add_covariance,
     answer_steps,
+    costs_of_terms,
 )
 
 _LEAST = 1e-9  # distance of an absorption from 0 and 1 in its logit
@@ -45,34 +49,52 @@ _SLOT_S = 0.04
 
 
 def widened_by_neighbours(
-    answers: Sequence[BandEstimate | None], areas_m2: FloatArray
+    answers: Sequence[BandEstimate | None],
+    areas_m2: FloatArray,
+    priors: tuple[MaterialPrior, ...] = (),
 ) -> tuple[BandEstimate | None, ...]:
     """Return intervals that allow for absorption that changes within a band.
 
     A fit assumes one absorption throughout a band and finds a mean over it, which belongs in part
     to the neighbours. The difference of the mean from the value at the centre, if absorption runs
     smoothly between the fitted bands, is taken as one more standard deviation. The bands at either
-    end lack a neighbour, and take the step to the other for it.
+    end lack a neighbour, and take the step to the other for it. Materials that are tied have one
+    error, those of a product errors that are as alike as their absorptions.
 
     Parameters
     ----------
     answers : sequence of BandEstimate or None, one a band, low to high
     areas_m2 : float array, shape (n_materials,)
+    priors : tuple of MaterialPrior, optional
+        What says which materials are alike; without them none are.
     """
     out: list[BandEstimate | None] = []
     neighbours = zip(answers, (None, *answers[:-1]), (*answers[1:], None), strict=True)
-    for answer, below, above in neighbours:
-        if answer is None:
-            out.append(None)
-        elif above is not None and below is not None:
-            up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
-            out.append(_widened(answer, np.abs(ABOVE * up + BELOW * down), areas_m2))
-        elif (only := above or below) is not None:
-            sd = np.hypot(ABOVE, BELOW) * np.abs(only.absorption - answer.absorption)
-            out.append(_widened(answer, sd, areas_m2))
-        else:
+    for band, (answer, below, above) in enumerate(neighbours):
+        if answer is None or (above is None and below is None):
             out.append(answer)
+            continue
+        if above is not None and below is not None:
+            up, down = above.absorption - answer.absorption, below.absorption - answer.absorption
+            step = ABOVE * up + BELOW * down
+        else:
+            only = cast(BandEstimate, above or below)
+            step = np.hypot(ABOVE, BELOW) * (only.absorption - answer.absorption)
+        a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
+        sd = np.abs(step) / (a * (1.0 - a))
+        out.append(widened(answer, _likeness(priors, band, a.size) * np.outer(sd, sd), areas_m2))
     return tuple(out)
+
+
+def _likeness(priors: tuple[MaterialPrior, ...], band: int, n: int) -> FloatArray:
+    """Return the prior correlation of n materials in a band, 1 between those that are tied."""
+    if not priors:
+        return np.eye(n)
+    names = [k.name for k in priors]
+    leader = [names.index(k.tied_to or k.name) for k in priors]
+    covariance = prior_logit_law(priors)[1][band][np.ix_(leader, leader)]
+    sd = np.sqrt(np.diag(covariance))
+    return np.asarray(covariance / np.outer(sd, sd))
 
 
 def with_both_intervals(best: BandEstimate, other: BandEstimate) -> BandEstimate:
@@ -106,12 +128,15 @@ def _half_each(one: FloatArray | None, other: FloatArray | None) -> FloatArray |
     return np.where(from_other, other[: len(one)], one)
 
 
-def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> BandEstimate:
-    """Return the answer with an independent error of absorption added, shape (n_materials,)."""
+def widened(answer: BandEstimate, covariance: FloatArray, areas_m2: FloatArray) -> BandEstimate:
+    """Return the answer with an error of its logits added, of a covariance (n_materials,) square.
+
+    What is fixed stays.
+    """
     fixed = answer.upper95 <= answer.lower95
-    sd = np.where(fixed, 0.0, sd)
+    covariance = np.where(fixed[:, None] | fixed, 0.0, covariance)
+    logit_sd = np.sqrt(np.diag(covariance))
     a = np.clip(answer.absorption, _LEAST, 1.0 - _LEAST)
-    logit_sd = sd / (a * (1.0 - a))
     middle = logit(a, _LEAST)
     lower = middle - np.hypot(middle - logit(answer.lower95, _LEAST), Z95 * logit_sd)
     upper = middle + np.hypot(logit(answer.upper95, _LEAST) - middle, Z95 * logit_sd)
@@ -119,13 +144,16 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
     upper95 = np.where(fixed, answer.upper95, np.maximum(expit(upper), answer.upper95))
     narrow = (upper95 - lower95 <= WIDEST_IDENTIFIABLE) | fixed
     mean, low, high = answer.mean
-    more = Z95 * float(np.linalg.norm(areas_m2 / areas_m2.sum() * sd))
+    slope = areas_m2 / areas_m2.sum() * a * (1.0 - a)
+    more = Z95 * float(np.sqrt(slope @ covariance @ slope))
+    size, directions = np.linalg.eigh(covariance)
+    root = directions * np.sqrt(np.maximum(size, 0.0))
 
     def moved(samples: FloatArray | None) -> FloatArray | None:
         if samples is None:
             return None
-        noise = np.random.default_rng(1).standard_normal(samples.shape)
-        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise * logit_sd), samples)
+        noise = np.random.default_rng(1).standard_normal(samples.shape) @ root.T
+        return np.where(logit_sd > 0.0, expit(logit(samples, _LEAST) + noise), samples)
 
     return replace(
         answer,
@@ -134,7 +162,7 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
         samples=moved(answer.samples),
         draws=moved(answer.draws),
         identifiable=answer.identifiable & narrow,
-        logit_covariance=answer.logit_covariance + np.diag(logit_sd**2),
+        logit_covariance=answer.logit_covariance + covariance,
         mean=(
             mean,
             max(mean - float(np.hypot(mean - low, more)), 0.0),
@@ -143,35 +171,58 @@ def _widened(answer: BandEstimate, sd: FloatArray, areas_m2: FloatArray) -> Band
     )
 
 
-def shared_steps(
+def with_shared_errors(
     objective: Objective,
     fit: BandFit,
-    energies: EnergyTerm,
+    sources: Sequence[int],
     relative: FloatArray,
     coherent: CoherentBand | None = None,
-) -> FloatArray:
-    """Return the shifts of the answer by errors that all windows share, shape (n_free, n_errors).
+) -> BandFit:
+    """Return a fit whose information allows for the errors that its windows share.
 
-    Each column is one standard deviation: of what `relative` holds, and of reflections that
-    interfere and are taken for energies that add.
+    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) is added:
+    over the batches of rays [1]_, by one standard deviation of what `relative` holds, and by
+    reflections that interfere and are taken for energies that add. `costs` of the fit says how
+    well the unknowns were known without one term or the other.
 
     Parameters
     ----------
     objective : Objective
-        What was fitted; the windows of `energies` are its first data.
+        What was fitted; windows are its first data.
     fit : BandFit
-    energies : EnergyTerm
-    relative : float array, shape (n_windows, n_errors)
+    sources : sequence of int
+        Source of each observation: rays of one reach all of its receivers.
+    relative : float array, shape (n_windows, 2)
         Of the expected energy, see `air_error` and `scattering_error`.
     coherent : CoherentBand, optional
         The band, where pressures were fitted.
+
+    References
+    ----------
+    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
+           section 3: the delete-one variance of an estimate, here linearised.
     """
+    energies = fitted_energies(objective, fit.vector)
     noise = np.concatenate([o.noise for o in energies.observations])
     signal = fit.expected[: noise.size] - noise
-    columns = [signal[:, None] * relative]
+    shared = {
+        "rays": batch_spread(energies, objective.parameters, fit.vector, sources),
+        "air": (signal * relative[:, 0])[:, None],
+        "scattering": (signal * relative[:, 1])[:, None],
+    }
     if coherent is not None:
-        columns.append((signal * lost_coherence(coherent, fit))[:, None])
-    return answer_steps(objective, fit, np.concatenate(columns, axis=1))
+        shared["lost coherence"] = (signal * lost_coherence(coherent, fit))[:, None]
+    costs = costs_of_terms(objective, fit, shared)
+    steps = answer_steps(objective, fit, np.concatenate(list(shared.values()), axis=1))
+    return replace(add_covariance(fit, steps), costs=costs)
+
+
+def fitted_energies(objective: Objective, vector: FloatArray) -> EnergyTerm:
+    """Return an objective's windows as energies, its paths with their sources' directivity."""
+    first = objective.terms[0]
+    if isinstance(first, DirectedTerm):
+        return first.weighed(physical_values(objective.parameters, vector)[0])
+    return first.energies if isinstance(first, CoherentTerm) else cast(EnergyTerm, first)
 
 
 def relative_errors(
@@ -309,34 +360,6 @@ def _middle_s(energies: EnergyTerm) -> FloatArray:
     return np.asarray(np.maximum(np.concatenate([0.5 * (e[1:] + e[:-1]) for e in edges]), 0.0))
 
 
-def with_tracing_noise(
-    objective: Objective, energies: EnergyTerm, sources: Sequence[int], fit: BandFit
-) -> BandFit:
-    """Return a fit whose information allows for the Monte-Carlo noise that windows share.
-
-    The covariance of the answer's shifts (`roomfit.uncertainty.gaussian.answer_steps`) over the
-    batches of rays [1]_ is added.
-
-    Parameters
-    ----------
-    objective : Objective
-        What was fitted; the windows of `energies` are its first data.
-    energies : EnergyTerm
-    sources : sequence of int
-        Source of each observation: rays of one reach all of its receivers.
-    fit : BandFit
-
-    References
-    ----------
-    .. [1] B. Efron, "The Jackknife, the Bootstrap and Other Resampling Plans", SIAM (1982),
-           section 3: the delete-one variance of an estimate, here linearised.
-    """
-    spread = batch_spread(energies, objective.parameters, fit.vector, sources)
-    if not spread.size:
-        return fit
-    return add_covariance(fit, answer_steps(objective, fit, spread))
-
-
 def batch_spread(
     energies: EnergyTerm, parameters: Parameters, vector: FloatArray, sources: Sequence[int]
 ) -> FloatArray:
@@ -356,7 +379,10 @@ def batch_spread(
         return np.zeros((n_windows, 0))
     out: FloatArray = np.zeros((n_windows, len(names), n_batches))
     first = 0
-    for rows, observed, source in zip(energies.rows, energies.observations, sources, strict=True):
+    patterns = energies.patterns or (None,) * len(energies.rows)
+    each = zip(energies.rows, patterns, energies.observations, sources, strict=True)
+    for traced, pattern, observed, source in each:
+        rows = traced if pattern is None else directed_rows(traced, pattern.factor())
         batches = batch_energies(
             rows, values["absorption"][:, None], np.array([energies.attenuation_per_m])
         )[:, 0, :]

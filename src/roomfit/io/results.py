@@ -223,6 +223,11 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             name: dict(zip(("mean_absorption", "lower95", "upper95"), mean, strict=True))
             for name, mean in answer.state_means.items()
         }
+    if any(answer.costs):
+        content["sd_without"] = [
+            {name or "nothing": numbers_or_null(np.round(sd, 4)) for name, sd in band.items()}
+            for band in answer.costs
+        ]
     if answer.directivities:
         content["directivity"] = {
             name: {"b": d.b, "sd": d.sd}

@@ -16,9 +16,11 @@ from roomfit.bands import Bands
 from roomfit.materials.priors import MaterialPrior
 from roomfit.measurement import LATENCY_SD_S, MeasuredPair
 from roomfit.objective.energy import (
+    WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     Observation,
     Weighed,
+    end_to_end,
     first_windows,
     noise_and_model_variance,
     observation_variance,
@@ -58,9 +60,6 @@ _LEAST_COHERENCE = 1e-3
 _TIMING_SHARE = 1e-4
 # The same of a position, per coordinate, in m.
 _POSITION_SD_M = 0.5e-3
-# Windows share errors that no term of the covariance stands for, as a description that is a little
-# off; see docs/decisions/0022-how-many-windows-count-as-one.md.
-WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -143,18 +142,14 @@ class CoherentTerm:
         """Return what the model expects in every window, shape (n_windows,)."""
         return self.predict(values)[0]
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return the variance of every measured window energy about its expectation.
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return what the variance of every window is the sum of, by name, (n_windows,) each.
 
         With Y the energy per time of the coherent pressure and P that of what is not, the random
         part interferes with itself and with the coherent one: ``(P^2 + 2 P Y - Q) / B`` integrated
         over the window, where ``Q = sum of e_i^2 (1 - gamma_i^2)`` takes out what single arrivals
         cannot do, since a single arrival has its energy whatever its phase. Without coherence, and
         in late windows, this is the variance of the energies.
-
-        Returns
-        -------
-        float array, shape (n_windows,)
         """
         gains = np.append(values["gain"], 1.0)
         paths = weighed(self.energies, values["absorption"])
@@ -169,7 +164,7 @@ class CoherentTerm:
         ).energy
         ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in self.early)])
         energy = image_energies(self.images, values["absorption"])
-        variances = []
+        parts = []
         for o, (early, observed) in enumerate(
             zip(self.early, self.energies.observations, strict=True)
         ):
@@ -178,9 +173,10 @@ class CoherentTerm:
             own = _early_variance(self, o, paths[o], energy, coherent, gain)
             if early.energy.size < observed.energy.size:
                 late = observation_variance(self.energies, o, paths[o], gain)
-                own = np.concatenate((own, late[own.size :]))
-            variances.append(own)
-        return np.concatenate(variances)
+                n = early.energy.size
+                own = {name: np.append(x, late[name][n:]) for name, x in own.items()}
+            parts.append(own)
+        return end_to_end(parts)
 
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
@@ -246,8 +242,8 @@ def _early_variance(
     energy: FloatArray,
     coherent: FloatArray,
     gain: float,
-) -> FloatArray:
-    """Return the variance of an observation's early windows.
+) -> dict[str, FloatArray]:
+    """Return the parts of the variance of an observation's early windows.
 
     `energy` is that of all `term.images`, `coherent` that of the coherent pressure in each of
     the windows' pieces.
@@ -269,8 +265,12 @@ def _early_variance(
     timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ late)
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
-    rest = noise_and_model_variance(term.energies, observed, signal)
-    return np.asarray(gain**2 * (interference + timing + tracing) + rest)
+    return {
+        "interference": gain**2 * interference,
+        "positions": gain**2 * timing,
+        "rays": gain**2 * tracing,
+        **noise_and_model_variance(term.energies, observed, signal),
+    }
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -127,10 +127,10 @@ class DirectedTerm:
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
         return self._weighed(b).expected(values)
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return how far every window may scatter, shape (n_windows,)."""
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return what the variance of every window is the sum of, by name, (n_windows,) each."""
         b = vectors_of(self.directivity.unknown, values[DIRECTIVITY])
-        return self._weighed(b).variance(values)
+        return self._weighed(b).variance_parts(values)
 
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, shape (n_windows,)."""

@@ -17,7 +17,6 @@ from scipy.sparse import block_diag, csr_array
 
 from roomfit.objective.directivity import DIRECTIVITY, BandDirectivities, DirectedTerm, vectors_of
 from roomfit.objective.energy import (
-    WINDOWS_PER_INDEPENDENT_ONE,
     EnergyTerm,
     late_shares,
     model_variance,
@@ -36,6 +35,9 @@ from roomfit.tracing.paths import Paths, hits
 from roomfit.typing import FloatArray, IntArray
 
 _LEAST = 1e-12
+# These windows are half as long as the band's filter resolves; the thresholds of what counts as
+# displaced were chosen with three of them as one.
+WINDOWS_PER_INDEPENDENT_ONE = 3.0
 _TINY = float(np.finfo(np.float64).tiny)
 
 
@@ -111,8 +113,8 @@ class DisplacedTerm:
         energy, _ = self._images(values)
         return np.asarray(self._gain(values) * (self.spreading @ energy + self._rest(values)))
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return the variance of every window as `EnergyTerm.variance` has it, (n_windows,)."""
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return the variance of every window as `EnergyTerm` has it, in parts, (n_windows,)."""
         kept, term = self.kept, self.kept.term
         energy, _ = self._images(values)
         rest, gain = self._rest(values), self._gain(values)
@@ -131,7 +133,7 @@ class DisplacedTerm:
         noise = kept.background[:, 0] + kept.background[:, 1] * signal
         model = model_variance(term, term.measured() - kept.noise, signal, kept.ringing @ signal)
         own = interference + timing + ratio**2 * kept.tracing
-        return np.asarray(gain**2 * own + noise + model)
+        return {"reflections": gain**2 * own + noise, **model}
 
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return how many neighbours share the information of each window, (n_windows,)."""

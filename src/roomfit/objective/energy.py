@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import ClassVar, cast
 
@@ -27,10 +28,9 @@ _RINGING_S = 2e-3
 # Key of the derivative by b of the source that each window receives, shape (n_windows, 3).
 PATTERN = "pattern"
 
-# Windows are not independent: the band filter overlaps neighbours, and every pair and every window
-# sees the same few walls. Counting three windows as one was chosen on five simulated boxes and
-# checked on six others: docs/decisions/0002-three-windows-count-as-one.md.
-WINDOWS_PER_INDEPENDENT_ONE = 3.0
+# Neighbours share what the band filter spreads. Residuals of measured and of simulated rooms count
+# 1.0 to 1.7 windows as one: docs/decisions/0037-what-a-window-costs.md.
+WINDOWS_PER_INDEPENDENT_ONE = 1.35
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -140,8 +140,8 @@ class EnergyTerm:
             found.append(signal + observation.noise)
         return np.concatenate(found)
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return the variance of every measured window energy about its expectation.
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return what the variance of every window is the sum of, by name, (n_windows,) each.
 
         Reflections interfere, however finely one traces: the energy of a band of bandwidth B has
         the variance ``1 / B`` times the integral of P^2 - Q, where P is the sum of path energies
@@ -149,14 +149,10 @@ class EnergyTerm:
         reflection carries no such noise. It may still fall on either side of a window's edge where
         positions are a centimetre wrong. To this come background noise, its beat with the signal,
         the trace's own Monte-Carlo noise (from independent batches) and the error of the model.
-
-        Returns
-        -------
-        float array, shape (n_windows,)
         """
         gains = np.append(values["gain"], 1.0)
         paths = weighed(self, values["absorption"])
-        return np.concatenate(
+        return end_to_end(
             [
                 observation_variance(self, o, paths[o], float(gains[observed.gain]))
                 for o, observed in enumerate(self.observations)
@@ -260,18 +256,22 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
 
 def observation_variance(
     problem: EnergyTerm, observation: int, paths: Weighed, gain: float
-) -> FloatArray:
-    """Return `EnergyTerm.variance` of one observation, shape (n_windows,)."""
+) -> dict[str, FloatArray]:
+    """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
-    timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
+    positions = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
     interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
-    rest = noise_and_model_variance(problem, observed, gain * (observed.spreading @ paths.energy))
-    return np.asarray(gain**2 * (interference + timing + paths.tracing) + rest)
+    return {
+        "interference": gain**2 * interference,
+        "positions": gain**2 * positions,
+        "rays": gain**2 * paths.tracing,
+        **noise_and_model_variance(problem, observed, gain * (observed.spreading @ paths.energy)),
+    }
 
 
 def noise_and_model_variance(
     problem: EnergyTerm, observed: Observation, signal: FloatArray
-) -> FloatArray:
+) -> dict[str, FloatArray]:
     """Return the variance of each window by background noise and by the errors of the model.
 
     Parameters
@@ -282,13 +282,16 @@ def noise_and_model_variance(
     noise = observed.noise * (observed.noise + 2.0 * signal)
     noise /= problem.bandwidth_hz * np.diff(observed.edges_s)
     ringing = late_shares(observed.edges_s) @ signal
-    return noise + model_variance(problem, observed.energy - observed.noise, signal, ringing)
+    return {
+        "noise": noise,
+        **model_variance(problem, observed.energy - observed.noise, signal, ringing),
+    }
 
 
 def model_variance(
     problem: EnergyTerm, measured: FloatArray, signal: FloatArray, ringing: FloatArray
-) -> FloatArray:
-    """Return the variance of each window by the errors of the model, shape (n_windows,).
+) -> dict[str, FloatArray]:
+    """Return the variance of each window by the errors of the model, (n_windows,) each.
 
     Parameters
     ----------
@@ -300,7 +303,15 @@ def model_variance(
     # where the measurement is far above, its own size bounds the certainty: a window that a
     # trial absorption leaves empty must not outweigh all others
     scale = np.maximum(signal, 0.5 * measured)
-    return np.asarray((problem.model_error * scale) ** 2 + (problem.ringing_error * ringing) ** 2)
+    return {
+        "model": (problem.model_error * scale) ** 2,
+        "ringing": (problem.ringing_error * ringing) ** 2,
+    }
+
+
+def end_to_end(parts: Sequence[Mapping[str, FloatArray]]) -> dict[str, FloatArray]:
+    """Return the parts of the variance of several observations, one after the other."""
+    return {name: np.concatenate([p[name] for p in parts]) for name in parts[0]}
 
 
 def squared_image_rows(rows: EnergyRows) -> EnergyRows:

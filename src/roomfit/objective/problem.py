@@ -52,8 +52,8 @@ class DataTerm(Protocol):
         """Return the same expected data without derivatives, shape (n_data,)."""
         ...
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return the variance of each datum about its expectation, shape (n_data,)."""
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return what the variance of each datum is the sum of, by name, shape (n_data,) each."""
         ...
 
     def correlation_length(self, start: Values) -> FloatArray:
@@ -104,8 +104,20 @@ class Objective:
     def variance(self, vector: FloatArray) -> FloatArray:
         """Return the variance of each datum about its expectation, shape (n_data,)."""
         values, _ = physical_values(self.parameters, vector)
-        own = np.concatenate([term.variance(values) for term in self.terms])
+        own = np.concatenate([total(term.variance_parts(values)) for term in self.terms])
         return own if self.inflation is None else self.inflation * own
+
+    def variance_parts(self, vector: FloatArray) -> dict[str, FloatArray]:
+        """Return what `variance` is the sum of by name, 0 for data without it, (n_data,) each."""
+        values, _ = physical_values(self.parameters, vector)
+        each = [term.variance_parts(values) for term in self.terms]
+        sizes = [term.measured().size for term in self.terms]
+        factor = 1.0 if self.inflation is None else self.inflation
+        return {
+            name: factor
+            * np.concatenate([p.get(name, np.zeros(n)) for p, n in zip(each, sizes, strict=True)])
+            for name in dict.fromkeys(name for parts in each for name in parts)
+        }
 
     def correlation_length(self) -> FloatArray:
         """Return how many neighbours share the information of each datum, shape (n_data,)."""
@@ -159,6 +171,11 @@ def count_evaluation() -> None:
     made = _MADE.get(None)
     if made is not None:
         made[0] += 1
+
+
+def total(parts: Mapping[str, FloatArray]) -> FloatArray:
+    """Return the sum of the parts of a variance, shape (n_data,)."""
+    return np.asarray(np.sum(list(parts.values()), axis=0))
 
 
 def normal_log_likelihood(

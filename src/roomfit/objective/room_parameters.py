@@ -108,10 +108,10 @@ class ValuesTerm:
             found.append(value_gradients(curve, 0, observed.names, derivative=False)[0])
         return np.concatenate(found)
 
-    def variance(self, values: Values) -> FloatArray:
-        """Return the variance of every value about its prediction, shape (n_values,)."""
+    def variance_parts(self, values: Values) -> dict[str, FloatArray]:
+        """Return the variance of every value about its prediction as one part, (n_values,)."""
         covariances = value_covariances(self, values["absorption"])
-        return np.concatenate([np.diag(c) for c in covariances])
+        return {"values": np.concatenate([np.diag(c) for c in covariances])}
 
     def correlation_length(self, start: Values) -> FloatArray:
         """Return how many values of the same pair share their information, shape (n_values,).

@@ -20,6 +20,7 @@ from roomfit.typing import BoolArray, FloatArray
 # measured ones only, and all of it is shown.
 _OF_RECORDINGS = ("T20_s", "EDT_s", "C80_dB")
 _BELOW_BAND = " " * 11
+_LEAST_COST = 0.03  # of a standard deviation: terms that cost less are not named
 
 
 def answer_text(answer: Result) -> str:
@@ -31,6 +32,7 @@ def answer_text(answer: Result) -> str:
         directivity_text(answer),
         offsets_text(answer),
         certificate_text(answer),
+        costs_text(answer),
         pairs_table(answer),
         findings_text(answer.findings),
     ]
@@ -170,6 +172,24 @@ def certificate_text(answer: Result) -> str:
 
 def _names(materials: tuple[str, ...], chosen: BoolArray) -> str:
     return ", ".join(n for n, c in zip(materials, chosen, strict=True) if c)
+
+
+def costs_text(answer: Result) -> str:
+    """Return by how much standard deviations would be smaller without each term, band by band."""
+    lines = []
+    for centre, band in zip(answer.bands.centres_hz, answer.costs, strict=False):
+        fitted = band[""] > 0.0 if band else np.zeros(0, dtype=np.bool_)
+        if not fitted.any():
+            continue
+        less = {n: 1.0 - float(np.median(sd[fitted] / band[""][fitted])) for n, sd in band.items()}
+        named = sorted((n for n in less if less[n] >= _LEAST_COST), key=lambda n: -less[n])
+        prior = float(np.median(np.minimum(band["prior"][fitted] / band[""][fitted], 100.0)))
+        each = ", ".join(f"{n} {100 * less[n]:.0f} %" for n in named) or "none"
+        lines.append(f"{centre:>6g} Hz  {each}; without the prior {prior:.1f} times as large")
+    if not lines:
+        return ""
+    head = "What uncertainty is made of: by how much the standard deviation of a material (median)"
+    return "\n".join([head, "would be smaller without a term", *lines])
 
 
 def pairs_table(answer: Result) -> str:

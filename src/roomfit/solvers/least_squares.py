@@ -7,8 +7,8 @@ Gauss-Newton steps, or the searches of Suh's paper. Also: what one band's fit sa
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import TypeAlias
 
@@ -154,6 +154,8 @@ class BandFit:
     evaluations: int  # how often the response was weighed with its derivative
     ending: Ending
     previous: FloatArray | None = None  # (n_free,), the answer before the last round
+    # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
+    costs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:

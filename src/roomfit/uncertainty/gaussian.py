@@ -8,8 +8,8 @@ as the mean absorption of the room.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
 from typing import TypeAlias
 
 import numpy as np
@@ -31,6 +31,7 @@ from roomfit.objective.parameters import (
     physical_values,
     position_of,
     prior_covariance,
+    prior_residuals,
     to_free,
     to_physical,
 )
@@ -38,7 +39,7 @@ from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import BandFit
-from roomfit.typing import BoolArray, FloatArray, Progress
+from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
 from roomfit.uncertainty.profile import Profile
 from roomfit.uncertainty.sampling import Sampled
 
@@ -210,6 +211,106 @@ def add_covariance(fit: BandFit, steps: FloatArray) -> BandFit:
     return replace(fit, information=0.5 * (information + information.T))
 
 
+def costs_of_terms(
+    objective: Objective, fit: BandFit, shared: Mapping[str, FloatArray]
+) -> dict[str, FloatArray]:
+    """Return `sds_without` of a fit, its gains and other blocks of unknowns among what is known.
+
+    Parameters
+    ----------
+    shared : mapping to float arrays, shape (n, n_errors)
+        Errors that the first n data share, in their unit.
+    """
+    parameters = objective.parameters
+    _, rows = prior_residuals(parameters, fit.vector)
+    ends = np.cumsum([0, *(int(np.count_nonzero(b.fitted)) for b in parameters.blocks)])
+    known = {
+        b.name: np.arange(first, last)
+        for b, first, last in zip(parameters.blocks, ends[:-1], ends[1:], strict=True)
+        if b.name != "absorption" and last > first
+    }
+    return sds_without(
+        objective.predict(fit.vector).jacobian,
+        rows.T @ rows,
+        objective.variance_parts(fit.vector),
+        shared,
+        objective.correlation_length(),
+        known,
+        max(fit.chi2_reduced, 1.0),
+    )
+
+
+def sds_without(
+    jacobian: FloatArray,
+    prior: FloatArray,
+    parts: Mapping[str, FloatArray],
+    shared: Mapping[str, FloatArray],
+    neighbours: FloatArray,
+    known: Mapping[str, IntArray],
+    misfit: float = 1.0,
+) -> dict[str, FloatArray]:
+    """Return how well unknowns are known with all terms of the uncertainty, and without each.
+
+    The covariance is ``misfit (J^T W J + P)^-1`` and the outer products of the answer's shifts by
+    shared errors, with ``1 / W`` the sum of the parts times the number of neighbours: linear, at
+    the answer. Without a term the weights are those that suit the others.
+
+    Parameters
+    ----------
+    jacobian : float array, shape (n_data, n_free)
+    prior : float array, shape (n_free, n_free)
+        Information.
+    parts : mapping to float arrays, shape (n_data,)
+        What the variance of each datum is the sum of.
+    shared : mapping to float arrays, shape (n, n_errors)
+        Errors that the first n data share, one standard deviation a column; those that have the
+        name of a part are left out with it.
+    neighbours : float array, shape (n_data,)
+        How many data count as one.
+    known : mapping to int arrays
+        Unknowns beside those asked for, each of which may be taken for known.
+    misfit : float
+        Factor on the covariance, 1 or more.
+
+    Returns
+    -------
+    dict to float arrays, shape (n_free,)
+        "": with all terms; then by what is left out, "neighbours", "misfit" and "prior" among them
+        (that of the unknowns asked for).
+        0 of what is taken for known; infinite where without the prior nothing is determined.
+    """
+    others = np.concatenate([*known.values(), []])
+
+    def sds(without: str) -> FloatArray:
+        kept = [part for name, part in parts.items() if name != without]
+        weight = 1.0 / np.maximum(
+            np.sum(kept, axis=0), 1e-12 * np.sum(list(parts.values()), axis=0)
+        )
+        weight /= 1.0 if without == "neighbours" else neighbours
+        free = np.setdiff1d(np.arange(len(prior)), known.get(without, []))
+        rows = jacobian[:, free]
+        information = rows.T @ (weight[:, None] * rows)
+        stated = np.isin(free, others) if without == "prior" else np.ones(free.size, np.bool_)
+        information += prior[np.ix_(free, free)] * np.outer(stated, stated)
+        size, directions = np.linalg.eigh(information)
+        out = np.zeros(len(prior))
+        out[free] = np.inf
+        if size[0] <= 1e-12 * size[-1]:
+            return out
+        inverse = (directions / size) @ directions.T
+        variance = np.diag(inverse) * (1.0 if without == "misfit" else misfit)
+        for name, errors in shared.items():
+            if name != without:
+                n = len(errors)  # which may be many columns: no copy of them
+                steps = inverse @ ((rows[:n].T * weight[:n]) @ errors)
+                variance = variance + np.sum(steps**2, axis=1)
+        out[free] = np.sqrt(variance)
+        return out
+
+    names = ("", *parts, *shared, *known, "neighbours", "misfit", "prior")
+    return {name: sds(name) for name in dict.fromkeys(names)}
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Starts:
     """Where least squares from random starts ended."""
@@ -260,6 +361,12 @@ class BandEstimate:
     mirrors: tuple[MirrorTrial, ...] = ()  # one a symmetry
     starts: Starts | None = None  # where random starts were tried
     moved: tuple[str, ...] = ()  # of a fit that did not converge: what the last round moved most
+    # (n_materials,), standard deviation in the logit by which term were left out, see `sds_without`
+    costs: Mapping[str, FloatArray] = field(default_factory=dict)
+
+    # (2, n_files), T20 of the windows of each file in s, measured and as fitted, where pressures
+    # were fitted
+    window_t20_s: FloatArray | None = None
 
     @property
     def converged(self) -> bool:
@@ -313,7 +420,15 @@ def band_estimate(
         _directivity(parameters, fit.vector, found.covariance),
         kinds=_kinds(found.lower95, found.upper95, block.fitted[leader]),
         moved=() if fit.converged else _moved(parameters, fit),
+        costs={name: _of_materials(block, sd[chosen]) for name, sd in fit.costs.items()},
     )
+
+
+def _of_materials(block: Block, fitted: FloatArray) -> FloatArray:
+    """Return what belongs to the fitted entries of a block for all of them, 0 where fixed."""
+    own = np.zeros(len(block.labels))
+    own[block.fitted] = fitted
+    return own[leaders(block)]
 
 
 def _moved(parameters: Parameters, fit: BandFit) -> tuple[str, ...]:

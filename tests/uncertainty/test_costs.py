@@ -1,0 +1,120 @@
+"""What each term of the uncertainty costs: against plain Gauss-Newton information."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
+
+import numpy as np
+import pytest
+
+from coherent_cases import objective_of, small_term
+from roomfit.bands import bands_between
+from roomfit.objective.parameters import prior_residuals, start_vector
+from roomfit.report.text import costs_text
+from roomfit.results import Result
+from roomfit.solvers.least_squares import score_band
+from roomfit.uncertainty.gaussian import add_covariance, answer_steps, costs_of_terms, sds_without
+
+RNG = np.random.default_rng(4)
+JACOBIAN = RNG.standard_normal((40, 3))
+PRIOR = np.diag([0.5, 2.0, 0.0])
+PARTS = {"noise": RNG.uniform(0.5, 1.0, 40), "model": RNG.uniform(0.1, 3.0, 40)}
+SHARED = {"air": RNG.standard_normal((40, 1)), "model": RNG.standard_normal((40, 2))}
+NEIGHBOURS = np.full(40, 1.5)
+
+
+def costs(**changed):
+    given = {"parts": PARTS, "shared": SHARED, "neighbours": NEIGHBOURS, "misfit": 1.3}
+    given |= changed
+    misfit = given.pop("misfit")
+    return sds_without(JACOBIAN, PRIOR, **given, known={"gain": np.array([2])}, misfit=misfit)
+
+
+def plain(variance, prior, shared, misfit):
+    """Return the standard deviations by the formula, with whole matrices."""
+    weight = np.diag(1.0 / variance)
+    inverse = np.linalg.inv(JACOBIAN.T @ weight @ JACOBIAN + prior)
+    steps = inverse @ JACOBIAN.T @ weight @ shared
+    return np.sqrt(np.diag(misfit * inverse + steps @ steps.T))
+
+
+def test_each_term_left_out_is_the_information_of_the_others():
+    found = costs()
+    both, air = PARTS["noise"] + PARTS["model"], SHARED["air"]
+    every = np.hstack((air, SHARED["model"]))
+    for name, expected in {
+        "": plain(1.5 * both, PRIOR, every, 1.3),
+        "model": plain(1.5 * PARTS["noise"], PRIOR, air, 1.3),
+        "air": plain(1.5 * both, PRIOR, SHARED["model"], 1.3),
+        "neighbours": plain(both, PRIOR, every, 1.3),
+        "misfit": plain(1.5 * both, PRIOR, every, 1.0),
+        "prior": plain(1.5 * both, np.zeros((3, 3)), every, 1.3),
+    }.items():
+        np.testing.assert_allclose(found[name], expected, rtol=1e-9, err_msg=name)
+    assert list(found) == ["", "noise", "model", "air", "gain", "neighbours", "misfit", "prior"]
+
+
+def test_what_is_taken_for_known_is_no_unknown():
+    alone = sds_without(JACOBIAN[:, :2], PRIOR[:2, :2], PARTS, SHARED, NEIGHBOURS, {}, 1.3)[""]
+    np.testing.assert_allclose(costs()["gain"], [*alone, 0.0], rtol=1e-9)
+
+
+def test_no_part_of_a_variance_costs_less_than_nothing():
+    """Independent errors: with less noise the weights are better and the answer is."""
+    found = costs(shared={}, misfit=1.0)
+    for name in ("noise", "model", "gain", "neighbours"):
+        assert np.all(found[name] <= found[""] * (1.0 + 1e-12)), name
+    assert np.all(found["prior"] >= found[""])
+
+
+def test_without_a_prior_nothing_is_known_where_the_data_say_nothing():
+    nothing = np.array(JACOBIAN)
+    nothing[:, 0] = 0.0
+    found = sds_without(nothing, PRIOR + np.eye(3), PARTS, {}, NEIGHBOURS, {})
+    assert np.all(np.isinf(found["prior"]))
+    assert np.all(np.isfinite(found[""]))
+
+
+@pytest.mark.parametrize("centre_hz", [500.0, 1000.0])
+def test_all_terms_together_are_the_covariance_that_is_reported(centre_hz):
+    """Of a fitted band: parts add up to its variance, and the costs begin with its intervals."""
+    objective = objective_of(small_term(centre_hz).energies)
+    fit = score_band(objective, start_vector(objective.parameters))
+    parts = objective.variance_parts(fit.vector)
+    np.testing.assert_allclose(sum(parts.values()), fit.variance, rtol=1e-12)
+    assert set(parts) == {"interference", "positions", "rays", "noise", "model", "ringing"}
+    errors = {"air": 0.1 * fit.expected[:, None]}
+    reported = add_covariance(fit, answer_steps(objective, fit, errors["air"]))
+    found = costs_of_terms(objective, fit, errors)
+    expected = np.sqrt(np.diag(np.linalg.inv(reported.information)) * max(fit.chi2_reduced, 1.0))
+    np.testing.assert_allclose(found[""], expected, rtol=1e-6)
+    _, rows = prior_residuals(objective.parameters, fit.vector)
+    narrow = replace(objective.terms[0], model_error=0.0)
+    sharper = objective_of(narrow)
+    jacobian, neighbours = sharper.predict(fit.vector).jacobian, objective.correlation_length()
+    information = jacobian.T / (neighbours * sharper.variance(fit.vector)) @ jacobian
+    information += rows.T @ rows
+    steps = np.linalg.solve(
+        information, jacobian.T / (neighbours * sharper.variance(fit.vector)) @ errors["air"]
+    )
+    covariance = np.linalg.inv(information) * max(fit.chi2_reduced, 1.0) + steps @ steps.T
+    np.testing.assert_allclose(found["model"], np.sqrt(np.diag(covariance)), rtol=1e-6)
+
+
+def test_the_text_names_what_costs_most_first_and_leaves_out_what_costs_nothing():
+    """In the median over materials that were fitted."""
+    band = {
+        "": np.array([1.0, 0.0, 2.0]),
+        "noise": np.array([0.99, 0.0, 1.98]),
+        "model": np.array([0.9, 0.0, 1.8]),
+        "interference": np.array([0.5, 0.0, 1.2]),
+        "prior": np.array([2.0, 0.0, np.inf]),
+    }
+    answer = SimpleNamespace(bands=bands_between("octave", 500, 1000), costs=({}, band))
+    head, _, line = costs_text(cast(Result, answer)).splitlines()
+    assert head.startswith("What uncertainty is made of")
+    assert line == "  1000 Hz  interference 45 %, model 10 %; without the prior 51.0 times as large"
+    nothing = SimpleNamespace(bands=answer.bands, costs=())
+    assert costs_text(cast(Result, nothing)) == ""
