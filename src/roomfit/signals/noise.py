@@ -249,9 +249,10 @@ def decay_line(
     """Return height and time constant of the exponential above the noise, or None.
 
     Times are the middles of equal blocks after the onset, blocks their mean powers with the noise,
-    shape (n_blocks,) each; the height is that of the line at time 0. Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
-    noise, down to that level; from the peak on where the decay is not that long. Quiet blocks with
-    louder ones after them, as between direct sound and first reflection of a hall, are skipped.
+    shape (n_blocks,) each; the height is that of the line at time 0. Through the blocks from
+    `span_db` above the lowest usable level, which lies 6 dB above the noise, down to that level;
+    from the peak on where the decay is not that long. Quiet blocks with louder ones after them, as
+    between direct sound and first reflection of a hall, are skipped.
     """
     if not len(blocks):
         return None

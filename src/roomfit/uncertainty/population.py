@@ -6,14 +6,24 @@ itself: weighed, resampled, and moved by Metropolis steps, for some hundred eval
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias, cast
 
 import numpy as np
 
+from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import Objective
+from roomfit.objective.room_parameters import ValuesTerm, approximated, shared_errors
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.sampling import LogPosterior, Surrogate, log_posterior, surrogate
+from roomfit.uncertainty.sampling import (
+    FARTHEST_FREE,
+    LogPosterior,
+    Surrogate,
+    log_posterior,
+    surrogate,
+)
 
 # Each point is drawn from twice, some moves apart; fewer say little of where all have to go.
 _LEAST_POINTS = 64
@@ -26,6 +36,8 @@ _MOVES, _MOST_ROUNDS = 0.8, 5
 _MOST_LEVELS = 20
 # Above so many numbers the second derivatives of all windows cost more than what they save.
 _MOST_CURVATURES = 20_000
+# Of a value's variance that no other pair shares, at least.
+_LEAST_OWN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -68,6 +80,8 @@ def posterior_draws(
     """
     law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
+    only_values = len(objective.terms) == 1 and isinstance(objective.terms[0], ValuesTerm)
+    worth_of = _of_values(law, fit) if only_values else _one_by_one(law)
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
     # gains have no prior to begin with, and energies one minimum; values alone may have several
@@ -79,7 +93,7 @@ def posterior_draws(
         of_near = _log_prior(near, points)
     else:
         points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
-    worth = _worth(law, points)
+    worth = worth_of(points)
     evaluations, power, first_share = size, 0.0, 1.0
     for number in range(_MOST_LEVELS):
         ratio = worth - of_near
@@ -92,10 +106,10 @@ def posterior_draws(
         if power >= 1.0 - 1e-9:
             break
         if from_prior:
-            points, worth, _ = _differed(law, points, worth, rng, (near, power))
+            points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
             of_near = _log_prior(near, points)
         else:
-            points, worth, of_near, _ = _walked(law, near, (points, worth, of_near), power, rng)
+            points, worth, of_near, _ = _walked(worth_of, near, (points, worth, of_near), power, rng)
         evaluations += size
     drawn: list[FloatArray] = []
     moves: list[float] = []
@@ -103,10 +117,10 @@ def posterior_draws(
         moves.append(0.0)
         for number in range(_MOST_ROUNDS):
             if number % 2 != from_prior:
-                points, worth, taken = _differed(law, points, worth, rng)
+                points, worth, taken = _differed(worth_of, points, worth, rng)
             else:
                 here = points, worth, of_near
-                points, worth, of_near, taken = _walked(law, near, here, 1.0, rng)
+                points, worth, of_near, taken = _walked(worth_of, near, here, 1.0, rng)
             evaluations += size
             moves[-1] += taken
             if moves[-1] >= _MOVES:
@@ -116,8 +130,42 @@ def posterior_draws(
     return Population(kept, first_share, min(moves), evaluations)
 
 
-def _worth(law: LogPosterior, points: FloatArray) -> FloatArray:
-    return np.array([law(p) for p in points])
+Worth: TypeAlias = Callable[[FloatArray], FloatArray]
+"""From points, shape (n_points, n_kept), to their log densities."""
+
+
+def _one_by_one(law: LogPosterior) -> Worth:
+    return lambda points: np.array([law(p) for p in points])
+
+
+def _of_values(law: LogPosterior, fit: BandFit) -> Worth:
+    """Return the same law of room parameters alone, with the errors that all pairs share.
+
+    What is left of the variance is each value's own: with V these, neighbours counted once and
+    flattened by the misfit, and S the shared errors, the covariance is ``V + S S'``.
+    """
+    objective = law.objective
+    term = cast(ValuesTerm, objective.terms[0])
+
+    def absorption(point: FloatArray) -> FloatArray:
+        return physical_values(objective.parameters, point)[0]["absorption"]
+
+    values, shared = approximated(term, here := absorption(fit.vector)), shared_errors(term, here)
+    own = np.maximum(fit.variance - np.sum(shared**2, axis=1), _LEAST_OWN * fit.variance)
+    weight = 1.0 / (own * objective.correlation_length() * law.flattening)
+    S = shared * np.sqrt(weight)[:, None]
+    root = np.linalg.cholesky(np.eye(S.shape[1]) + S.T @ S)
+
+    def worth(points: FloatArray) -> FloatArray:
+        inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
+        expected = values(np.array([absorption(p) for p in points]))
+        off = (objective.measured() - expected) * np.sqrt(weight)
+        common = np.linalg.solve(root, S.T @ off.T)
+        prior = [prior_residuals(objective.parameters, p)[0] for p in points]
+        found = np.sum(common**2, axis=0) - np.sum(off**2, axis=1) - np.sum(np.square(prior), axis=1)
+        return np.where(inside & np.isfinite(found), 0.5 * found, -np.inf)
+
+    return worth
 
 
 def _share(ratio: FloatArray, power: float) -> float:
@@ -145,7 +193,7 @@ def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
 
 
 def _walked(
-    law: LogPosterior,
+    worth_of: Worth,
     near: Surrogate,
     here: tuple[FloatArray, FloatArray, FloatArray],
     power: float,
@@ -154,7 +202,7 @@ def _walked(
     """Move points, with their log densities under both laws, by walks under the surrogate."""
     points, worth, of_near = here
     there, gain = near.walk(points, int(rng.choice(near.usual_steps)), rng)
-    new = _worth(law, there)
+    new = worth_of(there)
     taken = np.log(rng.random(len(points))) < power * (new - worth - gain)
     return (
         np.where(taken[:, None], there, points),
@@ -170,7 +218,7 @@ def _log_prior(near: Surrogate, points: FloatArray) -> FloatArray:
 
 
 def _differed(
-    law: LogPosterior,
+    worth_of: Worth,
     points: FloatArray,
     worth: FloatArray,
     rng: np.random.Generator,
@@ -185,7 +233,7 @@ def _differed(
         scale = 2.38 / np.sqrt(2.0 * points.shape[1]) * rng.uniform(0.2, 1.0, (own.size, 1))
         there = points[own] + scale * (points[pairs[:, 0]] - points[pairs[:, 1]])
         there += 1e-5 * rng.standard_normal(there.shape)
-        new = _worth(law, there)
+        new = worth_of(there)
         more = new - worth[own]
         if tempered is not None:
             near, power = tempered
