@@ -59,7 +59,7 @@ _EARLY_TO_LATE = 1
 
 MODEL_ERROR_JND = 0.3
 # Of each pair, from which values at many absorptions are taken.
-_ROWS_OF_A_POINT = 20_000
+_ROWS_OF_A_POINT = 12_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)

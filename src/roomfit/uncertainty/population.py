@@ -36,8 +36,6 @@ _MOVES, _MOST_ROUNDS = 0.8, 5
 _MOST_LEVELS = 20
 # Above so many numbers the second derivatives of all windows cost more than what they save.
 _MOST_CURVATURES = 20_000
-# Of a value's variance that no other pair shares, at least.
-_LEAST_OWN = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,7 +107,9 @@ def posterior_draws(
             points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
             of_near = _log_prior(near, points)
         else:
-            points, worth, of_near, _ = _walked(worth_of, near, (points, worth, of_near), power, rng)
+            points, worth, of_near, _ = _walked(
+                worth_of, near, (points, worth, of_near), power, rng
+            )
         evaluations += size
     drawn: list[FloatArray] = []
     moves: list[float] = []
@@ -141,8 +141,9 @@ def _one_by_one(law: LogPosterior) -> Worth:
 def _of_values(law: LogPosterior, fit: BandFit) -> Worth:
     """Return the same law of room parameters alone, with the errors that all pairs share.
 
-    What is left of the variance is each value's own: with V these, neighbours counted once and
-    flattened by the misfit, and S the shared errors, the covariance is ``V + S S'``.
+    With V the variances, neighbours counted once and flattened by the misfit, and S the shared
+    errors, the covariance is ``V + S S'``. The squares of S are in V, too: what is shared is known
+    at one absorption and is another elsewhere, so that a law which takes it for exact is too sharp.
     """
     objective = law.objective
     term = cast(ValuesTerm, objective.terms[0])
@@ -151,8 +152,7 @@ def _of_values(law: LogPosterior, fit: BandFit) -> Worth:
         return physical_values(objective.parameters, point)[0]["absorption"]
 
     values, shared = approximated(term, here := absorption(fit.vector)), shared_errors(term, here)
-    own = np.maximum(fit.variance - np.sum(shared**2, axis=1), _LEAST_OWN * fit.variance)
-    weight = 1.0 / (own * objective.correlation_length() * law.flattening)
+    weight = 1.0 / (fit.variance * objective.correlation_length() * law.flattening)
     S = shared * np.sqrt(weight)[:, None]
     root = np.linalg.cholesky(np.eye(S.shape[1]) + S.T @ S)
 
@@ -162,7 +162,9 @@ def _of_values(law: LogPosterior, fit: BandFit) -> Worth:
         off = (objective.measured() - expected) * np.sqrt(weight)
         common = np.linalg.solve(root, S.T @ off.T)
         prior = [prior_residuals(objective.parameters, p)[0] for p in points]
-        found = np.sum(common**2, axis=0) - np.sum(off**2, axis=1) - np.sum(np.square(prior), axis=1)
+        found = (
+            np.sum(common**2, axis=0) - np.sum(off**2, axis=1) - np.sum(np.square(prior), axis=1)
+        )
         return np.where(inside & np.isfinite(found), 0.5 * found, -np.inf)
 
     return worth
