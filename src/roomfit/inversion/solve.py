@@ -45,23 +45,12 @@ from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import physical_values
 from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import (
-    ValuesTerm,
-    shared_errors,
-    value_terms,
-    values_alone,
-)
+from roomfit.objective.room_parameters import ValuesTerm, value_terms, values_alone
 from roomfit.scene import material_areas_m2
 from roomfit.settings import Settings
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, Progress, part
-from roomfit.uncertainty.gaussian import (
-    BandEstimate,
-    Refine,
-    SharedCovariance,
-    add_covariance,
-    answer_steps,
-)
+from roomfit.uncertainty.gaussian import BandEstimate, Refine, SharedCovariance, add_covariance
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,25 +67,21 @@ class BandFits:
 
 
 def shared_error_covariance(measured: Measurements, traced: TracedPaths) -> SharedCovariance:
-    """Return what adds to a band's fit the covariance of the errors that its data share.
+    """Return what adds to a band's fit the covariance of the errors that its windows share.
 
-    Of windows; and of room parameters where there are no responses.
+    Room parameters without responses stay as they are.
     """
     scene, bands = measured.scene, measured.bands
 
     def add_shared_errors(band: int, objective: Objective, fit: BandFit) -> BandFit:
         first = objective.terms[0]
         windows = first.energies if isinstance(first, DirectedTerm) else first
-        if not fit.vector.size:
-            return fit
-        walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
-        if isinstance(windows, ValuesTerm):
-            return add_covariance(fit, answer_steps(objective, fit, shared_errors(windows, walls)))
-        if not isinstance(windows, EnergyTerm):
+        if not isinstance(windows, EnergyTerm) or not fit.vector.size:
             return fit
         files = fitted_in_band(measured.responses, band)
         sources = [int(scene.pairs[m.pair][0]) for m in files]
         noisy = with_tracing_noise(objective, windows, sources, fit)
+        walls = physical_values(objective.parameters, fit.vector)[0]["absorption"]
         relative = relative_errors(
             scene.air,
             bands,

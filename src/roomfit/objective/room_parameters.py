@@ -59,7 +59,7 @@ _EARLY_TO_LATE = 1
 
 MODEL_ERROR_JND = 0.3
 # Of each pair, from which values at many absorptions are taken.
-_ROWS_OF_A_POINT = 12_000
+_ROWS_OF_A_POINT = 30_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -164,6 +164,10 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
     callable
         From absorptions, shape (n_points, n_materials), to values, (n_points, n_values).
     """
+    whole = fft.irfft(term.spreading.spectrum, term.spreading.length)
+    # what is carried farther than this is a thousandth
+    reach = int(np.argmax(whole[0] + 2.0 * np.cumsum(whole[1 : term.spreading.n_bins]) > 0.999)) + 1
+    shares = np.concatenate((whole[-reach:], whole[: reach + 1]))
     few = [thinned_rows(rows, _ROWS_OF_A_POINT) for rows in term.rows]
     chosen = [[VALUE_NAMES.index(name) for name in o.names] for o in term.observations]
     by_ratio = np.concatenate([np.isin(c, [0, 1, 2]) for c in chosen])
@@ -179,6 +183,7 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
                     rows.weight_per_m2,
                     rows.hits,
                     1.0 - points,
+                    shares,
                     term.edges_s,
                     observed.direct_s,
                 )[:, own]
@@ -192,33 +197,6 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
         return np.where(by_ratio, exact * found / there, exact + found - there)
 
     return values
-
-
-def shared_errors(term: ValuesTerm, absorption: FloatArray) -> FloatArray:
-    """Return the errors that all pairs share, one standard deviation a column, (n_values, n).
-
-    That of the model, once for what is read from the decay, from early against late and from the
-    level; and in a box of smooth walls what pressures add up to beside energies. Their squares are
-    parts of the variance.
-    """
-    columns = []
-    for i, observed in enumerate(term.observations):
-        energy = weigh(
-            term.rows[i],
-            absorption[:, None],
-            np.array([term.attenuation_per_m]),
-            derivative=False,
-        ).energy
-        predicted = value_gradients(_curve(term, i, energy)[0], 0, observed.names)[0]
-        own = np.zeros((predicted.size, 4))
-        model = np.sqrt(np.diag(_model(term, observed, predicted)))
-        for row, name in enumerate(observed.names):
-            own[row, _FAMILY.get(name, _EARLY_TO_LATE)] = model[row]
-        if term.rows[i].length_m.any():
-            own[:, 3] = _added_pressures(term, i, absorption, energy) - predicted
-        columns.append(own)
-    found = np.concatenate(columns)
-    return found[:, found.any(axis=0)]
 
 
 def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatArray, ...]:
@@ -257,7 +235,7 @@ def value_covariances(term: ValuesTerm, absorption: FloatArray) -> tuple[FloatAr
         spread = np.diag(observed.spread**2)
         interference = _interference(term, i, absorption, gradients, spread_over_time)
         if term.rows[i].length_m.any():
-            added = _added_pressures(term, i, absorption, energy) - predicted
+            added = values_by_pressures(term, i, absorption, energy) - predicted
             interference += np.outer(added, added)
         tracing = _tracing(term, i, absorption, gradients)
         covariances.append(spread + interference + tracing + _model(term, observed, predicted))
@@ -297,7 +275,7 @@ def _interference(
     return np.asarray((gradients * variance) @ gradients.T)
 
 
-def _added_pressures(
+def values_by_pressures(
     term: ValuesTerm, i: int, absorption: FloatArray, energy: FloatArray
 ) -> FloatArray:
     """Return the values of a pair if the images in a box of smooth walls add as pressures.
@@ -444,6 +422,12 @@ def values_alone(
         return None
     absorption = absorption_block(priors, band, float(start[band]))
     return Objective(Parameters((absorption,)), (values,))
+
+
+def only_values(objective: Objective) -> ValuesTerm | None:
+    """Return the one term of an objective of room parameters alone, else None."""
+    terms = objective.terms if isinstance(objective, Objective) else ()
+    return terms[0] if len(terms) == 1 and isinstance(terms[0], ValuesTerm) else None
 
 
 def coarser(binned: BinnedPaths, n: int) -> BinnedPaths:

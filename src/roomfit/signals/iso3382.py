@@ -105,13 +105,14 @@ def approximate_values(
     weight: FloatArray,
     hits: IntArray,
     reflected: FloatArray,
+    shares: FloatArray,
     edges_s: FloatArray,
     onset_s: float,
 ) -> FloatArray:
     """Return all values of a pair at many absorptions, shape (n_points, 8), by `VALUE_NAMES`.
 
-    For differences between absorptions: no filter spreads the energies, and a line goes through
-    fewer levels than that of `value_gradients`.
+    For differences between absorptions: a line goes through fewer levels than that of
+    `value_gradients`.
 
     Parameters
     ----------
@@ -121,6 +122,8 @@ def approximate_values(
     hits : int array, shape (n_rows, n_materials)
     reflected : float array, shape (n_points, n_materials)
         1 less the absorption.
+    shares : float array, shape (2 n + 1,)
+        Of an energy that the filter carries from n bins before its own to n after it.
     edges_s : float array, shape (n_bins + 1,)
         Uniform.
     onset_s : float
@@ -132,18 +135,24 @@ def approximate_values(
             most = max(most, int(hits[r, m]))
     out = np.empty((len(reflected), 8))
     powers = np.empty((n_materials, most + 1))
-    left, level = np.empty(n_bins + 1), np.empty(n_bins + 1)
+    left, level, plain = np.empty(n_bins + 1), np.empty(n_bins + 1), np.empty(n_bins)
+    reach = len(shares) // 2
     for p in range(len(reflected)):
         for m in range(n_materials):
             powers[m, 0] = 1.0
             for h in range(most):
                 powers[m, h + 1] = powers[m, h] * reflected[p, m]
-        left[:] = 0.0
+        plain[:] = 0.0
         for r in range(len(weight)):
             e = weight[r]
             for m in range(n_materials):
                 e *= powers[m, hits[r, m]]
-            left[windows[r]] += e
+            plain[windows[r]] += e
+        left[:] = 0.0
+        for i in range(n_bins):
+            if plain[i] > 0.0:
+                for k in range(max(i - reach, 0), min(i + reach + 1, n_bins)):
+                    left[k] += plain[i] * shares[k - i + reach]
         for i in range(n_bins - 1, -1, -1):
             left[i] += left[i + 1]
         # after the last bin as over the last third of the time

@@ -119,16 +119,12 @@ def profiled(objective: Objective, fit: BandFit, answer: BandEstimate) -> BandEs
 def _drawn(
     objective: Objective, fit: BandFit, answer: BandEstimate, n_draws: int, seed: int
 ) -> BandEstimate:
-    """Return the answer with draws of the posterior.
-
-    Those by room parameters alone contain the errors that all pairs share; others are scattered by
-    what the answer allows for beyond its fit.
-    """
+    """Return the answer with draws of the posterior."""
     rng = np.random.default_rng(seed)
     found = posterior_draws(objective, fit, n_draws, rng)
     first = position_of(objective.parameters, "absorption")
     fitted = np.flatnonzero(absorption_of(objective.parameters).fitted)
-    beyond = None if answer.model == "values" else _beyond_fit(fit, answer, first, fitted)
+    beyond = _beyond_fit(fit, answer, first, fitted)
     return replace(
         answer,
         draws=_absorptions(objective.parameters, found.draws, answer, beyond, rng)[0],

@@ -8,13 +8,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import TypeAlias, cast
+from typing import TypeAlias
 
 import numpy as np
 
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import Objective
-from roomfit.objective.room_parameters import ValuesTerm, approximated, shared_errors
+from roomfit.objective.room_parameters import ValuesTerm, approximated, only_values
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, IntArray
 from roomfit.uncertainty.sampling import (
@@ -78,8 +78,8 @@ def posterior_draws(
     """
     law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
-    only_values = len(objective.terms) == 1 and isinstance(objective.terms[0], ValuesTerm)
-    worth_of = _of_values(law, fit) if only_values else _one_by_one(law)
+    values = only_values(objective)
+    worth_of = _one_by_one(law) if values is None else _of_values(law, values, fit)
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
     # gains have no prior to begin with, and energies one minimum; values alone may have several
@@ -138,34 +138,22 @@ def _one_by_one(law: LogPosterior) -> Worth:
     return lambda points: np.array([law(p) for p in points])
 
 
-def _of_values(law: LogPosterior, fit: BandFit) -> Worth:
-    """Return the same law of room parameters alone, with the errors that all pairs share.
-
-    With V the variances, neighbours counted once and flattened by the misfit, and S the shared
-    errors, the covariance is ``V + S S'``. The squares of S are in V, too: what is shared is known
-    at one absorption and is another elsewhere, so that a law which takes it for exact is too sharp.
-    """
-    objective = law.objective
-    term = cast(ValuesTerm, objective.terms[0])
+def _of_values(law: LogPosterior, term: ValuesTerm, fit: BandFit) -> Worth:
+    """Return the same law of room parameters alone, which are found at all points together."""
+    parameters = law.objective.parameters
 
     def absorption(point: FloatArray) -> FloatArray:
-        return physical_values(objective.parameters, point)[0]["absorption"]
+        return physical_values(parameters, point)[0]["absorption"]
 
-    values, shared = approximated(term, here := absorption(fit.vector)), shared_errors(term, here)
-    weight = 1.0 / (fit.variance * objective.correlation_length() * law.flattening)
-    S = shared * np.sqrt(weight)[:, None]
-    root = np.linalg.cholesky(np.eye(S.shape[1]) + S.T @ S)
+    values = approximated(term, absorption(fit.vector))
+    weight = 1.0 / (fit.variance * law.objective.correlation_length() * law.flattening)
 
     def worth(points: FloatArray) -> FloatArray:
         inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
-        expected = values(np.array([absorption(p) for p in points]))
-        off = (objective.measured() - expected) * np.sqrt(weight)
-        common = np.linalg.solve(root, S.T @ off.T)
-        prior = [prior_residuals(objective.parameters, p)[0] for p in points]
-        found = (
-            np.sum(common**2, axis=0) - np.sum(off**2, axis=1) - np.sum(np.square(prior), axis=1)
-        )
-        return np.where(inside & np.isfinite(found), 0.5 * found, -np.inf)
+        off = term.measured() - values(np.array([absorption(p) for p in points]))
+        prior = np.array([prior_residuals(parameters, p)[0] for p in points])
+        found = -0.5 * (np.sum(weight * off**2, axis=1) + np.sum(prior**2, axis=1))
+        return np.where(inside & np.isfinite(found), found, -np.inf)
 
     return worth
 
