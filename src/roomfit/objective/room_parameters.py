@@ -194,7 +194,7 @@ def approximated(term: ValuesTerm, absorption: FloatArray) -> Callable[[FloatArr
 
     def values(points: FloatArray) -> FloatArray:
         found = plain(points)
-        return np.where(by_ratio, exact * found / there, exact + found - there)
+        return np.asarray(np.where(by_ratio, exact * found / there, exact + found - there))
 
     return values
 
