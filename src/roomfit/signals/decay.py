@@ -183,9 +183,9 @@ def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
         height, constant_s[band] = line
         tail = height * line[1] * np.exp(-(end_s - predicted.onset_s) / line[1])
         beyond_s = np.maximum(predicted.time_s - end_s, 0.0)
-        seen = own - np.interp(end_s, predicted.time_s, own)
+        until_end = own - np.interp(end_s, predicted.time_s, own)
         # after its end the line itself, so that no level between two bins is without a number
-        left[band] = np.maximum(seen, 0.0) + tail * np.exp(-beyond_s / line[1])
+        left[band] = np.maximum(until_end, 0.0) + tail * np.exp(-beyond_s / line[1])
         ends_s[band], usable_db[band] = end_s, measured.usable_db[band]
     return replace(
         predicted,
