@@ -1,7 +1,7 @@
 """Known changes of measured rooms: what is said of each wall, and of a room whose walls changed.
 
     python benchmarks/known_changes.py DATA [--room r3vival together dechorate] [--step DEGREES]
-        [--rings 150 200] [--scattering S] [--seed SEED] [--product-sd SD] [--out DIR]
+        [--rings 150 200] [--scattering S] [--seed SEED] [--product-sd SD] [--out DIR] [--moved]
 
 DATA holds `r3vival` (one room in three states of its wall panels, Amengual Gari and others) and
 `dechorate_states` (one room in two, Di Carlo et al. 2021). Neither comes with roomfit.
@@ -11,6 +11,12 @@ differences of the walls that did not change. For the first, state R, whose wall
 other states, predicted from these: the raw model, and the measured values carried over by the
 model's change, beside Sabine's formula and the mean of the two states. `together` fits the two
 states of the first room at once, its panels as products (`--product-sd`, logit; 0: independent).
+`dechorate`: isolated first reflections beside the walls that were fitted, and the change from one
+state to the other, pair by pair and in the mean, with the floor of the first and the panels of the
+second, beside Sabine's and Eyring's formula with the same walls and the mean of both states.
+
+--moved   state 000 of `r3vival` with its array specified .3, .5 and 1 m off along x and the room 20
+          cm too long, and as it is: which displacement is found
 """
 
 from __future__ import annotations
@@ -27,8 +33,14 @@ import soundfile
 from matplotlib import pyplot as plt
 
 import roomfit
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
+from roomfit.eyring import eyring_time_s
+from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.inversion.measurements import collect_measurements
+from roomfit.inversion.paths import traced_paths
+from roomfit.inversion.reflections import isolated_reflections, wall_returns
 from roomfit.logit import Z95, logit
-from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.materials.priors import MaterialPrior, complete_priors, unknown_material
 from roomfit.prediction.changes import Change
 from roomfit.prediction.predict import Predicted, PredictedValue, ValueChange, predict
 from roomfit.response.directivity import UnknownDirectivity
@@ -340,6 +352,121 @@ def swap_together(
         print(c50_of(state, unknown, p, itself))
 
 
+def first_reflections(case: Case, result: Result) -> str:
+    """Return what isolated first reflections say of every wall, beside its fitted absorption."""
+    scene, measurements, directivities = case
+    measured = collect_measurements(scene, measurements, result.bands, directivities)
+    priors = complete_priors(scene.room.materials, (), result.bands)
+    settings = roomfit.Settings(model="energy", n_rays=5000)
+    start = np.full(len(result.bands), 0.2)
+    traced = traced_paths(measured, priors, settings, start, None, None)
+    found = isolated_reflections(measured, traced, result.absorption)
+    lines = ["First reflections that stand alone, number, and the fit with its interval"]
+    for r in wall_returns(found, measured, traced.scattering):
+        m = result.materials.index(r.material)
+        lines.append(
+            f"  {r.wall:8}{result.bands.centres_hz[r.band]:6g} Hz "
+            f"{r.absorption:5.2f} +- {r.sd:.2f} "
+            f"({r.number})  fit {result.absorption[m, r.band]:.2f} "
+            f"({result.lower95[m, r.band]:.2f}-{result.upper95[m, r.band]:.2f})"
+        )
+    return "\n".join(lines)
+
+
+def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) -> str:
+    """Return how the change from the first state to the second is predicted, walls of both known.
+
+    The floor is that of the first state, all else of the second; pairs measured in both states.
+    Formulas have the same walls: measured before times the ratio of their decay times.
+    """
+    first, second = results
+    before, after = (
+        {(m.source, m.receiver): m for m in cases[s][1] if isinstance(m, roomfit.Measurement)}
+        for s in (first, second)
+    )
+    common = [name for name in before if name in after]
+    scene = cases[first][0]
+    names = [
+        (s.name, r.name)
+        for s, r in ((scene.sources[i], scene.receivers[j]) for i, j in scene.pairs)
+    ]
+    scene = replace(
+        scene,
+        pairs=scene.pairs[[names.index(c) for c in common]],
+        pair_state=np.zeros(len(common), dtype=np.int64),
+    )
+    known = absorption_posterior(results[first])
+    other = results[second]
+    sd = (other.upper95 - other.lower95) / (2.0 * Z95)
+    changes = [
+        Change(wall, "value", tuple(other.absorption[m]), tuple(sd[m]))
+        for m, wall in enumerate(other.materials)
+        if wall != "floor"
+    ]
+    found = predict(scene, known, changes, [before[c] for c in common])
+    truth = predict(scene, known, (), [after[c] for c in common])
+    bands, judged = results[first].bands.centres_hz, results[first].bands.centres_hz > JUDGED_HZ
+    lines = [f"\n{first} to {second}, {len(common)} pairs, from {JUDGED_HZ:g} Hz up"]
+    for name, relative in (("T20_s", 1), ("T30_s", 1), ("EDT_s", 1), ("C50_dB", 0), ("C80_dB", 0)):
+        pairs = [
+            (p.parameters[name], change_of(p.parameters[name]), q.parameters[name].measured)
+            for p, q in zip(found.pairs, truth.pairs, strict=True)
+        ]
+        error = np.array(
+            [(c.carried / y - 1.0) * 100 if relative else c.carried - y for _, c, y in pairs]
+        )
+        none = np.array(
+            [(v.measured / y - 1.0) * 100 if relative else v.measured - y for v, _, y in pairs]
+        )
+        held = np.array([(c.carried_lower95 <= y) & (y <= c.carried_upper95) for _, c, y in pairs])
+        fine = np.isfinite(error) & judged
+        unit = "%" if relative else "dB"
+        middle, baseline = (np.median(np.abs(x[fine])) for x in (error, none))
+        lines.append(
+            f"{name:8} by pair, carried over: median |error| {middle:.1f} {unit}, held "
+            f"{100 * held[fine].mean():.0f} %; no change {baseline:.1f}; mean by band "
+            + " ".join(f"{e:.1f}" for e in np.nanmean(error, axis=0))
+        )
+    t30 = found.mean["T30_s"].measured, truth.mean["T30_s"].measured
+    areas = material_areas_m2(scene.room)
+    means = [areas @ a / areas.sum() for a in (known.absorption, found.absorption)]
+    mesh, air = scene.room.mesh, attenuation_per_m(scene.air, results[first].bands)
+    size = volume_m3(mesh), surface_area_m2(mesh), speed_of_sound_m_s(scene.air)
+    eyring = [eyring_time_s(a, *size, air) for a in means]
+    sabine = [eyring_time_s(-np.expm1(-a), *size, air) for a in means]
+    for label, row in (
+        ("Sabine, the same walls", t30[0] * sabine[1] / sabine[0]),
+        ("Eyring, the same walls", t30[0] * eyring[1] / eyring[0]),
+        ("carried over", change_of(found.mean["T30_s"]).carried),
+        ("mean of both states", 0.5 * (t30[0] + t30[1])),
+    ):
+        lines.append(error_row(f"mean T30, {label}", row / t30[1], judged))
+    return "\n".join(lines) + f"\n(bands {' '.join(f'{f:g}' for f in bands)} Hz)"
+
+
+def moved(data: Path, step: int, rings: Sequence[str], asked: argparse.Namespace) -> None:
+    """Print which displacement is found where the array or a length is specified wrongly."""
+    for along_m, longer_m in ((0.0, 0.0), (0.3, 0.0), (-0.5, 0.0), (1.0, 0.0), (0.0, 0.2)):
+        scene, measurements, directivities = r3vival(data, "000", step, rings)
+        x, y, z = R3VIVAL_M
+        room = roomfit.shoebox_room((x + longer_m, y, z), dict(zip(SIDES, WALLS, strict=True)))
+        off = np.array([along_m, 0.0, 0.0])
+        points = {
+            kind: tuple(replace(p, position_m=p.position_m + off) for p in getattr(scene, kind))
+            for kind in ("sources", "receivers")
+        }
+        scene = replace(scene, room=room, **points)
+        priors = [material_prior(w, asked.scattering, 0.0) for w in WALLS]
+        settings = roomfit.Settings(model=asked.model, seed=asked.seed)
+        result = roomfit.identify(
+            scene, measurements, priors, BANDS, settings=settings, directivities=directivities
+        )
+        found = [f.sentence for f in result.findings if f.code == "displacement-detected"]
+        print(
+            f"array {along_m:+g} m along x, room {longer_m:g} m longer:", *found or ["not doubted"]
+        )
+
+
 def error_row(name: str, ratio: FloatArray, judged: BoolArray) -> str:
     """Return one line of errors in per cent, with their median and the largest."""
     error = 100.0 * (ratio - 1.0)
@@ -454,12 +581,16 @@ def main() -> None:
     parser.add_argument("--scattering", type=float, help="of all walls; left out: chosen")
     parser.add_argument("--seed", type=int, default=1, help="of the rays")
     parser.add_argument("--model", choices=["auto", "energy", "coherent"], default="energy")
+    parser.add_argument("--moved", action="store_true", help="nothing but wrong descriptions")
     parser.add_argument("--out", type=Path, help="folder for pictures")
     asked = parser.parse_args()
     if asked.data is None:
         print("no folder of measurements given: nothing to do")
         return
     settings = roomfit.Settings(model=asked.model, seed=asked.seed)
+    if asked.moved:
+        moved(asked.data, asked.step, asked.rings, asked)
+        return
     for room in asked.room:
         if room == "together":
             known = ("000", "100")
@@ -470,19 +601,24 @@ def main() -> None:
             swap_together(asked.data, both, result, known, "R")
             continue
         states = dict.fromkeys(state for pair in SAME[room] for state in pair)
-        results = {}
+        results, cases = {}, {}
         for state in states:
             case = (
                 r3vival(asked.data, state, asked.step, asked.rings)
                 if room == "r3vival"
                 else dechorate(asked.data, state)
             )
+            cases[state] = case
             results[state] = fitted(f"{room} {state}", case, asked.scattering, settings)
+            if room == "dechorate":
+                print(first_reflections(case, results[state]))
         print()
         for (one, other), walls in SAME[room].items():
             print(f"{one} and {other}, {unchanged(results[one], results[other], walls)}")
         if room == "r3vival":
             swap(asked.data, asked.step, asked.rings, results)
+        else:
+            print(change_of_state(cases, results))
         if asked.out is not None:
             picture(room, results, asked.out)
 

@@ -56,7 +56,7 @@ from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.uncertainty.combinations import determined
 from roomfit.uncertainty.gaussian import BandEstimate
-from roomfit.uncertainty.posterior import rto_draws
+from roomfit.uncertainty.intervals import Refinement
 
 BANDS = bands_between("octave", 125, 4000)
 N_RAYS = 15_000
@@ -197,21 +197,23 @@ def start(case: Case) -> np.ndarray:
 
 
 def fitted(
-    case: Case, binned: BinnedPaths, values: list[MeasuredValues]
+    case: Case, binned: BinnedPaths, values: list[MeasuredValues], n_draws: int = 0
 ) -> tuple[BandEstimate, ...]:
-    """Return what these values say of the walls."""
+    """Return what these values say of the walls, with draws of the posterior where asked for."""
     terms = value_terms(case.scene, BANDS, values, binned, names=case.names)
     error, begin = case.model_error_jnd, start(case)
     changed = [t and replace(t, model_error_jnd=error) for t in terms]
     alone = (values_alone(t, case.priors, b, begin) for b, t in enumerate(changed))
-    return solved(case, tuple(alone))
+    return solved(case, tuple(alone), n_draws)
 
 
-def solved(case: Case, problems: tuple[Objective | None, ...]) -> tuple[BandEstimate, ...]:
+def solved(
+    case: Case, problems: tuple[Objective | None, ...], n_draws: int = 0
+) -> tuple[BandEstimate, ...]:
     """Fit every band."""
     areas = material_areas_m2(case.scene.room)
-    fitted = fit_bands(problems, case.priors, areas, Settings())
-    return tuple(band.estimate for band in fitted)
+    refine = Refinement("gaussian", areas, 1, n_draws=n_draws)
+    return tuple(refine(band) for band in fit_bands(problems, case.priors, areas, Settings()))
 
 
 def absorption_of(answers: tuple[BandEstimate, ...]) -> np.ndarray:
@@ -346,7 +348,7 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
     closed to open, which is uncertain by a quarter (one standard deviation of its logarithm: the
     table calls both values estimated). All else is as fitted, with its uncertainty.
     """
-    answers = fitted(case, binned, list(case.values))
+    answers = fitted(case, binned, list(case.values), 100)
     other = studio(folder, closed=True)
     paths = traced(other)
     names = [m.replace(" ", "") for m in case.scene.room.materials]
@@ -358,16 +360,8 @@ def closed_curtains(folder: Path, case: Case, binned: BinnedPaths, label: str) -
     ]
     at = [m.replace(" ", "") for m in other.scene.room.materials].index("curtain(closed)")
     rng = np.random.default_rng(1)
-    covariances = np.stack([a.logit_covariance for a in answers])
-    prior_mean, prior = prior_logit_law(case.priors)
     fits = absorption_of(answers)
-    draws = np.stack(
-        [
-            rto_draws(fits[:, b], covariances[b], prior_mean[:, b], prior[b], 100, rng)
-            for b in range(len(BANDS))
-        ],
-        axis=2,
-    )
+    draws = np.stack([a.draws for a in answers if a.draws is not None], axis=2)
     drawn = []
     for number, walls in enumerate((fits, *draws)):
         absorption = walls[order]

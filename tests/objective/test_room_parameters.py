@@ -9,8 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from roomfit.air import Air
-from roomfit.bands import Bands
+from roomfit.air import Air, attenuation_per_m, speed_of_sound_m_s
+from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code
 from roomfit.inversion.bands import fit_bands
@@ -18,24 +18,35 @@ from roomfit.inversion.compare import compared_values
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.rooms import read_room
 from roomfit.io.rooms.model import RoomSpec
-from roomfit.materials.priors import Scattering, unknown_material
+from roomfit.logit import expit, logit
+from roomfit.materials.priors import Scattering, uniform_scattering, unknown_material
 from roomfit.objective.parameters import Parameters, start_vector
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import (
     ValuesTerm,
+    approximated,
     predicted_values,
     value_covariances,
     value_terms,
     values_alone,
+    values_by_pressures,
 )
 from roomfit.objective.windows import band_spreading, before_spreading, spread_energy
 from roomfit.response.binned import bin_paths
-from roomfit.response.energy import EnergyRows
-from roomfit.scene import Point, Scene
+from roomfit.response.energy import EnergyRows, weigh
+from roomfit.scene import Point, Scene, scene_of, shoebox_room
 from roomfit.settings import Settings
-from roomfit.signals.decay import PARAMETER_NAMES, echogram_decay_curve, room_parameters
+from roomfit.signals.decay import (
+    PARAMETER_NAMES,
+    decay_curve,
+    echogram_decay_curve,
+    jnd_of,
+    room_parameters,
+)
 from roomfit.signals.filters import FilterBank, statistical_bandwidth_hz
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, value_gradients
+from roomfit.signals.response import ImpulseResponse
+from roomfit.synthetic.boxes import WALLS, SyntheticBox, pressure_response
 from roomfit.tracing.paths import TraceSettings
 from roomfit.tracing.trace import trace
 
@@ -479,3 +490,81 @@ def test_a_band_without_values_has_no_problem():
     problems = value_terms(scene, bands, [values], binned)
     assert problems[0] is None
     assert problems[1] is not None
+
+
+def test_values_at_many_absorptions_follow_those_that_are_exact():
+    """With fewer paths: within a third of a just noticeable difference where changes are two."""
+    scene, bands, binned, truth = smooth_box()
+    (term,) = box_terms(scene, bands, binned, truth)
+    rng = np.random.default_rng(3)
+    points = expit(logit(truth) + 0.5 * rng.standard_normal((8, 6)))
+    exact = np.array([term.expected({"absorption": p}) for p in points])
+    found = approximated(term, truth)(points)
+    names = [n for o in term.observations for n in o.names]
+    before = term.expected({"absorption": truth})
+    unit = np.array([jnd_of(n, np.array(v)) for n, v in zip(names, before, strict=True)])
+    np.testing.assert_allclose(approximated(term, truth)(truth[None])[0], before, rtol=1e-12)
+    change, error = (
+        np.sqrt(np.mean(((x - y) / unit) ** 2, axis=0))
+        for x, y in ((exact, before), (found, exact))
+    )
+    assert error.max() < 0.35
+    assert change.max() > 2.0
+
+
+def test_pressures_in_a_smooth_box_give_what_is_measured_there():
+    """By pressures the values of a smooth box are those of a simulator of its own.
+
+    Between uneven walls energies miss T20 by more than four times as much.
+    """
+    scene, bands, binned, truth = smooth_box()
+    (term,) = box_terms(scene, bands, binned, truth)
+    wide = bands_between("octave", 500, 2000)
+    box = SyntheticBox(
+        scene.room.shoebox_m,
+        wide.centres_hz,
+        np.tile(truth[:, None], len(wide)),
+        attenuation_per_m(scene.air, wide),
+        speed_of_sound_m_s(scene.air),
+    )
+    errors = []
+    model, at = term.expected({"absorption": truth}), 0
+    for i, o in enumerate(term.observations):
+        source, receiver = scene.pairs[o.pair]
+        ends = scene.sources[source].position_m, scene.receivers[receiver].position_m
+        pressure = pressure_response(box, *ends, 0.5, 8000, np.zeros(len(wide)))
+        curve = decay_curve(FilterBank(bands), ImpulseResponse(pressure, 8000), o.direct_s)
+        true = room_parameters(curve).of("T20_s")[0]
+        k = at + o.names.index("T20_s")
+        energy = weigh(term.rows[i], truth[:, None], np.zeros(1), derivative=False).energy
+        by_pressures = values_by_pressures(term, i, truth, energy)[k - at]
+        errors.append((model[k] / true - 1.0, by_pressures / true - 1.0))
+        # the difference stands in the variance, a standard deviation as large as itself
+        assert value_covariances(term, truth)[i][k - at, k - at] > (by_pressures - model[k]) ** 2
+        at += len(o.names)
+    by_energies, by_pressures = np.sqrt(np.mean(np.square(errors), axis=0))
+    assert by_pressures < 0.25 * by_energies
+    assert by_pressures < 0.05
+
+
+def smooth_box():
+    """Return a small, dead box of six walls that differ much, its paths and their absorption."""
+    room = shoebox_room((5.0, 4.2, 2.7), dict(zip(WALLS, WALLS, strict=True)))
+    places = {"R1": (3.9, 2.9, 1.3), "R2": (2.2, 3.3, 1.6), "R3": (3.1, 0.9, 1.1)}
+    scene = scene_of(room, {"S": (1.1, 1.2, 1.2)}, places)
+    truth = np.array([0.05, 0.5, 0.09, 0.9, 0.05, 0.8])
+    settings = TraceSettings(duration_s=0.3, n_rays=0, image_order=200, image_until_s=0.3)
+    paths = trace(scene, settings, uniform_scattering(room.materials, 0.0)).paths
+    return scene, ONE_BAND, bin_paths(scene, ONE_BAND, paths, 0.3), truth
+
+
+def box_terms(scene, bands, binned, truth):
+    expected = predicted_values(scene, bands, binned, truth[:, None])
+    measured = [
+        MeasuredValues(
+            "S", r.name, bands.centres_hz, dict(zip(VALUE_NAMES, expected[i], strict=True))
+        )
+        for i, r in enumerate(scene.receivers)
+    ]
+    names = ("T20_s", "EDT_s", "C80_dB", "D50_percent", "TS_ms")
+    return value_terms(scene, bands, measured, binned, names=names)

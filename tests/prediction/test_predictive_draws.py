@@ -14,7 +14,7 @@ from roomfit.prediction.changes import Change
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
 
 BANDS = roomfit.bands_between("octave", 1000, 1000)
-FEW = roomfit.Settings(n_rays=3000, n_rays_beside_images=3000, posterior_draws=True)
+FEW = roomfit.Settings(n_rays=3000, n_rays_beside_images=3000)
 NAMES = ("T20_s", "EDT_s", "C80_dB", "D50_percent")
 WALLS = ("west", "east", "south", "north", "floor", "ceiling")
 SCATTERING = 0.4

@@ -21,6 +21,7 @@ from roomfit.signals.decay import (
     decay_curve_db,
     echogram_decay_curve,
     in_jnd,
+    reduced_alike,
     room_parameters,
 )
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
@@ -114,6 +115,8 @@ def compare_pairs(
     out = []
     for m in measured:
         curve = predicted_curve(bands, binned, m.pair, absorption, attenuation_per_m, m.direct_s)
+        # the same reduction on both sides
+        curve = reduced_alike(curve, m.curve)
         predicted = room_parameters(curve)
         others = [
             o.parameters

@@ -85,7 +85,7 @@ from roomfit.typing import FloatArray, Progress, part
 from roomfit.uncertainty.combinations import Combination, determined, inseparable_findings
 from roomfit.uncertainty.gaussian import BandEstimate, prior_absorptions
 from roomfit.uncertainty.intervals import Refinement
-from roomfit.uncertainty.posterior import plain_logit_covariance
+from roomfit.uncertainty.posterior import band_draws, plain_logit_covariance
 from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
 
@@ -369,7 +369,7 @@ def combine(
         logit_prior=prior_logits(priors),
         logit_prior_covariance=prior[1] if shared else None,
         prior_specified=are_specified(priors),
-        draws=_draws(found, priors, settings),
+        draws=_draws(found, priors, settings, absorption, covariance),
         combinations=combinations,
         sentences=sentences,
         shares=shares,
@@ -416,19 +416,28 @@ def _logit_covariance(
 
 
 def _draws(
-    found: tuple[BandEstimate, ...], priors: tuple[MaterialPrior, ...], settings: Settings
+    found: tuple[BandEstimate, ...],
+    priors: tuple[MaterialPrior, ...],
+    settings: Settings,
+    absorption: FloatArray,
+    covariance: FloatArray,
 ) -> FloatArray | None:
-    """Return draws of absorption, shape (n_draws, n_materials, n_bands), bands independent."""
-    if not settings.posterior_draws:
+    """Return draws of absorption, shape (n_draws, n_materials, n_bands), bands independent.
+
+    None where no band was drawn from with the model itself: predictions draw from the covariance
+    then, as is done here for bands by responses beside others by room parameters alone.
+    """
+    if all(answer.draws is None for answer in found):
         return None
-    drawn = []
+    drawn, (mean, prior) = [], prior_logit_law(priors)
     for band, answer in enumerate(found):
         rng = np.random.default_rng((settings.seed, band))
         own = answer.draws
         if answer.model == "prior":
             own = prior_absorptions(priors, band, settings.n_draws, rng)
         if own is None:
-            return None
+            law = absorption[:, band], covariance[band], mean[:, band], prior[band]
+            own = band_draws(*law, settings.n_draws, rng, specified=are_specified(priors))
         drawn.append(rng.permutation(own))
     return np.stack(drawn, axis=2)
 
@@ -447,7 +456,8 @@ def _refinement(
         material_areas_m2(measured.scene.room),
         settings.seed,
         tuple(s.exchange for s in mirror_symmetries(measured, priors)),
-        settings.n_draws if settings.posterior_draws else 0,
+        settings.n_draws if settings.posterior_draws is not False else 0,
+        settings.posterior_draws is None,
     )
 
 

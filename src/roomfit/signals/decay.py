@@ -7,7 +7,7 @@ an error matters to a listener.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, get_args
 
 import numpy as np
@@ -17,8 +17,13 @@ from roomfit._checks import float_array
 from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.signals.filters import FilterBank, filter_pressure, ringing_s
-from roomfit.signals.noise import estimate_noise
+from roomfit.signals.filters import (
+    FilterBank,
+    filter_pressure,
+    ringing_s,
+    statistical_bandwidth_hz,
+)
+from roomfit.signals.noise import block_length_s, decay_line, estimate_noise
 from roomfit.signals.response import ImpulseResponse, check_travel, padded
 from roomfit.typing import BoolArray, FloatArray
 
@@ -134,6 +139,61 @@ def echogram_decay_curve(
     ends_s = np.full(len(bands), edges[-1])
     reached = np.zeros(len(bands), dtype=np.bool_)
     return DecayCurve(bands, edges, energy_left, onset_s, ends_s, usable_db, constant_s, reached)
+
+
+def reduced_alike(predicted: DecayCurve, measured: DecayCurve) -> DecayCurve:
+    """Return predicted curves that end and are extrapolated as measured ones.
+
+    Where walls differ much the decay is bent, and flattens below where noise sets its end: the
+    exponential that stands for the rest of a measured decay is then too steep. The same line is
+    put through what is predicted, with the noise that the measurement had, so that both curves
+    have the same error.
+
+    Parameters
+    ----------
+    predicted : DecayCurve
+        From `echogram_decay_curve`, in the bands of `measured`; a band that ends before the
+        measured one stays as it is.
+    measured : DecayCurve
+        From `decay_curve`.
+    """
+    left, constant_s = predicted.energy_left.copy(), predicted.tail_time_constant_s.copy()
+    ends_s, usable_db = predicted.usable_end_s.copy(), predicted.usable_db.copy()
+    bandwidths = statistical_bandwidth_hz(FilterBank(predicted.bands))
+    for band, (end_s, tau) in enumerate(
+        zip(measured.usable_end_s, measured.tail_time_constant_s, strict=True)
+    ):
+        own = predicted.energy_left[band]
+        length_s = float(predicted.time_s[-1]) - predicted.onset_s
+        if not (tau > 0.0 and predicted.onset_s < end_s < predicted.time_s[-1] and own[0] > 0.0):
+            continue
+        reached = bool(measured.noise_reached[band])
+        step_s = block_length_s(float(bandwidths[band]), length_s)
+        until_s = length_s if reached else end_s - predicted.onset_s
+        edges = np.arange(0.0, until_s + 1e-9, step_s)
+        power = -np.diff(np.interp(predicted.onset_s + edges, predicted.time_s, own)) / step_s
+        # at its end the measured line is as high as the noise; beside a cut file there is none
+        at_end = own[0] * 10.0 ** (-0.1 * measured.usable_db[band]) / tau
+        floor = at_end if reached else 1e-12 * at_end
+        line = decay_line(
+            edges[:-1] + 0.5 * step_s, power + floor, floor, 25.0 if reached else np.inf
+        )
+        if line is None:
+            continue
+        height, constant_s[band] = line
+        tail = height * line[1] * np.exp(-(end_s - predicted.onset_s) / line[1])
+        beyond_s = np.maximum(predicted.time_s - end_s, 0.0)
+        until_end = own - np.interp(end_s, predicted.time_s, own)
+        # after its end the line itself, so that no level between two bins is without a number
+        left[band] = np.maximum(until_end, 0.0) + tail * np.exp(-beyond_s / line[1])
+        ends_s[band], usable_db[band] = end_s, measured.usable_db[band]
+    return replace(
+        predicted,
+        energy_left=left,
+        usable_end_s=ends_s,
+        usable_db=usable_db,
+        tail_time_constant_s=constant_s,
+    )
 
 
 def decay_curve_db(curve: DecayCurve) -> FloatArray:

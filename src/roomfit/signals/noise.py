@@ -113,9 +113,7 @@ def _band_decay(
 ) -> _BandDecay:
     energy = before_rise(energy, max(1.0, bandwidth_hz * len(energy) / rate_hz))
     length_s = len(energy) / rate_hz
-    # a block has four independent values, so that its level scatters by 2 dB; in a short file down
-    # to one and a half, for a line through less than eight blocks is worthless
-    block_s = max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
+    block_s = block_length_s(bandwidth_hz, length_s)
     if block_s < 1.5 / bandwidth_hz or length_s < 8.0 * block_s:
         return _BandDecay(0.0, before)
     # mid times and mean energies of equal blocks; an incomplete block at the end is left out
@@ -128,7 +126,7 @@ def _band_decay(
     third, last = (part.mean() for part in np.array_split(energy, 4)[2:])
     # a last quarter 6 dB quieter than the third: no noise is reached there
     if line is None and third > _FALLS * max(last, _LEAST_ENERGY):
-        line = _line(times, blocks, _LEAST_ENERGY, span_db=np.inf)
+        line = decay_line(times, blocks, _LEAST_ENERGY, span_db=np.inf)
     elif line is None:
         line = _short_decay(times, blocks, floor)
     if line is None:
@@ -152,6 +150,15 @@ def _band_decay(
     )
 
 
+def block_length_s(bandwidth_hz: float, length_s: float) -> float:
+    """Return the length of the blocks whose levels a line is put through.
+
+    A block has four independent values, so that its level scatters by 2 dB; in a short file down
+    to one and a half, for a line through less than eight blocks is worthless.
+    """
+    return max(0.01, min(4.0 / bandwidth_hz, length_s / 8.0))
+
+
 def _judged(decay: _BandDecay, evidence: float) -> tuple[float, bool, float, float, float, float]:
     """Return a band of `NoiseEstimate` under the evidence that the file's end is noise.
 
@@ -171,7 +178,9 @@ def _judged(decay: _BandDecay, evidence: float) -> tuple[float, bool, float, flo
         # may be noise, and nothing is subtracted
         end_s = max(end_s - np.log(2.0) * line[1], float(decay.times[0]))
         used = decay.times <= end_s
-        line = _line(decay.times[used], decay.blocks[used], _LEAST_ENERGY, span_db=np.inf) or line
+        line = (
+            decay_line(decay.times[used], decay.blocks[used], _LEAST_ENERGY, span_db=np.inf) or line
+        )
     elif not crosses:
         end_s = decay.length_s - decay.spreading_s
     height, constant_s = line
@@ -213,7 +222,7 @@ def _floor_and_decay(
     length_s = len(energy) / rate_hz
     latest_s = (1.0 - TAIL_SHARE) * length_s
     floor = _mean_from(energy, latest_s * rate_hz)
-    line = _line(times, blocks, floor, span_db=np.inf)
+    line = decay_line(times, blocks, floor, span_db=np.inf)
     if line is None:
         return floor, None
     for _ in range(_MOST_ROUNDS):
@@ -221,7 +230,7 @@ def _floor_and_decay(
         # noise begins where the decay lies 10 dB below it
         clear_s = crossing_s + np.log(10.0) * line[1]
         floor = _mean_from(energy, min(clear_s, latest_s) * rate_hz)
-        following = _line(times, blocks, floor, span_db=25.0)
+        following = decay_line(times, blocks, floor, span_db=25.0)
         if following is None:
             break
         line = following
@@ -234,14 +243,16 @@ def _mean_from(energy: FloatArray, start: float) -> float:
     return max(float(energy[int(start) :].mean()), _LEAST_ENERGY)
 
 
-def _line(
+def decay_line(
     times: FloatArray, blocks: FloatArray, floor: float, span_db: float
 ) -> tuple[float, float] | None:
     """Return height and time constant of the exponential above the noise, or None.
 
-    Through the blocks from `span_db` above the lowest usable level, which lies 6 dB above the
-    noise, down to that level; from the peak on where the decay is not that long. Quiet blocks with
-    louder ones after them, as between direct sound and first reflection of a hall, are skipped.
+    Times are the middles of equal blocks after the onset, blocks their mean powers with the noise,
+    shape (n_blocks,) each; the height is that of the line at time 0. Through the blocks from
+    `span_db` above the lowest usable level, which lies 6 dB above the noise, down to that level;
+    from the peak on where the decay is not that long. Quiet blocks with louder ones after them, as
+    between direct sound and first reflection of a hall, are skipped.
     """
     if not len(blocks):
         return None

@@ -6,14 +6,24 @@ itself: weighed, resampled, and moved by Metropolis steps, for some hundred eval
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numpy as np
 
+from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.objective.problem import Objective
+from roomfit.objective.room_parameters import ValuesTerm, approximated, only_values
 from roomfit.solvers.least_squares import BandFit
 from roomfit.typing import FloatArray, IntArray
-from roomfit.uncertainty.sampling import LogPosterior, Surrogate, log_posterior, surrogate
+from roomfit.uncertainty.sampling import (
+    FARTHEST_FREE,
+    LogPosterior,
+    Surrogate,
+    log_posterior,
+    surrogate,
+)
 
 # Each point is drawn from twice, some moves apart; fewer say little of where all have to go.
 _LEAST_POINTS = 64
@@ -68,6 +78,8 @@ def posterior_draws(
     """
     law = replace(log_posterior(objective, fit), fixed_weights=fit)
     n = law.n_kept
+    values = only_values(objective)
+    worth_of = _one_by_one(law) if values is None else _of_values(law, values, fit)
     near = surrogate(law, fit, windows=fit.variance.size * n * n <= _MOST_CURVATURES)
     size = max((n_draws + 1) // 2, _LEAST_POINTS)
     # gains have no prior to begin with, and energies one minimum; values alone may have several
@@ -79,7 +91,7 @@ def posterior_draws(
         of_near = _log_prior(near, points)
     else:
         points, of_near = near.walk(np.tile(near.centre, (size, 1)), near.usual_steps[1], rng)
-    worth = _worth(law, points)
+    worth = worth_of(points)
     evaluations, power, first_share = size, 0.0, 1.0
     for number in range(_MOST_LEVELS):
         ratio = worth - of_near
@@ -92,10 +104,12 @@ def posterior_draws(
         if power >= 1.0 - 1e-9:
             break
         if from_prior:
-            points, worth, _ = _differed(law, points, worth, rng, (near, power))
+            points, worth, _ = _differed(worth_of, points, worth, rng, (near, power))
             of_near = _log_prior(near, points)
         else:
-            points, worth, of_near, _ = _walked(law, near, (points, worth, of_near), power, rng)
+            points, worth, of_near, _ = _walked(
+                worth_of, near, (points, worth, of_near), power, rng
+            )
         evaluations += size
     drawn: list[FloatArray] = []
     moves: list[float] = []
@@ -103,10 +117,10 @@ def posterior_draws(
         moves.append(0.0)
         for number in range(_MOST_ROUNDS):
             if number % 2 != from_prior:
-                points, worth, taken = _differed(law, points, worth, rng)
+                points, worth, taken = _differed(worth_of, points, worth, rng)
             else:
                 here = points, worth, of_near
-                points, worth, of_near, taken = _walked(law, near, here, 1.0, rng)
+                points, worth, of_near, taken = _walked(worth_of, near, here, 1.0, rng)
             evaluations += size
             moves[-1] += taken
             if moves[-1] >= _MOVES:
@@ -116,8 +130,32 @@ def posterior_draws(
     return Population(kept, first_share, min(moves), evaluations)
 
 
-def _worth(law: LogPosterior, points: FloatArray) -> FloatArray:
-    return np.array([law(p) for p in points])
+Worth: TypeAlias = Callable[[FloatArray], FloatArray]
+"""From points, shape (n_points, n_kept), to their log densities."""
+
+
+def _one_by_one(law: LogPosterior) -> Worth:
+    return lambda points: np.array([law(p) for p in points])
+
+
+def _of_values(law: LogPosterior, term: ValuesTerm, fit: BandFit) -> Worth:
+    """Return the same law of room parameters alone, which are found at all points together."""
+    parameters = law.objective.parameters
+
+    def absorption(point: FloatArray) -> FloatArray:
+        return physical_values(parameters, point)[0]["absorption"]
+
+    values = approximated(term, absorption(fit.vector))
+    weight = 1.0 / (fit.variance * law.objective.correlation_length() * law.flattening)
+
+    def worth(points: FloatArray) -> FloatArray:
+        inside = np.all(np.abs(points) < FARTHEST_FREE, axis=1)
+        off = term.measured() - values(np.array([absorption(p) for p in points]))
+        prior = np.array([prior_residuals(parameters, p)[0] for p in points])
+        found = -0.5 * (np.sum(weight * off**2, axis=1) + np.sum(prior**2, axis=1))
+        return np.where(inside & np.isfinite(found), found, -np.inf)
+
+    return worth
 
 
 def _share(ratio: FloatArray, power: float) -> float:
@@ -145,7 +183,7 @@ def _resampled(log_weight: FloatArray, rng: np.random.Generator) -> IntArray:
 
 
 def _walked(
-    law: LogPosterior,
+    worth_of: Worth,
     near: Surrogate,
     here: tuple[FloatArray, FloatArray, FloatArray],
     power: float,
@@ -154,7 +192,7 @@ def _walked(
     """Move points, with their log densities under both laws, by walks under the surrogate."""
     points, worth, of_near = here
     there, gain = near.walk(points, int(rng.choice(near.usual_steps)), rng)
-    new = _worth(law, there)
+    new = worth_of(there)
     taken = np.log(rng.random(len(points))) < power * (new - worth - gain)
     return (
         np.where(taken[:, None], there, points),
@@ -170,7 +208,7 @@ def _log_prior(near: Surrogate, points: FloatArray) -> FloatArray:
 
 
 def _differed(
-    law: LogPosterior,
+    worth_of: Worth,
     points: FloatArray,
     worth: FloatArray,
     rng: np.random.Generator,
@@ -185,7 +223,7 @@ def _differed(
         scale = 2.38 / np.sqrt(2.0 * points.shape[1]) * rng.uniform(0.2, 1.0, (own.size, 1))
         there = points[own] + scale * (points[pairs[:, 0]] - points[pairs[:, 1]])
         there += 1e-5 * rng.standard_normal(there.shape)
-        new = _worth(law, there)
+        new = worth_of(there)
         more = new - worth[own]
         if tempered is not None:
             near, power = tempered
