@@ -77,7 +77,7 @@ from roomfit.objective.observation import (
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
-from roomfit.scene import Scene, check_groups, material_areas_m2
+from roomfit.scene import Scene, check_groups, material_areas_m2, plan_in_words
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
@@ -378,6 +378,7 @@ def combine(
         sampling=tuple(b.sampling for b in found),
         prior=prior_intervals(priors),
         reasons=reasons(settings.method, bands, found),
+        plan=plan_in_words(scene),
         models=models,
         scattering=traced.scattering,
         geometry=fits.geometry,

@@ -1,0 +1,259 @@
+"""Whether the chain was linear and left the decay alone, and whether what is fixed can be true.
+
+Each is one more unknown that the fit does not have: the exponent of a compressor or an expander,
+the decay rate of a window that was left in the files, the absorption of a material that the
+campaign fixes. How far the data ask for it follows from the fit as it is, by the score test [1]_.
+
+References
+----------
+.. [1] C. R. Rao, "Large sample tests of statistical hypotheses concerning several parameters",
+       Proc. Cambridge Philos. Soc. 44, 50-57 (1948).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import chi2
+
+from roomfit.bands import Bands, bands_in_words
+from roomfit.findings import Code, Finding
+from roomfit.logit import expit, logit
+from roomfit.materials.priors import MaterialPrior
+from roomfit.measurement import MeasuredPair
+from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.parameters import physical_values, prior_residuals
+from roomfit.objective.problem import Objective
+from roomfit.signals.filters import FilterBank, filter_pressure
+from roomfit.signals.response import times_s
+from roomfit.solvers.least_squares import BandFit
+from roomfit.typing import FloatArray
+
+# In standard deviations; a right room exceeds 4 by chance once in 16,000, and clean rooms of
+# another program and measured ones less than 3: docs/how-far-to-trust.md.
+_FEWEST_SDS = 4.0
+# An exponent nearer to 1, and a decay rate that is a smaller share of the room's own, does less to
+# absorption than intervals allow for.
+_LEAST_EXPONENT, _LEAST_RATE = 0.03, 0.05
+# Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
+_LEAST_GAIN, _CHANCE = 2.0, 1e-3
+
+
+class FittedWindows(NamedTuple):
+    """One band whose windows were fitted as pressures."""
+
+    band: int
+    objective: Objective  # windows first
+    fit: BandFit
+    energies: EnergyTerm  # the windows, for their edges and noise
+    files: tuple[MeasuredPair, ...]  # one an observation
+    shared: FloatArray  # (n_windows, n_errors), errors of all windows, one sd each
+    decay_rate_per_s: float  # of energy, as measured
+
+
+class Score(NamedTuple):
+    """What the data ask of one more unknown, to first order."""
+
+    value: float
+    sd: float
+
+
+def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Return the score of further unknowns at 0, and their information, all others fitted along.
+
+    Parameters
+    ----------
+    columns : float array, shape (n, n_more)
+        Derivative of the first n expected data by each of them.
+
+    Returns
+    -------
+    score : float array, shape (n_more,)
+    information : float array, shape (n_more, n_more)
+        Its covariance where the model is right: the value of one unknown by itself is
+        score / information, with the standard deviation information**-0.5.
+    """
+    objective, fit = windows.objective, windows.fit
+    weight = 1.0 / (objective.correlation_length() * fit.variance)
+    residual = fit.measured - fit.expected
+    own = objective.predict(fit.vector).jacobian
+    shared, more = (np.zeros((residual.size, x.shape[1])) for x in (windows.shared, columns))
+    shared[: len(windows.shared)] = windows.shared
+    more[: len(columns)] = columns
+    jacobian = np.concatenate((own, shared), axis=1)
+    prior, rows = prior_residuals(objective.parameters, fit.vector)
+    hessian = jacobian.T @ (weight[:, None] * jacobian)
+    n = own.shape[1]
+    hessian[:n, :n] += rows.T @ rows
+    hessian[n:, n:] += np.eye(shared.shape[1])
+    # what is left of the gradient: the last step is not taken to its end, nor for shared errors
+    gradient = jacobian.T @ (weight * residual)
+    gradient[:n] -= rows.T @ prior
+    across = jacobian.T @ (weight[:, None] * more)
+    solved = np.linalg.solve(hessian, np.column_stack((across, gradient)))
+    score = more.T @ (weight * residual) - across.T @ solved[:, -1]
+    information = more.T @ (weight[:, None] * more) - across.T @ solved[:, :-1]
+    return np.asarray(score), np.asarray(information)
+
+
+def chain_slopes(
+    bands: Bands, m: MeasuredPair, edges_s: Sequence[FloatArray], peak: float
+) -> list[FloatArray]:
+    """Return how a chain changes the logarithm of each window's energy, a band after the other.
+
+    By the exponent p of sign(x) abs(x / peak)**p at p = 1, where the derivative of the samples is
+    x ln abs(x / peak); and by the rate of exp(-rate t) on the energy, where it is -t.
+
+    Parameters
+    ----------
+    bands : Bands
+        Of the edges.
+    edges_s : sequence of float arrays, shape (n_windows + 1,)
+    peak : float
+        Of all files of a campaign.
+
+    Returns
+    -------
+    list of float array, shape (n_windows, 2)
+    """
+    bank, size = FilterBank(bands), np.abs(m.response.pressure)
+    logs = np.log(np.where(size > 0.0, size / peak, 1.0))
+    moved = replace(m.response, pressure=m.response.pressure * logs)
+    rate_hz = m.response.sampling_rate_hz
+    boundaries_s = np.append(times_s(m.response), times_s(m.response)[-1] + 1.0 / rate_hz)
+    boundaries_s -= 0.5 / rate_hz
+    out = []
+    for pressure, change, own_s in zip(
+        filter_pressure(bank, m.response), filter_pressure(bank, moved), edges_s, strict=True
+    ):
+        whole, part = (
+            np.diff(np.interp(own_s, boundaries_s, np.append(0.0, np.cumsum(x))))
+            for x in (pressure**2, 2.0 * pressure * change)
+        )
+        by_power = np.divide(part, whole, out=np.zeros_like(part), where=whole > 0.0)
+        out.append(np.stack((by_power, -0.5 * (own_s[1:] + own_s[:-1])), axis=1))
+    return out
+
+
+def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Finding, ...]:
+    """Return a finding where levels were bent by a power, or the decay by a window.
+
+    The two look alike in a decay, but not over the distances of direct sound and reflections;
+    the one that is clearer is named. One value is common to all bands.
+
+    Parameters
+    ----------
+    fitted : sequence of FittedWindows
+        Bands in which pressures explain the data better than energies: where energies add, how
+        far smooth walls' late sound lies below their sum is not known well enough.
+    """
+    if not fitted:
+        return ()
+    peak = max(float(np.abs(m.response.pressure).max()) for w in fitted for m in w.files)
+    slopes: dict[tuple[int, int], FloatArray] = {}
+    for m in dict.fromkeys(m for w in fitted for m in w.files):
+        hears = [w for w in fitted if m in w.files]
+        chosen = Bands(bands.kind, bands.centres_hz[[w.band for w in hears]])
+        edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in hears]
+        for w, own in zip(hears, chain_slopes(chosen, m, edges_s, peak), strict=True):
+            slopes[w.band, w.files.index(m)] = own
+    score, information = np.zeros(2), np.zeros((2, 2))
+    for w in fitted:
+        noise = np.concatenate([o.noise for o in w.energies.observations])
+        relative = np.concatenate([slopes[w.band, i] for i in range(len(w.files))])
+        signal = w.fit.expected[: noise.size] - noise
+        more, of_band = scored(w, signal[:, None] * relative)
+        score += more
+        information += of_band
+    values = score / np.diag(information)
+    sds = np.diag(information) ** -0.5
+    power, window = (Score(float(v), float(s)) for v, s in zip(values, sds, strict=True))
+    rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
+    sizes = (abs(power.value) / power.sd, abs(window.value) / window.sd)
+    clear = (
+        sizes[0] > _FEWEST_SDS and abs(power.value) > _LEAST_EXPONENT,
+        sizes[1] > _FEWEST_SDS and abs(window.value) > _LEAST_RATE * rate_per_s,
+    )
+    evidence = {
+        "exponent": round(1.0 + power.value, 4),
+        "exponent_sd": round(power.sd, 4),
+        "rate_per_s": round(window.value, 3),
+        "rate_sd_per_s": round(window.sd, 3),
+        "bands_hz": bands.centres_hz[[w.band for w in fitted]].tolist(),
+    }
+    if clear[0] and (sizes[0] >= sizes[1] or not clear[1]):
+        kind = "compressor or limiter" if power.value < 0.0 else "expander or gate"
+        return (
+            Finding(
+                Code.LEVELS_NOT_LINEAR,
+                f"Levels are bent as by the power {1.0 + power.value:.2f} +- {power.sd:.2f} of the "
+                f"pressure, in all bands and over all distances alike: a {kind} is in the chain, "
+                "or the files were processed. Measure again without it; no material is called "
+                "identifiable.",
+                evidence,
+            ),
+        )
+    if clear[1]:
+        way = "fast" if window.value > 0.0 else "slowly"
+        return (
+            Finding(
+                Code.DECAY_BENT,
+                f"The sound decays too {way} for its early reflections, by "
+                f"{window.value:.1f} +- {window.sd:.1f} of energy per second alike in all bands "
+                f"(the room's own: {rate_per_s:.0f}): an exponential window was left in the files, "
+                "or something absorbs that is not described. No material is called identifiable.",
+                evidence,
+            ),
+        )
+    return ()
+
+
+def fixed_absorption_findings(
+    bands: Bands, priors: tuple[MaterialPrior, ...], fitted: Sequence[FittedWindows]
+) -> tuple[Finding, ...]:
+    """Return a finding for each material whose fixed absorption the data contradict.
+
+    It is freed once, to first order: where the log-likelihood of some band gains 2 and more, and
+    that of all bands together more than happens by chance once in a thousand materials.
+    """
+    findings = []
+    for i, prior in enumerate(priors):
+        known, gains, freed, n = prior.known, {}, {}, 0
+        if known is None:
+            continue
+        for w in fitted:
+            values, _ = physical_values(w.objective.parameters, w.fit.vector)
+            columns = np.concatenate(
+                [t.predict(values)[2]["absorption"][:, [i]] for t in w.objective.terms]
+            )
+            own = float(np.clip(known[w.band], 1e-3, 1.0 - 1e-3))
+            more, information = scored(w, own * (1.0 - own) * columns)
+            if information[0, 0] <= 0.0:
+                continue
+            n += 1
+            gains[w.band] = 0.5 * float(more[0] ** 2 / information[0, 0])
+            step = float(np.clip(more[0] / information[0, 0], -3.0, 3.0))
+            freed[w.band] = float(expit(logit(np.array([own])) + step)[0])
+        clear = [b for b, gain in gains.items() if gain >= _LEAST_GAIN]
+        if not clear or 2.0 * sum(gains.values()) <= float(chi2.ppf(1.0 - _CHANCE, n)):
+            continue
+        notes = [f"{known[b]:.2f} fixed, about {freed[b]:.2f} likelier" for b in clear]
+        findings.append(
+            Finding(
+                Code.FIXED_ABSORPTION_CONTRADICTED,
+                f"The data contradict the absorption that the campaign fixes for {prior.name}: "
+                f"{bands_in_words(bands, clear, notes)}; freed, the log-likelihood rises by "
+                f"{sum(gains.values()):.0f}. All others compensate for it: none is called "
+                "identifiable. State a prior in its place.",
+                {
+                    "material": prior.name,
+                    "bands_hz": bands.centres_hz[clear].tolist(),
+                    "log_likelihood_gain": [round(gains[b], 2) for b in clear],
+                    "about": [round(freed[b], 3) for b in clear],
+                },
+            )
+        )
+    return tuple(findings)
