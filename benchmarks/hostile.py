@@ -342,8 +342,7 @@ def box(seed: int, n_pairs: int) -> Case:
     by_name = {k.name: k for k in arguments["materials"]}
     names = arguments["scene"].room.materials
     priors = tuple(
-        replace(unknown_material(n, len(BANDS)), scattering=np.zeros(len(BANDS)))
-        for n in by_name
+        replace(unknown_material(n, len(BANDS)), scattering=np.zeros(len(BANDS))) for n in by_name
     )
     arguments |= {"bands": BANDS, "materials": priors}
     rows = [made.materials.index(n) for n in names]

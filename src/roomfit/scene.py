@@ -630,9 +630,9 @@ def plan_in_words(scene: Scene) -> tuple[str, ...]:
 
     Examples
     --------
-    >>> room = shoebox_room((6.0, 5.0, 3.0), {"west": "curtain", "floor": "carpet"}, rest="plaster")
+    >>> room = shoebox_room((6.0, 5.0, 3.0), {"west": "curtain", "north": "glass"})
     >>> plan_in_words(scene_of(room, {"LS1": (1.2, 4.0, 0.9)}, {"MP1": (4.0, 2.0, 1.2)}))[0]
-    'LS1 stands 1.20 m from west (curtain), 1.00 m from north (plaster), 0.90 m from floor (carpet).'
+    'LS1 stands 1.20 m from west (curtain), 1.00 m from north (glass), 0.90 m from floor.'
     """
     room, points = scene.room, (*scene.sources, *scene.receivers)
     names = [

@@ -37,7 +37,8 @@ from roomfit.typing import FloatArray
 _FEWEST_SDS = 4.0
 # An exponent nearer to 1, and a decay rate that is a smaller share of the room's own, does less to
 # absorption than intervals allow for.
-_LEAST_EXPONENT, _LEAST_RATE = 0.03, 0.05
+_LEAST_EXPONENT, _LEAST_RATE = 0.04, 0.05
+_FEWEST_BANDS = 2  # one value that all share
 # Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
 _LEAST_GAIN, _CHANCE = 2.0, 1e-3
 
@@ -138,6 +139,27 @@ def chain_slopes(
     return out
 
 
+def common(scores: FloatArray, information: FloatArray) -> Score:
+    """Return the value that all bands have in common, with its standard deviation.
+
+    Where bands scatter about it by more than they should, its standard deviation grows by as much
+    [1]_: an error of the model differs from band to band, a chain does not.
+
+    Parameters
+    ----------
+    scores, information : float arrays, shape (n_bands,)
+
+    References
+    ----------
+    .. [1] R. T. Birge, "The calculation of errors by the method of least squares", Phys. Rev. 40,
+           207-227 (1932).
+    """
+    value = float(scores.sum() / information.sum())
+    scatter = float(np.sum(information * (scores / information - value) ** 2))
+    ratio = max(scatter / max(len(scores) - 1, 1), 1.0)
+    return Score(value, float(np.sqrt(ratio / information.sum())))
+
+
 def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Finding, ...]:
     """Return a finding where levels were bent by a power, or the decay by a window.
 
@@ -150,7 +172,7 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
         Bands in which pressures explain the data better than energies: where energies add, how
         far smooth walls' late sound lies below their sum is not known well enough.
     """
-    if not fitted:
+    if len(fitted) < _FEWEST_BANDS:
         return ()
     peak = max(float(np.abs(m.response.pressure).max()) for w in fitted for m in w.files)
     slopes: dict[tuple[int, int], FloatArray] = {}
@@ -160,17 +182,17 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
         edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in hears]
         for w, own in zip(hears, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
-    score, information = np.zeros(2), np.zeros((2, 2))
+    scores, informations = [], []
     for w in fitted:
         noise = np.concatenate([o.noise for o in w.energies.observations])
         relative = np.concatenate([slopes[w.band, i] for i in range(len(w.files))])
         signal = w.fit.expected[: noise.size] - noise
-        more, of_band = scored(w, signal[:, None] * relative)
-        score += more
-        information += of_band
-    values = score / np.diag(information)
-    sds = np.diag(information) ** -0.5
-    power, window = (Score(float(v), float(s)) for v, s in zip(values, sds, strict=True))
+        score, information = scored(w, signal[:, None] * relative)
+        scores.append(score)
+        informations.append(np.diag(information))
+    power, window = (
+        common(s, i) for s, i in zip(np.transpose(scores), np.transpose(informations), strict=True)
+    )
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
     sizes = (abs(power.value) / power.sd, abs(window.value) / window.sd)
     clear = (

@@ -455,9 +455,7 @@ def _as_pressures(
         )
         shared = np.column_stack((signal[:, None] * relative, signal * lost, spread))
         found.append(
-            FittedWindows(
-                b, fit.objective, fit.fit, windows, files, shared, 1.0 / float(decay_s)
-            )
+            FittedWindows(b, fit.objective, fit.fit, windows, files, shared, 1.0 / float(decay_s))
         )
     return tuple(found)
 

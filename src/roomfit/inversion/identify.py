@@ -14,7 +14,7 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.cache import Cache
 from roomfit.eyring import eyring_absorption
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
 from roomfit.inversion.coherent import fit_coherent
@@ -303,6 +303,9 @@ def combine(
     misspecified = any(f.code.voids_identifiability for f in findings)
     if misspecified:
         identifiable &= fixed
+    for f in findings:
+        if f.code is Code.FIXED_ABSORPTION_CONTRADICTED:
+            identifiable[scene.room.materials.index(f.evidence["material"])] = False
     ambiguous, mirrors = mirror_findings(
         measured, priors, absorption, lower, upper, [b.mirrors for b in found]
     )

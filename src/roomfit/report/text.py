@@ -41,7 +41,9 @@ def answer_text(answer: Result) -> str:
 
 def plan_text(answer: Result) -> str:
     """Return where sources and receivers were taken to stand: the reader is to compare."""
-    lines = ["The plan in words; no recording tells it from its mirror image"] if answer.plan else []
+    lines = (
+        ["The plan in words; no recording tells it from its mirror image"] if answer.plan else []
+    )
     more = len(answer.plan) - _MOST_SENTENCES
     rest = [f"(and {more} more in result.json)"] if more > 0 else []
     return "\n".join([*lines, *answer.plan[:_MOST_SENTENCES], *rest])
