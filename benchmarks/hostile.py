@@ -276,7 +276,7 @@ def _denoised(x: FloatArray, rate_hz: float, _: float) -> FloatArray:
     return x * np.sqrt(np.maximum(1.0 - (2.0 * floor / np.maximum(own, 1e-12)) ** 2, 0.0))
 
 
-def _averaged(x: FloatArray, rate_hz: float, _: float) -> FloatArray:
+def _averaged(x: FloatArray, *_: float) -> FloatArray:
     """Return the mean of eight in which people move: time runs 3 in 10,000 faster or slower."""
     rng = np.random.default_rng(7)
     t = np.arange(x.size, dtype=np.float64)

@@ -17,6 +17,7 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from scipy.signal import butter, sosfilt
 from scipy.stats import chi2
 
 from roomfit.bands import Bands, bands_in_words
@@ -39,6 +40,10 @@ _FEWEST_SDS = 4.0
 # absorption than intervals allow for.
 _LEAST_EXPONENT, _LEAST_RATE = 0.04, 0.05
 _FEWEST_BANDS = 2  # one value that all share
+# Noise is sought in the last two fifths of a file and until 3 ms before the direct sound, above
+# 500 Hz; rates of its parts are alike within a quarter.
+_TAIL_SHARE, _TAIL_BLOCKS, _TAIL_HZ = 0.4, 8, 500.0
+_EDGE_S, _BEFORE_S, _ALIKE, _FEWEST_FILES = 0.5e-3, 3e-3, 0.25, 3
 # Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
 _LEAST_GAIN, _CHANCE = 2.0, 1e-3
 
@@ -160,6 +165,15 @@ def common(scores: FloatArray, information: FloatArray) -> Score:
     return Score(value, float(np.sqrt(ratio / information.sum())))
 
 
+def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> Score:
+    """Return what all bands ask of one unknown, given its relative derivatives, (n_windows, 1)."""
+    scores = []
+    for w, own in zip(fitted, relative, strict=True):
+        signal = w.objective.predict(w.fit.vector).signal[: len(own)]
+        scores.append([float(x.item()) for x in scored(w, signal[:, None] * own)])
+    return common(*np.array(scores).T)
+
+
 def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Finding, ...]:
     """Return a finding where levels were bent by a power, or the decay by a window.
 
@@ -182,17 +196,9 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
         edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in hears]
         for w, own in zip(hears, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
-    scores, informations = [], []
-    for w in fitted:
-        noise = np.concatenate([o.noise for o in w.energies.observations])
-        relative = np.concatenate([slopes[w.band, i] for i in range(len(w.files))])
-        signal = w.fit.expected[: noise.size] - noise
-        score, information = scored(w, signal[:, None] * relative)
-        scores.append(score)
-        informations.append(np.diag(information))
-    power, window = (
-        common(s, i) for s, i in zip(np.transpose(scores), np.transpose(informations), strict=True)
-    )
+    relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
+    power = _asked(fitted, [r[:, :1] for r in relative])
+    window = _asked(fitted, [r[:, 1:] for r in relative])
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
     sizes = (abs(power.value) / power.sd, abs(window.value) / window.sd)
     clear = (
@@ -279,3 +285,74 @@ def fixed_absorption_findings(
             )
         )
     return tuple(findings)
+
+
+def tail_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
+    """Return a finding where the background noise falls, as in files under an exponential window.
+
+    Noise is stationary, unless a window was applied after it was recorded. Above 500 Hz its rate is
+    taken twice: within the last two fifths of the files, and from before the direct sound to there.
+    A room that still rings makes the first larger and the second smaller, sound before the direct
+    sound (deconvolution leaves some) the second larger: only a window makes both the same, and the
+    halves of the end as well.
+
+    Parameters
+    ----------
+    measured : sequence of MeasuredPair
+        Three of them at least must begin 4 ms before the direct sound.
+    """
+    rates = np.array([r for m in measured if (r := _noise_rates(m)) is not None])
+    if len(rates) < _FEWEST_FILES:
+        return ()
+    within, first, second, across = rates.mean(axis=0)
+    sds = rates.std(axis=0, ddof=1) / np.sqrt(len(rates))
+    rings = [1.0 / t for m in measured for t in m.noise.tail_time_constant_s if t > 0.0]
+    alike = abs(within - across) < max(_ALIKE * within, 3.0 * float(np.hypot(sds[0], sds[3])))
+    straight = abs(first - second) < max(_ALIKE * within, 3.0 * float(np.hypot(sds[1], sds[2])))
+    clear = min(within / sds[0], across / sds[3]) > _FEWEST_SDS
+    if not (alike and straight and clear and rings and within > 0.01 * float(np.median(rings))):
+        return ()
+    return (
+        Finding(
+            Code.DECAY_BENT,
+            f"The background noise falls by {1e1 * np.log10(np.e) * within:.0f} dB per second "
+            "within the files, and as fast from before the direct sound to their end: an "
+            f"exponential window of {2.0 / within:.2g} s (pressure) was left in them, by which "
+            "every decay is too fast. No material is called identifiable; undo it, or export the "
+            "files without.",
+            {
+                "rate_per_s": round(float(within), 3),
+                "rate_sd_per_s": round(float(sds[0]), 3),
+                "rate_from_before_per_s": round(float(across), 3),
+                "files": len(rates),
+            },
+        ),
+    )
+
+
+def _noise_rates(m: MeasuredPair) -> tuple[float, float, float, float] | None:
+    """Return rates of one file in 1/s: of its end, of this end's halves, and from before the sound.
+
+    None where too little comes before the direct sound, or the file is too short.
+    """
+    x, rate_hz = m.response.pressure, m.response.sampling_rate_hz
+    sounding = np.flatnonzero(x)
+    begin, end = int(sounding[0]) + round(_EDGE_S * rate_hz), int(sounding[-1]) + 1
+    direct = round((m.direct_s + m.response.time_zero_s) * rate_hz)
+    before = slice(begin, direct - round(_BEFORE_S * rate_hz))
+    size = round(_TAIL_SHARE * (end - direct)) // _TAIL_BLOCKS
+    if before.stop - begin < 1e-3 * rate_hz or size < 2 or rate_hz < 2.5 * _TAIL_HZ:
+        return None
+    energy = sosfilt(butter(4, _TAIL_HZ, btype="high", fs=rate_hz, output="sos"), x) ** 2
+    blocks = energy[end - _TAIL_BLOCKS * size : end].reshape(_TAIL_BLOCKS, size).mean(axis=1)
+    early = float(energy[before].mean())
+    if not (early > 0.0 and np.all(blocks > 0.0)):
+        return None
+    level, half = np.log(blocks), _TAIL_BLOCKS // 2
+    time_s = size / rate_hz * np.arange(_TAIL_BLOCKS)
+    within, first, second = (
+        -float(np.polyfit(time_s[part], level[part], 1)[0])
+        for part in (slice(None), slice(half), slice(half, None))
+    )
+    middle = end - 0.5 * _TAIL_BLOCKS * size - 0.5 * (begin + before.stop)
+    return within, first, second, float(np.log(early) - level.mean()) * rate_hz / middle

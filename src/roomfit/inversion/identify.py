@@ -17,6 +17,7 @@ from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
+from roomfit.inversion.chain import tail_findings
 from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.directivity import directivity_parameters
@@ -242,6 +243,7 @@ def _findings(
         *unspecified_position_findings(scene),
         *prior_only_band_findings(bands, [e.model != "prior" for e in estimates]),
         *fits.findings,
+        *tail_findings([m for m in measured.responses if m.measurement.use == "fit"]),
         *fit_findings(bands, estimates),
         *description_findings(estimates),
         *certificate_findings(bands, [e.certificate for e in estimates]),
