@@ -312,6 +312,7 @@ FAULTS: dict[str, Fault] = {
     "resampled": on_samples(lambda x, *_: resample_poly(resample_poly(x, 3, 4), 4, 3)),
     "hum -20 dB": on_samples(_hum),
     "every file twice": twice,
+    "ceiling fixed and right": wall_specified(0.0),
     "ceiling fixed .1 off": wall_specified(0.1),
     "ceiling fixed .3 off": wall_specified(0.3),
     "35 degrees, exactly": too_warm,

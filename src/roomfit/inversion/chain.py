@@ -83,7 +83,9 @@ def scored(windows: FittedWindows, columns: FloatArray) -> tuple[FloatArray, Flo
         score / information, with the standard deviation information**-0.5.
     """
     objective, fit = windows.objective, windows.fit
-    weight = 1.0 / (objective.correlation_length() * fit.variance)
+    # a misfit widens intervals, and makes further unknowns less certain by as much
+    misfit = max(fit.chi2_reduced, 1.0)
+    weight = 1.0 / (misfit * objective.correlation_length() * fit.variance)
     residual = fit.measured - fit.expected
     own = objective.predict(fit.vector).jacobian
     shared, more = (np.zeros((residual.size, x.shape[1])) for x in (windows.shared, columns))
@@ -174,7 +176,9 @@ def _asked(fitted: Sequence[FittedWindows], relative: Sequence[FloatArray]) -> S
     return common(*np.array(scores).T)
 
 
-def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Finding, ...]:
+def chain_findings(
+    bands: Bands, fitted: Sequence[FittedWindows], *, is_directed: bool
+) -> tuple[Finding, ...]:
     """Return a finding where levels were bent by a power, or the decay by a window.
 
     The two look alike in a decay, but not over the distances of direct sound and reflections;
@@ -185,6 +189,9 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
     fitted : sequence of FittedWindows
         Bands in which pressures explain the data better than energies: where energies add, how
         far smooth walls' late sound lies below their sum is not known well enough.
+    is_directed : bool
+        Whether directivities were fitted: what is left of those that are not of first order bends
+        levels as a chain does (of one measured room by the power 1.22), and none is asked for.
     """
     if len(fitted) < _FEWEST_BANDS:
         return ()
@@ -202,7 +209,7 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
     rate_per_s = float(np.median([w.decay_rate_per_s for w in fitted]))
     sizes = (abs(power.value) / power.sd, abs(window.value) / window.sd)
     clear = (
-        sizes[0] > _FEWEST_SDS and abs(power.value) > _LEAST_EXPONENT,
+        not is_directed and sizes[0] > _FEWEST_SDS and abs(power.value) > _LEAST_EXPONENT,
         sizes[1] > _FEWEST_SDS and abs(window.value) > _LEAST_RATE * rate_per_s,
     )
     evidence = {
@@ -219,8 +226,8 @@ def chain_findings(bands: Bands, fitted: Sequence[FittedWindows]) -> tuple[Findi
                 Code.LEVELS_NOT_LINEAR,
                 f"Levels are bent as by the power {1.0 + power.value:.2f} +- {power.sd:.2f} of the "
                 f"pressure, in all bands and over all distances alike: a {kind} is in the chain, "
-                "or the files were processed. Measure again without it; no material is called "
-                "identifiable.",
+                "the files were processed, or a source that was taken for omnidirectional is none. "
+                "Measure again without it; no material is called identifiable.",
                 evidence,
             ),
         )

@@ -429,7 +429,7 @@ def fit_coherent(
     pressures = _as_pressures(state, fits, likelihoods)
     findings = (
         *findings,
-        *chain_findings(task.bands, pressures),
+        *chain_findings(task.bands, pressures, is_directed=task.directivity_parameters is not None),
         *fixed_absorption_findings(task.bands, task.priors, pressures),
     )
     return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
