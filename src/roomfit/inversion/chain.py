@@ -198,10 +198,10 @@ def chain_findings(
     peak = max(float(np.abs(m.response.pressure).max()) for w in fitted for m in w.files)
     slopes: dict[tuple[int, int], FloatArray] = {}
     for m in dict.fromkeys(m for w in fitted for m in w.files):
-        hears = [w for w in fitted if m in w.files]
-        chosen = Bands(bands.kind, bands.centres_hz[[w.band for w in hears]])
-        edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in hears]
-        for w, own in zip(hears, chain_slopes(chosen, m, edges_s, peak), strict=True):
+        reached = [w for w in fitted if m in w.files]
+        chosen = Bands(bands.kind, bands.centres_hz[[w.band for w in reached]])
+        edges_s = [w.energies.observations[w.files.index(m)].edges_s for w in reached]
+        for w, own in zip(reached, chain_slopes(chosen, m, edges_s, peak), strict=True):
             slopes[w.band, w.files.index(m)] = own
     relative = [np.concatenate([slopes[w.band, i] for i in range(len(w.files))]) for w in fitted]
     power = _asked(fitted, [r[:, :1] for r in relative])
