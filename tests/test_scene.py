@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from roomfit.air import Air
 from roomfit.errors import InputError
 from roomfit.geometry.mesh import SHOEBOX_SURFACES, volume_m3
-from roomfit.scene import Point, material_areas_m2, scene_of, shoebox_room
+from roomfit.scene import Point, material_areas_m2, plan_in_words, scene_of, shoebox_room
 
 LENGTHS_M = (6.0, 5.0, 3.0)
 SOURCES = {"LS1": (1.0, 1.0, 1.5)}
@@ -85,3 +87,20 @@ def test_a_pair_that_is_nearly_named_right_gets_a_hint(room):
     with pytest.raises(InputError, match=r"found\s+'MP_1'") as refused:
         scene_of(room, SOURCES, RECEIVERS, [("LS1", "MP_1")])
     assert "did you mean 'MP1'?" in str(refused.value)
+
+
+def test_a_plan_and_its_mirror_image_read_differently(room):
+    """Distances by hand from the nearer wall; in a room that is no box from the nearest one."""
+    lengths = np.array(LENGTHS_M)
+    right = scene_of(room, {"LS1": (1.2, 0.8, 0.9)}, {"MP1": (4.0, 3.0, 1.2)})
+    left = scene_of(room, {"LS1": (lengths[0] - 1.2, 0.8, 0.9)}, {"MP1": (4.0, 3.0, 1.2)})
+    assert plan_in_words(right)[0] == (
+        "LS1 stands 1.20 m from west (plaster), 0.80 m from south (plaster), 0.90 m from floor "
+        "(plaster)."
+    )
+    assert "1.20 m from east" in plan_in_words(left)[0]
+    other = replace(right, room=replace(room, shoebox_m=None))
+    assert plan_in_words(other)[0] == (
+        "LS1 stands 0.80 m from south (plaster), the nearest surface, and 0.90 m above the lowest "
+        "point of the room."
+    )

@@ -93,6 +93,9 @@ class Code(StrEnum):
     DISPLACEMENT_DETECTED = "displacement-detected", "serious", _VOIDS
     SOURCE_NOT_OMNIDIRECTIONAL = "source-not-omnidirectional", "serious", _VOIDS
     SCATTERING_UNDERESTIMATED = "scattering-underestimated", "serious", _VOIDS
+    LEVELS_NOT_LINEAR = "levels-not-linear", "serious", _VOIDS
+    DECAY_BENT = "decay-bent", "serious", _VOIDS
+    FIXED_ABSORPTION_CONTRADICTED = "fixed-absorption-contradicted", "serious", _VOIDS
     SCATTERING_FITTED = "scattering-fitted", "info"
     SCATTERING_ASSUMED = "scattering-assumed", "info"
     BROAD_PRIOR_ASSUMED = "broad-prior-assumed", "info"
@@ -106,6 +109,8 @@ class Code(StrEnum):
     DECAY_RANGE_TOO_SMALL = "decay-range-too-small", "warning"
     RECORDING_BELOW_NOISE = "recording-below-noise", "warning"
     MEASUREMENT_OUTLIER = "measurement-outlier", "warning"
+    RECORDING_COUNTED_ONCE = "recording-counted-once", "warning"
+    RECORDING_OF_TWO_PAIRS = "recording-of-two-pairs", "serious", _VOIDS
     REPEATED_RESPONSES_DIFFER = "repeated-responses-differ", "warning"
     REPEATED_VALUES_DIFFER = "repeated-values-differ", ("info", "warning")
     ROOM_PARAMETERS_INCONSISTENT = "room-parameters-inconsistent", "warning"

@@ -116,6 +116,7 @@ class Result:
     sampling: tuple[Sampled | None, ...] = ()  # by band
     prior: FloatArray | None = None  # (3, n_materials, n_bands), prior median and 95 % bounds
     reasons: tuple[str, ...] = ()  # what was chosen, and why
+    plan: tuple[str, ...] = ()  # where each source and receiver was taken to stand, in words
     prior_specified: BoolArray | None = None  # (n_materials,); False: the broad default
     # (n_draws, n_materials, n_bands), of the posterior, as predictions take them; None: not drawn
     draws: FloatArray | None = None

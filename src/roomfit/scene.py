@@ -621,3 +621,44 @@ def _coinciding(sources: Sequence[Point], receivers: Sequence[Point]) -> list[Fi
                     )
                 )
     return found
+
+
+def plan_in_words(scene: Scene) -> tuple[str, ...]:
+    """Return where every source and receiver stands, a sentence each.
+
+    No recording tells a plan from its mirror image: only who knows the room sees that a sentence
+    is wrong. In a box the distances from the nearer one of two opposite walls and from the floor;
+    in any other room those from the nearest surface and from its lowest point.
+
+    Examples
+    --------
+    >>> room = shoebox_room((6.0, 5.0, 3.0), {"west": "curtain", "north": "glass"})
+    >>> plan_in_words(scene_of(room, {"LS1": (1.2, 4.0, 0.9)}, {"MP1": (4.0, 2.0, 1.2)}))[0]
+    'LS1 stands 1.20 m from west (curtain), 1.00 m from north (glass), 0.90 m from floor.'
+    """
+    room, points = scene.room, (*scene.sources, *scene.receivers)
+    names = [
+        surface.name + ("" if surface.name == material else f" ({material})")
+        for surface, material in zip(
+            room.mesh.surfaces, (room.materials[m] for m in room.surface_material), strict=True
+        )
+    ]
+    at_m = np.array([p.position_m for p in points])
+    if room.shoebox_m is None:
+        distance_m, triangle = nearest_triangles(room.mesh, at_m)
+        height_m = at_m[:, 2] - room.mesh.vertices_m[:, 2].min()
+        return tuple(
+            f"{p.name} stands {d:.2f} m from {names[room.mesh.triangle_surface[t]]}, the nearest "
+            f"surface, and {h:.2f} m above the lowest point of the room."
+            for p, d, t, h in zip(points, distance_m, triangle, height_m, strict=True)
+        )
+    sentences = []
+    for p, own_m in zip(points, at_m, strict=True):
+        far_m = np.array(room.shoebox_m) - own_m
+        is_far = (far_m < own_m) & np.array([True, True, False])
+        each = (
+            f"{min(d, f) if axis < 2 else d:.2f} m from {names[2 * axis + int(is_far[axis])]}"
+            for axis, (d, f) in enumerate(zip(own_m, far_m, strict=True))
+        )
+        sentences.append(f"{p.name} stands {', '.join(each)}.")
+    return tuple(sentences)

@@ -61,8 +61,8 @@ def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
     (predicted,) = answer_steps(objective_of(plain), fit, (plain.measured() * error)[:, None]).T
     up, down = (_converged(_with_data(plain, 1.0 + s * error)).vector for s in (1.0, -1.0))
     observed = 0.5 * (up - down)
-    # weights that follow the answer are neglected: a few percent of the step, or a few thousandths of
-    # the standard deviation of what the data hardly determine
+    # weights that follow the answer are neglected: a few percent of the step, or a few thousandths
+    # of the standard deviation of what the data hardly determine
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     assert np.all(np.abs(predicted - observed) <= 0.1 * np.abs(observed) + 0.003 * sd)
 

@@ -10,13 +10,14 @@ from scipy.signal import chirp, fftconvolve
 
 from roomfit.errors import InputError
 from roomfit.findings import Code
-from roomfit.signals.decay import check_is_response
+from roomfit.signals.decay import check_is_response, without_hum
 from roomfit.signals.response import (
     ImpulseResponse,
     check_travel,
     compare_onset,
     find_onset,
     padded,
+    same_recordings,
     time_zero_from_direct,
     times_s,
 )
@@ -164,3 +165,36 @@ def test_responses_of_dry_and_reverberant_rooms_are_taken(decay_s):
     echo = np.zeros(n)
     echo[[100, 400]] = 1.0, 0.9
     check_is_response(ImpulseResponse(echo, RATE_HZ))
+
+
+@pytest.mark.parametrize("level", [0.1, 1.0])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_response_with_hum_is_a_response(level, seed):
+    """Three lines of the mains, together 20 dB below the peak of the response, and as loud."""
+    clean = room(0.01, 0.5, noise=1e-3, seed=seed)
+    t = times_s(clean)
+    hum = sum(a * np.sin(2 * np.pi * f * t) for f, a in ((50.0, 0.5), (100.0, 0.2), (150.0, 0.3)))
+    check_is_response(ImpulseResponse(clean.pressure + level * hum, RATE_HZ))
+
+
+def test_hum_is_cut_and_all_else_stays():
+    """Of 50 Hz, 40 dB stronger than the response in its bin, 30 dB go; noise alone keeps 99 %."""
+    rng = np.random.default_rng(3)
+    noise = rng.standard_normal(48_000)
+    line = 0.5 * np.sin(2 * np.pi * 50.0 * np.arange(48_000) / RATE_HZ)
+    assert np.sum(without_hum(noise) ** 2) > 0.99 * np.sum((noise - noise.mean()) ** 2)
+    left = without_hum(noise + 20.0 * line) - noise
+    assert np.sum(left**2) < 1e-3 * np.sum((20.0 * line) ** 2)
+
+
+def test_a_copy_is_found_scaled_shifted_and_cut_and_a_repetition_is_none():
+    """A repetition of the same decay has noise of its own, here 54 dB below the peak."""
+    first = room(0.01, 0.5, noise=1e-3, seed=1).pressure
+    decay = room(0.01, 0.5, seed=1).pressure
+    again = decay + 1e-3 * np.random.default_rng(9).standard_normal(decay.size)
+    other = room(0.01, 0.5, noise=1e-3, seed=2).pressure
+    copies = [-3.0 * first, np.concatenate((np.zeros(500), first)), first[:40_000]]
+    assert same_recordings([first, again, other, np.zeros(100)]) == ()
+    assert same_recordings([other, first, *copies]) == ((1, 2), (1, 3), (1, 4))
+    coarse = np.round(first * 2.0**15) / 2.0**15
+    assert same_recordings([first, coarse]) == ((0, 1),)

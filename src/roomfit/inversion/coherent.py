@@ -20,6 +20,7 @@ from roomfit.air import attenuation_per_m
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.inversion.bands import affordable_certificate
+from roomfit.inversion.chain import FittedWindows, chain_findings, fixed_absorption_findings
 from roomfit.inversion.directivity import (
     directivities_under_cavity_priors,
     directivity_score,
@@ -54,6 +55,8 @@ from roomfit.inversion.sequential import (
     log_likelihoods,
 )
 from roomfit.inversion.systematics import (
+    batch_spread,
+    lost_coherence,
     relative_errors,
     with_both_intervals,
     with_shared_errors,
@@ -423,7 +426,38 @@ def fit_coherent(
     for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
         if own is not None and fit is not None:
             likelihoods[b] = log_likelihoods(own, fit)
+    pressures = _as_pressures(state, fits, likelihoods)
+    findings = (
+        *findings,
+        *chain_findings(task.bands, pressures, is_directed=task.directivity_parameters is not None),
+        *fixed_absorption_findings(task.bands, task.priors, pressures),
+    )
     return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
+
+
+def _as_pressures(
+    state: SequentialState, fits: Sequence[CoherentBandFit | None], likelihoods: FloatArray
+) -> tuple[FittedWindows, ...]:
+    """Return the bands that pressures explain better than energies."""
+    found = []
+    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
+        if own is None or fit is None or not likelihoods[b, 1] > likelihoods[b, 0]:
+            continue
+        files = fitted_in_band(state.task.measured, b)
+        decay_s = np.median([m.noise.tail_time_constant_s[b] for m in files])
+        windows = own.coherent.energies
+        relative = _relative_errors(state, fit.objective, fit.fit, windows)
+        noise = np.concatenate([o.noise for o in windows.observations])
+        signal = fit.fit.expected[: noise.size] - noise
+        lost = lost_coherence(own, fit.fit)
+        spread = batch_spread(
+            windows, fit.objective.parameters, fit.fit.vector, _sources(state.task, b)
+        )
+        shared = np.column_stack((signal[:, None] * relative, signal * lost, spread))
+        found.append(
+            FittedWindows(b, fit.objective, fit.fit, windows, files, shared, 1.0 / float(decay_s))
+        )
+    return tuple(found)
 
 
 def _source_findings(state: SequentialState) -> tuple[Finding, ...]:

@@ -14,9 +14,10 @@ from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands, bands_between
 from roomfit.cache import Cache
 from roomfit.eyring import eyring_absorption
-from roomfit.findings import Finding
+from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
+from roomfit.inversion.chain import tail_findings
 from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.directivity import directivity_parameters
@@ -77,7 +78,14 @@ from roomfit.objective.observation import (
 from roomfit.objective.problem import counted_evaluations
 from roomfit.response.directivity import Directivities
 from roomfit.results import Result
-from roomfit.scene import Scene, check_groups, material_areas_m2, scene_of, shoebox_room
+from roomfit.scene import (
+    Scene,
+    check_groups,
+    material_areas_m2,
+    plan_in_words,
+    scene_of,
+    shoebox_room,
+)
 from roomfit.settings import LEAST_SQUARES_METHODS, Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.solvers.certificate import certificate_findings
@@ -242,6 +250,7 @@ def _findings(
         *unspecified_position_findings(scene),
         *prior_only_band_findings(bands, [e.model != "prior" for e in estimates]),
         *fits.findings,
+        *tail_findings([m for m in measured.responses if m.measurement.use == "fit"]),
         *fit_findings(bands, estimates),
         *description_findings(estimates),
         *certificate_findings(bands, [e.certificate for e in estimates]),
@@ -304,6 +313,9 @@ def combine(
     misspecified = any(f.code.voids_identifiability for f in findings)
     if misspecified:
         identifiable &= fixed
+    for f in findings:
+        if f.code is Code.FIXED_ABSORPTION_CONTRADICTED:
+            identifiable[scene.room.materials.index(f.evidence["material"])] = False
     ambiguous, mirrors = mirror_findings(
         measured, priors, absorption, lower, upper, [b.mirrors for b in found]
     )
@@ -379,6 +391,7 @@ def combine(
         sampling=tuple(b.sampling for b in found),
         prior=prior_intervals(priors),
         reasons=reasons(settings.method, bands, found),
+        plan=plan_in_words(scene),
         models=models,
         scattering=traced.scattering,
         geometry=fits.geometry,

@@ -17,7 +17,13 @@ from roomfit.geometry.mesh import refuse
 from roomfit.inversion.room_outline import outline_findings
 from roomfit.measurement import MeasuredPair, Measurement, Use
 from roomfit.response.directivity import Directivities
-from roomfit.scene import Scene, distances_m, pair_names, position_findings
+from roomfit.scene import (
+    NEAREST_PAIR_M,
+    Scene,
+    distances_m,
+    pair_names,
+    position_findings,
+)
 from roomfit.settings import DECAY_RANGE_DB
 from roomfit.signals.decay import (
     DecayCurve,
@@ -37,6 +43,7 @@ from roomfit.signals.response import (
     check_travel,
     compare_onset,
     find_onset,
+    same_recordings,
     time_zero_from_direct,
 )
 from roomfit.tracing.paths import Paths
@@ -85,6 +92,49 @@ def duplicate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
             )
         )
     return tuple(findings)
+
+
+def counted_once(
+    scene: Scene, measurements: Sequence[Measurement]
+) -> tuple[list[Measurement], tuple[Finding, ...]]:
+    """Return the measurements without copies of one recording, and what was found of these.
+
+    A copy that stands where the first one does, under whatever name, adds no information and is
+    left out, the one to be fitted kept. One that is said to be of other places is wrong there or
+    here, and nobody but the user can tell where: it stays, with a finding that voids the answer.
+    """
+    at_m = {p.name: p.position_m for p in (*scene.sources, *scene.receivers)}
+    order = sorted(measurements, key=lambda m: m.use != "fit")
+    left_out, findings = set(), []
+    for i, j in same_recordings([np.asarray(m.samples) for m in order]):
+        one, other = order[i], order[j]
+        apart_m = max(
+            float(np.linalg.norm(at_m[a] - at_m[b]))
+            for a, b in ((one.source, other.source), (one.receiver, other.receiver))
+        )
+        names = f"{one.source} to {one.receiver} ({one.name})"
+        copy = f"{other.source} to {other.receiver} ({other.name})"
+        evidence = {"files": [one.where, other.where], "metres_apart": round(apart_m, 4)}
+        if apart_m < NEAREST_PAIR_M and one.state == other.state:
+            left_out.add(id(other))
+            findings.append(
+                Finding(
+                    Code.RECORDING_COUNTED_ONCE,
+                    f"{names} and {copy} are one recording, sample by sample: it was counted once.",
+                    evidence,
+                )
+            )
+        else:
+            findings.append(
+                Finding(
+                    Code.RECORDING_OF_TWO_PAIRS,
+                    f"{names} and {copy} are one recording, sample by sample, of places that are "
+                    f"{apart_m:.2f} m apart or of two states of the room: one of them is wrong. "
+                    "No material is called identifiable.",
+                    evidence,
+                )
+            )
+    return [m for m in measurements if id(m) not in left_out], tuple(findings)
 
 
 def unreached_materials(paths: Paths, materials: Sequence[str]) -> tuple[str, ...]:
@@ -203,6 +253,8 @@ def collect_measurements(
     fitted, doubts = _joined(tabulated, "fit")
     kept, more_doubts = _joined(tabulated, "validate")
     own = measured_scene(scene, [*responses, *fitted, *kept])
+    responses, copies = counted_once(own, responses)
+    own = measured_scene(own, [*responses, *fitted, *kept])
     pairs, findings = observe(own, responses, bands, decay_range_db)
     observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
     return Measurements(
@@ -215,6 +267,7 @@ def collect_measurements(
         (
             *doubts,
             *more_doubts,
+            *copies,
             *findings,
             *duplicate_findings(pairs),
             *outline_findings(own, observed),

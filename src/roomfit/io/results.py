@@ -210,6 +210,7 @@ def result_content(answer: Result, inputs: Iterable[Path]) -> dict[str, Any]:
             "reasons": answer.reasons,
             **({"sampling": _sampling(answer)} if any(answer.sampling) else {}),
         },
+        **({"plan": answer.plan} if answer.plan else {}),
         "settings": answer.settings.changed(),
         **({"trace": answer.trace} if answer.trace else {}),
         "provenance": provenance(inputs)

@@ -257,6 +257,7 @@ def report_html(
         room=_room(scene),
         materials=material_table(scene.room),
         positions=position_table(scene),
+        plan=answer.plan,
         absorption=_absorption(answer),
         certainty=_certainty(answer),
         prior_tables=prior_tables(answer),

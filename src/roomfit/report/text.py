@@ -21,6 +21,7 @@ from roomfit.typing import BoolArray, FloatArray
 _OF_RECORDINGS = ("T20_s", "EDT_s", "C80_dB")
 _BELOW_BAND = " " * 11
 _LEAST_COST = 0.03  # of a standard deviation: terms that cost less are not named
+_MOST_SENTENCES = 12
 
 
 def answer_text(answer: Result) -> str:
@@ -34,9 +35,20 @@ def answer_text(answer: Result) -> str:
         certificate_text(answer),
         costs_text(answer),
         pairs_table(answer),
+        plan_text(answer),
         findings_text(answer.findings),
     ]
     return "\n\n".join(p for p in parts if p)
+
+
+def plan_text(answer: Result) -> str:
+    """Return where sources and receivers were taken to stand: the reader is to compare."""
+    lines = (
+        ["The plan in words; no recording tells it from its mirror image"] if answer.plan else []
+    )
+    more = len(answer.plan) - _MOST_SENTENCES
+    rest = [f"(and {more} more in result.json)"] if more > 0 else []
+    return "\n".join([*lines, *answer.plan[:_MOST_SENTENCES], *rest])
 
 
 def absorption_table(answer: Result) -> str:

@@ -12,6 +12,7 @@ from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import maximum_filter1d, median_filter
 
 from roomfit._checks import float_array
 from roomfit.bands import Bands
@@ -292,6 +293,8 @@ _PLAUSIBILITY_LEAST_RANGE_DB = 15.0
 _N_BLOCKS = 12
 # No excitation is shorter; in a dry room nearly all energy arrives within a few ms.
 _SHORTEST_EXCITATION_S = 0.05
+# Bins of a spectrum about a line of hum, by how much it exceeds their median, and how far it leaks.
+_LINE_BINS, _LINE, _LINE_LEAKS = 31, 10.0, 9
 
 
 def check_is_response(response: ImpulseResponse, where: str | None = None) -> None:
@@ -300,9 +303,10 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
     Two signs are sought between the instants by which 5 and 95 % of the energy have arrived. A
     sweep climbs: the median frequency rises from block to block by two octaves or more in all. A
     long excitation of any kind does not decay: half its energy arrives in more than 0.6 of the time
-    of the other half (an exponential decay: 0.28), and no peak exceeds its mean by 16 dB.
+    of the other half (an exponential decay: 0.28), and no peak exceeds its mean by 16 dB. Hum is
+    left out first, since it neither climbs nor decays: a response with hum is a response.
     """
-    pressure = response.pressure - np.mean(response.pressure)
+    pressure = without_hum(response.pressure)
     cumulative = np.cumsum(pressure**2)
     begin, middle, end = np.searchsorted(cumulative, cumulative[-1] * np.array([0.05, 0.5, 0.95]))
     loud = pressure[begin : end + 1]
@@ -319,6 +323,23 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
         needed="the response after deconvolution: one onset, then a decay",
         hint="divide the recorded spectrum by that of the sweep, and give the result",
     )
+
+
+def without_hum(pressure: FloatArray) -> FloatArray:
+    """Return samples without their mean and without lines of their spectrum, shape (n_samples,).
+
+    A line stands 20 dB above the median of the 31 magnitudes about it, in the spectrum under a Hann
+    window; it is cut to that median. Sweeps, noise and decays, whose spectra are smooth on this
+    scale, stay what they are.
+    """
+    centred = pressure - np.mean(pressure)
+    spectrum = np.fft.rfft(centred)
+    windowed = np.abs(np.fft.rfft(centred * np.hanning(centred.size)))
+    median = median_filter(windowed, _LINE_BINS, mode="nearest")
+    is_line = maximum_filter1d(windowed > _LINE * median, _LINE_LEAKS)
+    own = median_filter(np.abs(spectrum), _LINE_BINS, mode="nearest")
+    keep = np.minimum(1.0, own / np.maximum(np.abs(spectrum), np.finfo(float).tiny))
+    return np.asarray(np.fft.irfft(np.where(is_line, keep, 1.0) * spectrum, centred.size))
 
 
 def check_decay_range(curve: DecayCurve, where: str | None = None) -> None:

@@ -6,6 +6,7 @@ surroundings, and stretches of a filtered response that contain only noise are f
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -48,6 +49,46 @@ def padded(response: ImpulseResponse, silence_s: float) -> ImpulseResponse:
         response.sampling_rate_hz,
         response.time_zero_s + n / response.sampling_rate_hz,
     )
+
+
+_SLICE = 1024  # samples after the peak that tell two recordings apart nearly always
+_UNEQUAL = 1e-6  # of the energy: what is left of one recording, less the other, is no rounding
+_UNEQUAL_NOISE = 1e-2  # the same of the last quarter, where two recordings have noise of their own
+
+
+def same_recordings(signals: Sequence[FloatArray]) -> tuple[tuple[int, int], ...]:
+    """Return the pairs (first, later) of signals that are one recording, scaled or shifted.
+
+    Shifted by whole samples, of either sign, cut at either end. A second recording of the same
+    place is another one: its noise differs. Of several copies each is paired with the first.
+
+    Parameters
+    ----------
+    signals : sequence of float arrays, shape (n_samples,)
+        Of any lengths; silence equals nothing.
+    """
+    peaks = [int(np.argmax(np.abs(x))) for x in signals]
+    slices = np.zeros((len(signals), _SLICE))
+    for row, x, peak in zip(slices, signals, peaks, strict=True):
+        own = x[peak : peak + _SLICE]
+        row[: own.size] = own / max(float(np.linalg.norm(own)), np.finfo(float).tiny)
+    alike = np.abs(slices @ slices.T) > 1.0 - 1e-3
+    found: list[tuple[int, int]] = []
+    copies: set[int] = set()
+    for i, j in np.argwhere(np.triu(alike, 1)).tolist():
+        if i in copies or j in copies:
+            continue
+        before = min(peaks[i], peaks[j])
+        after = min(len(signals[i]) - peaks[i], len(signals[j]) - peaks[j])
+        one, other = (signals[k][peaks[k] - before : peaks[k] + after] for k in (i, j))
+        scale = float(one @ other) / float(other @ other)
+        rest = (one - scale * other) ** 2
+        tail = slice(-(len(one) // 4) or None, None)
+        quiet = float(np.sum(rest[tail])) <= _UNEQUAL_NOISE * float(np.sum(one[tail] ** 2))
+        if quiet and float(np.sum(rest)) <= _UNEQUAL * float(one @ one):
+            found.append((i, j))
+            copies.add(j)
+    return tuple(found)
 
 
 # Above 800 Hz an echo is a millisecond long at most; above 8 kHz few loudspeakers radiate evenly.
