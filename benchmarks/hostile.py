@@ -20,6 +20,7 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ from roomfit.materials.priors import MaterialPrior, unknown_material
 from roomfit.results import Result
 from roomfit.scene import Point, Scene
 from roomfit.synthetic.boxes import WALLS
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 BANDS = roomfit.bands_between("octave", 500, 2000)
 # Findings of nearly every one of these rooms: their decays are short.
@@ -67,6 +68,11 @@ class Case:
 Fault = Callable[[Case], Case]
 
 
+def pressure(m: roomfit.Measurement) -> FloatArray:
+    """Return the samples of a recording."""
+    return np.array(m.samples, dtype=np.float64)
+
+
 def with_files(case: Case, files: list[roomfit.Measurement]) -> Case:
     """Return the case with other recordings."""
     return replace(case, arguments={**case.arguments, "measurements": files})
@@ -88,9 +94,9 @@ def on_samples(change: Callable[[FloatArray, float, float], FloatArray], first: 
     """
 
     def fault(case: Case) -> Case:
-        peak = max(float(np.abs(m.samples).max()) for m in case.files)
+        peak = max(float(np.abs(pressure(m)).max()) for m in case.files)
         files = [
-            replace(m, samples=change(np.array(m.samples), float(m.sampling_rate_hz or 0), peak))
+            replace(m, samples=change(pressure(m), float(m.sampling_rate_hz or 0), peak))
             if first < 0 or i < first
             else m
             for i, m in enumerate(case.files)
@@ -158,7 +164,7 @@ def one_louder(case: Case) -> Case:
     return with_files(
         case,
         [
-            replace(m, samples=2.0 * np.array(m.samples)) if up else m
+            replace(m, samples=2.0 * pressure(m)) if up else m
             for m, up in zip(case.files, louder, strict=True)
         ],
     )
@@ -168,11 +174,13 @@ def other_room(case: Case) -> Case:
     """Take one file from a box of another seed."""
     with tempfile.TemporaryDirectory() as folder:
         other = load_campaign(write_other_box(11, Path(folder), n_pairs=1).campaign)
-    taken = np.array(other["measurements"][0].samples)
+    measured = other["measurements"][0]
+    assert isinstance(measured, roomfit.Measurement)
+    taken = pressure(measured)
     first = case.files[0]
     rate_hz = int(first.sampling_rate_hz or 0)
     taken = resample_poly(taken, rate_hz // 1000, 16)
-    taken *= np.abs(first.samples).max() / np.abs(taken).max()
+    taken *= np.abs(pressure(first)).max() / np.abs(taken).max()
     return with_files(case, [replace(first, samples=taken), *case.files[1:]])
 
 
@@ -262,18 +270,22 @@ def exponential_window(seconds: float) -> Fault:
 
 
 def _limited(x: FloatArray, rate_hz: float, peak: float) -> FloatArray:
-    return x * np.minimum(1.0, 0.3 * peak / np.maximum(3.0 * envelope(x, rate_hz, 2e-3), 1e-12))
+    return np.asarray(
+        x * np.minimum(1.0, 0.3 * peak / np.maximum(3.0 * envelope(x, rate_hz, 2e-3), 1e-12))
+    )
 
 
 def _gated(x: FloatArray, rate_hz: float, _: float) -> FloatArray:
     own = envelope(x, rate_hz, 10e-3)
-    return np.where(own > 0.01 * own.max(), x, 0.0)
+    return np.asarray(np.where(own > 0.01 * own.max(), x, 0.0))
 
 
 def _denoised(x: FloatArray, rate_hz: float, _: float) -> FloatArray:
     own = envelope(x, rate_hz, 20e-3)
     floor = np.sqrt(np.mean(x[-x.size // 20 :] ** 2))
-    return x * np.sqrt(np.maximum(1.0 - (2.0 * floor / np.maximum(own, 1e-12)) ** 2, 0.0))
+    return np.asarray(
+        x * np.sqrt(np.maximum(1.0 - (2.0 * floor / np.maximum(own, 1e-12)) ** 2, 0.0))
+    )
 
 
 def _averaged(x: FloatArray, *_: float) -> FloatArray:
@@ -282,15 +294,14 @@ def _averaged(x: FloatArray, *_: float) -> FloatArray:
     t = np.arange(x.size, dtype=np.float64)
     fine = resample_poly(x, 8, 1)
     dense = np.arange(fine.size) / 8.0
-    return np.mean(
-        [np.interp(t * (1 + 3e-4 * rng.standard_normal()), dense, fine) for _ in range(8)], axis=0
-    )
+    each = [np.interp(t * (1 + 3e-4 * rng.standard_normal()), dense, fine) for _ in range(8)]
+    return np.asarray(np.mean(each, axis=0))
 
 
 def _hum(x: FloatArray, rate_hz: float, _: float) -> FloatArray:
     t = np.arange(x.size) / rate_hz
     hum = sum(a * np.sin(2 * np.pi * f * t) for f, a in ((50, 1.0), (100, 0.5), (150, 0.7)))
-    return x + 0.1 * np.abs(x).max() / 1.3 * np.asarray(hum)
+    return np.asarray(x + 0.1 * np.abs(x).max() / 1.3 * np.asarray(hum))
 
 
 def _few_bits(x: FloatArray, _: float, peak: float) -> FloatArray:
@@ -339,7 +350,7 @@ def box(seed: int, n_pairs: int) -> Case:
     """Return a box of the other program."""
     with tempfile.TemporaryDirectory() as folder:
         made = write_other_box(seed, Path(folder), n_pairs=n_pairs)
-        arguments = load_campaign(made.campaign)
+        arguments: dict[str, Any] = dict(load_campaign(made.campaign))
     by_name = {k.name: k for k in arguments["materials"]}
     names = arguments["scene"].room.materials
     priors = tuple(
@@ -405,7 +416,7 @@ def outcome(case: Case, fault: Fault) -> Outcome:
     )
 
 
-def fixed(priors: tuple[MaterialPrior, ...]) -> FloatArray:
+def fixed(priors: tuple[MaterialPrior, ...]) -> BoolArray:
     """Return which absorptions a campaign fixes, shape (n_materials, 1)."""
     return np.array([[k.known is not None] for k in priors])
 
@@ -447,9 +458,11 @@ def main() -> None:
         print("\n".join(FAULTS))
         return
     print(f"{'room':>8} {'fault':<26} iden  out wrong   far    CPU  phi  findings", flush=True)
-    cases = [(str(seed), lambda s=seed: box(s, asked.pairs)) for seed in asked.rooms]
+    cases: list[tuple[str, Callable[[], Case]]] = [
+        (str(seed), partial(box, seed, asked.pairs)) for seed in asked.rooms
+    ]
     if asked.measured is not None:
-        cases.append(("r3vival", lambda: measured_room(asked.measured)))
+        cases.append(("r3vival", partial(measured_room, asked.measured)))
     for room, make in cases:
         case = make()
         for name in asked.faults:

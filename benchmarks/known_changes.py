@@ -46,6 +46,7 @@ from roomfit.prediction.predict import Predicted, PredictedValue, ValueChange, p
 from roomfit.response.directivity import UnknownDirectivity
 from roomfit.results import Result, absorption_posterior
 from roomfit.scene import Point, Scene, material_areas_m2, with_states
+from roomfit.signals.decay import ParameterName
 from roomfit.typing import BoolArray, FloatArray
 from roomfit.uncertainty.posterior import AbsorptionPosterior
 
@@ -407,7 +408,14 @@ def change_of_state(cases: Mapping[str, Case], results: Mapping[str, Result]) ->
     truth = predict(scene, known, (), [after[c] for c in common])
     bands, judged = results[first].bands.centres_hz, results[first].bands.centres_hz > JUDGED_HZ
     lines = [f"\n{first} to {second}, {len(common)} pairs, from {JUDGED_HZ:g} Hz up"]
-    for name, relative in (("T20_s", 1), ("T30_s", 1), ("EDT_s", 1), ("C50_dB", 0), ("C80_dB", 0)):
+    judged_by: tuple[tuple[ParameterName, bool], ...] = (
+        ("T20_s", True),
+        ("T30_s", True),
+        ("EDT_s", True),
+        ("C50_dB", False),
+        ("C80_dB", False),
+    )
+    for name, relative in judged_by:
         pairs = [
             (p.parameters[name], change_of(p.parameters[name]), q.parameters[name].measured)
             for p, q in zip(found.pairs, truth.pairs, strict=True)
@@ -451,11 +459,11 @@ def moved(data: Path, step: int, rings: Sequence[str], asked: argparse.Namespace
         x, y, z = R3VIVAL_M
         room = roomfit.shoebox_room((x + longer_m, y, z), dict(zip(SIDES, WALLS, strict=True)))
         off = np.array([along_m, 0.0, 0.0])
-        points = {
-            kind: tuple(replace(p, position_m=p.position_m + off) for p in getattr(scene, kind))
-            for kind in ("sources", "receivers")
-        }
-        scene = replace(scene, room=room, **points)
+        sources, receivers = (
+            tuple(replace(p, position_m=p.position_m + off) for p in points)
+            for points in (scene.sources, scene.receivers)
+        )
+        scene = replace(scene, room=room, sources=sources, receivers=receivers)
         priors = [material_prior(w, asked.scattering, 0.0) for w in WALLS]
         settings = roomfit.Settings(model=asked.model, seed=asked.seed)
         result = roomfit.identify(

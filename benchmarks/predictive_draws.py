@@ -225,8 +225,7 @@ def main() -> None:
             case = simulated(kind, seed)
             for data in (name for name, is_wanted in wanted if is_wanted):
                 label = f"{kind}, {data}"
-                tables = judged(case, data, label)
-                for name, table in tables.items():
+                for name, table in judged(case, data, label).items():
                     found.setdefault(name, []).append(table)
                     if len(table):
                         sys.stdout.write("   " + line(name, [table]) + "\n")
