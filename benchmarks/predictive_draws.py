@@ -240,7 +240,7 @@ def judged(case: Simulated, data: str, label: str) -> dict[str, np.ndarray]:
     of: Sequence[Measurement | MeasuredValues] = case.values if data == "values" else case.responses
     fitted = [m for m in of if m.source == "LS1"]
     seconds, answers = [], []
-    for settings in (replace(FEW, posterior_draws=False), FEW):
+    for settings in (FEW, replace(FEW, posterior_draws=True)):
         began = time.process_time()
         answers.append(identify(case.scene, fitted, case.materials, BANDS, settings=settings))
         seconds.append(time.process_time() - began)

@@ -296,7 +296,8 @@ def test_no_replicate_is_lost_while_another_run_puts_its_tables_into_the_folder(
     out = tmp_path / "out"
     other = subprocess.Popen(
         [sys.executable, "-c", program, str(out)],
-        env=ENVIRONMENT,
+        # a folder of tests is called like a package that Numba looks for
+        env=ENVIRONMENT | {"PYTHONPATH": _PATHS[1]},
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
     )

@@ -99,8 +99,8 @@ class _Line:
     def expected(self, values):
         return self.predict(values)[0]
 
-    def variance(self, _values):
-        return np.full(40, 1e-4)
+    def variance_parts(self, _values):
+        return {"noise": np.full(40, 1e-4)}
 
     def correlation_length(self, _start):
         return np.ones(40)

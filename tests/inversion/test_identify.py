@@ -96,7 +96,8 @@ def test_what_is_kept_for_validation_cannot_change_the_answer(tmp_path, few_rays
     for name in ("absorption", "lower95", "upper95", "chi2_reduced"):
         np.testing.assert_array_equal(getattr(first, name), getattr(second, name))
     measured = [a.pairs[1].parameters["EDT_s"] for a in (first, second)]
-    np.testing.assert_array_equal(measured[0].predicted, measured[1].predicted)
+    # a predicted decay ends where the measured one beside it does, which an EDT hardly sees
+    np.testing.assert_allclose(measured[0].predicted, measured[1].predicted, rtol=1e-3)
     assert np.all(measured[0].measured > 1.2 * measured[1].measured)
     assert first.pairs[1].use == "validate"
     # the only other measurement is the fitted one
@@ -194,9 +195,12 @@ def combined(tmp_path_factory):
 
 
 VOIDS = (
+    "decay-bent",
     "displacement-detected",
+    "levels-not-linear",
     "model-misfit-all-bands",
     "position-inconsistent",
+    "recording-of-two-pairs",
     "reflection-delay-detected",
     "scattering-underestimated",
     "source-not-omnidirectional",
@@ -218,8 +222,19 @@ def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(combined
 
 def test_no_other_finding_takes_anything_from_what_is_identifiable(combined):
     """All of them at once."""
-    others = [Finding(c, "It is.", {}) for c in Code if c.value not in VOIDS]
+    others = [
+        Finding(c, "It is.", {})
+        for c in Code
+        # which takes the one material that it names
+        if c.value not in VOIDS and c is not Code.FIXED_ABSORPTION_CONTRADICTED
+    ]
     np.testing.assert_array_equal(combined(*others).identifiable, combined().identifiable)
+
+
+def test_a_fixed_absorption_that_is_contradicted_takes_its_own_material_with_it(combined):
+    evidence = {"material": "carpet"}
+    doubted = combined(Finding(Code.FIXED_ABSORPTION_CONTRADICTED, "It is.", evidence))
+    assert not doubted.identifiable.any()
 
 
 def test_two_seeds_give_two_answers(tmp_path, monkeypatch):
@@ -310,7 +325,8 @@ def test_result_and_table_keep_the_contract(tmp_path, few_rays):
     assert result["bands_hz"] == [500, 1000]
     assert set(result) == {
         *("format", "format_version", "bands_hz", "materials", "combinations", "pairs"),
-        *("findings", "fit", "geometry", "posterior", "settings", "trace", "provenance"),
+        *("findings", "fit", "geometry", "posterior", "settings", "trace", "provenance", "plan"),
+        "sd_without",
     }
     assert result["trace"].pop("duration_s") > 0.1
     # rays as stated, the radius as it follows a small room

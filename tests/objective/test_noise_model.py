@@ -30,6 +30,7 @@ from roomfit.objective.energy import (
     weighed,
 )
 from roomfit.objective.observation import _observation, energy_terms, timing_sd_s
+from roomfit.objective.problem import total
 from roomfit.response.binned import bin_paths
 from roomfit.response.energy import EnergyRows, weigh
 from roomfit.scene import Point, Scene, shoebox_room
@@ -90,7 +91,8 @@ def test_noise_scatters_as_filtered_white_noise_and_beats_with_the_signal():
         noise = RATE_HZ * np.diff(EDGES_S)
         of_signal = window_energies(BANK, ImpulseResponse(signal, RATE_HZ), EDGES_S)[0]
         np.testing.assert_allclose(found.mean(axis=0), noise + of_signal, rtol=0.03)
-        law = noise_and_model_variance(term(), observation(noise + of_signal, noise), of_signal)
+        own = observation(noise + of_signal, noise)
+        law = total(noise_and_model_variance(term(), own, of_signal))
         # a fixed stretch of noise is not quite flat: a tenth more
         tolerance = 0.2 if loudness == 0.0 else 0.3
         np.testing.assert_allclose(law, found.var(axis=0, ddof=1), rtol=tolerance)
@@ -124,12 +126,13 @@ def test_the_error_of_the_model_is_a_share_of_what_is_expected_or_half_of_what_i
     """A fifth of the larger; and a tenth of what may ring on from earlier windows."""
     measured, signal = np.array([1.0, 1.0, 9.0]), np.array([2.0, 1.0, 2.0])
     ringing = np.array([0.0, 1.0, 2.0])
-    found = model_variance(term(0.2, 0.1), measured, signal, ringing)
+    found = total(model_variance(term(0.2, 0.1), measured, signal, ringing))
     np.testing.assert_allclose(found, [0.16, 0.04 + 0.01, 0.81 + 0.04])
     # and with noise: it is no part of what was measured
     edges = 1e4 * np.array([0.0, 1.0, 2.0, 3.0])
     noise = np.full(3, 5.0)
-    own = noise_and_model_variance(term(0.2), observation(measured + noise, noise, edges), signal)
+    parts = noise_and_model_variance(term(0.2), observation(measured + noise, noise, edges), signal)
+    own = total(parts)
     scattered = noise * (noise + 2.0 * signal) / (BANDWIDTH_HZ * 1e4)
     np.testing.assert_allclose(own - scattered, [0.16, 0.04, 0.81], rtol=1e-9)
     assert np.all(scattered < 1e-4)
@@ -198,11 +201,11 @@ def test_arrivals_of_random_phase_interfere_as_their_filtered_pulses_do():
     e = weight[inside]
     expected = 2.0 * e @ alike**2 @ e
     paths = weighed(energies, nothing_absorbed)[0]
-    one = observation_variance(replace(energies), 0, paths, 1.0)
+    one = total(observation_variance(replace(energies), 0, paths, 1.0))
     found = one.sum()
     assert found == pytest.approx(expected, rel=0.2)
     # the gain is one of energies
-    np.testing.assert_allclose(observation_variance(energies, 0, paths, 3.0), 9.0 * one)
+    np.testing.assert_allclose(total(observation_variance(energies, 0, paths, 3.0)), 9.0 * one)
 
 
 def test_rows_of_squares_weigh_the_squares_of_single_paths():
@@ -257,7 +260,7 @@ def test_a_single_arrival_interferes_with_nothing():
     energies = replace(energies, rows=(alone[0],), squared_image_rows=(alone[1],))
     paths = weighed(energies, np.full(3, 0.0))[0]
     assert paths.squares.sum() == pytest.approx(float(alone[0].weight_per_m2[0]) ** 2)
-    found = observation_variance(energies, 0, paths, 1.0)
+    found = total(observation_variance(energies, 0, paths, 1.0))
     np.testing.assert_allclose(found, 0.0, atol=1e-12 * paths.squares.sum())
 
 
@@ -273,7 +276,8 @@ def test_an_arrival_near_an_edge_falls_on_either_side_of_it():
         weighed(energies, np.full(3, 0.0))[0], energy=energy, squares=squares, tracing=np.zeros(3)
     )
     late = replace(energies, observations=(replace(observed, timing_sd_s=sd),))
-    law = observation_variance(late, 0, paths, 1.0) - observation_variance(energies, 0, paths, 1.0)
+    late_law, on_time = (total(observation_variance(e, 0, paths, 1.0)) for e in (late, energies))
+    law = late_law - on_time
     times = 1e-4 * at + 0.5e-4 + sd * np.random.default_rng(4).standard_normal(4000)
     kernel = spreading_kernel(FilterBank(Bands("octave", np.array([2000.0]))))
     drawn = 2.0 * spreading_matrix(kernel, 0, times, observed.edges_s).toarray()
@@ -312,11 +316,13 @@ def test_each_source_has_a_gain_of_its_own_and_shares_it_with_no_other(level, la
     scene, signals = two_sources()
     bands = Bands("octave", np.array([1000.0]))
     loud = {"A": 1.0, "B": 4.0}
+    # two recordings of one pair are never alike to the last bit
+    apart = 1e-2 * np.random.default_rng(6).standard_normal((3, 4000))
     measured = collect_measurements(
         scene,
         [
-            Measurement(s, "R", loud[s] * signals[s], 8000.0, level=level, where=str(i))
-            for i, s in enumerate("AAB")
+            Measurement(s, "R", loud[s] * signals[s] + noise, 8000.0, level=level, where=str(i))
+            for i, (s, noise) in enumerate(zip("AAB", apart, strict=True))
         ],
         bands,
         {},
@@ -352,8 +358,8 @@ def test_timing_is_as_uncertain_as_both_ends_together():
 
 
 def test_windows_count_as_dependent_as_boxes_of_known_absorption_showed():
-    """Three energies as one, and 1.35 windows of pressures (decisions 0002 and 0022)."""
+    """1.35 windows, of energies as of pressures (decisions 0022 and 0037)."""
     term = small_term()
     values = {"absorption": np.full(3, 0.2), "gain": np.ones(1)}
-    np.testing.assert_array_equal(term.energies.correlation_length(values), 3.0)
+    np.testing.assert_array_equal(term.energies.correlation_length(values), 1.35)
     np.testing.assert_array_equal(term.correlation_length(values), 1.35)

@@ -467,7 +467,7 @@ def test_names_in_the_fragment_are_shown_and_never_obeyed():
 
 
 @pytest.mark.parametrize(
-    "names", [("$a$ and $b$", "_hidden", "]]>"), ("\\frac{a}", "a\nb", "--><b>")]
+    "names", [("$a$ and $b$", "_hidden", "]]>"), ("\\frac{a}", "a  b", "--><b>")]
 )
 def test_a_name_is_drawn_letter_by_letter(names):
     """A formula, an entry left out of a legend, the end of a comment: all are only names."""

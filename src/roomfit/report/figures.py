@@ -237,7 +237,7 @@ def literal(name: str, longest: int = 34) -> str:
 
     A dollar sign begins no formula, and an underscore in front hides no entry of a legend.
     """
-    shown = shortened(" ".join(name.split()), longest).replace("$", r"\$")
+    shown = shortened(" ".join(name.split()), longest)
     return f"\N{ZERO WIDTH SPACE}{shown}" if shown.startswith("_") else shown
 
 

@@ -292,8 +292,10 @@ def sds_without(
         information = rows.T @ (weight[:, None] * rows)
         stated = np.isin(free, others) if without == "prior" else np.ones(free.size, np.bool_)
         information += prior[np.ix_(free, free)] * np.outer(stated, stated)
-        size, directions = np.linalg.eigh(information)
         out = np.zeros(len(prior))
+        if not free.size:
+            return out
+        size, directions = np.linalg.eigh(information)
         out[free] = np.inf
         if size[0] <= 1e-12 * size[-1]:
             return out
