@@ -12,6 +12,7 @@ import sys
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import (
     FIRST_COMPLETED,
+    CancelledError,
     Executor,
     Future,
     ProcessPoolExecutor,
@@ -254,11 +255,39 @@ def cluster_pool(
         _check_alike(client, scheduler)
         if warm is not None:
             client.run(warm, workers=_one_a_machine(client))
-        pool = client.get_executor(pure=False)
-        try:
-            yield pool
-        finally:
-            pool.shutdown(wait=False)
+        yield _ClusterExecutor(client)
+
+
+class _ClusterExecutor(Executor):
+    """Tasks of a dask client as futures of the standard library.
+
+    Dask's own executor fails where a worker dies between the end of a task and the way of its
+    result; here the result is waited for until another worker has done the task again.
+    """
+
+    def __init__(self, client: Any) -> None:
+        self._client = client
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        outer: Future[Any] = Future()
+        inner = self._client.submit(fn, *args, pure=False, **kwargs)
+        outer.add_done_callback(lambda own: inner.cancel() if own.cancelled() else None)
+        inner.add_done_callback(partial(_settle, outer))
+        return outer
+
+
+def _settle(outer: Future[Any], inner: Any) -> None:
+    if outer.cancelled():
+        return
+    try:
+        value = inner.result()
+    except CancelledError:
+        outer.cancel()
+        outer.set_running_or_notify_cancel()  # or nobody who waits would wake up
+    except BaseException as error:  # noqa: BLE001 -- whatever the task raised is handed on
+        outer.set_exception(error)
+    else:
+        outer.set_result(value)
 
 
 def _distributed() -> Any:
