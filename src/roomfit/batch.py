@@ -199,11 +199,10 @@ def identify_rooms(
 
 
 def identify_room(campaign: Path, folder: Path) -> str:
-    """Identify one room into a folder, with one thread; return why there is no answer, or "".
+    """Identify one room into a folder; return why there is no answer, or "".
 
     Where the folder has come into being meanwhile, by whomever, it stays as it is.
     """
-    keep_one_thread()
     try:
         identify_to_folder(campaign, folder, keep=False)
     except StoreError:
@@ -222,8 +221,14 @@ def _in_this_process(jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
 
 
 def _in_pool(pool: Executor, jobs: Sequence[Callable[[], str]]) -> Iterator[_End]:
-    for number, future in completed(pool, jobs):
+    for number, future in completed(pool, [partial(_with_one_thread, job) for job in jobs]):
         yield number, *_end(partial(result_of, future))
+
+
+def _with_one_thread(job: Callable[[], str]) -> str:
+    """Do a job in a worker, beside which others have the other processors."""
+    keep_one_thread()
+    return job()
 
 
 def _end(job: Callable[[], str]) -> tuple[Status, str]:

@@ -24,11 +24,11 @@ STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.", "fcntl.")
 WORD = ["old"]
 
 
-def told(*_: Any, **__: Any) -> str:
+def word(*_: Any, **__: Any) -> str:
     return WORD[0]
 
 
-def told_bytes(*_: Any, **__: Any) -> bytes:
+def word_as_bytes(*_: Any, **__: Any) -> bytes:
     return WORD[0].encode()
 
 
@@ -69,7 +69,7 @@ STUBS: dict[str, dict[str, Any]] = {
         COMMANDS + "identify_arguments": empty,
         COMMANDS + "identify": nothing,
         COMMANDS + "measured_scene": nothing,
-        "roomfit.report.html.report_html": told,
+        "roomfit.report.html.report_html": word,
         COMMANDS + "write_result": writes("result.json", "absorption.csv"),
         COMMANDS + "write_pictures": writes("absorption.png"),
     },
@@ -92,27 +92,27 @@ STUBS: dict[str, dict[str, Any]] = {
     },
     "coverage": {
         COMMANDS + "estimate_coverage": covered,
-        "roomfit.coverage.output.coverage_csv": told,
+        "roomfit.coverage.output.coverage_csv": word,
         "roomfit.coverage.output.coverage_figure": nothing,
         "roomfit.coverage.output.coverage_json": lambda _: {"word": WORD[0]},
     },
     "paper": {
         "roomfit.suh2001.output.repeat_paper": nothing,
         "roomfit.suh2001.output._tables": lambda _: {"methods": ((), ())},
-        "roomfit.suh2001.output._csv": told,
+        "roomfit.suh2001.output._csv": word,
         "roomfit.suh2001.output._figures": lambda _: {"figure2": None},
         "roomfit.suh2001.output.paper_json": lambda _: {"word": WORD[0]},
-        "roomfit.suh2001.output.png": told_bytes,
+        "roomfit.suh2001.output.png": word_as_bytes,
     },
     "impedance": {
         "roomfit.impedance.campaign.read_campaign": nothing,
         "roomfit.impedance.campaign.identify_campaign_impedance": lambda *_, **__: SimpleNamespace(
             materials=(SimpleNamespace(name="wool"),), evaluations=0, pairs=()
         ),
-        "roomfit.impedance.output._csv": told,
+        "roomfit.impedance.output._csv": word,
         "roomfit.impedance.output.impedance_content": lambda *_: {"word": WORD[0]},
         "roomfit.impedance.output.walls_figure": nothing,
-        "roomfit.impedance.output.png": told_bytes,
+        "roomfit.impedance.output.png": word_as_bytes,
     },
 }
 
@@ -132,7 +132,7 @@ def run(command: str, out: Path) -> None:
         "paper": lambda: run_paper(out, overwrite=True),
         "impedance": lambda: impedance_to_folder(campaign, out, overwrite=True),
     }
-    usual = {COMMANDS + "read_campaign": nothing, "roomfit.report.figures.png": told_bytes}
+    usual = {COMMANDS + "read_campaign": nothing, "roomfit.report.figures.png": word_as_bytes}
     with ExitStack() as stack:
         for name, stub in {**usual, **STUBS[command]}.items():
             stack.enter_context(patch(name, stub))
