@@ -41,9 +41,9 @@ def _within(
         limits = {k: getattr(m, k) for m in own for k in ("ge", "le") if hasattr(m, k)}
         yield place, (limits.get("ge"), limits.get("le"), why)
     elif hasattr(annotation, "__metadata__"):
-        told = [m for m in annotation.__metadata__ if isinstance(m, FieldInfo)]
-        inner = [k for f in told for k in f.metadata]
-        reason = next((f.description for f in told if f.description), why)
+        limits = [m for m in annotation.__metadata__ if isinstance(m, FieldInfo)]
+        inner = [k for f in limits for k in f.metadata]
+        reason = next((f.description for f in limits if f.description), why)
         yield from _within(annotation.__origin__, place, inner, reason)
     elif get_origin(annotation) is dict:
         yield from _within(get_args(annotation)[1], f"{place}.NAME", own, why)

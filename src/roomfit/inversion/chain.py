@@ -322,7 +322,7 @@ def tail_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
     return (
         Finding(
             Code.DECAY_BENT,
-            f"The background noise falls by {1e1 * np.log10(np.e) * within:.0f} dB per second "
+            f"The background noise falls by {10.0 * within / np.log(10.0):.0f} dB per second "
             "within the files, and as fast from before the direct sound to their end: an "
             f"exponential window of {2.0 / within:.2g} s (pressure) was left in them, by which "
             "every decay is too fast. No material is called identifiable; undo it, or export the "
