@@ -14,7 +14,14 @@ from pathlib import Path
 import pytest
 
 from roomfit import batch
-from roomfit.batch import campaign_paths, identify_rooms, room_tasks, rooms_text, shard_of
+from roomfit.batch import (
+    campaign_paths,
+    identify_rooms,
+    room_row,
+    room_tasks,
+    rooms_text,
+    shard_of,
+)
 from roomfit.cli import main
 from roomfit.errors import InputError
 
@@ -133,6 +140,18 @@ def test_a_fault_of_the_program_in_one_room_is_a_row_of_the_table_and_tried_agai
     assert "ZeroDivisionError: on purpose" in rows[0].message
     assert [r.status for r in identify_rooms(rooms, tmp_path / "out")] == ["done", "done"]
     assert list((tmp_path / "out" / "failures").iterdir()) == []
+
+
+@pytest.mark.parametrize("content", ["[]", "{", '{"status": "failed"}', "7"])
+def test_a_damaged_record_of_a_failure_is_a_row_that_says_so(
+    rooms: list[Path], tmp_path: Path, content: str
+) -> None:
+    out = tmp_path / "out"
+    task = room_tasks(rooms[:1])[0]
+    (out / "failures").mkdir(parents=True)
+    (out / "failures" / f"{task.address}.json").write_text(content)
+    row = room_row(out, task)
+    assert row.status == "failed" and "record of a failure" in row.message
 
 
 def test_shards_together_do_every_room_once(rooms: list[Path], tmp_path: Path) -> None:

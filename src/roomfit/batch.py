@@ -279,9 +279,14 @@ def room_row(out: Path, task: RoomTask) -> RoomRow:
     failure = out / FAILURES / f"{task.address}.json"
     if not failure.exists():
         return RoomRow(task.name, "waiting")
-    content = json_content(read_text(failure, "record of a failure"), "record of a failure")
-    status: Status = "refused" if content.get("status") == "refused" else "failed"
-    return RoomRow(task.name, status, message=str(content.get("message")))
+    what = "record of a failure"
+    try:
+        content = json_content(read_text(failure, what), what)
+        with complete(what, "status and message, as roomfit writes them"):
+            status: Status = "refused" if content["status"] == "refused" else "failed"
+            return RoomRow(task.name, status, message=str(content["message"]))
+    except InputError as error:
+        return RoomRow(task.name, "failed", message=f"{error}\n  run it again, or remove {failure}")
 
 
 def _answered(name: str, folder: Path, shown: str) -> RoomRow:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import base64
 import dataclasses
 import hashlib
+import html
+import io
 import re
 import xml.etree.ElementTree as ET
 
@@ -12,6 +14,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from matplotlib import rc_context
 from matplotlib.image import imread
 
 from report_cases import (
@@ -480,6 +483,11 @@ def test_a_name_is_drawn_letter_by_letter(names):
         ]
         assert {" ".join(name.split()) for name in names} <= set(words), drawn
     read_page(text)
+    # as a notebook shows it, by no writer of this project
+    shown = io.StringIO()
+    with rc_context({"svg.fonttype": "none"}):
+        answer_of(scene).plot().savefig(shown, format="svg")
+    assert html.escape(names[0], quote=False) in shown.getvalue()
 
 
 @given(st.floats(), st.integers(0, 4), st.booleans())

@@ -10,8 +10,7 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -139,31 +138,33 @@ _MOST_MATERIALS, _MOST_DRAWS, _DRAWS_IN_ALL = 6, 800, 6000
 # ---------------------------------------------------------------- what all figures share
 
 
-def new_figure(width_in: float, height_in: float) -> Figure:
-    """Return an empty figure whose labels never overlap."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+class PlainFigure(Figure):
+    """A figure whose texts are no formulas: names may have two dollar signs."""
+
+    def draw(self, renderer: Any) -> None:
+        """Draw on a renderer, as every way of showing and saving a figure does."""
+        for text in self.findobj(Text):
+            text.set_parse_math(False)
+        # ticks get their texts when they are drawn; control characters have been refused in names,
+        # and what else the type lacks is drawn as a box
+        with mpl.rc_context({"text.parse_math": False}), warnings.catch_warnings():
+            warnings.filterwarnings("ignore", "Glyph .* missing from")
+            super().draw(renderer)
+
+
+def new_figure(width_in: float, height_in: float, *, formulas: bool = False) -> Figure:
+    """Return an empty figure whose labels never overlap; `formulas`: what stands in $ is one."""
+    kind = Figure if formulas else PlainFigure
+    figure = kind(figsize=(width_in, height_in), layout="constrained")
     FigureCanvasAgg(figure)
     return figure
 
 
-def png(figure: Figure, dpi: int = 130, *, formulas: bool = False) -> bytes:
-    """Return a figure as the bytes of a PNG file; `formulas`: what stands between $ is one."""
+def png(figure: Figure, dpi: int = 130) -> bytes:
+    """Return a figure as the bytes of a PNG file."""
     stream = io.BytesIO()
-    with _formulas(figure, formulas):
-        figure.savefig(stream, format="png", dpi=dpi)
+    figure.savefig(stream, format="png", dpi=dpi)
     return stream.getvalue()
-
-
-@contextmanager
-def _formulas(figure: Figure, wanted: bool) -> Iterator[None]:
-    """Take or leave formulas in a figure's texts: names may have two $, and need be none."""
-    for text in figure.findobj(Text):
-        text.set_parse_math(wanted)
-    # ticks get their texts when they are drawn; control characters have been refused in names,
-    # and what else the type lacks is drawn as a box
-    with mpl.rc_context({"text.parse_math": wanted}), warnings.catch_warnings():
-        warnings.filterwarnings("ignore", "Glyph .* missing from")
-        yield
 
 
 def svg(figure: Figure, name: str, title: str) -> str:
@@ -183,10 +184,7 @@ def svg(figure: Figure, name: str, title: str) -> str:
         What the figure shows, for those who do not see it.
     """
     stream = io.StringIO()
-    with (
-        mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}),
-        _formulas(figure, wanted=False),
-    ):
+    with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
         figure.savefig(stream, format="svg", metadata={"Date": None})
     # the declaration, the document type and the licence of the metadata have no place in a page
     text = stream.getvalue()
@@ -233,10 +231,7 @@ def _short_tag(tag: str, name: str, styles: dict[str, str]) -> str:
 
 
 def literal(name: str, longest: int = 34) -> str:
-    """Return a name, cut where it is long, as matplotlib shows it letter by letter.
-
-    A dollar sign begins no formula, and an underscore in front hides no entry of a legend.
-    """
+    """Return a name, cut where it is long; an underscore in front hides no entry of a legend."""
     shown = shortened(" ".join(name.split()), longest)
     return f"\N{ZERO WIDTH SPACE}{shown}" if shown.startswith("_") else shown
 

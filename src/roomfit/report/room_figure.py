@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
-from roomfit.report.figures import OKABE_ITO, literal
+from roomfit.report.figures import OKABE_ITO, PlainFigure, literal
 from roomfit.scene import Room, Scene, triangle_material
 from roomfit.typing import FloatArray, IntArray
 
@@ -71,7 +71,7 @@ def room_figure(scene: Scene) -> Figure:
     entries = min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
     above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
     height_in = above_in + below_in
-    figure = Figure(figsize=(_WIDTH_IN, height_in))
+    figure = PlainFigure(figsize=(_WIDTH_IN, height_in))
     FigureCanvasAgg(figure)
 
     def panel(left_in: float, bottom_in: float, width_in: float, tall_in: float) -> Axes:

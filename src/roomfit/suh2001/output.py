@@ -82,7 +82,7 @@ def run_paper(
         for name, (heading, rows) in _tables(result).items():
             write_text_atomically(aside / f"{name}.csv", _csv(heading, rows))
         for name, figure in _figures(result).items():
-            write_bytes_atomically(aside / f"{name}.png", png(figure, formulas=True))
+            write_bytes_atomically(aside / f"{name}.png", png(figure))
         write_json_atomically(aside / "paper.json", paper_json(result))
     return result
 
@@ -551,7 +551,7 @@ def _independent_figure(result: PaperResult) -> Figure:
 
 def _new_figure(width_in: float, height_in: float) -> Figure:
     """Return a figure that says above that the room is a reconstruction."""
-    figure = new_figure(width_in, height_in)
+    figure = new_figure(width_in, height_in, formulas=True)
     engine = figure.get_layout_engine()
     if isinstance(engine, ConstrainedLayoutEngine):
         engine.set(rect=(0.0, 0.0, 1.0, 1.0 - 0.25 / height_in))
