@@ -16,6 +16,7 @@ those that void identifiability. Absorption that the campaign fixes is not count
 from __future__ import annotations
 
 import argparse
+import math
 import tempfile
 import time
 from collections.abc import Callable
@@ -308,6 +309,19 @@ def _few_bits(x: FloatArray, _: float, peak: float) -> FloatArray:
     return np.round(x / peak * 127.0) / 127.0
 
 
+def ten_seconds_at_192_khz(case: Case) -> Case:
+    """Continue every file to 10 s with noise as at its end, and resample it: no fault, but long."""
+    files = []
+    for i, m in enumerate(case.files):
+        x, rate_hz = pressure(m), int(m.sampling_rate_hz or 0)
+        noise = np.std(x[-x.size // 20 :]) * np.random.default_rng(i).standard_normal(10 * rate_hz)
+        noise[: x.size] = x
+        common = math.gcd(192_000, rate_hz)
+        longer = resample_poly(noise, 192_000 // common, rate_hz // common)
+        files.append(replace(m, samples=longer, sampling_rate_hz=192_000.0))
+    return with_files(case, files)
+
+
 FAULTS: dict[str, Fault] = {
     "none": lambda case: case,
     "compressor 0.9": power(0.9),
@@ -321,6 +335,7 @@ FAULTS: dict[str, Fault] = {
     "people move": on_samples(_averaged),
     "8 bit": on_samples(_few_bits),
     "resampled": on_samples(lambda x, *_: resample_poly(resample_poly(x, 3, 4), 4, 3)),
+    "10 s at 192 kHz": ten_seconds_at_192_khz,
     "hum -20 dB": on_samples(_hum),
     "every file twice": twice,
     "ceiling fixed and right": wall_specified(0.0),
