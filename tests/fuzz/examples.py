@@ -82,10 +82,16 @@ def dxf(binary: bool) -> bytes:
     return content if binary else content.encode()
 
 
-def wav(subtype: str, channels: int = 1) -> bytes:
+def wav(subtype: str, channels: int = 1, kind: str = "WAV") -> bytes:
     stream = io.BytesIO()
     samples = np.tile(decay()[:, None], (1, channels))
-    soundfile.write(stream, samples, RATE_HZ, format="WAV", subtype=subtype)
+    soundfile.write(stream, samples, RATE_HZ, format=kind, subtype=subtype)
+    return stream.getvalue()
+
+
+def npy() -> bytes:
+    stream = io.BytesIO()
+    np.save(stream, decay())
     return stream.getvalue()
 
 
@@ -267,6 +273,10 @@ def examples() -> dict[str, bytes]:
         "planes.csv": planes(),
         "response.wav": wav("FLOAT"),
         "pcm.wav": wav("PCM_24", 2),
+        "response.flac": wav("PCM_24", kind="FLAC"),
+        "response.aiff": wav("PCM_24", kind="AIFF"),
+        "response.w64": wav("FLOAT", kind="W64"),
+        "response.npy": npy(),
         "packed.mat": mat(compressed=True),
         "plain.mat": mat(compressed=False),
         "v73.mat": mat73(),

@@ -227,6 +227,8 @@ def readers(folder: Path) -> dict[str, Callable[[Path], object]]:
         "planes.csv": lambda path: tables(good / "corners.csv", path),
         "response.wav": response(),
         "pcm.wav": response(channel=1),
+        **dict.fromkeys(("response.flac", "response.aiff", "response.w64"), response()),
+        "response.npy": response(sampling_rate_hz=48000.0),
         **dict.fromkeys(("packed.mat", "plain.mat", "v73.mat"), mat),
         "response.sofa": response(measurement=0, receiver_index=1),
         "directivity.sofa": lambda path: read_directivity(path, bands, np.array([0.0, 1.0, 0.0])),

@@ -59,6 +59,73 @@ def test_every_encoding_returns_its_samples_to_the_last_bit_it_has(tmp_path, sub
     assert findings == ()
 
 
+SOUNDS = [("flac", "PCM_24"), ("aiff", "PCM_32"), ("aiff", "FLOAT"), ("w64", "FLOAT")]
+
+
+@pytest.mark.parametrize(("ending", "subtype"), SOUNDS)
+def test_flac_aiff_and_wave64_return_the_samples_of_the_same_wav(tmp_path, ending, subtype):
+    both = np.stack([decay(), decay(seed=2)], axis=1)
+    read = []
+    for name in ("a.wav", f"a.{ending}"):
+        soundfile.write(tmp_path / name, both, RATE_HZ, subtype=subtype)
+        response, findings = read_response(ResponseSpec(tmp_path / name, channel=1))
+        assert (response.sampling_rate_hz, findings) == (RATE_HZ, ())
+        read.append(response.pressure)
+    np.testing.assert_allclose(*read, rtol=0.0, atol=2.0**-23)  # as their writers round
+    with pytest.raises(InputError, match="several channels"):
+        read_response(ResponseSpec(tmp_path / f"a.{ending}"))
+
+
+@pytest.mark.parametrize(("ending", "subtype"), SOUNDS)
+@pytest.mark.parametrize("share", [0.01, 0.4, 0.9, 0.999])
+def test_a_sound_file_that_was_cut_off_is_refused(tmp_path, ending, subtype, share):
+    path = tmp_path / f"a.{ending}"
+    soundfile.write(path, decay(), RATE_HZ, subtype=subtype)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    with pytest.raises(InputError, match=r"cut off|not a FLAC"):
+        read_response(ResponseSpec(path))
+
+
+@pytest.mark.parametrize("kind", ["f4", "f8", "i2", ">f4"])
+def test_a_column_of_an_npy_file_is_a_response(tmp_path, kind):
+    both = (1000 * np.stack([decay(), decay(seed=2)], axis=1)).astype(kind)
+    path = tmp_path / "a.npy"
+    np.save(path, both)
+    response, _ = read_response(ResponseSpec(path, channel=1, sampling_rate_hz=RATE_HZ))
+    # but for a constant offset, which is subtracted where it is large
+    np.testing.assert_allclose(np.diff(response.pressure), np.diff(both[:, 1].astype(float)), 1e-9)
+    np.save(path, both[:, 0])
+    alone, _ = read_response(ResponseSpec(path, sampling_rate_hz=RATE_HZ))
+    assert alone.pressure.shape == (4000,)
+
+
+@pytest.mark.parametrize(
+    ("array", "words"),
+    [
+        (np.array(["a"]), "not an NPY file"),
+        (np.zeros((2, 2, 2)), "not an NPY file"),
+        (np.zeros(100, complex), "not an NPY file"),
+        (np.ones((2, 100)), "stand in rows"),
+        (np.zeros(0), "not an NPY file"),
+    ],
+)
+def test_an_npy_file_without_responses_is_refused(tmp_path, array, words):
+    path = tmp_path / "a.npy"
+    np.save(path, array)
+    with pytest.raises(InputError, match=words):
+        read_response(ResponseSpec(path, sampling_rate_hz=RATE_HZ))
+    with pytest.raises(InputError, match="sampling rate of the NPY file is missing"):
+        read_response(ResponseSpec(path))
+
+
+def test_an_npy_file_of_objects_is_never_unpickled(tmp_path):
+    path = tmp_path / "a.npy"
+    np.save(path, np.array([{}], dtype=object), allow_pickle=True)
+    with pytest.raises(InputError, match="not an NPY file"):
+        read_response(ResponseSpec(path, sampling_rate_hz=RATE_HZ))
+
+
 def test_integer_samples_equal_those_unpacked_by_hand(tmp_path):
     """The last bytes of the file, read with struct, over 2^15."""
     path = write_wav(tmp_path / "a.wav", decay(), "PCM_16")

@@ -363,7 +363,7 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError("compressed in another way than by numpy.savez")
                 with archive.open(entry) as stream:
-                    arrays[entry.filename.removesuffix(".npy")] = _array(stream, entry.file_size)
+                    arrays[entry.filename.removesuffix(".npy")] = npy_array(stream, entry.file_size)
     except ARCHIVE_DAMAGE as error:
         raise InputError(
             "this is not a NumPy archive of numbers",
@@ -374,8 +374,14 @@ def npz_arrays(content: bytes, where: str) -> dict[str, np.ndarray[Any, Any]]:
     return arrays
 
 
-def _array(stream: Any, n_bytes: int) -> np.ndarray[Any, Any]:
-    """Return the array of one entry of so many bytes, header included."""
+def npy_array(stream: Any, n_bytes: int) -> np.ndarray[Any, Any]:
+    """Return the array of an NPY file of so many bytes, header included.
+
+    Raises
+    ------
+    ValueError, or another of `ARCHIVE_DAMAGE`
+        Other than numbers, or of another length than it declares.
+    """
     version = np.lib.format.read_magic(stream)
     if version not in ((1, 0), (2, 0)):
         raise ValueError(f"version {version} of the format of arrays")

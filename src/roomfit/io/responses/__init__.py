@@ -9,27 +9,34 @@ import numpy as np
 from roomfit.errors import InputError
 from roomfit.findings import Finding
 from roomfit.io.door import read_bytes
-from roomfit.io.responses.formats import read_mat, read_rew, read_wav
+from roomfit.io.responses.formats import (
+    read_mat,
+    read_npy,
+    read_rew,
+    read_sound,
+    read_wav,
+)
 from roomfit.io.responses.hdf5 import read_sofa
 from roomfit.io.responses.recordings import Recording, ResponseSpec, checked, deconvolved
 from roomfit.signals.response import ImpulseResponse
 
+_WAVES, _SOUNDS = (".wav", ".wave"), (".flac", ".aif", ".aiff", ".aifc", ".w64")
 _READERS = {
-    ".wav": read_wav,
-    ".wave": read_wav,
+    **dict.fromkeys(_WAVES, read_wav),
+    **dict.fromkeys(_SOUNDS, read_sound),
     ".mat": read_mat,
+    ".npy": read_npy,
     ".sofa": read_sofa,
     ".txt": read_rew,
 }
-_KEYS = {
-    ".wav": ("channel",),
-    ".wave": ("channel",),
+_KEYS: dict[str, tuple[str, ...]] = {
+    **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy"), ("channel",)),
     ".mat": ("channel", "variable", "sampling_rate_variable"),
     ".sofa": ("measurement", "receiver_index"),
     ".txt": (),
 }
 _MOST = {".txt": "text_bytes"}
-_RECORDED = (".wav", ".wave", ".mat")
+_RECORDED = (*_WAVES, *_SOUNDS, ".mat", ".npy")
 _CHOICES = ("channel", "variable", "sampling_rate_variable", "measurement", "receiver_index")
 
 
@@ -69,7 +76,7 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
             "unknown kind of response file",
             where=str(path),
             found=f"ending {path.suffix!r}",
-            needed="a name that ends in .wav, .mat, .sofa, or .txt for an export of REW",
+            needed="a name that ends in .wav, .flac, .aiff, .w64, .mat, .npy, .sofa, or .txt (REW)",
         )
     _refuse_foreign_keys(spec, kind)
     recording = _READERS[kind](
@@ -85,16 +92,16 @@ def read_response(spec: ResponseSpec) -> tuple[ImpulseResponse, tuple[Finding, .
 
 def _excitation(spec: ResponseSpec, kind: str) -> Recording:
     path = Path(spec.excitation or "")
-    if kind not in _RECORDED or path.suffix.lower() not in (".wav", ".wave"):
+    played = path.suffix.lower()
+    if kind not in _RECORDED or played not in (*_WAVES, *_SOUNDS):
         raise InputError(
             "an excitation goes with a recording",
             where=str(spec.path),
             found=f"a {kind} file with the excitation {path.name}",
-            needed="a recording as WAV or MAT, and an excitation as WAV",
+            needed="a recording as sound file, MAT or NPY, and an excitation as sound file",
         )
-    return read_wav(
-        ResponseSpec(path, channel=spec.excitation_channel),
-        read_bytes(path, "response file", most=_MOST.get(kind, "file_bytes")),
+    return _READERS[played](
+        ResponseSpec(path, channel=spec.excitation_channel), read_bytes(path, "response file")
     )
 
 

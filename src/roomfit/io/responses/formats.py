@@ -1,12 +1,12 @@
-"""Responses in MATLAB files, in text exported by Room EQ Wizard (REW), and in WAV files.
+"""Responses in MATLAB files, in text exported by Room EQ Wizard (REW), in WAV and sound files.
 
 MATLAB files of versions 5 to 7.2 [1]_ have an own reader, since scipy's ends the whole process on
 some damaged files (a segmentation fault within seconds of fuzzing, scipy 1.17), which no caller can
 turn into a message. It reads full arrays of real numbers and ignores everything else. Version 7.3
 is HDF5.
 
-A WAV file that was cut off in copying opens without complaint in every reader, and the missing end
-looks like a room with less reverberation. So the lengths in the header are checked here.
+A sound file that was cut off in copying opens without complaint in every reader, and the missing
+end looks like a room with less reverberation. So the lengths in the header are checked here.
 
 References
 ----------
@@ -20,16 +20,22 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from itertools import islice
 
 import numpy as np
 import soundfile
 
-from roomfit._checks import nearest
+from roomfit._checks import ARCHIVE_DAMAGE, nearest
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
-from roomfit.io.door import decoded, limit, quiet, unpacked_limit_bytes
+from roomfit.io.door import (
+    decoded,
+    limit,
+    npy_array,
+    quiet,
+    unpacked_limit_bytes,
+)
 from roomfit.io.responses.hdf5 import is_mat73, mat73_arrays
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
@@ -94,15 +100,20 @@ def _responses(variables: Variables, spec: ResponseSpec, where: str) -> FloatArr
             needed="an array of real numbers, one response a column",
             hint="in MATLAB, save what lies in it as a variable of its own" if nested else None,
         )
+    return _columns(values, f"{where}, {spec.variable}")
+
+
+def _columns(values: FloatArray, where: str) -> FloatArray:
+    """Return responses as columns; a single one may stand in a row."""
     if values.shape[0] == 1:
         return np.ascontiguousarray(values.T)
     if values.shape[1] > values.shape[0]:
         raise InputError(
-            "the responses of the MAT file stand in rows",
-            where=f"{where}, {spec.variable}",
+            "the responses stand in rows",
+            where=where,
             found=f"{values.shape[0]} rows and {values.shape[1]} columns",
             needed="one response a column",
-            hint="transpose the variable",
+            hint="save the transposed array",
         )
     return values
 
@@ -411,6 +422,7 @@ def _samples(lines: list[str], n_header: int, needed: float, where: str) -> Floa
 
 _SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 _UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
+_WAVE64 = bytes.fromhex("726966662e91cf11a5d628db04c10000")  # the GUID that such a file begins with
 
 
 def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
@@ -435,27 +447,56 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
         struct.pack_into("<I", patched, start - 4, min(available, 0xFFFFFFFF))
         content = bytes(patched)
     elif declared > available:
-        raise InputError(
-            "the WAV file is cut off",
-            where=str(spec.path),
-            found=f"{available} bytes of samples",
-            needed=f"{declared} bytes, by its own header",
-            hint="copy or export the file again",
-        )
+        found, needed = f"{available} bytes of samples", f"{declared} bytes, by its own header"
+        raise _cut_off(str(spec.path), found, needed)
+    samples, rate_hz = _decoded(spec, content, _not_wav)
+    return Recording(samples, rate_hz, 0.0, findings)
+
+
+def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return the channel of a FLAC, AIFF or Wave64 file that is asked for.
+
+    Raises
+    ------
+    InputError
+        Not such a file, cut off, an encoding that loses what is needed, or no such channel.
+    """
+    where = str(spec.path)
+    declared = len(content)
+    if content[:4] == b"FORM" and content[8:12] in (b"AIFF", b"AIFC") and len(content) >= 12:
+        declared = 8 + int(struct.unpack_from(">I", content, 4)[0])
+    elif content[:16] == _WAVE64 and len(content) >= 24:
+        declared = int(struct.unpack_from("<Q", content, 16)[0])
+    elif content[:4] != b"fLaC":
+        raise _not_sound(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
+    if declared > len(content):
+        raise _cut_off(where, f"{len(content)} bytes", f"{declared} bytes, by its own header")
+    return Recording(*_decoded(spec, content, _not_sound))
+
+
+def _decoded(
+    spec: ResponseSpec, content: bytes, refused: Callable[[str, str], InputError]
+) -> tuple[FloatArray, float]:
+    """Return the samples of the channel that is asked for, and their rate in Hz."""
+    where = str(spec.path)
     try:
         with quiet(), soundfile.SoundFile(io.BytesIO(content)) as file:
             if file.subtype not in _SUBTYPES:
                 raise InputError(
-                    "this encoding of a WAV file is not read",
-                    where=str(spec.path),
+                    "this encoding of a sound file is not read",
+                    where=where,
                     found=file.subtype,
                     needed="PCM of 16, 24 or 32 bits, or floating point",
                 )
-            channel = pick("channel", spec.channel, file.channels, "channel", str(spec.path))
+            channel = pick("channel", spec.channel, file.channels, "channel", where)
             if 8 * file.frames * file.channels > unpacked_limit_bytes(len(content)):
                 raise ValueError(_TOO_MUCH)
             samples = file.read(dtype="float64", always_2d=True)
-            return Recording(samples[:, channel].copy(), float(file.samplerate), 0.0, findings)
+            if len(samples) < file.frames:
+                raise _cut_off(
+                    where, f"{len(samples)} samples", f"{file.frames}, by its own header"
+                )
+            return samples[:, channel].copy(), float(file.samplerate)
     except (
         soundfile.SoundFileError,
         RuntimeError,
@@ -463,7 +504,38 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
         OverflowError,
         MemoryError,
     ) as error:
-        raise _not_wav(str(spec.path), str(error)) from error
+        raise refused(where, str(error)) from error
+
+
+def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
+    """Return the response of an NPY file: one array of real numbers, one response a column.
+
+    Raises
+    ------
+    InputError
+        Not such a file, cut off, another kind of array, no such column, or no sampling rate.
+    """
+    where = str(spec.path)
+    if spec.sampling_rate_hz is None:
+        raise InputError(
+            "the sampling rate of the NPY file is missing",
+            where=where,
+            needed="sampling_rate_hz (a number)",
+        )
+    try:
+        values = np.atleast_1d(npy_array(io.BytesIO(content), len(content)))
+        if values.dtype.kind not in "fiu" or values.ndim > 2 or not values.size:
+            raise ValueError(f"an array of {values.dtype} of shape {values.shape}")
+    except ARCHIVE_DAMAGE as error:
+        raise InputError(
+            "this is not an NPY file that can be read",
+            where=where,
+            found=" ".join(str(error).split())[:200],
+            needed="a file of numpy.save with real numbers, one response a column",
+        ) from error
+    columns = _columns(values.astype(np.float64).reshape(len(values), -1), where)
+    channel = pick("response", spec.channel, columns.shape[1], "channel", where)
+    return Recording(columns[:, channel].copy(), spec.sampling_rate_hz)
 
 
 def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
@@ -489,6 +561,25 @@ def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
         where=where,
         found=f"{len(content)} bytes without a data chunk",
         hint="the file may be cut off: copy or export it again",
+    )
+
+
+def _cut_off(where: str, found: str, needed: str) -> InputError:
+    return InputError(
+        "the sound file is cut off",
+        where=where,
+        found=found,
+        needed=needed,
+        hint="copy or export the file again",
+    )
+
+
+def _not_sound(where: str, found: str) -> InputError:
+    return InputError(
+        "this is not a FLAC, AIFF or Wave64 file that can be read",
+        where=where,
+        found=found,
+        needed="PCM or floating-point samples, the ending .flac, .aif, .aiff or .w64",
     )
 
 
