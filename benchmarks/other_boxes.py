@@ -2,7 +2,7 @@
 
     python benchmarks/other_boxes.py [--seeds 1 2 3 4 5] [--pairs 8] [--position-error 0.01]
         [--unfitted] [--energy] [--no-delays] [--c-error 0] [--delay-ms 0] [--top-hz 4000]
-        [--third-octaves] [--strength 0] [--directivity omni] [--posterior]
+        [--third-octaves] [--strength 0] [--directivity omni] [--posterior] [--quick]
         [--smoothness SD]
 
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
@@ -13,7 +13,8 @@ the walls that absorb more than a half delay what they reflect; the other progra
 data are made by `roomfit.synthetic.boxes`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
 what the campaign tells of it. --posterior identifies every box a second time with
-`method = "posterior"`, and shows the table of either, and what became of the samples. --smoothness
+`method = "posterior"`, and shows the table of either, and what became of the samples. --quick shows
+the first answer beside the full one, and how much wider its intervals are. --smoothness
 tells by how much logit absorption changes from octave to octave; it does by 0.4 there. The null
 model gives all walls of a room the area mean of the fitted answer.
 """
@@ -23,7 +24,7 @@ from __future__ import annotations
 import argparse
 import tempfile
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -53,14 +54,16 @@ class Outcome:
         return self.box.absorption_at(self.answer.bands.centres_hz)
 
 
-def outcome(box: OtherBox, third_octaves: bool, more: str) -> Outcome:
+def outcome(box: OtherBox, third_octaves: bool, more: str, *, quick: bool = False) -> Outcome:
     """Identify one campaign with more lines at its end."""
     text = box.campaign.read_text() + more
     if third_octaves:
         text = text.replace('bands = "octave"', 'bands = "third-octave"')
     box.campaign.write_text(text)
     began, cpu = time.perf_counter(), time.process_time()
-    answer = identify(**load_campaign(box.campaign))
+    arguments = load_campaign(box.campaign)
+    arguments["settings"] = replace(arguments["settings"], quick=quick)
+    answer = identify(**arguments)
     return Outcome(box, answer, time.perf_counter() - began, time.process_time() - cpu)
 
 
@@ -152,13 +155,14 @@ def main() -> None:
     parser.add_argument("--third-octaves", action="store_true")
     parser.add_argument("--smoothness", type=float, help="smoothness_per_octave of the campaign")
     parser.add_argument("--posterior", action="store_true", help="sampled intervals beside")
+    parser.add_argument("--quick", action="store_true", help="first answers beside")
     arguments = parser.parse_args()
     more = 'positions = "fixed"\n' if arguments.unfitted else ""
     more += "wall_delays = false\n" if arguments.no_delays else ""
     more += 'model = "energy"\n' if arguments.energy else ""
     if arguments.smoothness is not None:
         more += f"smoothness_per_octave = {arguments.smoothness}\n"
-    done, sampled = [], []
+    done, sampled, first = [], [], []
     for seed in arguments.seeds:
         with tempfile.TemporaryDirectory() as folder:
             box = write_other_box(
@@ -173,6 +177,8 @@ def main() -> None:
                 specified=arguments.directivity,
             )
             done.append(outcome(box, arguments.third_octaves, more))
+            if arguments.quick:
+                first.append(outcome(box, False, "", quick=True))
             if arguments.posterior:
                 sampled.append(outcome(box, False, 'method = "posterior"\n'))
         answer = done[-1].answer
@@ -185,9 +191,20 @@ def main() -> None:
         if sampled:
             _show_samples(sampled[-1])
     show(done)
-    if sampled:
-        print("\nsampled")
-        show(sampled)
+    for name, others in (("sampled", sampled), ("first answers", first)):
+        if others:
+            print(f"\n{name}")
+            show(others)
+    if first:
+        width, full = (np.array([_widths(o.answer) for o in each]) for each in (first, done))
+        print(
+            f"mean width {width.mean():.3f}, {width.mean() / full.mean():.2f} of the full answers'"
+        )
+
+
+def _widths(answer: Result) -> np.ndarray:
+    """Return the widths of all intervals, shape (n_materials, n_bands)."""
+    return answer.upper95 - answer.lower95
 
 
 def _show_samples(o: Outcome) -> None:

@@ -379,6 +379,7 @@ def identify_to_folder(
     campaign_file: Path,
     out: Path,
     *,
+    quick: bool = False,
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
@@ -390,6 +391,8 @@ def identify_to_folder(
     Parameters
     ----------
     campaign_file, out : Path
+    quick : bool
+        A first answer, see `Settings.quick`, without pictures beside the report.
     overwrite : bool
         Write into a folder that is not empty.
     keep : bool
@@ -411,6 +414,7 @@ def identify_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     arguments = identify_arguments(campaign)
+    arguments["settings"] = replace(arguments["settings"], quick=quick)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
@@ -424,7 +428,8 @@ def identify_to_folder(
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
-        write_pictures(folder, answer, part(progress, 0.95, 1.0))
+        if not quick:
+            write_pictures(folder, answer, part(progress, 0.95, 1.0))
     return answer
 
 

@@ -97,6 +97,7 @@ class Code(StrEnum):
     DECAY_BENT = "decay-bent", "serious", _VOIDS
     FIXED_ABSORPTION_CONTRADICTED = "fixed-absorption-contradicted", "serious", _VOIDS
     SCATTERING_FITTED = "scattering-fitted", "info"
+    FIRST_ANSWER = "first-answer", "info"
     SCATTERING_ASSUMED = "scattering-assumed", "info"
     BROAD_PRIOR_ASSUMED = "broad-prior-assumed", "info"
     PRODUCT_ASSUMED = "product-assumed", "info"

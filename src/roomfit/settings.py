@@ -90,6 +90,9 @@ class Settings:
     # Windows are fitted until the decay curve of a response has fallen by so much, or to its noise.
     decay_range_db: float = DECAY_RANGE_DB
     max_rounds: int = MAX_ROUNDS  # of updated weights, until an answer agrees with the last one
+    # A first answer: Gaussian intervals, and no search for what files, positions or chain may have
+    # wrong.
+    quick: bool = False
 
     def __post_init__(self) -> None:
         for key, value, known in (

@@ -14,6 +14,11 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "identify", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML).")
     parser.add_out()
+    parser.add_argument(
+        "--quick",
+        action="store_true",
+        help="A first answer: no search for faults of files, positions and chain, no pictures.",
+    )
     parser.add_overwrite()
     parser.add_argument(
         "--no-cache", action="store_true", help="Do not keep the trace for a later run."
@@ -28,9 +33,11 @@ def run(options: argparse.Namespace) -> None:
         answer = identify_to_folder(
             options.campaign,
             options.out,
+            quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,
             progress=progress,
         )
     say(answer_text(answer))
-    say(f"\nreport.html, result.json, absorption.csv and pictures are in {options.out}")
+    files = "absorption.csv" if options.quick else "absorption.csv and pictures"
+    say(f"\nreport.html, result.json, {files} are in {options.out}")

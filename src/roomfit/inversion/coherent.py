@@ -162,7 +162,7 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         if coloured:
             state = rebuild(replace(state, task=replace(task, measured=even)))
     moves = retrace is not None and settings.positions == "fit"
-    if not (moves or coloured):
+    if not (moves or coloured) or settings.quick:
         return state
     highest_hz = _RETRACE_BELOW_HZ if moves else _RETRACE_ENERGIES_BELOW_HZ
     low = [
@@ -396,6 +396,9 @@ def fit_coherent(
     settings = task.settings
     state = initialise(task, traced)
     fits = forward_pass(state.bands, settings, part(progress, 0.0, 0.8))
+    if settings.quick:
+        fits, _ = leave_one_out_pass(state.bands, fits, settings)
+        return CoherentFit(state, tuple(fits), _likelihoods(state, fits), None, state.findings)
     misfits = [
         file_misfits(
             fitted_in_band(state.task.measured, b),
@@ -422,10 +425,7 @@ def fit_coherent(
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
-    likelihoods: FloatArray = np.full((len(fits), 2), np.nan)
-    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
-        if own is not None and fit is not None:
-            likelihoods[b] = log_likelihoods(own, fit)
+    likelihoods = _likelihoods(state, fits)
     pressures = _as_pressures(state, fits, likelihoods)
     findings = (
         *findings,
@@ -433,6 +433,14 @@ def fit_coherent(
         *fixed_absorption_findings(task.bands, task.priors, pressures),
     )
     return CoherentFit(state, tuple(fits), likelihoods, estimate, findings)
+
+
+def _likelihoods(state: SequentialState, fits: Sequence[CoherentBandFit | None]) -> FloatArray:
+    found: FloatArray = np.full((len(fits), 2), np.nan)
+    for b, (own, fit) in enumerate(zip(state.bands, fits, strict=True)):
+        if own is not None and fit is not None:
+            found[b] = log_likelihoods(own, fit)
+    return found
 
 
 def _as_pressures(

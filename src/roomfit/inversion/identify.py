@@ -175,7 +175,7 @@ def identify(
     is_stated = np.array([o.is_stated for o in offsets], dtype=np.bool_)
     moved_m = np.zeros(len(offsets))
     # where offsets are stated, the room is traced and fitted again at the most likely ones
-    rounds = 2 if is_stated.any() else 1
+    rounds = 2 if is_stated.any() and not settings.quick else 1
     with counted_evaluations() as made:
         for number in range(rounds):
             done = part(progress, number / rounds, (number + 1) / rounds)
@@ -212,7 +212,7 @@ def identify(
             estimates, priors, bands, settings.smoothness_per_octave, areas_m2=areas_m2
         )
     fits = replace(fits, answers=estimates)
-    findings = _findings(measured, priors, traced, fits)
+    findings = (*_quick_findings(settings), *_findings(measured, priors, traced, fits))
     result = combine(measured, priors, traced, fits, findings, settings)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)
 
@@ -227,10 +227,21 @@ def _outline(
 ) -> Outline | None:
     """Return the fitted room to be displaced; the paper's searches take positions as specified."""
     traced, fits = fitted
-    if settings.method not in LEAST_SQUARES_METHODS:
+    if settings.quick or settings.method not in LEAST_SQUARES_METHODS:
         return None
     sources = directivity_parameters(measured, settings), fits.directivities
     return outline_of(measured, priors, traced, fits.answers, sources, offsets, moved_m)
+
+
+def _quick_findings(settings: Settings) -> tuple[Finding, ...]:
+    if not settings.quick:
+        return ()
+    text = (
+        "A first answer: bands were fitted in one pass, with Gaussian intervals, and neither "
+        "misplaced positions nor a fault of the chain, nor another scattering than specified, was "
+        "looked for. Identify without quick before relying on it."
+    )
+    return (Finding(Code.FIRST_ANSWER, text),)
 
 
 def _findings(
@@ -460,7 +471,7 @@ def _refinement(
 ) -> Refinement:
     """Return what is done to every band after its fit; the paper's searches end where they end."""
     intervals: Literal["gaussian", "profile", "posterior"] = "profile"
-    if settings.method in ("simplex", "annealing"):
+    if settings.quick or settings.method in ("simplex", "annealing"):
         intervals = "gaussian"
     elif settings.method == "posterior":
         intervals = "posterior"

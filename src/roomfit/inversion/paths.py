@@ -141,7 +141,9 @@ def traced_paths(
             images_until_s=plan.settings.image_until_s,
         )
     else:
-        trial = scattering_trial(measurements, priors, settings, plan.settings, start)
+        trial = None
+        if not settings.quick:
+            trial = scattering_trial(measurements, priors, settings, plan.settings, start)
         if trial is not None:
             fit, specified = trial
             doubts = suspected_scattering(fit, scene.room.materials, specified)

@@ -183,6 +183,7 @@ def coherent_task(
             late_end_s=traced.fit_until_s,
             speed_sd=prior_speed_sd(measured.scene.air, settings),
             max_rounds=settings.max_rounds,
+            quick=settings.quick,
         ),
         _value_terms(measured, traced),
         unknown,
