@@ -71,6 +71,19 @@ def test_the_mean_absorption_of_the_room_is_found(plain):
     assert np.all((lower < mean) & (mean < upper))
 
 
+def test_a_first_answer_is_hardly_less_certain_and_says_what_was_not_looked_for(tmp_path, plain):
+    arguments = load_campaign(write_campaign(tmp_path))
+    arguments["settings"] = replace(arguments["settings"], quick=True)
+    first = identify(**arguments)
+    assert codes(first) - codes(plain) >= {Code.FIRST_ANSWER}
+    assert first.evaluations < 0.7 * plain.evaluations
+    width, full = (x.upper95 - x.lower95 for x in (first, plain))
+    assert width.mean() < 1.5 * full.mean()
+    # of the same data: the two differ by less than either may be wrong
+    assert np.all(np.abs(first.absorption - plain.absorption) < 0.5 * np.maximum(width, full))
+    assert set(np.ravel(first.interval_kinds)) <= {"gaussian", "prior", "told", "fixed"}
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("method", ["simplex", "annealing"])
 def test_the_papers_methods_agree_with_least_squares_within_its_interval(tmp_path, plain, method):
