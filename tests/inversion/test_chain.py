@@ -15,6 +15,7 @@ from roomfit.inversion.chain import (
     FittedWindows,
     chain_slopes,
     common,
+    gate_findings,
     scored,
     tail_findings,
 )
@@ -76,6 +77,39 @@ def test_slopes_are_those_of_finite_differences():
             # the mean time of a window stands for that of its energy: within a third of its length
             slack = 1e-4 if column == 0 else np.diff(edges_s[band]) / 2.0
             assert np.all(np.abs(slopes[band][:, column] - expected) <= slack)
+
+
+def gated(x: np.ndarray) -> np.ndarray:
+    """Return samples behind a gate that opens and closes within 5 ms."""
+    n = round(5e-3 * RATE_HZ)
+    envelope = np.sqrt(np.convolve(x**2, np.ones(n) / n, mode="same"))
+    return np.where(envelope > 0.35 * envelope[1000], x, 0.0)
+
+
+def padded(x: np.ndarray) -> np.ndarray:
+    return np.where(np.arange(x.size) < 6000, x, 0.0)
+
+
+def in_16_bits(x: np.ndarray) -> np.ndarray:
+    """Return samples whose decay falls below the steps of the converter."""
+    return np.round(x / 2.0**-9) * 2.0**-9
+
+
+@pytest.mark.parametrize(
+    ("change", "found"),
+    [(gated, True), (lambda x: gated(x) + 0.01, True), (padded, False), (in_16_bits, False)],
+)
+def test_a_gate_is_found_and_silence_or_coarse_steps_are_none(change, found):
+    measured = []
+    for seed in range(6):
+        # reflections between two walls come in bursts
+        bursts = 1.0 + 0.9 * np.sin(2.0 * np.pi * 40.0 * np.arange(8000) / RATE_HZ)
+        pressure = change(decaying(seed).pressure * bursts)
+        response = ImpulseResponse(pressure, RATE_HZ)
+        own = roomfit.Measurement("S", f"R{seed}", pressure, RATE_HZ)
+        measured.append(SimpleNamespace(response=response, measurement=own))
+    codes = [f.code for f in gate_findings(measured)]  # type: ignore[arg-type]
+    assert codes == ([Code.NOISE_GATED] if found else [])
 
 
 class _Line:

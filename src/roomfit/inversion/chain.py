@@ -44,6 +44,9 @@ _FEWEST_BANDS = 2  # one value that all share
 # 500 Hz; rates of its parts are alike within a quarter.
 _TAIL_SHARE, _TAIL_BLOCKS, _TAIL_HZ = 0.4, 8, 500.0
 _EDGE_S, _BEFORE_S, _ALIKE, _FEWEST_FILES = 0.5e-3, 3e-3, 0.25, 3
+# Stretches of equal samples of a gate last so long at least; between them sound is louder than so
+# many of the smallest steps.
+_GAP_S, _GAP_STEPS, _FEWEST_GAPS = 2e-3, 8.0, 3
 # Log-likelihood that one more unknown must gain in some band, and the chance of all bands together.
 _LEAST_GAIN, _CHANCE = 2.0, 1e-3
 
@@ -334,6 +337,48 @@ def tail_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
                 "files": len(rates),
             },
         ),
+    )
+
+
+def gate_findings(measured: Sequence[MeasuredPair]) -> tuple[Finding, ...]:
+    """Return a finding where sound goes on after stretches without any, as behind a noise gate.
+
+    A gate, and a noise reduction, leave equal samples wherever the sound falls below a threshold,
+    and let it rise out of them again. A file that is padded with zeros has them once; where the
+    steps of a converter are coarser than the noise, it never is louder than a few of them between.
+    """
+    gaps = {
+        f"{m.measurement.source} to {m.measurement.receiver} ({m.measurement.name})": n
+        for m in measured
+        if (n := _gaps(m)) >= _FEWEST_GAPS
+    }
+    if not gaps:
+        return ()
+    names = ", ".join(list(gaps)[:3]) + (f" and {len(gaps) - 3} more" if len(gaps) > 3 else "")
+    return (
+        Finding(
+            Code.NOISE_GATED,
+            f"Sound goes on after stretches without any in {names}: a noise gate or a noise "
+            "reduction was left in. It shortens the late decay and hides the noise; no material "
+            "is called identifiable. Export the files without.",
+            {"gaps": gaps},
+        ),
+    )
+
+
+def _gaps(m: MeasuredPair) -> int:
+    """Return how many stretches of equal samples after the peak sound goes on after."""
+    x = m.response.pressure
+    steps = np.abs(np.diff(x))
+    ends = np.flatnonzero(np.diff(np.concatenate(([0], (steps == 0.0).astype(np.int8), [0]))))
+    first, last = ends[::2], ends[1::2]
+    long = last - first >= _GAP_S * m.response.sampling_rate_hz
+    long &= first > int(np.argmax(np.abs(x)))
+    first, last = first[long], last[long]
+    coarse = _GAP_STEPS * float(steps[steps > 0.0].min(initial=np.inf))
+    return sum(
+        float(np.abs(x[a : b + 1] - x[a]).max()) > coarse
+        for a, b in zip(last[:-1], first[1:], strict=True)
     )
 
 

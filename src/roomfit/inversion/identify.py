@@ -17,7 +17,7 @@ from roomfit.eyring import eyring_absorption
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
 from roomfit.inversion.bands import starts_findings
-from roomfit.inversion.chain import tail_findings
+from roomfit.inversion.chain import gate_findings, tail_findings
 from roomfit.inversion.coherent import fit_coherent
 from roomfit.inversion.compare import compare_all
 from roomfit.inversion.directivity import directivity_parameters
@@ -253,6 +253,7 @@ def _findings(
     """Return all that is doubtful before the bands are seen together."""
     scene, bands, estimates = measured.scene, measured.bands, fits.answers
     decay_s = median_decay_s(measured, bands.centres_hz)
+    fitted = [m for m in measured.responses if m.measurement.use == "fit"]
     return (
         *scene.room.findings,
         *measured.findings,
@@ -261,7 +262,8 @@ def _findings(
         *unspecified_position_findings(scene),
         *prior_only_band_findings(bands, [e.model != "prior" for e in estimates]),
         *fits.findings,
-        *tail_findings([m for m in measured.responses if m.measurement.use == "fit"]),
+        *tail_findings(fitted),
+        *gate_findings(fitted),
         *fit_findings(bands, estimates),
         *description_findings(estimates),
         *certificate_findings(bands, [e.certificate for e in estimates]),
