@@ -49,7 +49,6 @@ from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
-    continued,
     forward_pass,
     leave_one_out_pass,
     log_likelihoods,
@@ -285,7 +284,7 @@ def _under_cavity_priors(
             parameters=with_directivities(own.energies.parameters, directivity.unknown),
             terms=(directed(own.coherent.energies, directivity), *own.energies.terms[1:]),
         )
-        fit = score_band(energies, start, rounds=task.settings.max_rounds)
+        fit = score_band(energies, start, max_rounds=task.settings.max_rounds)
         out.append(CoherentBand(energies, fit, own.coherent, directivity))
     return out
 
@@ -418,7 +417,6 @@ def fit_coherent(
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
-    fits = [None if f is None else continued(f, settings.max_rounds) for f in fits]
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
