@@ -43,12 +43,12 @@ Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], Minimum]
 _LOG_REACH = 3.0
 _FIRST_EDGE = 0.1
 # Few unknowns and many residuals: normal equations cost a tenth of the singular values that
-# scipy's solver takes. The gain is a thousandth of what one standard deviation would cost.
-_GAUSS_NEWTON = MarquardtSettings(length_sd=0.01, gain=0.5e-3)
+# scipy's solver takes. Steps from far away are longer than logarithms are straight.
+_ROUGHLY = MarquardtSettings(length_sd=1.0, gain=0.5, longest_entry=2.0)
+_EXACTLY = replace(_ROUGHLY, length_sd=0.01, gain=0.5e-3)
 
-
-gauss_newton: Solver = partial(levenberg_marquardt, settings=_GAUSS_NEWTON)
-"""Damped Gauss-Newton steps, to a hundredth of a standard deviation."""
+gauss_newton: Solver = partial(levenberg_marquardt, settings=_ROUGHLY)
+"""Damped Gauss-Newton steps, to a standard deviation: what follows does the rest."""
 
 
 def simplex_solver(parameters: Parameters) -> Solver:
@@ -332,7 +332,7 @@ def first_round(objective: Objective, start: FloatArray) -> Minimum:
     Enough to know whether another start leads elsewhere, for a fraction of a whole fit.
     """
     residuals = _Logarithms(objective)
-    found = gauss_newton(residuals, start)
+    found = levenberg_marquardt(residuals, start, _EXACTLY)
     return found._replace(evaluations=residuals.evaluations)
 
 
