@@ -28,7 +28,7 @@ from roomfit.objective.energy import EnergyTerm
 from roomfit.objective.parameters import physical_values, prior_residuals
 from roomfit.report.text import certificate_text
 from roomfit.solvers.certificate import Certificate, certificate_findings
-from roomfit.solvers.least_squares import fit_band, gauss_newton
+from roomfit.solvers.least_squares import fit_band
 from small_campaign import write_campaign
 
 # one band, and one material known, so that two absorptions and a gain are left
@@ -72,7 +72,7 @@ def test_a_campaign_is_certified(certified: tuple[roomfit.Result, list[Any]]) ->
 def test_the_question_is_the_cost_of_the_fit(certified: tuple[roomfit.Result, list[Any]]) -> None:
     """Its rows merged and smeared, against residuals and priors by the fit's own prediction."""
     (problem,) = certified[1]
-    fit = fit_band(problem, gauss_newton, gauss_newton)
+    fit = fit_band(problem)
     (energies,), parameters = problem.terms, problem.parameters
     global_problem = energy_global_problem(energies, parameters, fit.vector)
     tools = tools_for(global_problem)
@@ -97,7 +97,7 @@ def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Result, list[A
     """Louder rays have louder noise; image sources alone have none, and the least delta is left."""
     (problem,) = certified[1]
     (energies,) = problem.terms
-    fit = fit_band(problem, gauss_newton, gauss_newton)
+    fit = fit_band(problem)
     precision = 0.5 / (problem.variance(fit.vector) * problem.correlation_length())
     louder = tuple(
         replace(rows, weight_per_m2=np.where(rows.batch >= 0, 30.0, 1.0) * rows.weight_per_m2)
@@ -156,7 +156,7 @@ def test_nobody_waits_for_a_proof_of_many_unknowns(
 ) -> None:
     """More unknowns than three, or another kind of data: no proof, and no search."""
     (problem,) = certified[1]
-    fit = fit_band(problem, gauss_newton, gauss_newton)
+    fit = fit_band(problem)
     assert affordable_certificate(problem, fit.vector) is not None
     assert affordable_certificate(problem, np.zeros(4)) is None
     assert affordable_certificate(replace(problem, terms=problem.terms * 2), fit.vector) is None
@@ -182,7 +182,7 @@ def test_what_is_too_large_or_no_energy_is_refused(
     with pytest.raises(roomfit.InputError, match="only energies"):
         certified_fit(replace(problem, terms=problem.terms * 2))
     with pytest.raises(roomfit.InputError, match="stand in the rows"):
-        fit = fit_band(problem, gauss_newton, gauss_newton)
+        fit = fit_band(problem)
         energies = replace(problem.terms[0], attenuation_per_m=0.01)
         energy_global_problem(energies, problem.parameters, fit.vector)
     assert isinstance(problem.terms[0], EnergyTerm)

@@ -45,7 +45,7 @@ def _with_data(problem: EnergyTerm, factor: FloatArray) -> EnergyTerm:
 
 def _converged(term: EnergyTerm) -> BandFit:
     problem = objective_of(term)
-    return score_band(problem, start_vector(problem.parameters), rounds=12)
+    return score_band(problem, start_vector(problem.parameters), max_rounds=36)
 
 
 def test_the_answer_moves_as_predicted_by_an_error_of_all_windows() -> None:
@@ -100,7 +100,7 @@ def _band(term: CoherentTerm) -> tuple[CoherentBand, BandFit]:
     problem = objective_of(term)
     vector = start_vector(problem.parameters)
     own = with_data(term, problem.predict(vector).expected)
-    fit = score_band(objective_of(own), vector, rounds=1, steps=0)
+    fit = score_band(objective_of(own), vector, max_rounds=0)
     return CoherentBand(objective_of(own.energies), fit, own), fit
 
 

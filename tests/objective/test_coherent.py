@@ -147,7 +147,7 @@ def test_the_geometry_is_found_from_exact_data() -> None:
     truth[:3] += np.array([0.4, -0.5, 0.3])
     truth[4:] = 0.2 * np.random.default_rng(2).standard_normal(truth.size - 4)
     problem = objective_of(with_data(term, problem.predict(truth).expected))
-    fit = score_band(problem, start_vector(problem.parameters), rounds=12)
+    fit = score_band(problem, start_vector(problem.parameters), max_rounds=36)
     # what the prior draws towards itself is far inside the stated deviation
     sd = np.sqrt(np.diag(np.linalg.inv(fit.information)))
     assert np.all(np.abs(fit.vector - truth) <= 1.0 * sd)

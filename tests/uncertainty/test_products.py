@@ -29,7 +29,7 @@ from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import Parameters, prior_residuals, start_vector
 from roomfit.prediction.campaign import room_posterior
 from roomfit.settings import Settings
-from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.solvers.least_squares import fit_band
 from roomfit.uncertainty.combinations import band_sentence, undetermined_groups
 from roomfit.uncertainty.gaussian import (
     absorption_intervals,
@@ -65,7 +65,7 @@ def with_prior(problem: Linear, priors: tuple[MaterialPrior, ...]) -> Linear:
 
 
 def fitted(problem):
-    return fit_band(problem, gauss_newton, few_gauss_newton_steps)
+    return fit_band(problem)
 
 
 def linear_data(rng: np.random.Generator, n: int, n_data: int = 12) -> Linear:

@@ -24,14 +24,14 @@ from roomfit.bands import Bands
 from roomfit.findings import Code
 from roomfit.inversion.bands import from_random_starts, starts_findings
 from roomfit.objective.parameters import Parameters, physical_values, prior_residuals
-from roomfit.solvers.least_squares import BandFit, few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.solvers.least_squares import BandFit, fit_band
 from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_estimate
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
 
 def fitted(problem) -> BandFit:
-    return fit_band(problem, gauss_newton, few_gauss_newton_steps)
+    return fit_band(problem)
 
 
 def refitted_rise(problem, fit: BandFit, entry: int, at: float) -> float:

@@ -12,7 +12,7 @@ from posterior_cases import Linear, decay_case, linear_case, surrogate_log_densi
 from roomfit.errors import InputError
 from roomfit.objective.parameters import prior_residuals
 from roomfit.objective.problem import Prediction
-from roomfit.solvers.least_squares import few_gauss_newton_steps, fit_band, gauss_newton
+from roomfit.solvers.least_squares import fit_band
 from roomfit.uncertainty.gaussian import band_estimate
 from roomfit.uncertainty.intervals import sampled
 from roomfit.uncertainty.sampling import (
@@ -27,7 +27,7 @@ from roomfit.uncertainty.sampling import (
 
 
 def fitted(problem):
-    return fit_band(problem, gauss_newton, few_gauss_newton_steps)
+    return fit_band(problem)
 
 
 def test_r_hat_of_chains_that_agree_and_of_chains_that_do_not():

@@ -33,7 +33,7 @@ from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.solvers.certificate import Certificate, Cluster, Status
 from roomfit.solvers.ending import Ending
-from roomfit.solvers.least_squares import BandFit, Solver, fit_band, gauss_newton
+from roomfit.solvers.least_squares import BandFit, Solver, fit_band
 from roomfit.solvers.levenberg_marquardt import Minimum, ResidualFunction
 from roomfit.typing import FloatArray, IntArray, Progress
 
@@ -200,7 +200,7 @@ def certified_fit(
             needed='impulse responses alone, method = "certified" and model = "energy" or "auto"',
             hint='use method = "least-squares"',
         )
-    fit = fit_band(objective, gauss_newton, gauss_newton)
+    fit = fit_band(objective)
     if not fit.vector.size:
         return fit, None
     for number in range(_ROUNDS):
@@ -222,7 +222,7 @@ def certified_fit(
         if fit.cost <= certificate.value + 1e-3 + 0.01 * delta:
             break
         place, before = free_vector(parameters, certificate.clusters[0].minimiser), fit.evaluations
-        fit = fit_band(objective, _staying_at(place), gauss_newton)
+        fit = fit_band(objective, _staying_at(place))
         fit = replace(fit, evaluations=before + fit.evaluations)
     return fit, certificate
 

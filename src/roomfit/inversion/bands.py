@@ -25,7 +25,6 @@ from roomfit.solvers.least_squares import (
     BandFit,
     Solver,
     annealing_solver,
-    few_gauss_newton_steps,
     first_round,
     fit_band,
     gauss_newton,
@@ -153,8 +152,8 @@ def fit_bands(
         Taken one at a time, so that they may be made when they are needed.
     settings : Settings
         Method and seed. "auto" is least squares, with a proof where one is affordable. The
-        paper's two methods search with the same squares; after annealing's first round the simplex
-        refines. "certified" is least squares with a proof.
+        paper's two methods search for the first squares' minimum. "certified" is least squares with
+        a proof.
     watch : callable, optional
         Called with every band that was fitted, its objective and its fit.
     shared_covariance : callable, optional
@@ -176,10 +175,8 @@ def fit_bands(
             fit, proof = certified_fit(objective, progress=done)
             model = "energy"
         else:
-            solver, refiner = _solvers(objective.parameters, method, np.random.default_rng(seed))
-            fit = fit_band(
-                objective, solver, refiner, max_rounds=settings.max_rounds, progress=done
-            )
+            solver = _solver(objective.parameters, method, np.random.default_rng(seed))
+            fit = fit_band(objective, solver, max_rounds=settings.max_rounds, progress=done)
             if method == "auto" and fit.vector.size and only_energies(objective) is not None:
                 fit, starts = from_random_starts(
                     objective, fit, np.random.default_rng(seed), settings.n_random_starts
@@ -200,11 +197,7 @@ def affordable_certificate(objective: Objective, vector: FloatArray) -> Certific
     return certificate(objective, vector)
 
 
-def _solvers(
-    parameters: Parameters, method: str, rng: np.random.Generator
-) -> tuple[Solver, Solver]:
+def _solver(parameters: Parameters, method: str, rng: np.random.Generator) -> Solver:
     if method == "annealing":
-        return annealing_solver(parameters, rng), simplex_solver(parameters)
-    if method == "simplex":
-        return simplex_solver(parameters), simplex_solver(parameters)
-    return gauss_newton, few_gauss_newton_steps
+        return annealing_solver(parameters, rng)
+    return simplex_solver(parameters) if method == "simplex" else gauss_newton

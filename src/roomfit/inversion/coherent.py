@@ -49,7 +49,6 @@ from roomfit.inversion.sequential import (
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
-    continued,
     forward_pass,
     leave_one_out_pass,
     log_likelihoods,
@@ -187,9 +186,12 @@ def rebuild(state: SequentialState) -> SequentialState:
     """Return the same task and paths with bands made anew.
 
     The energies of every band are fitted by themselves, in the windows that pressures need, and
-    outliers are found.
+    outliers are found. Fits of bands made before are where these begin.
     """
-    task = state.task
+    task, limit = state.task, state.task.settings.max_rounds
+    unknown = task.directivity_parameters
+    # what the free numbers of a directivity mean changes with its prior
+    known = state.bands if unknown is None and state.bands else (None,) * len(task.bands)
     geometry = replace(
         campaign_geometry(
             task.scene,
@@ -211,7 +213,6 @@ def rebuild(state: SequentialState) -> SequentialState:
         task.start,
         periods=_WINDOW_PERIODS,
     )
-    unknown = task.directivity_parameters
     bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     bands: list[CoherentBand | None] = []
     for b, found in enumerate(made):
@@ -224,7 +225,12 @@ def rebuild(state: SequentialState) -> SequentialState:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
         coherent = _early(state, b, windows, geometry)
         energies = energy_objective(windows, parameters, directivity, task.values[b])
-        fit = fit_band(energies, max_rounds=task.settings.max_rounds)
+        before = known[b]
+        fit = (
+            fit_band(energies, max_rounds=limit)
+            if before is None
+            else score_band(energies, before.energy_fit.vector, max_rounds=limit)
+        )
         bands.append(CoherentBand(energies, fit, coherent, directivity))
     misfits = [
         file_misfits(fitted_in_band(task.measured, b), own.coherent.energies, own.energy_fit, None)
@@ -239,7 +245,7 @@ def rebuild(state: SequentialState) -> SequentialState:
                 files, n_data = fitted_in_band(task.measured, b), own.energy_fit.measured.size
                 factor = variance_inflation(own.coherent.energies, files, outliers, n_data)
                 energies = replace(own.energies, inflation=factor)
-                fit = fit_band(energies, max_rounds=task.settings.max_rounds)
+                fit = score_band(energies, own.energy_fit.vector, max_rounds=limit)
                 bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
@@ -285,7 +291,7 @@ def _under_cavity_priors(
             parameters=with_directivities(own.energies.parameters, directivity.unknown),
             terms=(directed(own.coherent.energies, directivity), *own.energies.terms[1:]),
         )
-        fit = score_band(energies, start, rounds=task.settings.max_rounds)
+        fit = score_band(energies, start, max_rounds=task.settings.max_rounds)
         out.append(CoherentBand(energies, fit, own.coherent, directivity))
     return out
 
@@ -421,7 +427,6 @@ def fit_coherent(
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
     fits, final = leave_one_out_pass(state.bands, fits, settings)
-    fits = [None if f is None else continued(f, settings.max_rounds) for f in fits]
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))

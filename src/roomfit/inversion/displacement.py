@@ -335,7 +335,7 @@ def worth_of(outline: Outline) -> Worth:
     vectors = [own.start for own in outline.bands]
     known: dict[bytes, float] = {}
 
-    def at(shift_m: FloatArray, rounds: int, steps: int) -> float:
+    def at(shift_m: FloatArray, max_rounds: int) -> float:
         key = np.round(shift_m, 4).tobytes()
         if key in known:
             return known[key]
@@ -344,16 +344,16 @@ def worth_of(outline: Outline) -> Worth:
         total = 0.0
         for i, term in enumerate(displaced_terms(outline, shift_m)):
             objective = Objective(outline.bands[i].parameters, (term,))
-            fit = score_band(objective, vectors[i], rounds=rounds, steps=steps)
+            fit = score_band(objective, vectors[i], max_rounds=max_rounds)
             prior, _ = prior_residuals(objective.parameters, fit.vector)
             total += _log_likelihood(objective, fit) - 0.5 * float(prior @ prior)
-            if rounds > 1:
+            if max_rounds > 2:
                 vectors[i] = fit.vector
         known[key] = total
         return total
 
-    at(np.zeros(len(outline.offsets)), 4, 3)
-    return lambda shift_m: at(shift_m, 1, 2)
+    at(np.zeros(len(outline.offsets)), 12)
+    return lambda shift_m: at(shift_m, 2)
 
 
 def _is_possible(scene: Scene) -> bool:
@@ -454,7 +454,7 @@ def offset_steps(outline: Outline, sd_m: FloatArray) -> dict[int, FloatArray]:
         for sign in (-1.0, 1.0):
             terms = displaced_terms(outline, sign * way)
             for own, term in zip(outline.bands, terms, strict=True):
-                fit = score_band(Objective(own.parameters, (term,)), own.start, rounds=4)
+                fit = score_band(Objective(own.parameters, (term,)), own.start, max_rounds=12)
                 values, _ = physical_values(own.parameters, fit.vector)
                 found[own.band][:, number] += 0.5 * sign * logit(values["absorption"], 1e-9)
     return found

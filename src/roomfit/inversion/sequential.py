@@ -121,6 +121,7 @@ def fit_in_rounds(
     *,
     covariance: FloatArray | None = None,
     rounds: int = 2,
+    max_rounds: int = MAX_ROUNDS,
 ) -> CoherentBandFit:
     """Fit, take the coherence that the fit's own geometry permits, and fit again.
 
@@ -133,11 +134,13 @@ def fit_in_rounds(
         Of the fitted geometry, for the first round; left out: the prior's.
     rounds : int
         1 or more; one is enough where nothing of the geometry is fitted.
+    max_rounds : int
+        How often weights are renewed in each of them at most.
     """
     vector = start
     for _ in range(rounds):
         objective = band.objective(covariance, noise, joint)
-        fit = score_band(objective, vector)
+        fit = score_band(objective, vector, max_rounds=max_rounds)
         vector = fit.vector
         first = position_of(objective.parameters, GEOMETRY)
         if first == vector.size:
@@ -167,11 +170,13 @@ def forward_pass(
             continue
         geometry = geometry_block(band.coherent.geometry)
         moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
-        best = fit_in_rounds(band, np.append(band.energy_fit.vector, moved), NOISES[0], known)
+        limit = options.max_rounds
+        start = np.append(band.energy_fit.vector, moved)
+        best = fit_in_rounds(band, start, NOISES[0], known, max_rounds=limit)
         for noise in NOISES[1:]:
             if best.fit.chi2_reduced <= 1.0:
                 break
-            fit = fit_in_rounds(band, best.fit.vector, noise, known)
+            fit = fit_in_rounds(band, best.fit.vector, noise, known, max_rounds=limit)
             if fit.log_likelihood <= best.log_likelihood:
                 break
             best = fit
@@ -206,22 +211,16 @@ def leave_one_out_pass(
         joint = cavity_prior(final, found, geometry_information(fit.objective.parameters))
         n = fit.fit.vector.size - final.mean.size
         start = np.concatenate((fit.fit.vector[:n], final.mean))
-        again[i] = fit_in_rounds(band, start, fit.noise, joint, covariance=covariance, rounds=1)
+        again[i] = fit_in_rounds(
+            band,
+            start,
+            fit.noise,
+            joint,
+            covariance=covariance,
+            rounds=1,
+            max_rounds=options.max_rounds,
+        )
     return again, final
-
-
-def continued(band: CoherentBandFit, max_rounds: int) -> CoherentBandFit:
-    """Return the same fit, gone on with until it converges if it has not.
-
-    The weights and the coherence of the data are as in its last round at first; the former follow
-    the answer, half of the way each round after the first few.
-    """
-    if band.fit.converged:
-        return band
-    fit = score_band(band.objective, band.fit.vector, rounds=max_rounds)
-    likelihood = float(band.objective.log_likelihood(fit.expected, fit.variance).sum())
-    made = band.fit.evaluations + fit.evaluations
-    return replace(band, fit=replace(fit, evaluations=made), log_likelihood=likelihood)
 
 
 def geometry_information(parameters: Parameters) -> FloatArray:

@@ -1,8 +1,8 @@
 """Reweighted least squares of one band's data, whose variance depends on the answer.
 
-Weights are taken at the present answer, the weighted squares are solved, and the weights updated
-until the answer agrees with the last one. What solves the squares is an argument: damped
-Gauss-Newton steps, or the searches of Suh's paper. Also: what one band's fit says to the next.
+Squares of logarithms are solved first, by damped Gauss-Newton steps or by the searches of Suh's
+paper. Then every step of scoring renews the weights, until what is left to go is short. Also: what
+one band's fit says to the next.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from roomfit.objective.parameters import (
     start_vector,
     to_free,
 )
-from roomfit.objective.problem import Objective
+from roomfit.objective.problem import Objective, Prediction
 from roomfit.settings import MAX_ROUNDS
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.levenberg_marquardt import (
@@ -43,25 +43,12 @@ Solver: TypeAlias = Callable[[ResidualFunction, FloatArray], Minimum]
 _LOG_REACH = 3.0
 _FIRST_EDGE = 0.1
 # Few unknowns and many residuals: normal equations cost a tenth of the singular values that
-# scipy's solver takes. The gain is a thousandth of what one standard deviation would cost.
-_GAUSS_NEWTON = MarquardtSettings(length_sd=0.01, gain=0.5e-3)
-_SCORING = MarquardtSettings(
-    raised=10.0,
-    least_damping=1e-6,
-    most_damping=1e6,
-    longest_entry=3.0,
-    accepts_equal=True,
-    entry_sd=0.05,
-)
+# scipy's solver takes. Steps from far away are longer than logarithms are straight.
+_ROUGHLY = MarquardtSettings(length_sd=1.0, gain=0.5, longest_entry=2.0)
+_EXACTLY = replace(_ROUGHLY, length_sd=0.01, gain=0.5e-3)
 
-
-gauss_newton: Solver = partial(levenberg_marquardt, settings=_GAUSS_NEWTON)
-"""Damped Gauss-Newton steps, to a hundredth of a standard deviation."""
-
-few_gauss_newton_steps: Solver = partial(
-    levenberg_marquardt, settings=replace(_GAUSS_NEWTON, max_trials=15)
-)
-"""At most 15 of these steps, towards squares whose weights will be updated."""
+gauss_newton: Solver = partial(levenberg_marquardt, settings=_ROUGHLY)
+"""Damped Gauss-Newton steps, to a standard deviation: what follows does the rest."""
 
 
 def simplex_solver(parameters: Parameters) -> Solver:
@@ -128,11 +115,12 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
     return np.concatenate(parts)
 
 
-# From this round on updated weights go only half of the way (the geometric mean of old and new),
-# since two answers may each lead to the other's.
-_HALF_WAY_FROM = 5
-# Of the standard deviation: two rounds whose answers differ by less agree.
-_AGREEMENT_SD = 0.1
+# Of the standard deviation, misfit included: a fit ends where what a step would change is less, of
+# absorptions and, far less exactly, of all else, which is known for the sake of absorption.
+_SETTLED_SD, _OTHERS_SETTLED_SD = 0.02, 0.1
+_FIRST_DAMPING, _MOST_DAMPING, _LONGEST_STEP = 0.01, 1e8, 3.0
+# A step is taken where it gains this share of what it promises.
+_LEAST_GAIN = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -153,20 +141,19 @@ class BandFit:
     log_likelihood: float
     evaluations: int  # how often the response was weighed with its derivative
     ending: Ending
-    previous: FloatArray | None = None  # (n_free,), the answer before the last round
+    previous: FloatArray | None = None  # (n_free,), the answer before the last step
     # (n_free,), standard deviation of the answer if a term of its uncertainty were left out
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:
-        """Whether the answer no longer moves when the weights are updated."""
+        """Whether the answer no longer moves although weights are renewed."""
         return self.ending.converged
 
 
 def fit_band(
     objective: Objective,
     solver: Solver = gauss_newton,
-    refiner: Solver = few_gauss_newton_steps,
     *,
     start: FloatArray | None = None,
     max_rounds: int = MAX_ROUNDS,
@@ -174,179 +161,219 @@ def fit_band(
 ) -> BandFit:
     """Return the most likely values of one band's unknowns.
 
-    The first round compares logarithms of energies, which converges from any start. Each further
-    round takes the variances at the last answer, keeps them, and solves the weighted squares:
-    letting the variance move inside a step rewards predictions that are large and uncertain. The
-    result solves the quasi-likelihood equations of a Gamma-like law (variance proportional to the
-    mean squared) [1]_. Converged where two rounds agree within a tenth of a standard deviation.
+    Logarithms of energies are compared first, which converges from any start. `score_band` goes on
+    from there with the energies themselves.
 
     Parameters
     ----------
-    solver, refiner : Solver
-        Minimise the first round's squares, and those of the rounds that follow.
+    solver : Solver
+        Minimises the first squares, of logarithms.
     start : float array, shape (n_free,), optional
-        Where the first round begins; left out: where the parameters do.
+        Where it begins; left out: where the parameters do.
     max_rounds : int
-        How often weights are updated at most.
-
-    References
-    ----------
-    .. [1] P. McCullagh, J. A. Nelder, Generalized Linear Models, 2nd ed., 1989, section 9.2.
+        How often weights are renewed at most.
     """
-    residuals = _Residuals(objective)
     first = start_vector(objective.parameters) if start is None else start
-    residuals.compare_logarithms(objective.variance(start_vector(objective.parameters)))
-    vector = solver(residuals, first).x
-    variance, ending, previous = objective.variance(vector), Ending.OUT_OF_ROUNDS, vector
-    for number in range(max_rounds):
-        previous = vector
-        residuals.weigh(variance)
-        found = refiner(residuals, vector)
-        vector = found.x
-        sd = np.sqrt(np.diag(np.linalg.inv(residuals.information(vector))))
-        if progress is not None:
-            progress((number + 1) / max_rounds)
-        if np.all(np.abs(vector - previous) <= _AGREEMENT_SD * sd):
-            # a point that no damping can leave agrees with itself
-            is_stuck = found.ending is Ending.OUT_OF_DAMPING
-            ending = found.ending if is_stuck else Ending.CONVERGED
-            break
-        variance = _updated(variance, objective.variance(vector), number)
+    logarithms = _Logarithms(objective)
+    vector = solver(logarithms, first).x
+    if progress is not None:
+        progress(0.5)
+    fit = score_band(objective, vector, max_rounds=max_rounds)
     if progress is not None:
         progress(1.0)
-    return replace(residuals.fit(vector, objective.variance(vector), ending), previous=previous)
-
-
-def _updated(old: FloatArray, new: FloatArray, number: int) -> FloatArray:
-    """Return the variances of the next round."""
-    return np.sqrt(old * new) if number >= _HALF_WAY_FROM else new
+    return replace(fit, evaluations=logarithms.evaluations + fit.evaluations)
 
 
 def score_band(
-    objective: Objective, start: FloatArray, *, rounds: int = 4, steps: int = 3
+    objective: Objective, start: FloatArray, *, max_rounds: int = MAX_ROUNDS
 ) -> BandFit:
     """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
 
-    Weights are kept for a few steps, then updated; the damping goes on from round to round.
-    Converged where the first step after weights were updated is already short.
+    Solved are the quasi-likelihood equations [1]_: the weighted residuals, their weights those at
+    the answer itself, have no slope. A variance that moved inside a minimised sum would reward
+    predictions that are large and uncertain. Each step solves ``(H + C + damping diag(H)) step =
+    -slope``, H the information under the weights at hand; C is what earlier steps have told of how
+    the slope changes beyond H, since weights follow the answer [2]_. A step counts as gain what the
+    squares fall by under the geometric mean of the variances at both of its ends, the
+    quasi-likelihood itself to the third order where the variance goes with the square of the mean.
+    Back and forth gains 0, so that no two answers can each lead to the other. The damping follows
+    the share of the promised gain that came true [3]_.
 
     Parameters
     ----------
     start : float array, shape (n_free,)
-    rounds : int
-        How often the weights are updated at most.
-    steps : int
-        Steps between two renewals at most.
+    max_rounds : int
+        How many steps, each with its own weights, are tried at most.
+
+    References
+    ----------
+    .. [1] R. W. M. Wedderburn, "Quasi-likelihood functions, generalized linear models, and the
+           Gauss-Newton method", Biometrika 61, 439-447 (1974).
+    .. [2] C. G. Broyden, "A class of methods for solving nonlinear simultaneous equations", Math.
+           Comp. 19, 577-593 (1965).
+    .. [3] H. B. Nielsen, "Damping parameter in Marquardt's method", IMM-REP-1999-05, Technical
+           University of Denmark (1999).
     """
-    residuals, vector = _Residuals(objective), np.array(start)
-    settings, ending = replace(_SCORING, max_steps=steps), Ending.OUT_OF_ROUNDS
-    variance, previous = objective.variance(vector), vector
-    for number in range(rounds):
-        if number:
-            variance = _updated(variance, objective.variance(vector), number)
-        residuals.weigh(variance)
-        found = levenberg_marquardt(residuals, vector, settings)
-        previous, vector = vector, found.x
-        is_short = found.ending is Ending.CONVERGED and found.steps == 1
-        is_stuck = found.ending in (Ending.NO_MORE_PROGRESS, Ending.OUT_OF_DAMPING)
-        if is_short or (is_stuck and found.steps == 0):
-            ending = found.ending
+    at = _Weighed.at(objective, np.array(start, dtype=np.float64))
+    names = [b.name for b in objective.parameters.blocks for _ in range(int(b.fitted.sum()))]
+    within = np.where(np.array(names) == "absorption", _SETTLED_SD, _OTHERS_SETTLED_SD)
+    more, damping, raised = np.zeros_like(at.information), _FIRST_DAMPING, 2.0
+    previous, left_sd = at.vector, at.left_sd(more)
+    for number in range(max_rounds + 1):
+        if np.all(left_sd <= within):
+            return at.fit(Ending.CONVERGED, number + 1, previous)
+        if number == max_rounds or damping > _MOST_DAMPING:
             break
-        settings = replace(settings, damping=_SCORING.damping if is_stuck else found.damping)
-    return replace(residuals.fit(vector, objective.variance(vector), ending), previous=previous)
+        step = at.step(more, damping)
+        if at.slope @ step >= 0.0:  # what was learned on the way is of no use here
+            more = np.zeros_like(more)
+            step = at.step(more, damping)
+        there = _Weighed.at(objective, at.vector + step)
+        downhill = -float(at.slope @ step)
+        promised = downhill - 0.5 * float(step @ (at.information + more) @ step)
+        share = at.gain(there) / max(promised, 0.25 * downhill)
+        along = 0.5 * (at.information + there.information) @ step
+        beyond = there.slope - at.slope - along - more @ step
+        more = more + np.outer(beyond, along) / float(along @ step)
+        if share > _LEAST_GAIN:
+            previous, at, raised = at.vector, there, 2.0
+            damping *= max(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3)
+        else:
+            damping, raised = max(raised * damping, _FIRST_DAMPING), 2.0 * raised
+        left_sd = at.left_sd(more)
+    if damping <= _MOST_DAMPING:
+        return at.fit(Ending.OUT_OF_ROUNDS, number + 1, previous)
+    stuck = at.left_sd(np.zeros_like(more))
+    exact = bool(np.all(stuck <= _OTHERS_SETTLED_SD))
+    return at.fit(Ending.NO_MORE_PROGRESS if exact else Ending.OUT_OF_DAMPING, number + 1, previous)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Weighed:
+    """Data of a band predicted at one point, under the variances that they have there."""
+
+    objective: Objective
+    vector: FloatArray  # (n_free,)
+    prediction: Prediction
+    variance: FloatArray  # (n_data,)
+    spread: FloatArray  # (n_data,), variance times the number of neighbours that count as one
+    off: FloatArray  # (n_data,), measured minus expected
+    prior: FloatArray  # residuals of the prior
+    slope: FloatArray  # (n_free,), of half the squares
+    information: FloatArray  # (n_free, n_free), of data and prior
+    chi2_reduced: float
+
+    @classmethod
+    def at(cls, objective: Objective, vector: FloatArray) -> _Weighed:
+        """Return what is asked at a point, each part of the response evaluated once."""
+        prediction = objective.predict(vector)
+        variance = objective.variance(vector)
+        off = objective.measured() - prediction.expected
+        spread = objective.correlation_length() * variance
+        prior, rows = prior_residuals(objective.parameters, vector)
+        weighted = prediction.jacobian / spread[:, None]
+        data = prediction.jacobian.T @ weighted
+        information = np.asarray(data + rows.T @ rows)
+        # degrees of freedom: data less the parameters that they, not the prior, determine
+        spent = float(np.trace(np.linalg.solve(information, data)))
+        return cls(
+            objective,
+            vector,
+            prediction,
+            variance,
+            spread,
+            off,
+            prior,
+            rows.T @ prior - weighted.T @ off,
+            information,
+            float(np.sum(off**2 / variance)) / max(variance.size - spent, 1.0),
+        )
+
+    def step(self, more: FloatArray, damping: float) -> FloatArray:
+        """Return a damped step, no entry longer than `_LONGEST_STEP`."""
+        scale = damping * np.diag(np.diag(self.information))
+        step = -np.linalg.solve(self.information + more + scale, self.slope)
+        return np.asarray(step * min(1.0, _LONGEST_STEP / max(np.abs(step).max(), 1e-12)))
+
+    def left_sd(self, more: FloatArray) -> FloatArray:
+        """Return how far each number would go undamped, in its standard deviations, (n_free,)."""
+        variance = np.diag(np.linalg.inv(self.information)) * max(self.chi2_reduced, 1.0)
+        left = np.linalg.solve(self.information + more, self.slope)
+        return np.asarray(np.abs(left) / np.sqrt(variance))
+
+    def gain(self, there: _Weighed) -> float:
+        """Return what half the squares fall by, under the mean of the variances at both ends."""
+        weight = 1.0 / np.sqrt(self.spread * there.spread)
+        data = float(np.sum(weight * (self.off - there.off) * (self.off + there.off)))
+        return 0.5 * (data + float(self.prior @ self.prior - there.prior @ there.prior))
+
+    def fit(self, ending: Ending, evaluations: int, previous: FloatArray) -> BandFit:
+        """Return a fit that ended here."""
+        expected, objective = self.prediction.expected, self.objective
+        log_likelihood = objective.log_likelihood(expected, self.variance)
+        return BandFit(
+            self.vector,
+            0.5 * float(np.sum(self.off**2 / self.spread) + self.prior @ self.prior),
+            self.chi2_reduced,
+            self.information,
+            expected,
+            self.variance,
+            objective.measured(),
+            float(np.sum(log_likelihood / objective.correlation_length())),
+            evaluations,
+            ending,
+            previous,
+        )
 
 
 def first_round(objective: Objective, start: FloatArray) -> Minimum:
-    """Return where the first round of `fit_band` ends from another start.
+    """Return where the first squares of `fit_band`, of logarithms, end from another start.
 
     Enough to know whether another start leads elsewhere, for a fraction of a whole fit.
     """
-    residuals = _Residuals(objective)
-    residuals.compare_logarithms(objective.variance(start_vector(objective.parameters)))
-    found = gauss_newton(residuals, start)
+    residuals = _Logarithms(objective)
+    found = levenberg_marquardt(residuals, start, _EXACTLY)
     return found._replace(evaluations=residuals.evaluations)
 
 
-class _Residuals:
-    """Residuals of data and prior, each over its standard deviation, and their derivative.
+class _Logarithms:
+    """Residuals of data and prior with derivative, energies compared by their logarithms.
 
-    Remembers the last prediction, so that all that is asked at one point costs one.
+    Everything else is compared as it is. The mean of the log of a Gamma variate lies below the log
+    of its mean, by digamma. The variance is that where the parameters start. Remembers the last
+    prediction, since the start is asked for twice.
     """
 
     def __init__(self, objective: Objective) -> None:
-        self.objective = objective
-        self.measured = objective.measured()
-        self.neighbours = objective.correlation_length()
-        self.evaluations = 0
-        self.weigh(np.ones(self.measured.size))
-        self._at: FloatArray | None = None
-
-    def __call__(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-        if self._at is None or not np.array_equal(vector, self._at):
-            self._at, self.prediction = np.array(vector), self.objective.predict(vector)
-            self.evaluations += 1
-        expected, jacobian = self.prediction.expected, self.prediction.jacobian
-        positive = np.where(self._logs, expected + self._least, 1.0)
-        predicted = np.where(self._logs, np.log(positive), expected)
-        prior, prior_rows = prior_residuals(self.objective.parameters, vector)
-        rows = -jacobian / (positive * self._sd)[:, None]
-        residuals = (self._target - predicted) / self._sd
-        return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
-
-    def weigh(self, variance: FloatArray) -> None:
-        """Compare data as they are, under a variance of each, shape (n_data,)."""
-        self._target, self._sd = self.measured, np.sqrt(self.neighbours * variance)
-        self._logs, self._least = np.zeros(self.measured.size, dtype=np.bool_), np.zeros(1)
-
-    def compare_logarithms(self, variance: FloatArray) -> None:
-        """Compare energies by their logarithms, everything else as it is.
-
-        The mean of the log of a Gamma variate lies below the log of its mean, by digamma. The
-        variance, shape (n_data,), is that where the parameters start.
-        """
-        self(start_vector(self.objective.parameters))
-        logs, expected = self.objective.is_gamma(), self.prediction.expected
+        self.objective, self.evaluations = objective, 0
+        start, measured = start_vector(objective.parameters), objective.measured()
+        variance, logs = objective.variance(start), objective.is_gamma()
+        expected = self._predicted(start).expected
         # a window that neither a path nor noise reaches has no logarithm
         least = np.where(logs, 1e-9 * float(expected.max(where=logs, initial=0.0)), 0.0)
         expected = np.where(logs, expected + least, 1.0)
         shape = np.clip(expected**2 / variance, 0.5, 100.0)
         self._sd = np.where(logs, np.sqrt(polygamma(1, shape)), np.sqrt(variance))
         # an empty window says "low", not minus infinity
-        floored = np.where(logs, np.maximum(self.measured, 1e-3 * expected), 1.0)
+        floored = np.where(logs, np.maximum(measured, 1e-3 * expected), 1.0)
         corrected = np.log(floored) - digamma(shape) + np.log(shape)
-        self._target = np.where(logs, corrected, self.measured)
+        self._target = np.where(logs, corrected, measured)
         self._logs, self._least = logs, least
 
-    def information(self, vector: FloatArray) -> FloatArray:
-        """Return the information of data and prior under the present weights."""
-        self(vector)
-        jacobian = self.prediction.jacobian / self._sd[:, None]
-        _, prior = prior_residuals(self.objective.parameters, vector)
-        return np.asarray(jacobian.T @ jacobian + prior.T @ prior)
+    def __call__(self, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+        prediction = self._predicted(vector)
+        positive = np.where(self._logs, prediction.expected + self._least, 1.0)
+        predicted = np.where(self._logs, np.log(positive), prediction.expected)
+        prior, prior_rows = prior_residuals(self.objective.parameters, vector)
+        rows = -prediction.jacobian / (positive * self._sd)[:, None]
+        residuals = (self._target - predicted) / self._sd
+        return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
-    def fit(self, vector: FloatArray, variance: FloatArray, ending: Ending) -> BandFit:
-        """Return a fit that ended at a vector, with the variance of that vector."""
-        self.weigh(variance)
-        information, spread = self.information(vector), self.neighbours * variance
-        expected, jacobian = self.prediction.expected, self.prediction.jacobian
-        prior, _ = prior_residuals(self.objective.parameters, vector)
-        squares = (self.measured - expected) ** 2
-        # degrees of freedom: data less the parameters that they, not the prior, determine
-        weighted = jacobian / self._sd[:, None]
-        spent = float(np.trace(np.linalg.solve(information, weighted.T @ weighted)))
-        log_likelihood = self.objective.log_likelihood(expected, variance)
-        return BandFit(
-            vector,
-            float(0.5 * (np.sum(squares / spread) + prior @ prior)),
-            float(np.sum(squares / variance)) / max(variance.size - spent, 1.0),
-            information,
-            expected,
-            variance,
-            self.measured,
-            float(np.sum(log_likelihood / self.neighbours)),
-            self.evaluations,
-            ending,
-        )
+    def _predicted(self, vector: FloatArray) -> Prediction:
+        if not self.evaluations or not np.array_equal(vector, self._at):
+            self._at, self._prediction = np.array(vector), self.objective.predict(vector)
+            self.evaluations += 1
+        return self._prediction
 
 
 def marginal(fit: BandFit, first: int, prior: FloatArray) -> Marginal:
