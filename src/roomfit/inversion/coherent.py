@@ -16,7 +16,7 @@ from typing import cast
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.inversion.bands import affordable_certificate
@@ -86,7 +86,8 @@ from roomfit.objective.parameters import Geometry, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
 from roomfit.objective.windows import windows_t20_s
-from roomfit.response.binned import BinnedPaths, paths_at
+from roomfit.response.binned import BinnedPaths
+from roomfit.response.coherent import ImagePaths, image_paths, images_of
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
@@ -95,6 +96,8 @@ from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
+# Of the lowest band: so much after the last pressure an image may still ring into its window.
+_REACH_PERIODS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -211,6 +214,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         task.start,
         periods=_WINDOW_PERIODS,
     )
+    images = _images(state)
     unknown = task.directivity_parameters
     bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     bands: list[CoherentBand | None] = []
@@ -222,7 +226,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         directivity, files = None, fitted_in_band(task.measured, b)
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
-        coherent = _early(state, b, windows, geometry)
+        coherent = _early(state, b, windows, geometry, images)
         energies = energy_objective(windows, parameters, directivity, task.values[b])
         fit = fit_band(energies, max_rounds=task.settings.max_rounds)
         bands.append(CoherentBand(energies, fit, coherent, directivity))
@@ -246,18 +250,32 @@ def rebuild(state: SequentialState) -> SequentialState:
     return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
 
 
+def _images(state: SequentialState) -> ImagePaths:
+    """Return the images of everything that is fitted, as far as any band adds pressures."""
+    task = state.task
+    pairs = np.array([m.pair for m in task.measured if m.measurement.use == "fit"])
+    reach_s = task.settings.end_s + _REACH_PERIODS / float(task.bands.centres_hz[0])
+    c = speed_of_sound_m_s(task.scene.air)
+    return image_paths(state.paths, pairs, 0.0, c * reach_s)
+
+
 def _early(
-    state: SequentialState, band: int, windows: EnergyTerm, geometry: Geometry
+    state: SequentialState,
+    band: int,
+    windows: EnergyTerm,
+    geometry: Geometry,
+    images: ImagePaths,
 ) -> CoherentTerm:
     """Return the windows of a band as pressures."""
     task, files = state.task, fitted_in_band(state.task.measured, band)
-    own = [m in files for m in task.measured if m.measurement.use == "fit"]
+    fitted = [m for m in task.measured if m.measurement.use == "fit"]
+    own = np.flatnonzero([m in files for m in fitted])
     return coherent_term(
         task.bands,
         band,
         windows,
         float(attenuation_per_m(task.scene.air, task.bands)[band]),
-        paths_at(state.paths, state.weights, band),
+        images_of(images, own, None if state.weights is None else state.weights[band]),
         state.binned,
         replace(geometry, columns=geometry.columns[own]),
         task.settings.end_s,

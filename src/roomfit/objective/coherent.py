@@ -45,15 +45,17 @@ from roomfit.response.coherent import (
     chosen_paths,
     coherent_response,
     image_energies,
-    image_paths,
     spread_squared,
 )
 from roomfit.response.energy import first_rows
 from roomfit.scene import Scene
 from roomfit.signals.filters import FilterBank
-from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
+# Pressures end where later paths have this share of the coherent energy: decision 0040.
+_LATE_SHARE = 0.02
+# Of its centre: so much later an arrival does not ring into a window any more.
+_RINGING_PERIODS = 4.0
 # A path less coherent than this is left to the energies.
 _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
@@ -132,7 +134,12 @@ class CoherentTerm:
             n_bins = observed.spreading.shape[1]
             total, hits = np.zeros(n_bins), np.zeros((self.coherent.hits.shape[1], n_bins))
             binned_energies(
-                self.coherent_bins[own], self.coherent.hits[own], energy[own], total, hits
+                self.coherent_bins[own],
+                self.coherent.row[own],
+                self.coherent.hits,
+                energy[own],
+                total,
+                hits,
             )
             energies.append(observed.spreading @ total)
             by_hits.append(in_windows(observed.spreading, hits))
@@ -192,7 +199,10 @@ class CoherentTerm:
 
 
 def with_coherence(
-    term: CoherentTerm, covariance: FloatArray, phase_sd: float = 0.0
+    term: CoherentTerm,
+    covariance: FloatArray,
+    phase_sd: float = 0.0,
+    absorption: FloatArray | None = None,
 ) -> CoherentTerm:
     """Return the windows with each path as coherent as its arrival time is known.
 
@@ -205,18 +215,37 @@ def with_coherence(
         Of all entries of the geometry's free numbers, fixed ones zero.
     phase_sd : float
         Standard deviation of the phase that a reflection adds at random, rad.
+    absorption : float array, shape (n_materials,), optional
+        With it pressures end where later paths have a share of 2 % of the coherent energy; left
+        out: where they did.
     """
     images, c = term.images, term.geometry.speed_m_s
-    length = np.linalg.norm(images.image_to_receiver_m, axis=1)
-    toward = images.image_to_receiver_m / length[:, None]
-    departure = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
-    spread = np.empty(length.size)
+    spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
-    spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
-    spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
+    places = (images.image_to_receiver_m, images.image_transform, images.hits)
+    spread_squared(images.offsets, images.row, *places, c, roots, spread)
+    travel_s = images.lengths_m() / c
+    spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
-    phase += phase_sd**2 * images.hits.sum(axis=1)
-    return _with_gamma(term, np.exp(-phase))
+    phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
+    gamma = np.exp(-phase)
+    if absorption is None:
+        return _with_gamma(term, gamma)
+    gamma = np.where((gamma > _LEAST_COHERENCE) & (term.bins >= 0), gamma, 0.0)
+    # by the millisecond
+    coherent = np.bincount(
+        (1e3 * travel_s).astype(np.int64), gamma * image_energies(images, absorption)
+    )
+    later = np.cumsum(coherent[::-1])[::-1]
+    end_s = 1e-3 * float(np.searchsorted(-later, -_LATE_SHARE * later[0])) if later.size else 0.0
+    early = tuple(first_windows(o, end_s) for o in term.early)
+    last_s = max(float(o.edges_s[-1]) for o in early)
+    if last_s < max(float(o.edges_s[-1]) for o in term.early):
+        first_s = min(float(o.edges_s[0]) for o in early)
+        grid = replace(band_grid(term.grid.bank, first_s, last_s), is_double=term.grid.is_double)
+        term = replace(term, early=early, grid=grid)
+        gamma[travel_s > last_s + _RINGING_PERIODS / term.energies.centre_hz] = 0.0
+    return _with_gamma(term, gamma)
 
 
 def fully_coherent(term: CoherentTerm) -> CoherentTerm:
@@ -374,7 +403,7 @@ def coherent_term(
     band: int,
     energies: EnergyTerm,
     attenuation_per_m: float,
-    paths: Paths,
+    images: ImagePaths,
     binned: BinnedPaths,
     geometry: Geometry,
     end_s: float = np.inf,
@@ -387,6 +416,8 @@ def coherent_term(
         Of the same paths and observations; its attenuation may be in its rows already.
     attenuation_per_m : float
         Energy attenuation of the air in the band.
+    images : ImagePaths
+        Of the same observations, without the air's loss; their rows are shared.
     geometry : Geometry
         With one row of columns for each observation.
     end_s : float
@@ -398,11 +429,12 @@ def coherent_term(
     first = min(float(o.edges_s[0]) for o in observed)
     last = max(float(o.edges_s[-1]) for o in observed)
     grid = band_grid(bank, first, last)
-    pairs = np.array([o.pair for o in observed])
-    images = image_paths(paths, pairs, attenuation_per_m, c * (last + 4.0 / energies.centre_hz))
-    travel = np.linalg.norm(images.image_to_receiver_m, axis=1) / c
+    length_m = images.lengths_m()
+    near = length_m <= c * (last + _RINGING_PERIODS / energies.centre_hz)
+    weight = images.weight * np.exp(-attenuation_per_m * length_m)
+    images, travel = chosen_paths(replace(images, weight=weight), near), length_m[near] / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
-    bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
+    bins = (np.searchsorted(bin_edges_s, travel, side="right") - 1).astype(np.int32)
     n_bins = [o.spreading.shape[1] for o in observed]
     bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
@@ -413,7 +445,7 @@ def coherent_term(
         replace(images, coherence=np.zeros(travel.size)),
         nothing,
         bins,
-        np.zeros(0, dtype=np.int64),
+        np.zeros(0, dtype=np.int32),
         grid,
     )
 

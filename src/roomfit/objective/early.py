@@ -20,11 +20,11 @@ from roomfit.objective.energy import (
     EnergyTerm,
     late_shares,
     model_variance,
-    tracing_variance,
+    parts_of,
+    variance_of_batches,
 )
 from roomfit.objective.problem import Rows, Values, count_evaluation
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
-from roomfit.response.energy import weigh
 from roomfit.signals.filters import (
     SpreadingKernel,
     spreading_matrix,
@@ -201,11 +201,11 @@ def kept_paths(
         log_slopes = by_b / np.maximum(energy, _TINY)[:, None]
     _, energy, slopes = weighed.predict(values)
     left = np.maximum(1.0 - absorption, _LEAST)
-    coefficients, air = absorption[:, None], np.array([term.attenuation_per_m])
     fine, tracing, first, n_fine = [], [], [], 0
-    for o, rows in zip(observations, weighed.rows, strict=True):
-        fine.append(o.fine_spreading @ weigh(rows, coefficients, air, derivative=False).energy[0])
-        tracing.append(tracing_variance(rows, o, coefficients, air))
+    for number, o in enumerate(observations):
+        parts = parts_of(weighed, number, absorption)
+        fine.append(o.fine_spreading @ parts.energy)
+        tracing.append(variance_of_batches(parts.batches, o))
         first.append(n_fine + np.searchsorted(o.fine_edges_s, o.edges_s[:-1]))
         n_fine += o.fine_edges_s.size - 1
     noise = np.concatenate([o.noise for o in observations])
