@@ -117,7 +117,8 @@ def run_one(campaign: Path) -> None:
 
 def measured(campaign: Path, source: Path | None) -> dict[str, float]:
     """Return what `run_one` prints in a process with one thread."""
-    threads = {n: "1" for n in ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")}
+    names = ("NUMBA_NUM_THREADS", "OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS")
+    threads = dict.fromkeys(names, "1")
     environment = {**os.environ, **threads}
     if source is not None:
         environment["PYTHONPATH"] = f"{source}:{environment.get('PYTHONPATH', '')}"

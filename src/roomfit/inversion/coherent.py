@@ -144,6 +144,7 @@ class SequentialState:
     origin: FloatArray | None
     bands: tuple[CoherentBand | None, ...] = ()
     findings: tuple[Finding, ...] = ()
+    images: ImagePaths | None = None  # of these paths, what all bands share; None: not made yet
 
     @property
     def geometry(self) -> Geometry | None:
@@ -163,7 +164,9 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         even = _even(state, measured, absorption_so_far(state), SCHROEDER_FACTOR)
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
-            state = rebuild(replace(state, task=replace(task, measured=even)))
+            # the bands before are let go of first: two generations do not fit where one does
+            state = replace(state, task=replace(task, measured=even), bands=())
+            state = rebuild(state)
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured):
         return state
@@ -179,7 +182,11 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         place, origin = moved_scene(task.scene, state.geometry, known[-1].mean)
         paths, weights, binned = retrace(place)
         binned = cut_at(binned, settings.late_end_s)
-        state = replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
+        state = replace(
+            state, paths=paths, weights=weights, binned=binned, origin=origin, images=None
+        )
+    del low, fits
+    state = replace(state, bands=())
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
@@ -214,7 +221,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         task.start,
         periods=_WINDOW_PERIODS,
     )
-    images = _images(state)
+    images = _images(state) if state.images is None else state.images
     unknown = task.directivity_parameters
     bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     bands: list[CoherentBand | None] = []
@@ -247,7 +254,8 @@ def rebuild(state: SequentialState) -> SequentialState:
                 bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
-    return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
+    findings = outlier_findings(task.measured, outliers)
+    return replace(state, bands=tuple(bands), findings=findings, images=images)
 
 
 def _images(state: SequentialState) -> ImagePaths:
@@ -426,12 +434,15 @@ def fit_coherent(
     ]
     outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
-        state = rebuild(replace(state, task=replace(state.task, outliers=outliers)))
+        state, fits = replace(state, task=replace(state.task, outliers=outliers), bands=()), []
+        state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
-        state = rebuild(replace(state, task=replace(state.task, scene=place), origin=origin))
+        moved, fits = replace(state.task, scene=place), []
+        state = replace(state, task=moved, origin=origin, bands=())
+        state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))

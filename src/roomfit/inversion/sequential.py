@@ -19,7 +19,6 @@ from roomfit.objective.parameters import (
     Marginal,
     Parameters,
     geometry_block,
-    physical_values,
     position_of,
     prior_residuals,
     whole_covariance,
@@ -92,7 +91,6 @@ class CoherentBand:
             replace(self.coherent, energies=plain),
             whole_covariance(self.coherent.geometry, covariance),
             phase_sd,
-            physical_values(self.energies.parameters, self.energy_fit.vector)[0]["absorption"],
         )
         return replace(
             self.energies,

@@ -35,7 +35,7 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import Rows, Values
-from roomfit.objective.windows import in_windows
+from roomfit.objective.windows import in_windows, squares_in_windows
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
@@ -52,8 +52,6 @@ from roomfit.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.typing import FloatArray, IntArray
 
-# Pressures end where later paths have this share of the coherent energy: decision 0040.
-_LATE_SHARE = 0.02
 # Of its centre: so much later an arrival does not ring into a window any more.
 _RINGING_PERIODS = 4.0
 # A path less coherent than this is left to the energies.
@@ -199,10 +197,7 @@ class CoherentTerm:
 
 
 def with_coherence(
-    term: CoherentTerm,
-    covariance: FloatArray,
-    phase_sd: float = 0.0,
-    absorption: FloatArray | None = None,
+    term: CoherentTerm, covariance: FloatArray, phase_sd: float = 0.0
 ) -> CoherentTerm:
     """Return the windows with each path as coherent as its arrival time is known.
 
@@ -215,9 +210,6 @@ def with_coherence(
         Of all entries of the geometry's free numbers, fixed ones zero.
     phase_sd : float
         Standard deviation of the phase that a reflection adds at random, rad.
-    absorption : float array, shape (n_materials,), optional
-        With it pressures end where later paths have a share of 2 % of the coherent energy; left
-        out: where they did.
     """
     images, c = term.images, term.geometry.speed_m_s
     spread = np.empty(images.weight.size)
@@ -228,24 +220,7 @@ def with_coherence(
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
     phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
-    gamma = np.exp(-phase)
-    if absorption is None:
-        return _with_gamma(term, gamma)
-    gamma = np.where((gamma > _LEAST_COHERENCE) & (term.bins >= 0), gamma, 0.0)
-    # by the millisecond
-    coherent = np.bincount(
-        (1e3 * travel_s).astype(np.int64), gamma * image_energies(images, absorption)
-    )
-    later = np.cumsum(coherent[::-1])[::-1]
-    end_s = 1e-3 * float(np.searchsorted(-later, -_LATE_SHARE * later[0])) if later.size else 0.0
-    early = tuple(first_windows(o, end_s) for o in term.early)
-    last_s = max(float(o.edges_s[-1]) for o in early)
-    if last_s < max(float(o.edges_s[-1]) for o in term.early):
-        first_s = min(float(o.edges_s[0]) for o in early)
-        grid = replace(band_grid(term.grid.bank, first_s, last_s), is_double=term.grid.is_double)
-        term = replace(term, early=early, grid=grid)
-        gamma[travel_s > last_s + _RINGING_PERIODS / term.energies.centre_hz] = 0.0
-    return _with_gamma(term, gamma)
+    return _with_gamma(term, np.exp(-phase))
 
 
 def fully_coherent(term: CoherentTerm) -> CoherentTerm:
@@ -286,12 +261,14 @@ def _early_variance(
     single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
     late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
     spread = observed.fine_spreading @ random
-    pieces = spread**2 + 2.0 * spread * coherent - observed.fine_spreading.power(2) @ single
+    pieces = (
+        spread**2 + 2.0 * spread * coherent - squares_in_windows(observed.fine_spreading, single)
+    )
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ late)
+    timing = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, late)
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
     return {

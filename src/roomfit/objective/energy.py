@@ -12,7 +12,7 @@ from scipy.sparse import csr_array
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
-from roomfit.objective.windows import in_windows
+from roomfit.objective.windows import in_windows, squares_in_windows
 from roomfit.response.directivity import EnergyParts, RowPattern, weigh_directed, weigh_parts
 from roomfit.response.energy import (
     EnergyResponse,
@@ -192,11 +192,18 @@ def first_windows(observed: Observation, end_s: float) -> Observation:
         edges_s=observed.edges_s[: n + 1],
         energy=observed.energy[:n],
         noise=observed.noise[:n],
-        spreading=observed.spreading[:n],
+        spreading=_first_windows(observed.spreading, n),
         fine_edges_s=observed.fine_edges_s[: n_fine + 1],
-        fine_spreading=observed.fine_spreading[:n_fine],
-        slopes=observed.slopes[:n],
+        fine_spreading=_first_windows(observed.fine_spreading, n_fine),
+        slopes=_first_windows(observed.slopes, n),
     )
+
+
+def _first_windows(whole: csr_array, n: int) -> csr_array:
+    """Return the first n rows of a sparse array without copying its entries."""
+    last = whole.indptr[n]
+    entries = (whole.data[:last], whole.indices[:last], whole.indptr[: n + 1])
+    return csr_array(entries, shape=(n, whole.shape[1]), copy=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -255,7 +262,7 @@ def observation_variance(
 ) -> dict[str, FloatArray]:
     """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
-    positions = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
+    positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
     interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
     return {
         "interference": gain**2 * interference,
@@ -364,9 +371,8 @@ def _interference(
     bandwidth_hz: float, observed: Observation, energy: FloatArray, squares: FloatArray
 ) -> FloatArray:
     """Return the variance of each window by interference, for a gain of 1."""
-    overlapping = (observed.fine_spreading @ energy) ** 2 - observed.fine_spreading.power(
-        2
-    ) @ squares
+    overlapping = (observed.fine_spreading @ energy) ** 2
+    overlapping -= squares_in_windows(observed.fine_spreading, squares)
     widths_s = np.diff(observed.fine_edges_s)
     pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])

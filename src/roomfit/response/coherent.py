@@ -90,8 +90,9 @@ def grid_impulses(
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     half = TAPS // 2
     for o in numba.prange(len(offsets) - 1):
-        values = np.empty(8 + n_materials)
         own = impulses[o]
+        # in the precision of the grid: eight single numbers are added at a time
+        values, height = np.empty(8 + n_materials, own.dtype), np.empty(1, own.dtype)
         for i in range(offsets[o], offsets[o + 1]):
             at = row[i]
             a = image_transform[at]
@@ -127,12 +128,12 @@ def grid_impulses(
                 distance = (abs(low + tap - place)) * TABLE_STEPS
                 step = int(distance)
                 share = distance - step
-                height = table[step] + share * (table[step + 1] - table[step])
+                height[0] = table[step] + share * (table[step + 1] - table[step])
                 # a remainder costs as much as all the sums of a tap
                 g = low + tap if inside else (low + tap) % n_grid
-                cell = own[g]
+                cell, times = own[g], height[0]
                 for j in range(n_columns):
-                    cell[j] += height * values[j]
+                    cell[j] += times * values[j]
 
 
 @kernel(parallel=True)
@@ -295,7 +296,6 @@ class Times:
 class BandGrid:
     """The grid of times on which the pressures of one band are added."""
 
-    bank: FilterBank  # of this band
     first_s: float
     rate_hz: float
     n: int
@@ -440,7 +440,7 @@ def band_grid(bank: FilterBank, first_s: float, last_s: float) -> BandGrid:
     table = np.where(x <= TAPS / 2, i0(_BETA * np.sqrt(inside)) / i0(_BETA), 0.0)
     transfer = np.where(used, shape / np.where(used, kernel, 1.0), 0.0) * rate_hz
     slope = -2j * np.pi * frequencies * transfer
-    return BandGrid(bank, first_s - padding_s, rate_hz, n, transfer, slope, table)
+    return BandGrid(first_s - padding_s, rate_hz, n, transfer, slope, table)
 
 
 def coherent_response(

@@ -17,7 +17,6 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
-from scipy.interpolate import RBFInterpolator
 
 from roomfit._checks import float_array
 from roomfit._numba import kernel
@@ -527,6 +526,8 @@ def measured_directivity(
         )
     neighbours = min(_NEIGHBOURS, len(points))
     # linear radial functions in space: as smooth as few directions permit, exact at each of them
+    from scipy.interpolate import RBFInterpolator  # heavy, for measured directivities alone
+
     smooth = RBFInterpolator(points, values[first], neighbors=neighbours, kernel="linear")
     factor = np.maximum(smooth(grid), 0.0).T.reshape(-1, polar.size, azimuth.size)
     mean = sphere_mean(factor)

@@ -337,7 +337,7 @@ def _banded(
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))
-    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int64)
+    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int32)
     delays, steps_per_s = np.array(delays_s), centre * _STEPS_PER_PERIOD
     differences_over_windows(
         edges, delays, first, pointers, np.array(table), steps_per_s, values, columns
