@@ -33,15 +33,14 @@ from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
-from roomfit.io.campaign import Campaign, read_campaign
+from roomfit.io.campaign import read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
-from roomfit.io.inputs import identify_arguments, material_priors
+from roomfit.io.inputs import check_campaign as check_campaign
+from roomfit.io.inputs import check_room as check_room
+from roomfit.io.inputs import identify_arguments
 from roomfit.io.results import read_result, write_result
-from roomfit.io.rooms import read_mesh
-from roomfit.io.rooms.model import RoomSpec
-from roomfit.materials.catalogue import broad_prior_findings, product_findings
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -49,51 +48,9 @@ from roomfit.prediction.predict import Predicted, predict
 from roomfit.report.figures import in_file_name, write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Result
-from roomfit.scene import RoomCheck, check_mesh, position_findings, room_from_mesh
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
-
-
-def check_room(spec: RoomSpec) -> RoomCheck:
-    """Read a room and return all its faults.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read at all, or a key of `spec.materials` matches nothing.
-
-    Examples
-    --------
-    >>> from roomfit.io.rooms.model import RoomSpec
-    >>> check = check_room(RoomSpec(shoebox=(6.0, 5.0, 3.0)))
-    >>> check.traceable, round(check.mean_free_path_m, 2)
-    (True, 2.86)
-    """
-    mesh, findings = read_mesh(spec)
-    return check_mesh(mesh, spec.materials, findings)
-
-
-def check_campaign(campaign: Campaign) -> RoomCheck:
-    """Return all faults of a campaign's room and of the positions of sources and receivers.
-
-    Measured files are not opened. Positions are checked once the room itself has no fault.
-
-    Raises
-    ------
-    InputError
-        The room cannot be read at all; or materials of the campaign and of the room disagree.
-    """
-    spec = campaign.room
-    mesh, findings = read_mesh(spec)
-    check = check_mesh(mesh, spec.materials, findings)
-    if not check.traceable:
-        return check
-    room = room_from_mesh(mesh, spec.materials)
-    priors = material_priors(campaign, room.materials)
-    assumed = (*broad_prior_findings(priors), *product_findings(priors))
-    position_doubts = position_findings(room, campaign.sources, campaign.receivers)
-    return replace(check, findings=(*check.findings, *position_doubts, *assumed))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

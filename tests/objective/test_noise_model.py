@@ -63,7 +63,7 @@ def observation(energy: FloatArray, noise: FloatArray, edges_s: FloatArray = EDG
 
 
 def term(model_error: float = 0.0, ringing_error: float = 0.0) -> EnergyTerm:
-    return EnergyTerm(500.0, BANDWIDTH_HZ, 0.0, (), (), (), model_error, ringing_error)
+    return EnergyTerm(500.0, BANDWIDTH_HZ, 0.0, (), (), model_error, ringing_error)
 
 
 def drawn_energies(signal: FloatArray, sd: float, n: int = 800) -> FloatArray:
@@ -175,10 +175,9 @@ def one_window_term() -> tuple[EnergyTerm, FloatArray, FloatArray]:
         slopes=spreading_slopes_per_s(kernel, 0, centres, edges),
     )
     energies = replace(
-        whole, rows=(rows,), squared_image_rows=whole.squared_image_rows[:1],
-        observations=(observed,), model_error=0.0, ringing_error=0.0,
+        whole, rows=(rows,), observations=(observed,), model_error=0.0, ringing_error=0.0
     )  # fmt: skip
-    length_m = np.linalg.norm(made.images.image_to_receiver_m[own], axis=1)
+    length_m = made.images.lengths_m()[own]
     return energies, length_m / 340.0, made.images.weight[own]
 
 
@@ -253,13 +252,11 @@ def test_a_single_arrival_interferes_with_nothing():
     """All other paths taken away: no variance but that of its timing."""
     energies, *_ = one_window_term()
     first = np.arange(energies.rows[0].weight_per_m2.size) == 0
-    alone = [
-        replace(rows, weight_per_m2=np.where(first, rows.weight_per_m2, 0.0))
-        for rows in (energies.rows[0], energies.squared_image_rows[0])
-    ]
-    energies = replace(energies, rows=(alone[0],), squared_image_rows=(alone[1],))
+    rows = energies.rows[0]
+    alone = replace(rows, weight_per_m2=np.where(first, rows.weight_per_m2, 0.0))
+    energies = replace(energies, rows=(alone,))
     paths = weighed(energies, np.full(3, 0.0))[0]
-    assert paths.squares.sum() == pytest.approx(float(alone[0].weight_per_m2[0]) ** 2)
+    assert paths.squares.sum() == pytest.approx(float(alone.weight_per_m2[0]) ** 2)
     found = total(observation_variance(energies, 0, paths, 1.0))
     np.testing.assert_allclose(found, 0.0, atol=1e-12 * paths.squares.sum())
 

@@ -28,6 +28,7 @@ def two_paths() -> ImagePaths:
         np.array([[3.0, 1.0, 2.0], [4.0, 2.0, 1.3]]),
         np.tile(np.eye(3).ravel(), (2, 1)),
         np.array([0.9, 0.8]),
+        np.arange(2, dtype=np.int32),
     )
 
 
@@ -167,18 +168,19 @@ def test_gamma_of_a_path_is_the_squared_mean_of_its_phasor(observation: int) -> 
     found = with_coherence(term, root @ root.T).images
     free = rng.standard_normal((n, geometry.sd.size)) @ root.T
     own = np.arange(*found.offsets[observation : observation + 2])
-    hits = found.hits.sum(axis=1)
+    hits, per_wall = found.hits[found.row].sum(axis=1), found.hits[found.row]
     columns = geometry.columns[observation]
     w = 2.0 * np.pi * term.energies.centre_hz
-    twice = np.flatnonzero((found.hits[own] == 2).any(axis=1))
+    twice = np.flatnonzero((per_wall[own] == 2).any(axis=1))
     for path in (own[hits[own] == 0][0], own[hits[own] == 1][0], own[twice[0]]):
-        image = found.image_transform[path].reshape(3, 3)
+        row = found.row[path]
+        image = found.image_transform[row].reshape(3, 3)
         moved = free * geometry.sd
         step = moved[:, columns[3:6]] - moved[:, columns[:3]] @ image.T
-        length = np.linalg.norm(found.image_to_receiver_m[path] + step, axis=1)
+        length = np.linalg.norm(found.image_to_receiver_m[row] + step, axis=1)
         arrival = length / (SPEED * np.exp(moved[:, columns[6]])) + moved[:, columns[7]]
-        arrival += moved[:, columns[8:]] @ found.hits[path]
-        still = np.linalg.norm(found.image_to_receiver_m[path])
+        arrival += moved[:, columns[8:]] @ found.hits[row]
+        still = np.linalg.norm(found.image_to_receiver_m[row])
         rest = np.hypot(np.sqrt(2.0) * 0.5e-3, 1e-4 * still) / SPEED
         arrival += rest * rng.standard_normal(n)
         expected = np.abs(np.mean(np.exp(1j * w * arrival))) ** 2
@@ -191,7 +193,7 @@ def test_a_phase_that_reflections_add_at_random_takes_its_variance_a_hit() -> No
     plain = with_coherence(small_term(), 0.04 * whole_covariance(small_geometry())).images
     turned = with_coherence(small_term(), 0.04 * whole_covariance(small_geometry()), 0.3).images
     kept = turned.coherence > 0.0
-    factor = np.exp(-(0.3**2) * plain.hits.sum(axis=1))
+    factor = np.exp(-(0.3**2) * plain.hits.sum(axis=1)[plain.row])
     np.testing.assert_allclose(turned.coherence[kept], (factor * plain.coherence)[kept], rtol=1e-9)
     assert kept.sum() > 20
 
@@ -200,7 +202,7 @@ def test_what_no_unknown_stands_for_still_takes_some_coherence() -> None:
     """Nothing unknown: half a millimetre at both ends, and 1e-4 of the time."""
     term = small_term(4000.0)
     found = with_coherence(term, np.zeros((14, 14))).images
-    length = np.linalg.norm(found.image_to_receiver_m, axis=1)
+    length = found.lengths_m()
     variance = (2.0 * 0.5e-3**2 + (1e-4 * length) ** 2) / SPEED**2
     kept = found.coherence > 0.0
     expected = np.exp(-((2.0 * np.pi * term.energies.centre_hz) ** 2) * variance)

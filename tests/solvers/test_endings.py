@@ -14,7 +14,6 @@ from roomfit.solvers import least_squares
 from roomfit.solvers.ending import Ending
 from roomfit.solvers.least_squares import (
     fit_band,
-    gauss_newton,
     score_band,
 )
 from roomfit.solvers.levenberg_marquardt import MarquardtSettings, levenberg_marquardt

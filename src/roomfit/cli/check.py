@@ -25,9 +25,9 @@ def add(commands: Commands) -> None:
 
 def run(options: argparse.Namespace) -> None:
     """Carry out the command; leave with 2 where the room cannot be traced."""
-    from roomfit.commands import check_campaign, check_room
     from roomfit.errors import InputError
     from roomfit.io.campaign import read_campaign
+    from roomfit.io.inputs import check_campaign, check_room
     from roomfit.io.rooms.model import RoomSpec
     from roomfit.report.text import room_text
 

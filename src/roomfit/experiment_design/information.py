@@ -29,7 +29,6 @@ from roomfit.objective.energy import (
     Observation,
     fine_edges_s,
     in_air,
-    squared_image_rows,
 )
 from roomfit.objective.observation import absorption_block
 from roomfit.objective.parameters import (
@@ -45,6 +44,7 @@ from roomfit.objective.parameters import (
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import window_edges_s
 from roomfit.response.binned import BinnedPaths, bin_paths, in_band, paths_at
+from roomfit.response.coherent import image_paths
 from roomfit.response.energy import EnergyRows, first_rows, weigh
 from roomfit.scene import Scene, distances_m, select_pairs
 from roomfit.signals.filters import (
@@ -142,7 +142,6 @@ def expected_term(
             own.bandwidth_hz,
             own.attenuation_per_m,
             (rows,),
-            (squared_image_rows(rows),),
             (observed,),
         )
     )
@@ -338,7 +337,7 @@ def _objectives(
             f.band,
             energies,
             f.attenuation_per_m,
-            paths_at(images, weights, f.band),
+            image_paths(paths_at(images, weights, f.band), np.zeros(1, dtype=np.int64), 0.0),
             binned,
             expected.geometry,
             FIT_END_S,

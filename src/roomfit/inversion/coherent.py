@@ -16,7 +16,7 @@ from typing import cast
 
 import numpy as np
 
-from roomfit.air import attenuation_per_m
+from roomfit.air import attenuation_per_m, speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.findings import Finding
 from roomfit.inversion.bands import affordable_certificate
@@ -85,7 +85,8 @@ from roomfit.objective.parameters import Geometry, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
 from roomfit.objective.windows import windows_t20_s
-from roomfit.response.binned import BinnedPaths, paths_at
+from roomfit.response.binned import BinnedPaths
+from roomfit.response.coherent import ImagePaths, image_paths, images_of
 from roomfit.scene import Scene, material_areas_m2
 from roomfit.solvers.least_squares import BandFit, fit_band, score_band
 from roomfit.tracing.paths import Paths
@@ -94,6 +95,8 @@ from roomfit.uncertainty.gaussian import BandEstimate, FittedBand, band_estimate
 
 # Shortest window in units of 1 / B: finer ones than energies need tell of phases.
 _WINDOW_PERIODS = 0.75
+# Of the lowest band: so much after the last pressure an image may still ring into its window.
+_REACH_PERIODS = 5.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,7 +142,9 @@ class SequentialState:
     # free numbers of the geometry for which the paths were traced; None for those specified
     origin: FloatArray | None
     bands: tuple[CoherentBand | None, ...] = ()
+    starts: tuple[FloatArray | None, ...] = ()  # answers by energies of bands that were let go of
     findings: tuple[Finding, ...] = ()
+    images: ImagePaths | None = None  # of these paths, what all bands share; None: not made yet
 
     @property
     def geometry(self) -> Geometry | None:
@@ -159,7 +164,8 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         even = _even(state, measured, absorption_so_far(state), SCHROEDER_FACTOR)
         coloured = any(new is not old for new, old in zip(even, measured, strict=True))
         if coloured:
-            state = rebuild(replace(state, task=replace(task, measured=even)))
+            state = let_go(replace(state, task=replace(task, measured=even)))
+            state = rebuild(state)
     moves = retrace is not None and settings.positions == "fit"
     if not (moves or coloured) or settings.quick:
         return state
@@ -175,11 +181,25 @@ def initialise(task: CoherentTask, traced: TracedPaths) -> SequentialState:
         place, origin = moved_scene(task.scene, state.geometry, known[-1].mean)
         paths, weights, binned = retrace(place)
         binned = cut_at(binned, settings.late_end_s)
-        state = replace(state, paths=paths, weights=weights, binned=binned, origin=origin)
+        state = replace(
+            state, paths=paths, weights=weights, binned=binned, origin=origin, images=None
+        )
+    del low, fits
+    state = let_go(state)
     if coloured:
         even = _even(state, measured, guess, 0.0)
         state = replace(state, task=replace(state.task, measured=even))
     return rebuild(state)
+
+
+def let_go(state: SequentialState) -> SequentialState:
+    """Return a state without its bands, whose answers are kept: memory holds one generation."""
+    return replace(state, bands=(), starts=_answers(state))
+
+
+def _answers(state: SequentialState) -> tuple[FloatArray | None, ...]:
+    found = tuple(None if b is None else b.energy_fit.vector for b in state.bands)
+    return found or state.starts
 
 
 def rebuild(state: SequentialState) -> SequentialState:
@@ -191,7 +211,8 @@ def rebuild(state: SequentialState) -> SequentialState:
     task, limit = state.task, state.task.settings.max_rounds
     unknown = task.directivity_parameters
     # what the free numbers of a directivity mean changes with its prior
-    known = state.bands if unknown is None and state.bands else (None,) * len(task.bands)
+    starts = _answers(state) if unknown is None else ()
+    starts = starts or (None,) * len(task.bands)
     geometry = replace(
         campaign_geometry(
             task.scene,
@@ -213,6 +234,7 @@ def rebuild(state: SequentialState) -> SequentialState:
         task.start,
         periods=_WINDOW_PERIODS,
     )
+    images = _images(state) if state.images is None else state.images
     bases = None if unknown is None else row_bases(unknown, task.scene, state.paths, state.binned)
     bands: list[CoherentBand | None] = []
     for b, found in enumerate(made):
@@ -223,13 +245,13 @@ def rebuild(state: SequentialState) -> SequentialState:
         directivity, files = None, fitted_in_band(task.measured, b)
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, task.scene, bases, windows, files)
-        coherent = _early(state, b, windows, geometry)
+        coherent = _early(state, b, windows, geometry, images)
         energies = energy_objective(windows, parameters, directivity, task.values[b])
-        before = known[b]
+        before = starts[b]
         fit = (
             fit_band(energies, max_rounds=limit)
             if before is None
-            else score_band(energies, before.energy_fit.vector, max_rounds=limit)
+            else score_band(energies, before, max_rounds=limit)
         )
         bands.append(CoherentBand(energies, fit, coherent, directivity))
     misfits = [
@@ -249,21 +271,36 @@ def rebuild(state: SequentialState) -> SequentialState:
                 bands[b] = replace(own, energies=energies, energy_fit=fit)
     if task.directivity_parameters is not None:
         bands = _under_cavity_priors(task, bands)
-    return replace(state, bands=tuple(bands), findings=outlier_findings(task.measured, outliers))
+    findings = outlier_findings(task.measured, outliers)
+    return replace(state, bands=tuple(bands), findings=findings, images=images)
+
+
+def _images(state: SequentialState) -> ImagePaths:
+    """Return the images of everything that is fitted, as far as any band adds pressures."""
+    task = state.task
+    pairs = np.array([m.pair for m in task.measured if m.measurement.use == "fit"])
+    reach_s = task.settings.end_s + _REACH_PERIODS / float(task.bands.centres_hz[0])
+    c = speed_of_sound_m_s(task.scene.air)
+    return image_paths(state.paths, pairs, 0.0, c * reach_s)
 
 
 def _early(
-    state: SequentialState, band: int, windows: EnergyTerm, geometry: Geometry
+    state: SequentialState,
+    band: int,
+    windows: EnergyTerm,
+    geometry: Geometry,
+    images: ImagePaths,
 ) -> CoherentTerm:
     """Return the windows of a band as pressures."""
     task, files = state.task, fitted_in_band(state.task.measured, band)
-    own = [m in files for m in task.measured if m.measurement.use == "fit"]
+    fitted = [m for m in task.measured if m.measurement.use == "fit"]
+    own = np.flatnonzero([m in files for m in fitted])
     return coherent_term(
         task.bands,
         band,
         windows,
         float(attenuation_per_m(task.scene.air, task.bands)[band]),
-        paths_at(state.paths, state.weights, band),
+        images_of(images, own, None if state.weights is None else state.weights[band]),
         state.binned,
         replace(geometry, columns=geometry.columns[own]),
         task.settings.end_s,
@@ -417,12 +454,15 @@ def fit_coherent(
     ]
     outliers = outlier_files(misfits, LEAST_BY_PRESSURES)
     if outliers:
-        state = rebuild(replace(state, task=replace(state.task, outliers=outliers)))
+        state, fits = let_go(replace(state, task=replace(state.task, outliers=outliers))), []
+        state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     position_sd_scale = estimate_position_sd_scale(state.task.scene, state.bands, fits)
     if position_sd_scale > 1.0:
         place, origin = inflate_position_sds(state.task.scene, state.origin, position_sd_scale)
-        state = rebuild(replace(state, task=replace(state.task, scene=place), origin=origin))
+        moved, fits = replace(state.task, scene=place), []
+        state = let_go(replace(state, task=moved, origin=origin))
+        state = rebuild(state)
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))

@@ -273,7 +273,7 @@ def outline_of(
             continue
         files = fitted_in_band(measured.responses, band)
         rows = tuple(chosen_rows(r, ~moves) for r in own[0].rows)
-        term, parameters = replace(own[0], rows=rows, squared_image_rows=()), own[1]
+        term, parameters = replace(own[0], rows=rows), own[1]
         directivity, b = None, np.zeros((0, 3))
         if unknown is not None and bases is not None:
             directivity = directed_band(unknown, scene, bases, term, files)

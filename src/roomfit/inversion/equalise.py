@@ -97,7 +97,7 @@ def _expected(
     total = np.zeros(n + 1, dtype=np.complex128)
     c = speed_of_sound_m_s(scene.air)
     images = image_paths(paths, np.array([m.pair]), 0.0, c * (n / rate_hz - m.response.time_zero_s))
-    length_m = np.linalg.norm(images.image_to_receiver_m, axis=1)
+    length_m = images.lengths_m()
     at = np.round((length_m / c + m.response.time_zero_s) * rate_hz).astype(np.int64)
     inside = (at >= 0) & (at < n)
     for band, weight in enumerate(weights):

@@ -21,13 +21,12 @@ from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.objective.coherent import CoherentTerm, fully_coherent
 from roomfit.objective.directivity import DirectedTerm, directed
-from roomfit.objective.energy import EnergyTerm
+from roomfit.objective.energy import EnergyTerm, parts_of
 from roomfit.objective.parameters import Parameters, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.windows import in_windows
 from roomfit.response.binned import BinnedPaths, in_band, rows_at
-from roomfit.response.directivity import directed_rows
-from roomfit.response.energy import batch_energies, first_rows, reweighed_rows, weigh
+from roomfit.response.energy import first_rows, reweighed_rows, weigh
 from roomfit.solvers.least_squares import BandFit
 from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray
@@ -375,17 +374,13 @@ def batch_spread(
     n_batches = min((rows.n_batches for rows in energies.rows), default=0)
     names = list(dict.fromkeys(sources))
     n_windows = sum(o.energy.size for o in energies.observations)
-    if n_batches < 2 or not any(np.any(rows.batch >= 0) for rows in energies.rows):
+    if n_batches < 2 or not any(rows.largest_batch >= 0 for rows in energies.rows):
         return np.zeros((n_windows, 0))
     out: FloatArray = np.zeros((n_windows, len(names), n_batches))
     first = 0
-    patterns = energies.patterns or (None,) * len(energies.rows)
-    each = zip(energies.rows, patterns, energies.observations, sources, strict=True)
-    for traced, pattern, observed, source in each:
-        rows = traced if pattern is None else directed_rows(traced, pattern.factor())
-        batches = batch_energies(
-            rows, values["absorption"][:, None], np.array([energies.attenuation_per_m])
-        )[:, 0, :]
+    each = zip(energies.observations, sources, strict=True)
+    for number, (observed, source) in enumerate(each):
+        batches = parts_of(energies, number, values["absorption"]).batches[:n_batches]
         windows = gains[observed.gain] * in_windows(observed.spreading, batches)
         last = first + observed.energy.size
         out[first:last, names.index(source)] = windows - windows.mean(axis=1, keepdims=True)

@@ -28,8 +28,9 @@ from roomfit.io.directivity import read_directivity
 from roomfit.io.door import check_files
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
-from roomfit.io.rooms import read_room
-from roomfit.materials.catalogue import material_prior
+from roomfit.io.rooms import read_mesh, read_room
+from roomfit.io.rooms.model import RoomSpec
+from roomfit.materials.catalogue import broad_prior_findings, material_prior, product_findings
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Measurement
 from roomfit.response.directivity import (
@@ -38,7 +39,15 @@ from roomfit.response.directivity import (
     aimed,
     unit_vector,
 )
-from roomfit.scene import Room, Scene, with_states
+from roomfit.scene import (
+    Room,
+    RoomCheck,
+    Scene,
+    check_mesh,
+    position_findings,
+    room_from_mesh,
+    with_states,
+)
 from roomfit.settings import Settings
 from roomfit.signals.iso3382 import MeasuredValues
 from roomfit.typing import FloatArray
@@ -299,3 +308,44 @@ def campaign_scene(campaign: Campaign, room: Room) -> Scene:
         campaign.air,
         groups=campaign.groups,
     )
+
+
+def check_room(spec: RoomSpec) -> RoomCheck:
+    """Read a room and return all its faults.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all, or a key of `spec.materials` matches nothing.
+
+    Examples
+    --------
+    >>> from roomfit.io.rooms.model import RoomSpec
+    >>> check = check_room(RoomSpec(shoebox=(6.0, 5.0, 3.0)))
+    >>> check.traceable, round(check.mean_free_path_m, 2)
+    (True, 2.86)
+    """
+    mesh, findings = read_mesh(spec)
+    return check_mesh(mesh, spec.materials, findings)
+
+
+def check_campaign(campaign: Campaign) -> RoomCheck:
+    """Return all faults of a campaign's room and of the positions of sources and receivers.
+
+    Measured files are not opened. Positions are checked once the room itself has no fault.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read at all; or materials of the campaign and of the room disagree.
+    """
+    spec = campaign.room
+    mesh, findings = read_mesh(spec)
+    check = check_mesh(mesh, spec.materials, findings)
+    if not check.traceable:
+        return check
+    room = room_from_mesh(mesh, spec.materials)
+    priors = material_priors(campaign, room.materials)
+    assumed = (*broad_prior_findings(priors), *product_findings(priors))
+    position_doubts = position_findings(room, campaign.sources, campaign.receivers)
+    return replace(check, findings=(*check.findings, *position_doubts, *assumed))

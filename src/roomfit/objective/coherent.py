@@ -35,7 +35,7 @@ from roomfit.objective.parameters import (
     times_of,
 )
 from roomfit.objective.problem import Rows, Values
-from roomfit.objective.windows import in_windows
+from roomfit.objective.windows import in_windows, squares_in_windows
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
@@ -45,15 +45,15 @@ from roomfit.response.coherent import (
     chosen_paths,
     coherent_response,
     image_energies,
-    image_paths,
     spread_squared,
 )
 from roomfit.response.energy import first_rows
 from roomfit.scene import Scene
 from roomfit.signals.filters import FilterBank
-from roomfit.tracing.paths import Paths
 from roomfit.typing import FloatArray, IntArray
 
+# Of its centre: so much later an arrival does not ring into a window any more.
+_RINGING_PERIODS = 4.0
 # A path less coherent than this is left to the energies.
 _LEAST_COHERENCE = 1e-3
 # Relative error of a travel time that no fitted parameter stands for.
@@ -132,7 +132,12 @@ class CoherentTerm:
             n_bins = observed.spreading.shape[1]
             total, hits = np.zeros(n_bins), np.zeros((self.coherent.hits.shape[1], n_bins))
             binned_energies(
-                self.coherent_bins[own], self.coherent.hits[own], energy[own], total, hits
+                self.coherent_bins[own],
+                self.coherent.row[own],
+                self.coherent.hits,
+                energy[own],
+                total,
+                hits,
             )
             energies.append(observed.spreading @ total)
             by_hits.append(in_windows(observed.spreading, hits))
@@ -207,15 +212,14 @@ def with_coherence(
         Standard deviation of the phase that a reflection adds at random, rad.
     """
     images, c = term.images, term.geometry.speed_m_s
-    length = np.linalg.norm(images.image_to_receiver_m, axis=1)
-    toward = images.image_to_receiver_m / length[:, None]
-    departure = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
-    spread = np.empty(length.size)
+    spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
-    spread_squared(images.offsets, toward, departure, length / c, images.hits, c, roots, spread)
-    spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * length / c) ** 2
+    places = (images.image_to_receiver_m, images.image_transform, images.hits)
+    spread_squared(images.offsets, images.row, *places, c, roots, spread)
+    travel_s = images.lengths_m() / c
+    spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
-    phase += phase_sd**2 * images.hits.sum(axis=1)
+    phase += phase_sd**2 * images.hits.sum(axis=1)[images.row]
     return _with_gamma(term, np.exp(-phase))
 
 
@@ -257,12 +261,14 @@ def _early_variance(
     single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
     late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
     spread = observed.fine_spreading @ random
-    pieces = spread**2 + 2.0 * spread * coherent - observed.fine_spreading.power(2) @ single
+    pieces = (
+        spread**2 + 2.0 * spread * coherent - squares_in_windows(observed.fine_spreading, single)
+    )
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = observed.timing_sd_s**2 * (observed.slopes.power(2) @ late)
+    timing = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, late)
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
     return {
@@ -374,7 +380,7 @@ def coherent_term(
     band: int,
     energies: EnergyTerm,
     attenuation_per_m: float,
-    paths: Paths,
+    images: ImagePaths,
     binned: BinnedPaths,
     geometry: Geometry,
     end_s: float = np.inf,
@@ -387,6 +393,8 @@ def coherent_term(
         Of the same paths and observations; its attenuation may be in its rows already.
     attenuation_per_m : float
         Energy attenuation of the air in the band.
+    images : ImagePaths
+        Of the same observations, without the air's loss; their rows are shared.
     geometry : Geometry
         With one row of columns for each observation.
     end_s : float
@@ -398,11 +406,12 @@ def coherent_term(
     first = min(float(o.edges_s[0]) for o in observed)
     last = max(float(o.edges_s[-1]) for o in observed)
     grid = band_grid(bank, first, last)
-    pairs = np.array([o.pair for o in observed])
-    images = image_paths(paths, pairs, attenuation_per_m, c * (last + 4.0 / energies.centre_hz))
-    travel = np.linalg.norm(images.image_to_receiver_m, axis=1) / c
+    length_m = images.lengths_m()
+    near = length_m <= c * (last + _RINGING_PERIODS / energies.centre_hz)
+    weight = images.weight * np.exp(-attenuation_per_m * length_m)
+    images, travel = chosen_paths(replace(images, weight=weight), near), length_m[near] / c
     bin_edges_s = in_band(BinnedPaths(binned.edges_s, ()), energies.centre_hz).edges_s
-    bins = np.searchsorted(bin_edges_s, travel, side="right") - 1
+    bins = (np.searchsorted(bin_edges_s, travel, side="right") - 1).astype(np.int32)
     n_bins = [o.spreading.shape[1] for o in observed]
     bins[bins >= np.repeat(n_bins, np.diff(images.offsets))] = -1
     nothing = chosen_paths(images, np.zeros(travel.size, dtype=np.bool_))
@@ -413,7 +422,7 @@ def coherent_term(
         replace(images, coherence=np.zeros(travel.size)),
         nothing,
         bins,
-        np.zeros(0, dtype=np.int64),
+        np.zeros(0, dtype=np.int32),
         grid,
     )
 

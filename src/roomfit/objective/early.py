@@ -20,11 +20,12 @@ from roomfit.objective.energy import (
     EnergyTerm,
     late_shares,
     model_variance,
-    tracing_variance,
+    parts_of,
+    variance_of_batches,
 )
 from roomfit.objective.problem import Rows, Values, count_evaluation
+from roomfit.objective.windows import squares_in_windows
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
-from roomfit.response.energy import weigh
 from roomfit.signals.filters import (
     SpreadingKernel,
     spreading_matrix,
@@ -123,13 +124,13 @@ class DisplacedTerm:
         n_pieces = np.diff(np.append(kept.first_piece, kept.fine_energy.size))
         fine = self.fine_spreading @ energy + kept.fine_energy * np.repeat(ratio, n_pieces)
         squares = energy**2
-        overlapping = np.maximum(fine**2 - self.fine_spreading.power(2) @ squares, 0.0)
+        overlapping = np.maximum(fine**2 - squares_in_windows(self.fine_spreading, squares), 0.0)
         widths_s = np.concatenate([np.diff(o.fine_edges_s) for o in term.observations])
         interference = np.add.reduceat(
             overlapping / (term.bandwidth_hz * widths_s), kept.first_piece
         )
         timing_s = self._of_window([o.timing_sd_s for o in term.observations])
-        timing = timing_s**2 * (self.slopes.power(2) @ squares)
+        timing = timing_s**2 * squares_in_windows(self.slopes, squares)
         noise = kept.background[:, 0] + kept.background[:, 1] * signal
         model = model_variance(term, term.measured() - kept.noise, signal, kept.ringing @ signal)
         own = interference + timing + ratio**2 * kept.tracing
@@ -201,11 +202,11 @@ def kept_paths(
         log_slopes = by_b / np.maximum(energy, _TINY)[:, None]
     _, energy, slopes = weighed.predict(values)
     left = np.maximum(1.0 - absorption, _LEAST)
-    coefficients, air = absorption[:, None], np.array([term.attenuation_per_m])
     fine, tracing, first, n_fine = [], [], [], 0
-    for o, rows in zip(observations, weighed.rows, strict=True):
-        fine.append(o.fine_spreading @ weigh(rows, coefficients, air, derivative=False).energy[0])
-        tracing.append(tracing_variance(rows, o, coefficients, air))
+    for number, o in enumerate(observations):
+        parts = parts_of(weighed, number, absorption)
+        fine.append(o.fine_spreading @ parts.energy)
+        tracing.append(variance_of_batches(parts.batches, o))
         first.append(n_fine + np.searchsorted(o.fine_edges_s, o.edges_s[:-1]))
         n_fine += o.fine_edges_s.size - 1
     noise = np.concatenate([o.noise for o in observations])

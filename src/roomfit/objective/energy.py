@@ -12,8 +12,8 @@ from scipy.sparse import csr_array
 from roomfit._checks import float_array
 from roomfit.errors import InputError
 from roomfit.objective.problem import Objective, Rows, Values, count_evaluation
-from roomfit.objective.windows import in_windows
-from roomfit.response.directivity import RowPattern, directed_rows, weigh_directed
+from roomfit.objective.windows import in_windows, squares_in_windows
+from roomfit.response.directivity import EnergyParts, RowPattern, weigh_directed, weigh_parts
 from roomfit.response.energy import (
     EnergyResponse,
     EnergyRows,
@@ -81,7 +81,6 @@ class EnergyTerm:
     bandwidth_hz: float  # statistical bandwidth of the band filter
     attenuation_per_m: float  # energy attenuation of the air
     rows: tuple[EnergyRows, ...]  # paths of each observation's pair in fine time bins
-    squared_image_rows: tuple[EnergyRows, ...]  # what `squared_image_rows` makes of each of them
     observations: tuple[Observation, ...]
     # relative standard deviation that the model may be wrong by in any window
     model_error: float = 0.2
@@ -180,7 +179,6 @@ def in_air(term: EnergyTerm) -> EnergyTerm:
     return replace(
         term,
         rows=tuple(rows_in_air(rows, m) for rows in term.rows),
-        squared_image_rows=tuple(rows_in_air(rows, m) for rows in term.squared_image_rows),
         attenuation_per_m=0.0,
     )
 
@@ -194,11 +192,18 @@ def first_windows(observed: Observation, end_s: float) -> Observation:
         edges_s=observed.edges_s[: n + 1],
         energy=observed.energy[:n],
         noise=observed.noise[:n],
-        spreading=observed.spreading[:n],
+        spreading=_first_windows(observed.spreading, n),
         fine_edges_s=observed.fine_edges_s[: n_fine + 1],
-        fine_spreading=observed.fine_spreading[:n_fine],
-        slopes=observed.slopes[:n],
+        fine_spreading=_first_windows(observed.fine_spreading, n_fine),
+        slopes=_first_windows(observed.slopes, n),
     )
+
+
+def _first_windows(whole: csr_array, n: int) -> csr_array:
+    """Return the first n rows of a sparse array without copying its entries."""
+    last = whole.indptr[n]
+    entries = (whole.data[:last], whole.indices[:last], whole.indptr[: n + 1])
+    return csr_array(entries, shape=(n, whole.shape[1]), copy=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,20 +243,18 @@ def columns_of(found: EnergyResponse, n_known: int = 0) -> FloatArray:
 
 def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     """Return what the variance of each observation is made of, absorption (n_materials,)."""
-    coefficients = absorption[:, None]
-    attenuation = np.array([problem.attenuation_per_m])
     found = []
     for o, observed in enumerate(problem.observations):
-        rows, squared_rows = problem.rows[o], problem.squared_image_rows[o]
-        energy = responses_of(problem, o, absorption, derivative=False)[:, 0]
-        if problem.patterns and (pattern := problem.patterns[o]) is not None:
-            factor = pattern.factor()
-            squared_rows = directed_rows(squared_rows, factor[rows.batch < 0] ** 2)
-            rows = directed_rows(rows, factor)
-        squares = weigh(squared_rows, coefficients, attenuation, derivative=False).energy[0]
-        tracing = tracing_variance(rows, observed, coefficients, attenuation)
-        found.append(Weighed(energy, squares, tracing))
+        parts = parts_of(problem, o, absorption)
+        tracing = variance_of_batches(parts.batches, observed)
+        found.append(Weighed(parts.energy, parts.squares, tracing))
     return tuple(found)
+
+
+def parts_of(problem: EnergyTerm, observation: int, absorption: FloatArray) -> EnergyParts:
+    """Return energies, squares and batches of one observation's bins, for a gain of 1."""
+    pattern = problem.patterns[observation] if problem.patterns else None
+    return weigh_parts(problem.rows[observation], pattern, absorption, problem.attenuation_per_m)
 
 
 def observation_variance(
@@ -259,7 +262,7 @@ def observation_variance(
 ) -> dict[str, FloatArray]:
     """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
-    positions = observed.timing_sd_s**2 * (observed.slopes.power(2) @ paths.squares)
+    positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
     interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
     return {
         "interference": gain**2 * interference,
@@ -368,9 +371,8 @@ def _interference(
     bandwidth_hz: float, observed: Observation, energy: FloatArray, squares: FloatArray
 ) -> FloatArray:
     """Return the variance of each window by interference, for a gain of 1."""
-    overlapping = (observed.fine_spreading @ energy) ** 2 - observed.fine_spreading.power(
-        2
-    ) @ squares
+    overlapping = (observed.fine_spreading @ energy) ** 2
+    overlapping -= squares_in_windows(observed.fine_spreading, squares)
     widths_s = np.diff(observed.fine_edges_s)
     pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
@@ -394,8 +396,12 @@ def tracing_variance(
     rows: EnergyRows, observed: Observation, coefficients: FloatArray, attenuation: FloatArray
 ) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, from independent batches."""
-    if rows.n_batches < 2:
+    return variance_of_batches(batch_energies(rows, coefficients, attenuation)[:, 0], observed)
+
+
+def variance_of_batches(batches: FloatArray, observed: Observation) -> FloatArray:
+    """Return the same from the energies of every batch and bin, shape (n_batches, n_bins)."""
+    if len(batches) < 2:
         return np.zeros(observed.energy.size)
-    batches = batch_energies(rows, coefficients, attenuation)[:, 0, :]
     windows = in_windows(observed.spreading, batches)
     return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))

@@ -17,7 +17,6 @@ from roomfit.objective.energy import (
     Observation,
     fine_edges_s,
     in_air,
-    squared_image_rows,
 )
 from roomfit.objective.parameters import Block, Parameters
 from roomfit.objective.windows import band_spreading, spread_energy, window_edges_s
@@ -108,7 +107,6 @@ def energy_terms(
             float(statistical_bandwidth_hz(bank)[0]),
             float(attenuation[band]),
             rows,
-            tuple(squared_image_rows(r) for r in rows),
             observations,
         )
         yield in_air(term), Parameters((absorption, gain))

@@ -6,12 +6,14 @@ Windows are fine early, where reflections distinguish walls, and grow late.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from scipy import fft
 from scipy.sparse import csr_array
 
 from roomfit._numba import kernel
+from roomfit.bands import BandKind, Bands
 from roomfit.signals.filters import FilterBank, energy_share, ringing_s, spreading_kernel
 from roomfit.typing import ComplexArray, FloatArray, IntArray
 
@@ -31,6 +33,13 @@ class Spreading:
 
 def band_spreading(bank: FilterBank, n_bins: int, bin_s: float) -> Spreading:
     """Return the spreading of the first band of a bank on so many bins of one width."""
+    return _band_spreading(bank.bands.kind, float(bank.bands.centres_hz[0]), n_bins, bin_s)
+
+
+# of the bands of a few fits: each pair of a room has the same
+@lru_cache(maxsize=32)
+def _band_spreading(kind: BandKind, centre_hz: float, n_bins: int, bin_s: float) -> Spreading:
+    bank = FilterBank(Bands(kind, np.array([centre_hz])))
     reach = min(n_bins, int(np.ceil(float(ringing_s(bank)[0]) / bin_s)))
     lags = np.arange(-reach, reach + 1)
     edges_s = bin_s * (np.arange(-reach, reach + 2) - 0.5)
@@ -107,6 +116,24 @@ def in_windows(spreading: csr_array, rows: FloatArray) -> FloatArray:
     out = np.zeros((spreading.shape[0], len(rows)))
     _add_up(spreading.indptr, spreading.indices, spreading.data, np.ascontiguousarray(rows), out)
     return out
+
+
+def squares_in_windows(spreading: csr_array, row: FloatArray) -> FloatArray:
+    """Return ``shares**2 @ row`` without an array of squares, shape (n_windows,)."""
+    out = np.empty(spreading.shape[0])
+    _add_up_squares(spreading.indptr, spreading.indices, spreading.data, row, out)
+    return out
+
+
+@kernel()
+def _add_up_squares(
+    pointers: IntArray, bins: IntArray, spreading: FloatArray, row: FloatArray, out: FloatArray
+) -> None:
+    for w in range(len(pointers) - 1):
+        total = 0.0
+        for e in range(pointers[w], pointers[w + 1]):
+            total += spreading[e] * spreading[e] * row[bins[e]]
+        out[w] = total
 
 
 @kernel()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -12,9 +13,11 @@ from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
 from roomfit.response.directivity import axial_index_db
-from roomfit.results import ComparedPair, Result
 from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
+
+if TYPE_CHECKING:  # heavy, and no text of a room needs them
+    from roomfit.results import ComparedPair, Result
 
 # A recording has all parameters, and these represent them; a table of room parameters has the
 # measured ones only, and all of it is shown.

@@ -11,7 +11,7 @@ from roomfit.air import speed_of_sound_m_s
 from roomfit.bands import Bands
 from roomfit.response.energy import EnergyRows, energy_rows, regrouped_rows, reweighed_rows, weigh
 from roomfit.scene import Scene
-from roomfit.tracing.paths import Paths
+from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import FloatArray, IntArray
 
 BIN_S = 0.1e-3
@@ -87,7 +87,9 @@ def bin_paths(
     last = int(np.ceil(duration_s / BIN_S))
     edges = BIN_S * np.arange(first, last + 1, dtype=np.float64)
     c = speed_of_sound_m_s(scene.air)
-    rows = tuple(energy_rows(paths, pair, edges, c) for pair in range(len(scene.pairs)))
+    rows = tuple(
+        energy_rows(paths, pair, edges, c, own) for pair, own in enumerate(paths_of_pairs(paths))
+    )
     if factors is None:
         return BinnedPaths(edges, rows)
     # all but the weights is the same in every band, and there once

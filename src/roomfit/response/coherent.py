@@ -12,17 +12,21 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
+from typing import TypeAlias
 
 import numba
 import numpy as np
+from numpy.typing import NDArray
 from scipy import fft
 from scipy.special import i0
 
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
-from roomfit.tracing.paths import Paths
+from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
+
+Float32Array: TypeAlias = NDArray[np.float32]
 
 # Taps of the gridding kernel and steps of its table between two taps.
 TAPS = 6
@@ -30,16 +34,19 @@ TABLE_STEPS = 2048
 
 
 @kernel()
-def root_energies(weight: FloatArray, hits: IntArray, powers: FloatArray) -> FloatArray:
+def root_energies(
+    weight: FloatArray, row: IntArray, hits: IntArray, powers: FloatArray
+) -> FloatArray:
     """Return ``sqrt(weight) * product of sqrt(x) ** hits`` of every path, shape (n,).
 
-    `powers` is the table of ``sqrt(x) ** h``, shape (n_materials, max_hits + 1).
+    Path i has the hits of `row[i]`. `powers` is the table of ``sqrt(x) ** h``, shape
+    (n_materials, max_hits + 1).
     """
     out = np.empty(len(weight))
     for i in range(len(weight)):
         root = math.sqrt(weight[i])
         for m in range(hits.shape[1]):
-            root *= powers[m, hits[i, m]]
+            root *= powers[m, hits[row[i], m]]
         out[i] = root
     return out
 
@@ -47,8 +54,9 @@ def root_energies(weight: FloatArray, hits: IntArray, powers: FloatArray) -> Flo
 @kernel(parallel=True)
 def grid_impulses(
     offsets: IntArray,
+    row: IntArray,
     away: FloatArray,
-    image_transform: FloatArray,
+    image_transform: FloatArray | Float32Array,
     hits: IntArray,
     root: FloatArray,
     shifts: FloatArray,
@@ -58,7 +66,7 @@ def grid_impulses(
     first_s: float,
     rate_hz: float,
     table: FloatArray,
-    impulses: FloatArray,
+    impulses: Float32Array,
 ) -> None:
     """Add every path's impulse, times its derivatives, to the grids of its observation.
 
@@ -66,9 +74,11 @@ def grid_impulses(
     ----------
     offsets : shape (n_observations + 1,)
         Which paths belong to each observation.
-    away : shape (n_paths, 3)
+    row : shape (n_paths,)
+        Where each path stands in the next three.
+    away : shape (n_rows, 3)
         From image to receiver, m.
-    image_transform : shape (n_paths, 9)
+    image_transform : shape (n_rows, 9)
         The product A of a path's reflections, row by row.
     shifts : shape (n_observations, 6)
         Displacement of source and receiver, m.
@@ -80,13 +90,15 @@ def grid_impulses(
     n_grid, n_columns = impulses.shape[1], impulses.shape[2]
     half = TAPS // 2
     for o in numba.prange(len(offsets) - 1):
-        values = np.empty(8 + n_materials)
         own = impulses[o]
+        # in the precision of the grid: eight single numbers are added at a time
+        values, height = np.empty(8 + n_materials, own.dtype), np.empty(1, own.dtype)
         for i in range(offsets[o], offsets[o + 1]):
-            a = image_transform[i]
-            v0 = away[i, 0] + shifts[o, 3]
-            v1 = away[i, 1] + shifts[o, 4]
-            v2 = away[i, 2] + shifts[o, 5]
+            at = row[i]
+            a = image_transform[at]
+            v0 = away[at, 0] + shifts[o, 3]
+            v1 = away[at, 1] + shifts[o, 4]
+            v2 = away[at, 2] + shifts[o, 5]
             s0, s1, s2 = shifts[o, 0], shifts[o, 1], shifts[o, 2]
             v0 -= a[0] * s0 + a[1] * s1 + a[2] * s2
             v1 -= a[3] * s0 + a[4] * s1 + a[5] * s2
@@ -96,7 +108,7 @@ def grid_impulses(
             s = root[i]
             values[0] = s
             for m in range(n_materials):
-                h = hits[i, m]
+                h = hits[at, m]
                 t += h * delays[m]
                 values[1 + m] = h * s
             if n_columns > 1:
@@ -116,20 +128,20 @@ def grid_impulses(
                 distance = (abs(low + tap - place)) * TABLE_STEPS
                 step = int(distance)
                 share = distance - step
-                height = table[step] + share * (table[step + 1] - table[step])
+                height[0] = table[step] + share * (table[step + 1] - table[step])
                 # a remainder costs as much as all the sums of a tap
                 g = low + tap if inside else (low + tap) % n_grid
-                row = own[g]
+                cell, times = own[g], height[0]
                 for j in range(n_columns):
-                    row[j] += height * values[j]
+                    cell[j] += times * values[j]
 
 
 @kernel(parallel=True)
 def window_products(
     starts: IntArray,
     edges: FloatArray,
-    pressure: FloatArray,
-    derivatives: FloatArray,
+    pressure: Float32Array,
+    derivatives: Float32Array,
     energy: FloatArray,
     slopes: FloatArray,
 ) -> None:
@@ -179,48 +191,56 @@ def window_products(
 
 @kernel()
 def binned_energies(
-    bins: IntArray, hits: IntArray, energy: FloatArray, total: FloatArray, by_hits: FloatArray
+    bins: IntArray,
+    row: IntArray,
+    hits: IntArray,
+    energy: FloatArray,
+    total: FloatArray,
+    by_hits: FloatArray,
 ) -> None:
     """Sum energies into bins, and energies times hits: (n_bins,) and (n_materials, n_bins)."""
     for i in range(len(bins)):
         total[bins[i]] += energy[i]
         for m in range(hits.shape[1]):
-            by_hits[m, bins[i]] += hits[i, m] * energy[i]
+            by_hits[m, bins[i]] += hits[row[i], m] * energy[i]
 
 
 @kernel()
 def spread_squared(
     offsets: IntArray,
-    toward: FloatArray,
-    departure: FloatArray,
-    travel: FloatArray,
+    row: IntArray,
+    away: FloatArray,
+    image_transform: FloatArray | Float32Array,
     hits: IntArray,
     speed: float,
     roots: FloatArray,
     out: FloatArray,
 ) -> None:
-    """Variance of arrival times: the squared length of each path's row D times a root of Cov.
+    """Variance of arrival times: the squared length of each path's slopes D times a root of Cov.
 
     `roots` has the shape (n_observations, 8 + n_materials, k), entries in the order source (3),
-    receiver (3), ln c, latency, delays.
+    receiver (3), ln c, latency, delays; the other arrays are those of `grid_impulses`.
     """
     n_materials = hits.shape[1]
     for o in range(len(offsets) - 1):
         root = roots[o]
-        row = np.empty(8 + n_materials)
+        slopes = np.empty(8 + n_materials)
         for i in range(offsets[o], offsets[o + 1]):
+            v, a = away[row[i]], image_transform[row[i]]
+            length = math.sqrt(v[0] * v[0] + v[1] * v[1] + v[2] * v[2])
             for axis in range(3):
-                row[axis] = -departure[i, axis] / speed
-                row[3 + axis] = toward[i, axis] / speed
-            row[6] = -travel[i]
-            row[7] = 1.0
+                turned = a[axis] * v[0] + a[3 + axis] * v[1] + a[6 + axis] * v[2]
+                slopes[axis] = -turned / (length * speed)
+                slopes[3 + axis] = v[axis] / (length * speed)
+            slopes[6] = -length / speed
+            slopes[7] = 1.0
             for m in range(n_materials):
-                row[8 + m] = hits[i, m]
+                slopes[8 + m] = hits[row[i], m]
             total = 0.0
             for k in range(root.shape[1]):
                 dot = 0.0
-                for j in range(len(row)):
-                    dot += row[j] * root[j, k]
+                for j in range(len(slopes)):
+                    dot += slopes[j] * root[j, k]
                 total += dot * dot
             out[i] = total
 
@@ -232,22 +252,34 @@ _SAMPLES_PER_PERIOD = 8.0
 _PADDING_PERIODS = 16.0
 # Oversampling is 2: the shape parameter of Beatty, Nishimura and Pauly (2005), eq. 5.
 _BETA = np.pi * np.sqrt((TAPS / 2.0) ** 2 * 1.5**2 - 0.8)
+# Observations whose grids are in memory at a time.
+_AT_ONCE = 16
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImagePaths:
-    """Image paths of several observations of one band, one observation after the other."""
+    """Image paths of several observations of one band, one observation after the other.
+
+    Hits, places and transforms are those of rows that all bands share; only what differs between
+    bands is there once a band.
+    """
 
     materials: tuple[str, ...]
     offsets: IntArray  # int64 (n_observations + 1,)
     weight: FloatArray  # (n_paths,), energy without absorption: spreading, scattering and air
-    hits: IntArray  # uint16 (n_paths, n_materials)
-    image_to_receiver_m: FloatArray  # (n_paths, 3)
-    # (n_paths, 9), orthogonal matrix A of each path, row by row: a source that moves by x moves its
+    hits: IntArray  # uint16 (n_rows, n_materials)
+    image_to_receiver_m: FloatArray  # (n_rows, 3)
+    # (n_rows, 9), orthogonal matrix A of each path, row by row: a source that moves by x moves its
     # image by A x
-    image_transform: FloatArray
+    image_transform: FloatArray | Float32Array
     coherence: FloatArray  # (n_paths,), gamma, 0 to 1
+    row: IntArray  # int32 (n_paths,), of each path
     sign: FloatArray | None = None  # (n_paths,), of the source's pressure, 1 or -1; None for all 1
+    path: IntArray | None = None  # int32 (n_rows,), of the trace
+
+    def lengths_m(self) -> FloatArray:
+        """Return the length of every path, shape (n_paths,)."""
+        return np.asarray(np.linalg.norm(self.image_to_receiver_m, axis=1)[self.row])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -270,6 +302,17 @@ class BandGrid:
     filter: FloatArray  # (n // 2 + 1,), transfer function from impulses to filtered pressure
     slope: FloatArray  # (n // 2 + 1,), to minus its time derivative
     table: FloatArray  # the gridding kernel
+    is_double: bool = False  # whether pressures are added in double precision
+
+    @property
+    def real(self) -> type[np.float32] | type[np.float64]:
+        """The type of the pressures."""
+        return np.float64 if self.is_double else np.float32
+
+    @property
+    def complex(self) -> type[np.complex64] | type[np.complex128]:
+        """The type of their spectra."""
+        return np.complex128 if self.is_double else np.complex64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -303,7 +346,12 @@ def image_paths(
     its place: right to first order in a source's displacement, and exact in a box.
     """
     image = (paths.batch < 0) & (paths.length_m <= longest_m)
-    own = [np.flatnonzero(image & (paths.pair == pair)) for pair in pairs]
+    of_pair = (
+        paths_of_pairs(paths)
+        if len(pairs) > 1
+        else {int(p): np.flatnonzero(paths.pair == p) for p in pairs}
+    )
+    own = [of_pair[pair][image[of_pair[pair]]] for pair in pairs.tolist()]
     chosen = np.concatenate([np.zeros(0, dtype=np.int64), *own])
     length = paths.length_m[chosen]
     arrival = paths.arrival[chosen].astype(np.float64)
@@ -312,7 +360,7 @@ def image_paths(
     matrices = (
         _stand_in(departure, arrival)
         if paths.image_transform is None
-        else paths.image_transform[chosen].astype(np.float64)
+        else paths.image_transform[chosen]
     )
     return ImagePaths(
         paths.materials,
@@ -322,7 +370,28 @@ def image_paths(
         arrival * length[:, None],
         matrices.reshape(-1, 9),
         np.ones(chosen.size),
+        np.arange(chosen.size, dtype=np.int32),
+        path=chosen.astype(np.int32),
     )
+
+
+def images_of(images: ImagePaths, observations: IntArray, factors: FloatArray | None) -> ImagePaths:
+    """Return the images of some observations with every weight times a factor; rows are shared.
+
+    Parameters
+    ----------
+    observations : int array
+        Which of them, rising.
+    factors : float array, shape (n_paths of the trace,), or None
+    """
+    kept = np.zeros(images.offsets.size - 1, dtype=np.bool_)
+    kept[observations] = True
+    counts = np.diff(images.offsets)
+    own = images if kept.all() else chosen_paths(images, np.repeat(kept, counts))
+    offsets = np.concatenate(([0], np.cumsum(counts[kept]))).astype(np.int64)
+    if factors is None or own.path is None:
+        return replace(own, offsets=offsets)
+    return replace(own, offsets=offsets, weight=own.weight * factors[own.path[own.row]])
 
 
 def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
@@ -332,10 +401,8 @@ def chosen_paths(paths: ImagePaths, keep: BoolArray) -> ImagePaths:
         paths,
         offsets=before[paths.offsets].astype(np.int64),
         weight=paths.weight[keep],
-        hits=np.ascontiguousarray(paths.hits[keep]),
-        image_to_receiver_m=paths.image_to_receiver_m[keep],
-        image_transform=paths.image_transform[keep],
         coherence=paths.coherence[keep],
+        row=paths.row[keep],
         sign=None if paths.sign is None else paths.sign[keep],
     )
 
@@ -387,6 +454,9 @@ def coherent_response(
 ) -> CoherentResponse:
     """Return the energy of the coherent pressure in every window, with its derivatives.
 
+    Pressures are added and filtered in single precision, unless the grid is double: exact to 1e-6
+    of the largest, finer than the grid. Energies are summed in double precision.
+
     Parameters
     ----------
     paths : ImagePaths
@@ -398,14 +468,37 @@ def coherent_response(
     derivative : bool
         False leaves the derivatives zero.
     """
+    roots = _roots(paths, absorption)
+    parts = []
+    for first in range(0, len(edges_s), _AT_ONCE):
+        last = min(first + _AT_ONCE, len(edges_s))
+        own = replace(
+            times, shifts_m=times.shifts_m[first:last], latency_s=times.latency_s[first:last]
+        )
+        few = replace(paths, offsets=paths.offsets[first : last + 1])
+        parts.append(_response(few, roots, own, grid, edges_s[first:last], derivative=derivative))
+    return CoherentResponse(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def _response(
+    paths: ImagePaths,
+    roots: FloatArray,
+    times: Times,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
+    *,
+    derivative: bool,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return energies, and derivatives by ln(1 - alpha) and times, of a few observations."""
     n_columns = 8 + len(paths.materials) if derivative else 1
-    impulses = np.zeros((len(edges_s), grid.n, n_columns))
+    impulses = np.zeros((len(edges_s), grid.n, n_columns), dtype=grid.real)
     grid_impulses(
         paths.offsets,
+        paths.row,
         paths.image_to_receiver_m,
         paths.image_transform,
         paths.hits,
-        _roots(paths, absorption),
+        roots,
         times.shifts_m,
         times.speed_m_s,
         times.latency_s,
@@ -417,15 +510,15 @@ def coherent_response(
     )
     n_materials = len(paths.materials)
     spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
-    pressure = fft.irfft(spectra[:, 0] * grid.filter, grid.n, axis=-1, workers=2)
+    transfer = grid.filter.astype(grid.real)
+    pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
     if not derivative:
-        energy, _ = integrated_products(
-            pressure, np.zeros((len(edges_s), 0, grid.n)), grid, edges_s
-        )
+        nothing = np.zeros((len(edges_s), 0, grid.n), dtype=grid.real)
+        energy, _ = integrated_products(pressure, nothing, grid, edges_s)
         n = energy.size
-        return CoherentResponse(energy, np.zeros((n, n_materials)), np.zeros((n, 8 + n_materials)))
-    level = fft.irfft(spectra[:, 1 : 1 + n_materials] * grid.filter, grid.n, workers=2)
-    moved = fft.irfft(spectra * grid.slope, grid.n, axis=-1, workers=2)
+        return energy, np.zeros((n, n_materials)), np.zeros((n, 8 + n_materials))
+    level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
+    moved = fft.irfft(spectra * grid.slope.astype(grid.complex), grid.n, axis=-1, workers=2)
     columns = np.concatenate((level, moved), axis=1)
     energy, slopes = integrated_products(pressure, columns, grid, edges_s)
     shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
@@ -436,11 +529,14 @@ def coherent_response(
     by_times[:, 6] = -shifted[:, first + 6]
     by_times[:, 7] = shifted[:, 0]
     by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
-    return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
+    return energy, 0.5 * slopes[:, :n_materials], by_times
 
 
 def integrated_products(
-    pressure: FloatArray, derivatives: FloatArray, grid: BandGrid, edges_s: tuple[FloatArray, ...]
+    pressure: Float32Array,
+    derivatives: Float32Array,
+    grid: BandGrid,
+    edges_s: tuple[FloatArray, ...],
 ) -> tuple[FloatArray, FloatArray]:
     """Return the integrals of y^2, (n_windows,), and of 2 y dy, (n_windows, n_columns).
 
@@ -475,7 +571,8 @@ def _roots(paths: ImagePaths, absorption: FloatArray) -> FloatArray:
         )
     highest = int(paths.hits.max(initial=0))
     powers = np.sqrt(1.0 - a)[:, None] ** np.arange(highest + 1, dtype=np.float64)
-    roots = root_energies(paths.weight * paths.coherence, paths.hits, np.asarray(powers))
+    weight = paths.weight * paths.coherence
+    roots = root_energies(weight, paths.row, paths.hits, np.asarray(powers))
     return roots if paths.sign is None else roots * paths.sign
 
 

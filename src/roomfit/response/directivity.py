@@ -17,7 +17,6 @@ import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import fft
-from scipy.interpolate import RBFInterpolator
 
 from roomfit._checks import float_array
 from roomfit._numba import kernel
@@ -141,6 +140,58 @@ def weigh_directed(
     return out
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class EnergyParts:
+    """What the variance of energies is made of, for a gain of 1."""
+
+    energy: FloatArray  # (n_windows,), of all rows
+    squares: FloatArray  # (n_windows,), sum of the squares of single image paths
+    batches: FloatArray  # (n_batches, n_windows), energy of the rays of each batch
+
+
+def weigh_parts(
+    rows: EnergyRows,
+    pattern: RowPattern | None,
+    coefficients: FloatArray,
+    attenuation_per_m: float,
+) -> EnergyParts:
+    """Return energies of one band, squares of its image paths and its batches of rays in one pass.
+
+    Rays have no squares: they sample very many weak reflections, whose squares vanish. Same bits
+    for any number of threads.
+
+    Parameters
+    ----------
+    pattern : RowPattern or None
+        None for an omnidirectional source.
+    coefficients : float array, shape (n_materials,)
+        Energy absorption, 0 to 1.
+    """
+    reflected, attenuation = reflected_and_attenuation(
+        rows, coefficients[:, None], np.array([attenuation_per_m])
+    )
+    pieces = pieces_of(rows.offsets)
+    n_batches = max(rows.n_batches, rows.largest_batch + 1)
+    sums = np.zeros((len(pieces), 2 + n_batches))
+    small = len(rows) < ROWS_WORTH_THREADS
+    b, basis = np.zeros(3), np.zeros((0, 3))
+    if pattern is not None:
+        b, basis = np.array(pattern.b, dtype=np.float64), pattern.basis  # type: ignore[assignment]
+    (_weigh_parts_serial if small else _weigh_parts_parallel)(
+        pieces,
+        (rows.weight_per_m2, rows.length_m, rows.hits, basis),
+        rows.batch,
+        b,
+        power_table(reflected, rows.max_hits)[0],
+        attenuation[0],
+        sums,
+    )
+    out = np.zeros((rows.n_windows, sums.shape[1]))
+    _sum_pieces(pieces, sums, out)
+    columns = np.ascontiguousarray(out.T)
+    return EnergyParts(columns[0], columns[1], columns[2:])
+
+
 @kernel()
 def _sum_pieces(pieces: IntArray, sums: FloatArray, out: FloatArray) -> None:
     for p in range(len(pieces)):
@@ -227,13 +278,68 @@ def _weigh_directed_parallel(
         _weigh_directed_piece(pieces[p], rows, b, reflected, powers, attenuation, sums[p])
 
 
+@kernel(allocates=False)
+def _weigh_parts_piece(
+    piece: IntArray,
+    rows: DirectedRows,
+    batch: IntArray,
+    b: FloatArray,
+    powers: FloatArray,
+    attenuation: float,
+    sums: FloatArray,
+) -> None:
+    """Fill the sums of a piece: energy, squares of image paths, and every batch."""
+    weight, length, hits, basis = rows
+    norm = 1.0 + (b[0] * b[0] + b[1] * b[1] + b[2] * b[2]) / 3.0
+    energy = squares = 0.0
+    for r in range(piece[1], piece[2]):
+        own = row_energy(weight[r], length[r], hits[r], powers, attenuation)
+        if len(basis):
+            c = 1.0 + b[0] * basis[r, 0] + b[1] * basis[r, 1] + b[2] * basis[r, 2]
+            own *= c * c / norm
+        energy += own
+        if batch[r] < 0:
+            squares += own * own
+        else:
+            sums[2 + batch[r]] += own
+    sums[0], sums[1] = energy, squares
+
+
+@kernel(allocates=False)
+def _weigh_parts_serial(
+    pieces: IntArray,
+    rows: DirectedRows,
+    batch: IntArray,
+    b: FloatArray,
+    powers: FloatArray,
+    attenuation: float,
+    sums: FloatArray,
+) -> None:
+    for p in range(len(pieces)):
+        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+
+
+@kernel(parallel=True)
+def _weigh_parts_parallel(
+    pieces: IntArray,
+    rows: DirectedRows,
+    batch: IntArray,
+    b: FloatArray,
+    powers: FloatArray,
+    attenuation: float,
+    sums: FloatArray,
+) -> None:
+    for p in numba.prange(len(pieces)):
+        _weigh_parts_piece(pieces[p], rows, batch, b, powers, attenuation, sums[p])
+
+
 def image_departure(images: ImagePaths) -> NDArray[np.float32]:
     """Return where every image path leaves its source, unit vectors, shape (n_paths, 3)."""
     toward = (
         images.image_to_receiver_m / np.linalg.norm(images.image_to_receiver_m, axis=1)[:, None]
     )
     u = np.einsum("nij,ni->nj", images.image_transform.reshape(-1, 3, 3), toward)
-    return np.asarray(u, dtype=np.float32)
+    return np.asarray(u[images.row], dtype=np.float32)
 
 
 def directed_rows(rows: EnergyRows, factor: FloatArray) -> EnergyRows:
@@ -274,12 +380,13 @@ def coherent_slopes(
     """
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
-    impulses = np.zeros((len(edges_s), 4, grid.n))
+    impulses = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
     arrivals = arrival_times_s(images, times)
     grid_directed_impulses(
         images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
     )
-    pressure = fft.irfft(fft.rfft(impulses, axis=-1, workers=2) * grid.filter, grid.n, workers=2)
+    spectra = fft.rfft(impulses, axis=-1, workers=2) * grid.filter.astype(grid.real)
+    pressure = fft.irfft(spectra, grid.n, workers=2)
     own, moved = (np.ascontiguousarray(p) for p in (pressure[:, 0], pressure[:, 1:]))
     return integrated_products(own, moved, grid, edges_s)[1]
 
@@ -288,9 +395,10 @@ def arrival_times_s(images: ImagePaths, times: Times) -> FloatArray:
     """Return when every image path arrives, shape (n_paths,)."""
     counts = np.diff(images.offsets)
     shift = np.repeat(times.shifts_m, counts, axis=0)
-    turned = np.einsum("nij,nj->ni", images.image_transform.reshape(-1, 3, 3), shift[:, :3])
-    length = np.linalg.norm(images.image_to_receiver_m + shift[:, 3:] - turned, axis=1)
-    late = np.repeat(times.latency_s, counts) + images.hits @ times.delays_s
+    transform = images.image_transform[images.row].reshape(-1, 3, 3)
+    turned = np.einsum("nij,nj->ni", transform, shift[:, :3])
+    length = np.linalg.norm(images.image_to_receiver_m[images.row] + shift[:, 3:] - turned, axis=1)
+    late = np.repeat(times.latency_s, counts) + (images.hits @ times.delays_s)[images.row]
     return np.asarray(length / times.speed_m_s + late)
 
 
@@ -418,6 +526,8 @@ def measured_directivity(
         )
     neighbours = min(_NEIGHBOURS, len(points))
     # linear radial functions in space: as smooth as few directions permit, exact at each of them
+    from scipy.interpolate import RBFInterpolator  # heavy, for measured directivities alone
+
     smooth = RBFInterpolator(points, values[first], neighbors=neighbours, kernel="linear")
     factor = np.maximum(smooth(grid), 0.0).T.reshape(-1, polar.size, azimuth.size)
     mean = sphere_mean(factor)

@@ -9,12 +9,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, fields, replace
+from functools import lru_cache
 from typing import Any, cast
 
 import numba
 import numpy as np
 
-from roomfit._checks import check_shape, float_array
+from roomfit._checks import check_shape, float_array, read_only
 from roomfit._numba import kernel
 from roomfit.errors import InputError
 from roomfit.tracing.paths import Paths
@@ -38,6 +39,7 @@ class EnergyRows:
     n_batches: int = 0  # Of the trace, with rows or without; 0 where there were no rays
     path: IntArray | None = None  # int32 (n_rows,), of the trace; None where rows are merged paths
     max_hits: int = field(init=False)  # Largest entry of `hits`
+    largest_batch: int = field(init=False)  # Largest entry of `batch`, -1 without rays
 
     def __post_init__(self) -> None:
         n, m = len(self.weight_per_m2), len(self.materials)
@@ -56,13 +58,18 @@ class EnergyRows:
             array.setflags(write=False)
             object.__setattr__(self, name, array)
         object.__setattr__(self, "max_hits", int(self.hits.max(initial=0)))
+        object.__setattr__(self, "largest_batch", int(self.batch.max(initial=-1)))
 
     def __len__(self) -> int:
         return len(self.weight_per_m2)
 
 
 def energy_rows(
-    paths: Paths, pair: int, edges_s: FloatArray, speed_of_sound_m_s: float
+    paths: Paths,
+    pair: int,
+    edges_s: FloatArray,
+    speed_of_sound_m_s: float,
+    own: IntArray | None = None,
 ) -> EnergyRows:
     """Return the rows of one pair, each in the window ``edges[w] <= length / c < edges[w + 1]``.
 
@@ -78,6 +85,8 @@ def energy_rows(
         Strictly rising times after emission, s.
     speed_of_sound_m_s : float
         Above 0.
+    own : int array, optional
+        The paths of the pair, of `roomfit.tracing.paths.paths_of_pairs`: spares a search of all.
 
     Returns
     -------
@@ -112,7 +121,7 @@ def energy_rows(
     edges = float_array("window edges", edges_s, (None,), unit="s")
     if edges.size < 2 or np.any(np.diff(edges) <= 0.0):
         raise InputError("window edges must rise and there must be at least two")
-    own = np.flatnonzero(paths.pair == pair)
+    own = np.flatnonzero(paths.pair == pair) if own is None else own
     window = np.searchsorted(edges, paths.length_m[own] / speed_of_sound_m_s, side="right") - 1
     kept = (window >= 0) & (window < edges.size - 1)
     own, window = own[kept], window[kept]
@@ -176,8 +185,19 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
     return replace(
         rows,
         weight_per_m2=rows.weight_per_m2 * np.exp(-attenuation_per_m * rows.length_m),
-        length_m=np.zeros(len(rows)),
+        length_m=_zeros(len(rows)),
     )
+
+
+def _zeros(n: int) -> FloatArray:
+    """Return read-only zeros, the same memory for all rows of all bands."""
+    size = max(1 << max(n - 1, 0).bit_length(), 1)
+    return _zeros_of_size(size)[:n]
+
+
+@lru_cache(maxsize=4)
+def _zeros_of_size(size: int) -> FloatArray:
+    return np.asarray(read_only(np.zeros(size)))
 
 
 def reweighed_rows(rows: EnergyRows, factors: FloatArray) -> EnergyRows:
@@ -547,7 +567,7 @@ def batch_energies(
     Their sum and the energy of the image paths, which are in no batch, make up `weigh`'s energy.
     """
     reflected, attenuation = reflected_and_attenuation(rows, coefficients, attenuation_per_m)
-    n_batches = max(rows.n_batches, int(rows.batch.max(initial=-1)) + 1)
+    n_batches = max(rows.n_batches, rows.largest_batch + 1)
     energy = np.zeros((n_batches, len(attenuation), rows.n_windows))
     weigh_batches(
         rows.offsets,

@@ -19,14 +19,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy import fft
 from scipy.sparse import csr_array
 
+from roomfit._checks import read_only
 from roomfit._numba import kernel
-from roomfit.bands import Bands
+from roomfit.bands import BandKind, Bands
 from roomfit.errors import InputError
 from roomfit.signals.response import ImpulseResponse, padded
 from roomfit.typing import FloatArray, IntArray
@@ -146,8 +148,7 @@ def ringing_s(bank: FilterBank) -> FloatArray:
 
 def energy_bandwidth_hz(bank: FilterBank) -> FloatArray:
     """Return the integral of the squared magnitude of each band, shape (n_bands,)."""
-    f, squared = _squared_magnitude(bank)
-    return np.asarray(np.trapezoid(squared, f, axis=1))
+    return _integrals_of_powers(bank.bands.kind, tuple(bank.bands.centres_hz.tolist()))[0]
 
 
 def statistical_bandwidth_hz(bank: FilterBank) -> FloatArray:
@@ -161,9 +162,8 @@ def statistical_bandwidth_hz(bank: FilterBank) -> FloatArray:
     ----------
     .. [1] J. S. Bendat, A. G. Piersol, "Random Data", 4th ed., Wiley (2010), section 8.3.
     """
-    f, squared = _squared_magnitude(bank)
-    once = np.trapezoid(squared, f, axis=1)
-    return np.asarray(once**2 / np.trapezoid(squared**2, f, axis=1))
+    once, twice = _integrals_of_powers(bank.bands.kind, tuple(bank.bands.centres_hz.tolist()))
+    return np.asarray(once**2 / twice)
 
 
 def check_sampling_rate(
@@ -248,10 +248,16 @@ def window_energies(bank: FilterBank, response: ImpulseResponse, edges_s: ArrayL
 
 def spreading_kernel(bank: FilterBank) -> SpreadingKernel:
     """Return how the bank spreads an impulse over time: the second front end's table."""
+    return SpreadingKernel(bank.bands.exact_centres_hz, *_spreading_table(bank.bands.kind))
+
+
+@cache
+def _spreading_table(kind: BandKind) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Return periods, density and cumulative share of the bands of a kind, made once."""
     # The table is made for a bank with one band at the reference frequency of 1 kHz, whose exact
     # centre is its nominal one, and long enough that what wraps is far below the cut-off share.
-    reference = FilterBank(Bands(bank.bands.kind, np.array([1000.0])))
-    span = round(_span_periods(bank) * _STEPS_PER_PERIOD)
+    reference = FilterBank(Bands(kind, np.array([1000.0])))
+    span = round(_span_periods(reference) * _STEPS_PER_PERIOD)
     length = 16 * span
     frequencies = fft.rfftfreq(length, 1.0 / (1000.0 * _STEPS_PER_PERIOD))
     response = fft.irfft(frequency_response(reference, frequencies)[0], length)
@@ -263,7 +269,7 @@ def spreading_kernel(bank: FilterBank) -> SpreadingKernel:
     periods = np.arange(-span, span + 1) / _STEPS_PER_PERIOD
     for array in (periods, density, cumulative):
         array.setflags(write=False)
-    return SpreadingKernel(bank.bands.exact_centres_hz, periods, density, cumulative)
+    return periods, density, cumulative
 
 
 def energy_share(
@@ -331,7 +337,7 @@ def _banded(
     first = np.searchsorted(delays_s, edges[:-1] - span_s)
     last = np.searchsorted(delays_s, edges[1:] + span_s)
     pointers = np.concatenate(([0], np.cumsum(last - first)))
-    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int64)
+    values, columns = np.empty(pointers[-1]), np.empty(pointers[-1], dtype=np.int32)
     delays, steps_per_s = np.array(delays_s), centre * _STEPS_PER_PERIOD
     differences_over_windows(
         edges, delays, first, pointers, np.array(table), steps_per_s, values, columns
@@ -355,8 +361,14 @@ def _span_periods(bank: FilterBank) -> float:
     return float(_SPAN_PERIODS * np.round(1.0 / width))
 
 
-def _squared_magnitude(bank: FilterBank) -> tuple[FloatArray, FloatArray]:
-    """Return frequencies, fine enough for the trapezoidal rule, and |H|^2 of every band."""
-    bands = bank.bands
+@cache
+def _integrals_of_powers(
+    kind: BandKind, centres_hz: tuple[float, ...]
+) -> tuple[FloatArray, FloatArray]:
+    """Return the integrals of |H|^2 and of |H|^4 of every band, (n_bands,) each, made once."""
+    bands = Bands(kind, np.array(centres_hz))
+    # fine enough for the trapezoidal rule
     f = np.geomspace(bands.lower_hz[0] / 2.0, bands.upper_hz[-1] * 2.0, 4096 * (1 + len(bands)))
-    return f, frequency_response(bank, f) ** 2
+    squared = frequency_response(FilterBank(bands), f) ** 2
+    once, twice = (np.trapezoid(squared**n, f, axis=1) for n in (1, 2))
+    return read_only(once), read_only(twice)

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.ndimage import uniform_filter1d
-from scipy.signal import butter, hilbert, sosfiltfilt
 
 from roomfit._checks import check_range, float_array
 from roomfit.errors import InputError
@@ -109,6 +108,8 @@ def echo_prominence(response: ImpulseResponse) -> FloatArray:
     high_hz = min(_HIGHEST_HZ, 0.45 * rate_hz)
     if high_hz < 2.0 * _LOWEST_HZ:
         return np.zeros(len(response.pressure))
+    from scipy.signal import butter, hilbert, sosfiltfilt  # half a second, which checks spare
+
     band = butter(4, (_LOWEST_HZ, high_hz), btype="band", fs=rate_hz, output="sos")
     squared = np.abs(hilbert(sosfiltfilt(band, response.pressure))) ** 2
     energy = uniform_filter1d(squared, max(round(_ECHO_S * rate_hz), 1))

@@ -184,9 +184,7 @@ def fit_band(
     return replace(fit, evaluations=logarithms.evaluations + fit.evaluations)
 
 
-def score_band(
-    objective: Objective, start: FloatArray, *, max_rounds: int = MAX_ROUNDS
-) -> BandFit:
+def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX_ROUNDS) -> BandFit:
     """Return the answer near a start, such as that of a coarser model, by Fisher scoring.
 
     Solved are the quasi-likelihood equations [1]_: the weighted residuals, their weights those at

@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
 from dataclasses import replace
 from functools import partial
 from typing import NamedTuple
@@ -32,6 +33,8 @@ from roomfit.tracing.reflectors import Blockers, Walls, mirrors_of
 from roomfit.tracing.states import as_one_state, in_every_state
 from roomfit.typing import FloatArray, IntArray, Progress
 
+# Images of a box, all pairs together.
+_WORTH_THREADS = 1e5
 # Bytes that an image and a hit take, growing and in the sets made of them.
 _BYTES = 400
 
@@ -432,8 +435,8 @@ def trace_images(
     sources = [int(s) for s in np.unique(scene.pairs[:, 0])]
     if room.shoebox_m is not None:
         count = count_of_shoebox_images(room.shoebox_m, order, max_length_m)
-        # columns of the paths, of the set that they are made from and of the lattice
-        per_image = 150.0 + 6.0 * len(room.materials) + 108.0 * with_image_transforms
+        # columns of the paths and of the set that they are made from
+        per_image = 110.0 + 6.0 * len(room.materials) + 72.0 * with_image_transforms
     else:
         count, per_image = _expected_cost(room, order, max_length_m)
     count *= len(scene.pairs)
@@ -442,7 +445,8 @@ def trace_images(
             "too many image sources for the memory",
             found=f"about {count:.3g} images, {count * per_image / 2**30:.3g} GiB",
             needed=f"at most {budget.memory_bytes / 2**30:.3g} GiB",
-            hint="lower image_order or duration_s and leave the rest to rays",
+            hint="fewer pairs at a time; or lower most_images and most_coherent_images of a "
+            "campaign, image_order or duration_s of a trace, and leave the rest to rays",
         )
 
     def of_source(source: int) -> list[ImageSet]:
@@ -459,23 +463,26 @@ def trace_images(
                 mirrors=mirrors,
             )
         return [
-            shoebox_images(
-                room,
-                start,
-                r,
-                order,
-                max_length_m,
-                with_image_transforms=with_image_transforms,
+            _in_single_precision(
+                shoebox_images(
+                    room,
+                    start,
+                    r,
+                    order,
+                    max_length_m,
+                    with_image_transforms=with_image_transforms,
+                )
             )
             for r in receivers
         ]
 
     sets: list[ImageSet | None] = [None] * len(scene.pairs)
-    # kernels release the interpreter, so that sources share the processors as threads
-    with ThreadPoolExecutor(numba.get_num_threads()) as pool:
-        for done, (source, found) in enumerate(
-            zip(sources, pool.map(of_source, sources), strict=True)
-        ):
+    # kernels release the interpreter, so that sources share the processors as threads, which a few
+    # thousand images of a box are not worth
+    few = room.shoebox_m is not None and count < _WORTH_THREADS
+    with nullcontext() if few else ThreadPoolExecutor(numba.get_num_threads()) as pool:
+        of_each = map(of_source, sources) if pool is None else pool.map(of_source, sources)
+        for done, (source, found) in enumerate(zip(sources, of_each, strict=True)):
             own = np.flatnonzero(scene.pairs[:, 0] == source)
             for pair, images in zip(own, found, strict=True):
                 sets[pair] = images
@@ -499,8 +506,8 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
     length = np.concatenate([np.zeros(0), *(s.length_m for s in sets)])
     no_hits = np.zeros((0, len(scene.room.materials)), dtype=np.uint16)
     hits = np.concatenate([no_hits, *(s.hits for s in sets)])
-    kept = np.mean([np.prod((1.0 - s) ** hits, axis=1) for s in scattering], axis=0)
-    nowhere = np.zeros((0, 3))
+    kept = np.concatenate([np.zeros(0), *(_unscattered(s.hits, scattering) for s in sets)])
+    nowhere = np.zeros((0, 3), dtype=np.float32)
     transforms = [s.image_transform for s in sets if s.image_transform is not None]
     return Paths(
         len(scene.pairs),
@@ -510,10 +517,28 @@ def _as_paths(sets: list[ImageSet], scene: Scene, scattering: FloatArray) -> Pat
         kept / (4.0 * np.pi * length**2),
         hits,
         np.zeros_like(hits),
-        np.concatenate([nowhere, *(s.departure for s in sets)]).astype(np.float32),
-        np.concatenate([nowhere, *(s.arrival for s in sets)]).astype(np.float32),
+        np.concatenate([nowhere, *(s.departure for s in sets)], dtype=np.float32),
+        np.concatenate([nowhere, *(s.arrival for s in sets)], dtype=np.float32),
         np.full(len(length), -1, dtype=np.int32),
         0,
         scattering,
-        np.concatenate(transforms).astype(np.float32) if transforms else None,
+        np.concatenate(transforms, dtype=np.float32) if transforms else None,
+    )
+
+
+def _unscattered(hits: IntArray, scattering: FloatArray) -> FloatArray:
+    """Return the share of each path that no hit scatters, in the mean over groups, (n_paths,)."""
+    if not np.any(scattering):
+        return np.ones(len(hits))
+    return np.asarray(np.mean([np.prod((1.0 - s) ** hits, axis=1) for s in scattering], axis=0))
+
+
+def _in_single_precision(images: ImageSet) -> ImageSet:
+    """Return directions as paths keep them: all sets are in memory until the last is found."""
+    transform = images.image_transform
+    return replace(
+        images,
+        departure=images.departure.astype(np.float32),
+        arrival=images.arrival.astype(np.float32),
+        image_transform=None if transform is None else transform.astype(np.float32),
     )

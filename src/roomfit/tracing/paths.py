@@ -88,6 +88,13 @@ _PER_PATH = (
 )
 
 
+def paths_of_pairs(paths: Paths) -> list[IntArray]:
+    """Return the indices of the paths of every pair, rising: one search for all pairs."""
+    order = np.argsort(paths.pair, kind="stable")
+    ends = np.searchsorted(paths.pair[order], np.arange(1, paths.n_pairs))
+    return np.split(order, ends)
+
+
 def hits(paths: Paths) -> IntArray:
     """Return all wall hits of each path, specular and diffuse, uint16, (n_paths, n_materials)."""
     return np.asarray(paths.hits_specular + paths.hits_diffuse)

@@ -14,7 +14,6 @@ from typing import NamedTuple, TypeAlias
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from roomfit._checks import float_array, read_only
 from roomfit.air import speed_of_sound_m_s
@@ -81,6 +80,8 @@ def sobol_directions(n_rays: int, n_batches: int, seed: tuple[int, ...]) -> Floa
     float array, shape (n_rays, 3)
         Ray i is point ``i // n_batches`` of batch ``i % n_batches``.
     """
+    from scipy.stats import qmc  # heavy, and needed by rays alone
+
     directions = np.empty((n_rays, 3))
     for batch in range(min(n_batches, n_rays)):
         rng = np.random.default_rng((*seed, batch))
@@ -318,6 +319,10 @@ def trace_rays(
             _check_memory(scene, settings, found, memory_limit_bytes)
             if progress is not None:
                 progress((done + last / own.n_rays) / len(parts))
+    statistics = ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
+    if images is not None and not pieces:
+        own_batches = {"n_batches": settings.n_batches, "sampling_scattering": coefficients}
+        return Trace(replace(images, **own_batches), statistics)
     if images is not None:
         pieces.insert(0, Piece(**{name: getattr(images, name) for name in Piece._fields}))
     joined = _joined(pieces, coefficients.shape[1])
@@ -333,7 +338,7 @@ def trace_rays(
         sampling_scattering=coefficients,
         image_transform=transform,
     )
-    return Trace(paths, ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies))
+    return Trace(paths, statistics)
 
 
 def covered_by_images(paths: Paths | Piece, image_order: int, reach_m: float = np.inf) -> BoolArray:
