@@ -35,6 +35,24 @@ def test_help_and_version_load_nothing_heavy():
         assert done.stderr == ""
 
 
+def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
+    """What makes it answer within a second or so: of the large packages only what a room needs."""
+    campaign = write_campaign(tmp_path)
+    names = ("matplotlib", "scipy.signal", "scipy.stats", "roomfit.inversion", "roomfit.prediction")
+    program = (
+        f"import sys; sys.path[:0] = {sys.path!r}\n"
+        f"from roomfit.cli import main\n"
+        f"try: main(['check', {str(campaign)!r}])\n"
+        "except SystemExit: pass\n"
+        f"print('LOADED', [m for m in {names} if m in sys.modules])"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program], capture_output=True, text=True, check=True
+    )
+    assert "LOADED []" in done.stdout, done.stdout + done.stderr
+    assert "can be traced" in done.stdout + done.stderr
+
+
 COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
             "impedance", "paper", "predict")  # fmt: skip
 

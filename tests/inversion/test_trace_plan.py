@@ -66,6 +66,26 @@ def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
         assert long.fit_until_s == (np.inf if scattering else until_s)
 
 
+def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
+    """Two hundred have 25,000 each for pressures, five million together; eight have their 60,000.
+
+    Where images are all there is, eight pairs have their 400,000, and 200 have rays beside fewer.
+    """
+    room = box_room(LENGTHS_M)
+    prior = MaterialPrior("x", np.zeros(1), np.ones(1), scattering=np.zeros(1))
+    priors = tuple(replace(prior, name=name) for name in BOX_MATERIALS)
+    for n_receivers, expected in ((8, 60_000), (200, 25_000)):
+        places = [[1.2 + 0.01 * i, 4.9, 1.6] for i in range(n_receivers)]
+        scene = scene_of(room, [SOURCE], places)
+        until_s = plan_trace(scene, priors, 2.0, 2.0, Settings(), coherent=True)
+        reach_m = SPEED_M_S * (until_s.settings.image_until_s or 0.0)
+        count = 4.0 / 3.0 * np.pi * reach_m**3 / np.prod(LENGTHS_M)
+        np.testing.assert_allclose(count, expected, rtol=1e-6)
+        # up to 0.37 s: 200,000 images a pair
+        alone = plan_trace(scene, priors, 0.35, 0.35, Settings(), coherent=True)
+        assert (alone.settings.n_rays == 0) == (n_receivers == 8)
+
+
 def test_walls_that_scatter_ask_for_more_rays() -> None:
     """Then rays bring most of the energy, not only what comes late."""
     assert plan(0.15, 0.35).settings.n_rays == 60_000

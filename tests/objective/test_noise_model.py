@@ -21,6 +21,7 @@ from roomfit.measurement import Measurement
 from roomfit.objective.energy import (
     EnergyTerm,
     Observation,
+    first_windows,
     late_shares,
     model_variance,
     noise_and_model_variance,
@@ -31,6 +32,7 @@ from roomfit.objective.energy import (
 )
 from roomfit.objective.observation import _observation, energy_terms, timing_sd_s
 from roomfit.objective.problem import total
+from roomfit.objective.windows import squares_in_windows
 from roomfit.response.binned import bin_paths
 from roomfit.response.energy import EnergyRows, weigh
 from roomfit.scene import Point, Scene, shoebox_room
@@ -360,3 +362,17 @@ def test_windows_count_as_dependent_as_boxes_of_known_absorption_showed():
     values = {"absorption": np.full(3, 0.2), "gain": np.ones(1)}
     np.testing.assert_array_equal(term.energies.correlation_length(values), 1.35)
     np.testing.assert_array_equal(term.correlation_length(values), 1.35)
+
+
+def test_squares_in_windows_need_no_array_of_squares() -> None:
+    """Against the squared sparse array; and first windows are those of the whole, uncopied."""
+    energies, *_ = one_window_term()
+    observed, row = energies.observations[0], np.random.default_rng(3).uniform(0.0, 1.0, 10_000)
+    for shares in (observed.spreading, observed.slopes, observed.fine_spreading):
+        own = row[: shares.shape[1]]
+        expected = shares.power(2) @ own
+        np.testing.assert_allclose(squares_in_windows(shares, own), expected, rtol=1e-12)
+    first = first_windows(observed, float(observed.edges_s[2]))
+    assert first.edges_s.size == 3
+    assert np.shares_memory(first.spreading.data, observed.spreading.data)
+    np.testing.assert_array_equal(first.spreading.toarray(), observed.spreading.toarray()[:2])

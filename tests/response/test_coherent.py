@@ -11,8 +11,15 @@ from coherent_cases import objective_of, small_geometry, small_term
 from roomfit.bands import Bands
 from roomfit.objective.coherent import with_coherence
 from roomfit.objective.parameters import start_vector, times_of, whole_covariance
-from roomfit.response.coherent import ImagePaths, Times, band_grid, coherent_response
+from roomfit.response.coherent import (
+    ImagePaths,
+    Times,
+    band_grid,
+    coherent_response,
+    images_of,
+)
 from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_response
+from roomfit.typing import FloatArray
 
 BANK = FilterBank(Bands("octave", np.array([500.0])))
 SPEED = 340.0
@@ -227,3 +234,66 @@ def test_what_is_unknown_by_a_wavelength_adds_no_coherence() -> None:
     """With a metre of uncertainty only energies are left."""
     problem = with_coherence(small_term(), 1e4 * np.eye(small_geometry().sd.size))
     assert problem.coherent.weight.size == 0
+
+
+def many_paths(n_observations: int) -> tuple[ImagePaths, Times, tuple[FloatArray, ...]]:
+    """Return images drawn at random, times of their own and windows for so many observations."""
+    rng, n = np.random.default_rng(11), 40
+    size = n * n_observations
+    paths = ImagePaths(
+        ("one", "two"),
+        np.arange(0, size + 1, n),
+        rng.uniform(0.1, 1.0, size),
+        rng.integers(0, 4, (size, 2)).astype(np.uint16),
+        rng.uniform(1.0, 12.0, (size, 3)),
+        np.tile(np.eye(3).ravel(), (size, 1)),
+        rng.uniform(0.2, 1.0, size),
+        np.arange(size, dtype=np.int32),
+    )
+    moved = Times(
+        rng.normal(0.0, 0.01, (n_observations, 6)),
+        SPEED,
+        rng.normal(0.0, 1e-5, n_observations),
+        np.array([1e-4, -2e-4]),
+    )
+    return paths, moved, tuple(np.linspace(0.0, 0.07, 12) for _ in range(n_observations))
+
+
+def test_observations_in_blocks_are_what_they_are_one_by_one() -> None:
+    """Forty, of which sixteen are in memory at a time: the same energies and derivatives."""
+    paths, moved, edges = many_paths(40)
+    grid, a = replace(band_grid(BANK, 0.0, 0.1), is_double=True), np.array([0.2, 0.4])
+    whole = coherent_response(paths, a, moved, grid, edges)
+    for o in (0, 15, 16, 39):
+        own = images_of(paths, np.array([o]), None)
+        assert own.hits is paths.hits
+        alone = replace(moved, shifts_m=moved.shifts_m[o : o + 1], latency_s=moved.latency_s[[o]])
+        one, rows = coherent_response(own, a, alone, grid, edges[:1]), slice(11 * o, 11 * o + 11)
+        for name in ("energy", "by_log_reflected", "by_times"):
+            found, expected = getattr(whole, name)[rows], getattr(one, name)
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-13 * expected.max())
+
+
+def test_images_of_some_observations_have_the_weights_of_their_band() -> None:
+    """A factor of every path of the trace reaches the images that are this path."""
+    paths, *_ = many_paths(3)
+    place = np.random.default_rng(4).permutation(paths.weight.size)
+    paths, factors = replace(paths, path=place.astype(np.int32)), np.linspace(0.5, 2.0, place.size)
+    own = images_of(paths, np.array([0, 2]), factors)
+    kept = np.r_[0:40, 80:120]
+    assert own.offsets.tolist() == [0, 40, 80]
+    np.testing.assert_array_equal(own.row, kept)
+    np.testing.assert_array_equal(own.weight, (paths.weight * factors[place])[kept])
+
+
+def test_single_precision_is_finer_than_the_grid() -> None:
+    """Energies and derivatives to 1e-6 of the largest; the grid is exact to 1e-5."""
+    paths, moved, edges = many_paths(5)
+    grid, a = band_grid(BANK, 0.0, 0.1), np.array([0.2, 0.4])
+    single, double = (
+        coherent_response(paths, a, moved, replace(grid, is_double=d), edges) for d in (False, True)
+    )
+    for name in ("energy", "by_log_reflected", "by_times"):
+        found, expected = getattr(single, name), getattr(double, name)
+        np.testing.assert_allclose(found, expected, atol=2e-6 * np.abs(expected).max(), rtol=0.0)
+        assert np.any(found != expected)

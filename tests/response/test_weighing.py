@@ -11,11 +11,13 @@ from hypothesis import strategies as st
 from absorption_reference import surviving_energy
 from rays_reference import monte_carlo_sd
 from roomfit.errors import InputError
+from roomfit.objective.energy import squared_image_rows
 from roomfit.response.directivity import (
     RowPattern,
     amplitude_and_slope,
     directed_rows,
     weigh_directed,
+    weigh_parts,
 )
 from roomfit.response.energy import (
     ROWS_WORTH_THREADS,
@@ -420,3 +422,38 @@ def test_a_directed_source_gives_the_same_bits_for_any_number_of_threads() -> No
     largest = np.abs(results[0]).max()
     expected = directed_in_steps(rows, pattern, a, 0.01)
     np.testing.assert_allclose(results[0], expected, rtol=1e-10, atol=1e-12 * largest)
+
+
+@given(SEED, st.booleans(), st.booleans())
+def test_parts_of_the_variance_in_one_pass_equal_three(seed: int, single: bool, bare: bool) -> None:
+    """Energies, squares of single images and batches, each by rows weighed for it alone."""
+    rows, a = random_rows(seed), table(seed, 3, 1)[:, 0]
+    pattern = None if bare else drawn_pattern(seed, len(rows), single=single)
+    found = weigh_parts(rows, pattern, a, 0.01)
+    factor = np.ones(len(rows)) if pattern is None else pattern.factor()
+    walls, air = a[:, None], np.array([0.01])
+    turned = directed_rows(rows, factor.astype(np.float64))
+    squared = squared_image_rows(turned)
+    expected = (
+        weigh(turned, walls, air, derivative=False).energy[0],
+        weigh(squared, walls, air, derivative=False).energy[0],
+        batch_energies(turned, walls, air)[:, 0],
+    )
+    # the pattern of single precision is turned into a factor in single precision there
+    near = 1e-12 if pattern is None or not single else 1e-5
+    for own, other in zip((found.energy, found.squares, found.batches), expected, strict=True):
+        np.testing.assert_allclose(own, other, rtol=near, atol=1e-12 * other.max())
+
+
+def test_parts_of_the_variance_have_the_same_bits_for_any_number_of_threads() -> None:
+    """Above the number of rows from which threads share the pieces."""
+    rows = random_rows(7, n_rows=ROWS_WORTH_THREADS + 10)
+    before, results = numba.get_num_threads(), []
+    try:
+        for n in (1, min(2, numba.config.NUMBA_NUM_THREADS)):
+            numba.set_num_threads(n)
+            results.append(weigh_parts(rows, None, np.array([0.1, 0.5, 0.3]), 0.01))
+    finally:
+        numba.set_num_threads(before)
+    for name in ("energy", "squares", "batches"):
+        np.testing.assert_array_equal(*(getattr(r, name) for r in results))
