@@ -38,6 +38,7 @@ from roomfit.io.door import files_read, reading_noted
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import identify_arguments, material_priors
+from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
@@ -410,6 +411,7 @@ def identify_to_folder(
     # checked now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
+    project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
@@ -417,9 +419,10 @@ def identify_to_folder(
     page = report_html(
         answer,
         measured_scene(arguments["scene"], arguments["measurements"]),
-        title=f"Absorption: {campaign_file.stem}",
+        title=project.pop("title", f"Absorption: {campaign_file.stem}"),
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
+        project=project,
     )
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs)
