@@ -40,6 +40,7 @@ from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
 from roomfit.io.inputs import identify_arguments
+from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
@@ -370,6 +371,7 @@ def identify_to_folder(
     # checked now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
+    project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
@@ -378,9 +380,10 @@ def identify_to_folder(
     page = report_html(
         answer,
         measured_scene(arguments["scene"], arguments["measurements"]),
-        title=f"Absorption: {campaign_file.stem}",
+        title=project.pop("title", f"Absorption: {campaign_file.stem}"),
         campaign=campaign_file.name,
         inputs_sha256=input_digests(inputs),
+        project=project,
     )
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_result(folder, answer, inputs)

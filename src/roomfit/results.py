@@ -46,6 +46,8 @@ class Decay:
     measured_db: FloatArray
     # (n_bands, n_times), Relative to the whole; NaN beyond the usable part
     predicted_db: FloatArray
+    # (n_bands,), where the measured decay meets the noise; NaN where the file ends before
+    noise_db: FloatArray | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

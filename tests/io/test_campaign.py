@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
 from roomfit.io.inputs import campaign_room, material_priors
+from roomfit.io.project import project_details
 from roomfit.materials.catalogue import broad_prior_findings, catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
 
@@ -352,3 +353,55 @@ def test_a_state_names_where_its_wall_is_unknown(tmp_path):
     with pytest.raises(InputError, match=r"campaign.toml, states.a, materials\n") as refusal:
         campaign_room(campaign_from(tmp_path, text))
     assert "did you mean 'north'" in str(refusal.value)
+
+
+# What the report says of itself.
+
+
+def details(campaign):
+    return project_details(campaign.project, campaign.path.parent)
+
+
+def with_project(tmp_path, keys: str):
+    return campaign_from(tmp_path, f"[project]\n{keys}\n{GOOD}")
+
+
+def test_a_project_is_read_as_the_report_takes_it(tmp_path):
+    (tmp_path / "logo.png").write_bytes(b"\x89PNG\r\n\x1a\n123")
+    keys = 'title = "Hall"\nclient = "City"\ndate = 2026-11-22\ninstruments = ["A", "B"]\n'
+    found = details(with_project(tmp_path, keys + 'logo = "logo.png"\nlanguage = "de"'))
+    assert found.pop("logo") == "data:image/png;base64,iVBORw0KGgoxMjM="
+    assert found == {
+        "title": "Hall", "client": "City", "date": "2026-11-22", "instruments": "A, B",
+        "language": "de",
+    }  # fmt: skip
+    assert details(campaign_from(tmp_path, GOOD)) == {"language": "en"}
+
+
+@pytest.mark.parametrize(
+    "keys",
+    [
+        f'title = "{"x" * 201}"',
+        f"instruments = {['x'] * 41}",
+        f'instruments = ["{"x" * 201}"]',
+        'language = "fr"',
+        "logo = 3",
+        'client = ["a"]',
+    ],
+)
+def test_a_project_beyond_its_limits_is_refused(tmp_path, keys):
+    with pytest.raises(InputError, match="not what it must be") as refused:
+        with_project(tmp_path, keys)
+    assert f"project.{keys.split()[0]}" in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [(b"<svg/>", "no picture"), (b"\x89PNG\r\n\x1a\n" + bytes(2**19), "logo"), (None, "logo")],
+)
+def test_a_logo_that_is_no_small_picture_is_refused(tmp_path, content, words):
+    if content is not None:
+        (tmp_path / "logo.png").write_bytes(content)
+    campaign = with_project(tmp_path, 'logo = "logo.png"')
+    with pytest.raises(InputError, match=words):
+        details(campaign)

@@ -222,8 +222,8 @@ def test_a_choice_shows_the_curves_of_its_pair_and_the_worst_comes_first(case):
         assert f"#pick-{i}:checked ~ figure .curve-{i} {{ display: inline; }}" in style
         label = text.split(f'<label for="pick-{i}">')[1].split("</label>")[0]
         assert label.startswith(f"{pair.source} to {pair.receiver}")
-        # two curves and the decay times in each of six bands
-        assert drawing(text, "decay").count(f'<g class="curve-{i}">') == 3 * len(answer.bands)
+        # two curves, the evaluated range and the decay times in each of six bands
+        assert drawing(text, "decay").count(f'<g class="curve-{i}">') == 4 * len(answer.bands)
     assert 'g[class^="curve-"] { display: none; }' in style
 
 
@@ -232,8 +232,11 @@ def test_findings_come_first_with_the_most_serious_ahead(case):
     reported = ["Do not use it.", "Look at it.", "Look at this as well.", "Good to know."]
     places = [text.index(sentence) for sentence in reported]
     assert places == sorted(places)
-    assert page.headings[1] == "Findings"
-    assert places[-1] < text.index("<h2>The room</h2>")
+    assert page.headings[1] == "Findings: 1 serious, 2 to look at, 1 to know"
+    assert places[-1] < text.index("<h2>Absorption</h2>") < text.index("<h2>The room</h2>")
+    # a serious one is open, warnings are a count that opens
+    doubts = next(a for tag, a in page.elements if tag == "details")
+    assert doubts == {"class": "doubts serious", "open": ""}
 
 
 def test_the_summary_counts_what_can_be_told(case):
@@ -341,7 +344,7 @@ def test_forty_pairs_in_third_octaves_stay_below_two_and_a_half_megabytes():
     page = read_page(text)
     assert len(table(page, "S3 to R9")["T20"]) == len(answer.bands) == 21
     assert len([c for c in page.tables if c.startswith("S3 to R9")]) == 3
-    assert drawing(text, "decay").count('<g class="curve-39">') == 3 * 21
+    assert drawing(text, "decay").count('<g class="curve-39">') == 4 * 21
 
 
 # Answers of every kind.
@@ -521,7 +524,7 @@ def test_a_browser_draws_all_figures_and_logs_no_error(tmp_path):
     picture, drawn, logged = look_at(file, tmp_path)
     assert logged == []
     assert "<title>A drawn room</title>" in drawn
-    assert drawn.count("<svg ") == 4
+    assert drawn.count('<svg role="img"') == 6
     grey = imread(picture)[..., :3].mean(axis=2)
     # words, lines and pale walls: a blank page has no dark and no middling pixels
     assert (grey < 0.3).mean() > 0.005

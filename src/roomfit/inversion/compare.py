@@ -151,7 +151,8 @@ def predicted_curve(
 def _decay(measured: DecayCurve, predicted: DecayCurve) -> Decay:
     end_s = min(float(measured.usable_end_s.max()), float(predicted.time_s[-1]))
     times = np.arange(0.0, max(end_s, 2.0 * _PICTURE_STEP_S), _PICTURE_STEP_S)
-    return Decay(times, _at(times, measured), _at(times, predicted))
+    noise_db = np.where(measured.noise_reached, -measured.usable_db, np.nan)
+    return Decay(times, _at(times, measured), _at(times, predicted), noise_db)
 
 
 def _at(times: FloatArray, curve: DecayCurve) -> FloatArray:

@@ -42,7 +42,7 @@ _LARGEST_MISS_JND, _MISS_SDS, _FEWEST_FOR_SCATTER = 2.0, 3.0, 3
 _TRIED_SCATTERING = (0.0, 0.1, 0.3, 0.6)
 _DECAY_DRAWS, _MOST_DRAWN_PAIRS = 12, 8
 # Relative standard deviation of a decay time times the root of bandwidth, time and number.
-_DECAY_SCATTER = {
+DECAY_SCATTER = {
     "T20_s": 0.88 * (1.0 + 1.90 / 10.0) ** 0.5,
     "T30_s": 0.55 * (1.0 + 1.52 / 10.0) ** 0.5,
     "EDT_s": 1.97 * (1.0 + 2.8 / 10.0) ** 0.5,
@@ -161,10 +161,10 @@ def decay_misses(
     """
     bandwidth_hz = bands.upper_hz - bands.lower_hz
     found: dict[int, DecayMiss] = {}
-    for name, factor in _DECAY_SCATTER.items():
+    for name, factor in DECAY_SCATTER.items():
         for band in np.flatnonzero(fitted).tolist():
             time_s, jnd = _of_fitted_pairs(pairs, name, band)
-            mean, sd = _mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * time_s))
+            mean, sd = mean_miss(jnd, factor / np.sqrt(bandwidth_hz[band] * time_s))
             if abs(mean) >= max(_LARGEST_MISS_JND, _MISS_SDS * sd):
                 before = found.get(band, DecayMiss(band, {}, 0))
                 found[band] = DecayMiss(
@@ -173,14 +173,14 @@ def decay_misses(
     for band, times_s in enumerate(by_pressures):
         if times_s is not None and band in found:
             measured_s, fitted_s = times_s[:, np.isfinite(times_s).all(axis=0)]
-            scatter = _DECAY_SCATTER["T20_s"] / np.sqrt(bandwidth_hz[band] * measured_s)
-            mean, sd = _mean_miss((fitted_s / measured_s - 1.0) / 0.05, scatter)
+            scatter = DECAY_SCATTER["T20_s"] / np.sqrt(bandwidth_hz[band] * measured_s)
+            mean, sd = mean_miss((fitted_s / measured_s - 1.0) / 0.05, scatter)
             if abs(mean) < max(_LARGEST_MISS_JND, _MISS_SDS * sd):
                 del found[band]
     return tuple(found[band] for band in sorted(found) if not found[band].jnd.keys() <= {"T30_s"})
 
 
-def _mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
+def mean_miss(jnd: FloatArray, scatter: FloatArray) -> tuple[float, float]:
     """Return a mean over pairs, in JND, and its standard deviation, infinite without pairs.
 
     Parameters
@@ -265,7 +265,7 @@ def certain_misses(
         return ()
     chosen, rng = [m.band for m in misses], np.random.default_rng(settings.seed)
     free = logit(absorption, 1e-9)
-    drawn: dict[str, list[FloatArray]] = {name: [] for name in _DECAY_SCATTER}
+    drawn: dict[str, list[FloatArray]] = {name: [] for name in DECAY_SCATTER}
     for _ in range(_DECAY_DRAWS):
         trial = np.array(absorption)
         for band in chosen:

@@ -20,6 +20,7 @@ from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
 from roomfit.io.complaints import explained
 from roomfit.io.door import read_bytes, same_file
+from roomfit.io.project import ProjectTable
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
@@ -314,6 +315,7 @@ class CampaignTable(Table):
     """The whole file."""
 
     format_version: Literal[1] = 1
+    project: ProjectTable = ProjectTable()
     room: RoomTable
     air: AirTable = AirTable()
     materials: dict[str, MaterialTable] = {}
@@ -544,6 +546,7 @@ class Campaign:
     states : mapping of name to materials by surface
         Further states of the room.
     groups : tuple of PointGroup
+    project : ProjectTable
     """
 
     path: Path
@@ -564,6 +567,7 @@ class Campaign:
     design: DesignTable = field(default_factory=DesignTable)
     states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     groups: tuple[PointGroup, ...] = ()
+    project: ProjectTable = field(default_factory=ProjectTable)
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -652,6 +656,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         table.design,
         {state.name: state.materials for state in table.states},
         tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
+        table.project,
     )
 
 

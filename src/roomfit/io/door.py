@@ -34,6 +34,7 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "file_bytes": (2**30, "bytes of one file"),
     "text_bytes": (2**26, "bytes of one file of text (tables, drawings, exports of REW)"),
     "campaign_bytes": (2**22, "bytes of a campaign file"),
+    "logo_bytes": (2**19, "bytes of the logo of a report"),
     "header_bytes": (2**16, "bytes of a header (PLY, REW, arrays of NumPy)"),
     "unpacked_bytes": (2**30, "bytes of the numbers in one file, as float64"),
     "unpacked_times": (1000, "times its own size that a file may unpack to, beyond 64 MiB"),

@@ -10,7 +10,7 @@ import html
 import io
 import re
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -34,6 +34,7 @@ from roomfit.report.wording import (
 )
 from roomfit.results import ComparedPair, Decay, Result
 from roomfit.typing import FloatArray, Progress
+from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 from roomfit.uncertainty.profile import RISE95, Profile, profile_curve
 
 # The report shows the decays of all pairs; as files of their own they would take minutes.
@@ -127,6 +128,8 @@ def most_tied_band(samples: Sequence[FloatArray | None]) -> int | None:
 OKABE_ITO = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#56B4E9", "#E69F00", "#000000")
 
 _WIDTH_IN = 10.2
+NARROW_IN = 3.75
+"""Width of figures for a telephone: 360 pixels, at which nothing is drawn smaller."""
 _MANY_PANELS = 12
 """More than so many panels are drawn smaller, four in a row."""
 LOWEST_DB = -45.0
@@ -219,6 +222,9 @@ def _short_tag(tag: str, name: str, styles: dict[str, str]) -> str:
         style = re.sub(r"(font:[^;]*?[\d.]+px)[^;]*", r"\1 sans-serif", html.unescape(found[1]))
         style = re.sub(r"font-family:[^;]*", "font-family:sans-serif", style)
         style = re.sub(r"\s*([:;])\s*", r"\1", style.strip())
+        style = re.sub(r"#([\da-f]{2})\1\1\b", _of_the_page, style)
+        for colour, name in (("#0072b2", "data"), ("#8a3c00", "warm")):
+            style = style.replace(colour, f"var(--{name},{colour})")
         return f' class="{styles.setdefault(style, f"{name}-s{len(styles)}")}"'
 
     def shorter(found: re.Match[str]) -> str:
@@ -228,6 +234,13 @@ def _short_tag(tag: str, name: str, styles: dict[str, str]) -> str:
 
     tag = re.sub(r' style="([^"]*)"', ruled, tag)
     return re.sub(r' (d|x|y|width|height|transform)="([^"]*)"', shorter, tag)
+
+
+def _of_the_page(grey: re.Match[str]) -> str:
+    """Return a grey as the variable of the page that stands for it, so that it turns with it."""
+    light = int(grey[1], 16)
+    names = ((0x22, "ink"), (0x90, "soft"), (0xF0, "line"), (0xFF, "paper"))
+    return f"var(--{next(name for most, name in names if light <= most)},{grey[0]})"
 
 
 def literal(name: str, longest: int = 34) -> str:
@@ -251,13 +264,23 @@ def frequency_axis(axes: Axes, centres_hz: FloatArray) -> None:
     axes.set_xlim(centres_hz[0] / 1.32, centres_hz[-1] * 1.32)
 
 
-def band_panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
-    """Return a figure with n panels in rows that share their scales, and the panels."""
-    columns = min(n, 3) if n <= _MANY_PANELS else 4
-    rows = -(-n // columns)
-    width_in = _WIDTH_IN / max(columns, 3) * columns
-    # a single panel must leave room for the legend above it
-    figure = new_figure(max(width_in, 4.6), height_in * (3 / max(columns, 3)) * rows + 0.6)
+def band_panels(
+    n: int, height_in: float, *, most_columns: int = 3, narrow: bool = False
+) -> tuple[Figure, list[Axes]]:
+    """Return a figure with n panels in rows that share their scales, and the panels.
+
+    `narrow` is for the screen of a telephone: two panels in a row.
+    """
+    if narrow:
+        columns = min(n, 2)
+        rows = -(-n // columns)
+        figure = new_figure(NARROW_IN, 1.7 * rows + 0.7)
+    else:
+        columns = min(n, most_columns) if n <= _MANY_PANELS else 4
+        rows = -(-n // columns)
+        width_in = _WIDTH_IN / max(columns, 3) * columns
+        # a single panel must leave room for the legend above it
+        figure = new_figure(max(width_in, 4.6), height_in * (3 / max(columns, 3)) * rows + 0.6)
     grid = figure.subplots(rows, columns, sharex=True, sharey=True, squeeze=False)
     panels = list(grid.ravel())
     for unused in panels[n:]:
@@ -271,8 +294,9 @@ def band_panels(n: int, height_in: float) -> tuple[Figure, list[Axes]]:
 
 
 def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> None:
-    handles, labels = axes.get_legend_handles_labels()
-    once = dict(zip(labels, handles, strict=True))
+    found = (a.get_legend_handles_labels() for a in (axes, *figure.axes))
+    # what is only in another panel is named, too
+    once = {x: h for handles, labels in found for h, x in zip(handles, labels, strict=True)}
     figure.legend(
         once.values(), once, loc="outside upper center", ncols=columns, frameon=False, fontsize=9,
         title=title or None,
@@ -282,20 +306,30 @@ def figure_legend(figure: Figure, axes: Axes, columns: int, title: str = "") -> 
 # ---------------------------------------------------------------- absorption
 
 
-def absorption_figure(answer: Result, true_absorption: FloatArray | None = None) -> Figure:
+def absorption_figure(
+    answer: Result,
+    true_absorption: FloatArray | None = None,
+    *,
+    narrow: bool = False,
+    say: Callable[[str], str] = str,
+) -> Figure:
     """Return absorption over frequency, one panel a material, the last for the mean by area.
 
     Filled points are identifiable, hollow ones are not, diamonds were given; bars are 95 %
-    intervals.
+    intervals, and lines lead from point to point.
 
     Parameters
     ----------
     answer : Result
     true_absorption : float array, shape (n_materials, n_bands), optional
         Drawn as crosses where the truth is known.
+    narrow : bool
+        For the screen of a telephone.
+    say : callable, optional
+        Translates words.
     """
     n = len(answer.materials)
-    figure, panels = band_panels(n + 1, 2.45)
+    figure, panels = band_panels(n + 1, 2.45, most_columns=4, narrow=narrow)
     centres = answer.bands.centres_hz
     given = answer.lower95 == answer.upper95
     kinds: tuple[tuple[str, Any, dict[str, Any]], ...] = (
@@ -314,27 +348,30 @@ def absorption_figure(answer: Result, true_absorption: FloatArray | None = None)
             # an entry of the legend wherever any panel has such points
             if chosen.any():
                 at = chosen[i]
-                axes.plot(centres[at], value[at], ls="none", label=label, **look)
+                axes.plot(centres[at], value[at], ls="none", label=say(label), **look)
         if true_absorption is not None:
             axes.plot(
-                centres, true_absorption[i], "x", color=OKABE_ITO[1], ms=7, mew=2, label="true"
+                centres, true_absorption[i], "x", color=OKABE_ITO[1], ms=7, mew=2, label=say("true")
             )
         found = int(answer.identifiable[i].sum())
-        longest, bands = (20, " bands") if n < _MANY_PANELS else (16, "")
+        longest = 20 if n < 3 and not narrow else 16
         axes.set_title(literal(answer.materials[i], longest), fontsize=10, loc="left")
         axes.set_title(
-            f"{number(float(answer.areas_m2[i]), 1)} m², {found} of {len(centres)}{bands}",
+            f"{found}/{len(centres)}" if narrow
+            else f"{number(float(answer.areas_m2[i]), 1)} m², {found}/{len(centres)}",
             fontsize=8, loc="right", color="0.3",
         )  # fmt: skip
     mean, low, high = answer.mean_absorption
     _intervals(panels[n], centres, mean, low, high, "black")
     panels[n].plot(centres, mean, "s", color="black", ms=5)
-    panels[n].set_title("mean of the room, by area", fontsize=10, loc="left")
+    panels[n].set_title(say("mean of the room"), fontsize=10, loc="left")
     frequency_axis(panels[0], centres)
     panels[0].set_ylim(-0.03, 1.03)
-    figure.supxlabel(f"{answer.bands.kind} band centre (Hz)", fontsize=10)
-    figure.supylabel("absorption coefficient", fontsize=10)
-    figure_legend(figure, panels[0], 4)
+    if narrow:
+        panels[0].set_xticks(panels[0].get_xticks()[::2])
+    figure.supxlabel(say(f"{answer.bands.kind} band centre (Hz)"), fontsize=10)
+    figure.supylabel(say("absorption coefficient"), fontsize=10)
+    figure_legend(figure, panels[0], 2 if narrow else 4)
     return figure
 
 
@@ -347,6 +384,7 @@ def _intervals(
     colour: str,
 ) -> None:
     bars = np.maximum(np.array([value - lower, upper - value]), 0.0)
+    axes.plot(centres_hz, value, "-", color=colour, lw=0.9, alpha=0.45)
     axes.errorbar(centres_hz, value, yerr=bars, fmt="none", ecolor=colour, capsize=2.5, lw=1.2)
 
 
@@ -356,16 +394,18 @@ def _intervals(
 def identifiability_figure(answer: Result) -> Figure:
     """Return a matrix of materials by bands: the darker, the narrower the 95 % interval.
 
-    A tick marks what is identifiable, G what was given.
+    The scale ends at the width beyond which nothing is identifiable. A tick marks what is
+    identifiable, G what was given.
     """
     width = answer.upper95 - answer.lower95
     n, m = width.shape
     figure = new_figure(min(3.4 + 0.62 * m, _WIDTH_IN), 1.4 + 0.36 * n)
     axes = figure.subplots()
-    # distinguishable steps instead of a bitmap: SVG stays lines and words
-    steps = np.linspace(0.0, 1.0, 11)
-    blues = ListedColormap(mpl.colormaps["Blues_r"](np.linspace(0.0, 1.0, 10)))
-    norm = BoundaryNorm(steps, 10)
+    # distinguishable steps instead of a bitmap: SVG stays lines and words. Nothing wider than the
+    # limit is identifiable, so that all of the scale lies below it
+    steps = np.linspace(0.0, WIDEST_IDENTIFIABLE, 9)
+    blues = ListedColormap(mpl.colormaps["Blues_r"](np.linspace(0.0, 0.85, 8)), over="#f3ead9")
+    norm = BoundaryNorm(steps, 8)
     image = axes.pcolormesh(
         np.ma.masked_invalid(width), cmap=blues, norm=norm, edgecolors="white", lw=1.0
     )
@@ -375,7 +415,8 @@ def identifiability_figure(answer: Result) -> Figure:
         mark = "G" if given else "\N{CHECK MARK}" if answer.identifiable[i, j] else ""
         known = np.isfinite(width[i, j])
         text = "" if given or not known else f"{width[i, j]:.2f}".removeprefix("0")
-        ink = "white" if known and width[i, j] < 0.45 else "black"
+        # colours that no page turns round: they stand on those of the matrix
+        ink = "#fffffe" if known and width[i, j] < 0.5 * WIDEST_IDENTIFIABLE else "#000001"
         axes.text(
             j + 0.5, i + 0.5, f"{mark}{beside}{text}".strip(), ha="center", va="center", color=ink,
             size=8 if m <= _MANY_PANELS else 6.5, linespacing=1.0,
@@ -388,7 +429,7 @@ def identifiability_figure(answer: Result) -> Figure:
     axes.tick_params(length=0)
     axes.set_xlabel(f"{answer.bands.kind} band centre (Hz)")
     axes.set_title("\N{CHECK MARK} identifiable, G given", fontsize=9, loc="left")
-    bar = figure.colorbar(image, ax=axes, ticks=steps[::2])
+    bar = figure.colorbar(image, ax=axes, ticks=steps[::2], extend="max", format="%.2f")
     bar.set_label("width of the\n95 % interval" if n < 4 else "width of the 95 % interval")
     return figure
 
@@ -501,7 +542,7 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
         axes.set_title(f"{answer.bands.centres_hz[j]:g} Hz", fontsize=9, loc="left")
         for i, (pair, decay) in enumerate(zip(pairs, decays, strict=True)):
             group = f"class:curve-{i}" if len(pairs) > 1 else None
-            _decay_curves(axes, decay, j, n_points, group)
+            _decay_curves(axes, decay, j, n_points, group, evaluated_range_db(pair, j))
             axes.text(
                 1.0, 1.03, decay_times(pair, j), transform=axes.transAxes, ha="right", va="bottom",
                 fontsize=8, color="0.2", gid=group,
@@ -517,17 +558,29 @@ def decay_figure(answer: Result, *pairs: ComparedPair) -> Figure:
         title = f"{literal(pairs[0].source)} to {literal(pairs[0].receiver)}"
         title += f", {literal(pairs[0].state)}" if pairs[0].state else ""
         title += "" if pairs[0].use == "fit" else ", not fitted"
-    figure_legend(figure, panels[0], 2, title)
+    figure_legend(figure, panels[0], 4, title)
     return figure
 
 
 def _decay_curves(
-    axes: Axes, decay: Decay, band: int, n_points: int | None, group: str | None
+    axes: Axes,
+    decay: Decay,
+    band: int,
+    n_points: int | None,
+    group: str | None,
+    evaluated: tuple[float, float] | None,
 ) -> None:
     looks: tuple[tuple[str, FloatArray, dict[str, Any]], ...] = (
         ("measured", decay.measured_db[band], {"color": "black", "lw": 1.6}),
         ("predicted", decay.predicted_db[band], {"color": OKABE_ITO[1], "lw": 1.6, "ls": "--"}),
     )
+    if evaluated is not None:
+        axes.axhspan(
+            *evaluated, color=OKABE_ITO[4], alpha=0.16, lw=0, gid=group, label="evaluated range"
+        )
+    if decay.noise_db is not None and decay.noise_db[band] > LOWEST_DB - 15.0:
+        floor = float(decay.noise_db[band])
+        axes.axhline(floor, color="0.45", lw=1.0, ls=":", gid=group, label="noise, subtracted")
     for label, level_db, look in looks:
         observed = np.where(level_db > LOWEST_DB - 15.0, level_db, np.nan)
         known = np.flatnonzero(np.isfinite(observed))
@@ -535,6 +588,18 @@ def _decay_curves(
         if n_points is not None and known.size > n_points:
             kept = known[np.linspace(0, known.size - 1, n_points).round().astype(int)]
         axes.plot(decay.time_s[kept], observed[kept], label=label, gid=group, **look)
+
+
+# ISO 3382-1:2009, section 3 and 5: below the level of steady state.
+_EVALUATED_DB = {"T20_s": (-25.0, -5.0), "T30_s": (-35.0, -5.0), "EDT_s": (-10.0, 0.0)}
+
+
+def evaluated_range_db(pair: ComparedPair, band: int) -> tuple[float, float] | None:
+    """Return the levels between which `decay_times` were read; None where none was."""
+    key = decay_time_key(pair.parameters)
+    if key is None or not np.isfinite(pair.parameters[key].measured[band]):
+        return None
+    return _EVALUATED_DB[key]
 
 
 def decay_times(pair: ComparedPair, band: int) -> str:

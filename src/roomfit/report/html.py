@@ -1,6 +1,7 @@
 """The report of an answer: one self-contained HTML file, or a table for a notebook.
 
-A few sentences come first, then the findings with the most serious first, figures and tables.
+The answer comes first: one sentence, four figures, the findings as a count that opens, absorption
+with its intervals. Then what was measured and predicted, the room, and folded away the rest.
 """
 
 from __future__ import annotations
@@ -8,7 +9,8 @@ from __future__ import annotations
 import base64
 import hashlib
 import re
-from collections.abc import Iterable, Mapping
+import tomllib
+from collections.abc import Callable, Iterable, Mapping
 from importlib.metadata import version
 from typing import Any
 
@@ -17,8 +19,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
+from roomfit.errors import InputError
 from roomfit.findings import Code, Finding, Severity
 from roomfit.geometry.mesh import surface_area_m2, volume_m3
+from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import (
     absorption_figure,
     corner_figure,
@@ -57,7 +61,9 @@ from roomfit.report.wording import (
     area,
     band_heads,
     band_ranges,
+    coefficient,
     count,
+    decay_time_key,
     hertz,
     listing,
     number,
@@ -66,10 +72,11 @@ from roomfit.report.wording import (
 from roomfit.results import ComparedPair, Result
 from roomfit.scene import Scene
 from roomfit.typing import BoolArray
-from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED
+from roomfit.uncertainty.gaussian import LARGEST_CHI2_REDUCED, WIDEST_IDENTIFIABLE
 
 _SEVERITIES: tuple[Severity, ...] = ("serious", "warning", "info")
 _MOST_ENDS, _MOST_NAMES = 3, 8
+_PROJECT = ("client", "author", "date", "instruments")
 _REPORTED = ("T20_s", "T30_s", "EDT_s", "C80_dB")
 
 
@@ -203,7 +210,138 @@ def _how_many_findings(answer: Result) -> str:
     ]
     words = {"serious": "serious finding", "warning": "warning", "info": "note"}
     counted = [count(n, words[severity]) for n, severity in counts if n]
-    return f"Read first: {listing(counted)} below." if counted else ""
+    return f"Read first: {listing(counted)}." if counted else ""
+
+
+def headline(answer: Result, say: Callable[[str], str] = str) -> str:
+    """Return the answer in one sentence: how many coefficients are determined, and how well.
+
+    Parameters
+    ----------
+    answer : Result
+    say : callable, optional
+        Translates sentences before names and numbers are put in.
+    """
+    is_fixed = fixed_coefficients(answer)
+    sure, wanted = answer.identifiable & ~is_fixed, ~is_fixed
+    if not wanted.any():
+        return say("Every coefficient was given; nothing was fitted.")
+    everywhere = np.ones(len(answer.bands), dtype=np.bool_)
+    numbers = {
+        "found": int(sure.sum()),
+        "wanted": int(wanted.sum()),
+        "materials": count(len(answer.materials), "material")
+        if say is str
+        else f"{len(answer.materials)} {say('materials')}",
+        "bands": _in_language(band_ranges(answer.bands.centres_hz, everywhere), say),
+        "half": _half_width(answer),
+    }
+    if not sure.any():
+        void = any(f.code.voids_identifiability for f in answer.findings)
+        words = (
+            "The data contradict the description of the room: no absorption coefficient may be "
+            "used before the findings are resolved."
+            if void
+            else "The data do not determine the absorption of any material by itself, only the "
+            "mean of the room."
+        )
+        return say(words)
+    open_ = [
+        f"{name} ({_in_language(_where(answer, missing), say)})"
+        for name, missing in zip(answer.materials, wanted & ~sure, strict=True)
+        if missing.any()
+    ]
+    text = say(
+        "The measurements determine {found} of {wanted} absorption coefficients of {materials}, "
+        "{bands}, half of them to within ±{half}"
+    ).format(**numbers)
+    if open_:
+        named = open_[:_MOST_OPEN]
+        if len(open_) > _MOST_OPEN:
+            named.append(f"{len(open_) - _MOST_OPEN}{say(' more')}")
+        text += say("; not determined: {names}").format(names=", ".join(named))
+    return f"{text}."
+
+
+_MOST_OPEN = 4
+
+
+def _in_language(words: str, say: Callable[[str], str]) -> str:
+    """Return a list of bands with its small words in the language of the page."""
+    if say is str:
+        return words
+    for small in (" to ", " and ", " of ", " bands"):
+        words = words.replace(small, say(small))
+    return words
+
+
+def _half_width(answer: Result) -> str:
+    """Return half of the median interval of what is identifiable and was not given."""
+    sure = answer.identifiable & ~fixed_coefficients(answer)
+    if not sure.any():
+        return DASH
+    half = 0.5 * float(np.median((answer.upper95 - answer.lower95)[sure]))
+    return number(half, 2 if half >= 0.0095 else 3)
+
+
+def key_figures(answer: Result, say: Callable[[str], str] = str) -> tuple[tuple[str, str], ...]:
+    """Return four numbers and what they are: the first screen of the report."""
+    fixed = fixed_coefficients(answer)
+    found = int((answer.identifiable & ~fixed).sum())
+    middle = int(np.argmin(np.abs(np.log2(answer.bands.centres_hz / 1000.0))))
+    mean, low, high = (coefficient(x, 1.0) for x in map(float, answer.mean_absorption[:, middle]))
+    at = hertz(float(answer.bands.centres_hz[middle]))
+    figures = [
+        (f"{found} / {int((~fixed).sum())}", say("coefficients determined")),
+        (f"±{_half_width(answer)}", say("half of them are known to within this, at 95 %")),
+        (f"{mean} ({low}{DASH}{high})", say("mean absorption of the room at {at}").format(at=at)),
+    ]
+    kept = [pair for pair in answer.pairs if pair.use == "validate"]
+    pairs = kept or list(answer.pairs)
+    known = parameter_keys(pairs)
+    key = decay_time_key(known) or next(iter(known), None)
+    if key is None:
+        return (*figures, (DASH, say("no measured room parameter to compare with")))
+    how = parameter(key)
+    model, baseline = (known_mean(x) for x in errors_of(pairs, key))
+    words = say("error of predicted {symbol}, mean of {pairs}").format(
+        symbol=how.symbol,
+        pairs=say("measurements that were not fitted" if kept else "the fitted measurements"),
+    )
+    if np.isfinite(baseline):
+        words += say("; by the mean of the others {baseline}").format(
+            baseline=f"{number(baseline, how.error_decimals)} {how.error_unit}"
+        )
+    return (*figures, (f"{number(model, how.error_decimals)} {how.error_unit}", words))
+
+
+def findings_count(answer: Result, say: Callable[[str], str] = str) -> str:
+    """Return how many findings of which severity there are, for the head of the list."""
+    words = {"serious": "serious", "warning": "to look at", "info": "to know"}
+    counts = [
+        f"{n} {say(words[severity])}"
+        for severity in _SEVERITIES
+        if (n := sum(f.severity == severity for f in answer.findings))
+    ]
+    return f"{say('Findings')}: {', '.join(counts) or '0'}"
+
+
+def _translator(language: str) -> Callable[[str], str]:
+    """Return what gives a text of the page in its language; what has no translation is English."""
+    if language != "de":
+        return str
+    german: dict[str, str] = tomllib.loads(_template("german.toml").render())
+    return lambda english: german.get(english, english)
+
+
+def _css_string(text: str) -> Markup:
+    """Return a text as a string of a style sheet that no character of it can end."""
+    plain = " ".join(text.split())
+    return Markup(
+        '"{}"'.format(
+            "".join(c if c.isalnum() and c.isascii() else f"\\{ord(c):x} " for c in plain)
+        )
+    )
 
 
 def report_html(
@@ -213,13 +351,15 @@ def report_html(
     title: str,
     campaign: str | None = None,
     inputs_sha256: Mapping[str, str] | None = None,
+    project: Mapping[str, str] | None = None,
 ) -> str:
     """Return the report of an identification as the text of one HTML file.
 
-    Its order: the answer in words, findings, the room, absorption with its intervals, absorption
-    areas, predictions beside measurements and the baseline, and provenance. The file executes
-    nothing and requests nothing: figures are SVG within it, and the page's own content security
-    policy forbids scripts and requests. Equal arguments give equal text.
+    Its order: the answer in a sentence, four figures, findings as a count that opens, absorption
+    with its intervals; predictions beside measurements and the baseline, the room; folded away
+    profiles, priors, absorption areas, single pairs and provenance. The file executes nothing and
+    requests nothing: figures are SVG within it, and the page's own content security policy forbids
+    scripts and requests. Equal arguments give equal text.
 
     Parameters
     ----------
@@ -231,6 +371,9 @@ def report_html(
         Name of the campaign file, for provenance.
     inputs_sha256 : mapping of str to str, optional
         SHA-256 of every input file by its name.
+    project : mapping of str to str, optional
+        Of client, author, date, instruments, language ("en" or "de": headings and the first
+        screen, not findings) and logo (a data URL of PNG or JPEG) what there is.
 
     Returns
     -------
@@ -250,22 +393,38 @@ def report_html(
     (True, False)
     """
     choices = tuple(pair for pair in answer.pairs if has_curves(pair))
+    about = dict(project or {})
+    language, logo = about.pop("language", "en"), about.pop("logo", "")
+    if logo and not re.fullmatch(r"data:image/(png|jpeg);base64,[A-Za-z0-9+/=]+", logo):
+        raise InputError("the logo is no data URL of PNG or JPEG", found=repr(logo[:40]))
+    say = _translator(language)
     text: str = _template("report.html.j2").render(
+        t=say,
+        language="de" if language == "de" else "en",
         title=title,
+        running=_css_string(" · ".join(filter(None, (title, about.get("client", ""))))),
+        page_words=tuple(_css_string(say(word)) for word in ("Page", "of")),
+        project=tuple((k, v) for k in _PROJECT if (v := about.get(k))),
+        logo=logo,
+        headline=headline(answer, say),
+        figures=key_figures(answer, say),
+        findings_count=findings_count(answer, say),
+        serious=any(f.severity == "serious" for f in answer.findings),
         summary=summary_sentences(answer),
         findings=finding_groups(answer.findings),
         room=_room(scene),
         materials=material_table(scene.room),
         positions=position_table(scene),
         plan=answer.plan,
-        absorption=_absorption(answer),
+        absorption=_absorption(answer, say),
         certainty=_certainty(answer),
         prior_tables=prior_tables(answer),
         reasons=answer.reasons,
-        absorption_tables=absorption_tables(answer),
+        absorption_tables=absorption_tables(answer, say),
         fit_tables=(*fit_tables(answer), *source_tables(answer), *certificate_tables(answer)),
         area_tables=(*area_tables(answer, scene), *share_tables(answer)),
         determined=determined_in_words(answer),
+        disagreement=disagreement_table(answer, scene),
         error_tables=error_tables(answer),
         overview=overview_table(answer),
         decay=_decays(answer, choices) if choices else None,
@@ -336,18 +495,30 @@ def has_curves(pair: ComparedPair) -> bool:
     return bool((np.isfinite(decay.measured_db) | np.isfinite(decay.predicted_db)).any())
 
 
-def _drawing(figure: Figure, name: str, title: str, caption: str) -> Markup:
-    """Return a figure element; words become part of its SVG escaped."""
-    return Markup(
-        '<figure>\n<div class="drawing">{}</div>\n<figcaption>{}</figcaption>\n</figure>\n'
-    ).format(Markup(svg(figure, name, title)), caption)
+def _drawing(
+    figure: Figure, name: str, title: str, caption: str, narrow: Figure | None = None
+) -> Markup:
+    """Return a figure element; words become part of its SVG escaped.
+
+    Where there is a `narrow` drawing, it stands instead of the other on the screen of a telephone.
+    """
+    wide = Markup(svg(figure, name, title))
+    if narrow is None:
+        drawings = Markup('<div class="drawing">{}</div>').format(wide)
+    else:
+        drawings = Markup(
+            '<div class="drawing wide-only">{}</div>\n<div class="drawing narrow-only">{}</div>'
+        ).format(wide, Markup(svg(narrow, f"{name}-narrow", title)))
+    return Markup("<figure>\n{}\n<figcaption>{}</figcaption>\n</figure>\n").format(
+        drawings, caption
+    )
 
 
 def _room(scene: Scene) -> Markup:
     caption = (
         "Above: the room without the walls towards the viewer, colours as in the table of "
-        "materials; dotted lines lead down to the floor. Below: plan and two side views, all "
-        "to one scale."
+        "materials; dotted lines lead down to the floor. Below: the plan with its materials and "
+        "two side views, all to one scale."
     )
     _, n_observed = drawn_faces(scene.room)
     if n_observed > MOST_FACES:
@@ -357,19 +528,22 @@ def _room(scene: Scene) -> Markup:
         f"{count(len(scene.sources), 'source')} and {count(len(scene.receivers), 'receiver')}: "
         "in space, in plan and from two sides; the tables below hold the numbers."
     )
-    return _drawing(room_figure(scene), "room", title, caption)
+    return _drawing(room_figure(scene), "room", title, caption, room_figure(scene, narrow=True))
 
 
-def _absorption(answer: Result) -> Markup:
+def _absorption(answer: Result, say: Callable[[str], str]) -> Markup:
     return _drawing(
-        absorption_figure(answer),
+        absorption_figure(answer, say=say),
         "absorption",
         f"Absorption coefficient over frequency with 95 % intervals, "
         f"{count(len(answer.materials), 'material')} and the mean of the room; the table below "
         "holds every number.",
-        "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
-        "identifiable, the number may come from the prior. Diamonds: given. "
-        "Above each panel the area of the material, and in how many bands it is identifiable.",
+        say(
+            "Points with bars: absorption and its 95 % interval. Filled: identifiable. Hollow: not "
+            "identifiable, the number may come from the prior. Diamonds: given. "
+            "Above each panel the area of the material, and in how many bands it is identifiable."
+        ),
+        absorption_figure(answer, narrow=True, say=say),
     )
 
 
@@ -380,8 +554,9 @@ def _certainty(answer: Result) -> tuple[Markup, ...]:
             "identifiable",
             "Matrix of materials by bands: width of the 95 % interval; the tables hold every "
             "number.",
-            "Width of the 95 % interval of every coefficient, dark where it is narrow. A tick "
-            "marks what is identifiable, G what was given.",
+            "Width of the 95 % interval of every coefficient, dark where it is narrow. The scale "
+            f"ends at {WIDEST_IDENTIFIABLE:g}, beyond which nothing is identifiable. A tick marks "
+            "what is identifiable, G what was given.",
         )
     ]
     bent, corner = profiles_figure(answer), corner_figure(answer)
@@ -416,7 +591,9 @@ def _certainty(answer: Result) -> tuple[Markup, ...]:
 def _decays(answer: Result, pairs: tuple[ComparedPair, ...]) -> Markup:
     caption = (
         "Energy left in the room relative to the whole, after each time; above each panel the "
-        "decay time, measured → predicted."
+        "decay time, measured → predicted, and shaded the range of levels from which it was read. "
+        "Where the measured curve meets the dotted line the noise takes over: later energy is "
+        "extrapolated."
     )
     if len(pairs) > 1:
         caption += " Shown first: the pair whose parameters are furthest off."

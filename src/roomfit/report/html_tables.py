@@ -7,7 +7,8 @@ room's materials and positions; fitted directivities. `wording.Table` is what th
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -46,13 +47,22 @@ def fixed_coefficients(answer: Result) -> BoolArray:
     return np.asarray(answer.lower95 == answer.upper95)
 
 
-def absorption_tables(answer: Result) -> tuple[Table, ...]:
+def absorption_tables(answer: Result, say: Callable[[str], str] = str) -> tuple[Table, ...]:
     """Return absorption with its 95 % interval, materials in rows, with the mean of the room."""
+
+    def translated(row: Row) -> Row:
+        cells = tuple(replace(c, small=tuple(say(line) for line in c.small)) for c in row.cells)
+        head = say(row.head) if row.style == "total" else row.head
+        return replace(row, head=head, cells=cells)
+
     return band_tables(
-        f"Absorption coefficient, 95 % interval ({answer.interval_kind})",
-        "material",
+        f"{say('Absorption coefficient, 95 % interval')} ({answer.interval_kind})",
+        say("material"),
         answer.bands.centres_hz,
-        lambda block: (*material_rows(answer, block), mean_row(answer, block)),
+        lambda block: (
+            *(translated(r) for r in material_rows(answer, block)),
+            translated(mean_row(answer, block)),
+        ),
     )
 
 
@@ -73,6 +83,7 @@ def material_rows(answer: Result, block: IntArray) -> list[Row]:
                 for j in block
             ),
             small=f"{area(float(answer.areas_m2[i]))} m²",
+            colour=material_colour(i),
         )
         for i, name in enumerate(answer.materials)
     ]

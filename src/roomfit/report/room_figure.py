@@ -17,7 +17,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import MaxNLocator
 
 from roomfit.geometry.mesh import area_vectors_m2, corners_m
-from roomfit.report.figures import OKABE_ITO, PlainFigure, literal
+from roomfit.report.figures import NARROW_IN, OKABE_ITO, PlainFigure, literal
 from roomfit.scene import Room, Scene, triangle_material
 from roomfit.typing import FloatArray, IntArray
 
@@ -37,7 +37,11 @@ _SOURCE, _RECEIVER = OKABE_ITO[1], "#222222"
 _SOURCE_NAME = "#8A3C00"
 _WIDTH_IN, _GAP_IN = 10.2, 0.75
 _SPACE_IN = (6.9, 4.4)
+_BELOW_IN = 1.2
 _MOST_EDGES = 1500
+_MOST_WALL_NAMES = 10
+_UPRIGHT = 0.3
+"""Vertical part of a unit normal below which a wall stands and above one less which it lies."""
 _MOST_NAMES, _MOST_STEMS, _MOST_IN_LEGEND = 24, 16, 18
 _LETTER_PT, _NAME_PT = 5.0, 8.0
 # Viewed from the south-south-west, 30 degrees above the floor.
@@ -47,53 +51,110 @@ _Offset = tuple[float, float, Literal["left", "right", "center"]]
 
 
 def material_colour(index: int) -> str:
-    """Return the colour of a material."""
-    return COLOURS[index % len(COLOURS)]
+    """Return the colour of a material, so pale that words and points can be read on it."""
+    red, green, blue = (0.6 * part + 0.4 for part in to_rgb(COLOURS[index % len(COLOURS)]))
+    return to_hex((red, green, blue))
 
 
-def room_figure(scene: Scene) -> Figure:
+def room_figure(scene: Scene, *, narrow: bool = False) -> Figure:
     """Return the room from above one corner, its plan and two side views, to scale.
 
     In space the walls towards the viewer are left out, so that its inside shows; the
-    colours are those of `material_colour`.
+    colours are those of `material_colour`. The plan names the materials of walls, floor and
+    ceiling. `narrow` is for the screen of a telephone: all views below each other, no legend.
     """
     edges = outline_m(scene.room, _MOST_EDGES)
     vertices = scene.room.mesh.vertices_m
     low, size = vertices.min(axis=0), np.maximum(np.ptp(vertices, axis=0), 1e-6)
     views = ((0, 1, "plan"), (0, 2, "side (x, z)"), (1, 2, "side (y, z)"))
-    across = float(sum(size[i] for i, _, _ in views))
-    tallest = float(max(size[1], size[2]))
-    scale = min((_WIDTH_IN - 3.0 * _GAP_IN) / across, 3.4 / tallest)
-    below_in = tallest * scale + 0.95
+    width_in, room_for_space = (NARROW_IN, (3.3, 3.0)) if narrow else (_WIDTH_IN, _SPACE_IN)
+    across = [float(size[i]) for i, _, _ in views]
+    tall_m = [float(size[j]) for _, j, _ in views]
+    if narrow:
+        scale = min((width_in - _GAP_IN) / max(across), 3.4 / max(tall_m))
+        below_in = sum(tall_m) * scale + 3.0 * _BELOW_IN
+    else:
+        scale = min((width_in - 3.0 * _GAP_IN) / sum(across), 3.4 / max(tall_m))
+        below_in = max(tall_m) * scale + _BELOW_IN
     flat = (vertices @ _projection().T)[:, :2]
     extent = np.maximum(np.ptp(flat, axis=0), 1e-6)
-    space_scale = min(_SPACE_IN[0] / extent[0], _SPACE_IN[1] / extent[1])
-    entries = min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
+    space_scale = min(room_for_space[0] / extent[0], room_for_space[1] / extent[1])
+    entries = 0 if narrow else min(len(scene.room.materials), _MOST_IN_LEGEND) + 2
     above_in = max(extent[1] * space_scale + 0.5, 0.2 * entries + 0.3)
     height_in = above_in + below_in
-    figure = PlainFigure(figsize=(_WIDTH_IN, height_in))
+    figure = PlainFigure(figsize=(width_in, height_in))
     FigureCanvasAgg(figure)
 
-    def panel(left_in: float, bottom_in: float, width_in: float, tall_in: float) -> Axes:
-        inches = (left_in, bottom_in, width_in, tall_in)
-        whole = (_WIDTH_IN, height_in, _WIDTH_IN, height_in)
+    def panel(left_in: float, bottom_in: float, wide_in: float, tall_in: float) -> Axes:
+        inches = (left_in, bottom_in, wide_in, tall_in)
+        whole = (width_in, height_in, width_in, height_in)
         left, bottom, width, tall = (float(a / b) for a, b in zip(inches, whole, strict=True))
         return figure.add_axes((left, bottom, width, tall))
 
     width, tall = extent * space_scale
     middle = below_in + 0.5 * (above_in - tall)
-    space = panel(0.1 + 0.5 * (_SPACE_IN[0] - width), middle, width, tall)
+    space = panel(0.1 + 0.5 * (room_for_space[0] - width), middle, width, tall)
     _draw_space(space, scene, edges, space_scale)
-    _draw_legend(figure, scene)
-    left_in = _GAP_IN - 0.15
+    if not narrow:
+        _draw_legend(figure, scene)
+    left_in, bottom_in = _GAP_IN - 0.15, below_in + 0.6 if narrow else 0.6
     for right, up, title in views:
-        axes = panel(left_in, 0.6, size[right] * scale, size[up] * scale)
+        if narrow:
+            bottom_in -= size[up] * scale + _BELOW_IN
+        axes = panel(left_in, bottom_in, size[right] * scale, size[up] * scale)
+        if up == 1:
+            title += _draw_walls(axes, scene, scale)
         _draw_view(axes, scene, edges, right, up, scale)
         axes.set_title(title, fontsize=9, loc="left")
         axes.set_xlim(low[right], low[right] + size[right])
         axes.set_ylim(low[up], low[up] + size[up])
-        left_in += size[right] * scale + _GAP_IN
+        if not narrow:
+            left_in += size[right] * scale + _GAP_IN
     return figure
+
+
+def _draw_walls(axes: Axes, scene: Scene, scale: float) -> str:
+    """Draw upright walls in their colours with the name of each material once, in a plan.
+
+    Returned are the materials of floor and ceiling, the largest first, for the title.
+    """
+    room, owner = scene.room, triangle_material(scene.room)
+    outwards = area_vectors_m2(room.mesh)
+    area_m2 = np.linalg.norm(outwards, axis=1)
+    normal = outwards / np.where(area_m2 > 0.0, area_m2, 1.0)[:, None]
+    upright = np.flatnonzero((np.abs(normal[:, 2]) < _UPRIGHT) & (area_m2 > 0.0))
+    upright = upright[np.argsort(-area_m2[upright], kind="stable")[:MOST_FACES]]
+    corners = corners_m(room.mesh)[upright][:, :, :2]
+    along = np.stack([-normal[upright, 1], normal[upright, 0]], axis=1)
+    at = np.einsum("ncx,nx->nc", corners, along)
+    rows = np.arange(len(upright))
+    ends = np.stack([corners[rows, at.argmin(axis=1)], corners[rows, at.argmax(axis=1)]], axis=1)
+    colours = [material_colour(int(i)) for i in owner[upright]]
+    axes.add_collection(
+        LineCollection(list(ends), colors=colours, linewidths=6.0, clip_on=False, zorder=0.9)
+    )
+    first: dict[int, int] = {}
+    for i, material in enumerate(owner[upright].tolist()):
+        first.setdefault(material, i)
+    for material, i in list(first.items())[:_MOST_WALL_NAMES]:
+        length_pt = float(np.linalg.norm(ends[i, 1] - ends[i, 0])) * scale * 72.0
+        name = literal(room.materials[material], 24)
+        if len(name) * _LETTER_PT > length_pt:
+            continue
+        inwards = -normal[upright[i], :2] * 9.0
+        turn = float(np.degrees(np.arctan2(along[i, 1], along[i, 0])))
+        axes.annotate(
+            name, ends[i].mean(axis=0), xytext=tuple(inwards), textcoords="offset points",
+            ha="center", va="center", fontsize=_NAME_PT, color="0.3", annotation_clip=False,
+            rotation=(turn + 90.0) % 180.0 - 90.0,
+        )  # fmt: skip
+    words = []
+    for what, sign in (("floor", -1.0), ("ceiling", 1.0)):
+        level = sign * normal[:, 2] > 1.0 - _UPRIGHT
+        sums = np.bincount(owner[level], area_m2[level], len(room.materials))
+        names = [literal(room.materials[k], 18) for k in np.argsort(-sums)[:2] if sums[k] > 0.0]
+        words += [f"{what} {', '.join(names)}"] if names else []
+    return "".join(f"\n{word}" for word in words)
 
 
 def drawn_faces(room: Room) -> tuple[IntArray, int]:
@@ -128,7 +189,7 @@ def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> No
     room, onto = scene.room, _projection()[:2]
     faces, _ = drawn_faces(room)
     owner = triangle_material(room)
-    colours = [_pale(material_colour(int(i))) for i in owner[faces]]
+    colours = [material_colour(int(i)) for i in owner[faces]]
     # edges of the same colour close the gaps between neighbours
     axes.add_collection(
         PolyCollection(
@@ -150,12 +211,6 @@ def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> No
     axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
     axes.set_ylim(flat[:, 1].min(), flat[:, 1].max())
     axes.set_axis_off()
-
-
-def _pale(colour: str) -> str:
-    """Return a colour mixed with white, so that words and points can be read on it."""
-    red, green, blue = (0.6 * part + 0.4 for part in to_rgb(colour))
-    return to_hex((red, green, blue))
 
 
 def _draw_view(
@@ -211,7 +266,7 @@ def _draw_points(
         axes.annotate(
             name, point, xytext=(x, y), textcoords="offset points", ha=align, va="center",
             fontsize=_NAME_PT, color=ink, zorder=5, annotation_clip=False,
-            bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.6},
+            bbox={"boxstyle": "square,pad=0.05", "fc": "white", "ec": "none", "alpha": 0.75},
         )  # fmt: skip
 
 
@@ -259,7 +314,7 @@ def _draw_legend(figure: Figure, scene: Scene) -> None:
     ]
     names = scene.room.materials[:_MOST_IN_LEGEND]
     handles += [
-        Patch(facecolor=_pale(material_colour(i)), edgecolor="#777777", label=literal(name, 28))
+        Patch(facecolor=material_colour(i), edgecolor="#777777", label=literal(name, 28))
         for i, name in enumerate(names)
     ]
     if len(names) < len(scene.room.materials):

@@ -1,0 +1,300 @@
+"""The first screen of the report, its project and language, and why predictions are off."""
+
+from __future__ import annotations
+
+import ast
+import base64
+import re
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import roomfit
+from report_cases import answer_of, drawing, finding, read_page, scene_of
+from roomfit.errors import InputError
+from roomfit.findings import Code, Finding
+from roomfit.inversion.model_checks import DECAY_SCATTER
+from roomfit.report.disagreement import disagreement_table
+from roomfit.report.figures import absorption_figure, decay_figure, identifiability_figure
+from roomfit.report.html import findings_count, headline, key_figures, report_html
+from roomfit.report.room_figure import material_colour, room_figure
+from roomfit.report.wording import DASH
+from roomfit.results import Compared
+from roomfit.signals.decay import in_jnd
+from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
+
+REPORT = Path(roomfit.__file__).parent / "report"
+HOSTILE = '</style><script>alert(1)</script>"\\ } \n * { display: none } #'
+PNG = b"\x89PNG\r\n\x1a\n" + b"0" * 40
+
+
+@pytest.fixture(scope="module")
+def scene():
+    return scene_of()
+
+
+@pytest.fixture(scope="module")
+def answer(scene):
+    return answer_of(scene)
+
+
+def with_errors(answer, error, keys=("T20_s",), chi2=1.0, n_pairs=8):
+    """Return the answer with so many pairs that predict as measured, times 1 plus an error.
+
+    `error` has a value for each pair; parameters that are not among `keys` are left out.
+    """
+    pairs = []
+    for i in range(n_pairs):
+        found = {}
+        for key in keys:
+            measured = np.array(answer.pairs[0].parameters[key].measured)
+            off = measured * (1.0 + np.broadcast_to(error, (n_pairs,))[i])
+            found[key] = Compared(measured, off, 1.1 * measured, in_jnd(key, measured, off))
+        pairs.append(replace(answer.pairs[0], parameters=found, receiver=f"R{i}"))
+    return replace(answer, pairs=tuple(pairs), chi2_reduced=np.full(len(answer.bands), chi2))
+
+
+def test_the_headline_and_the_figures_are_those_of_the_answer(answer):
+    text = headline(answer)
+    found = int(answer.identifiable.sum())
+    width = (answer.upper95 - answer.lower95)[answer.identifiable]
+    assert text.startswith(f"The measurements determine {found} of 18 absorption coefficients")
+    assert f"half of them to within ±{np.median(width) / 2:.2f}" in text
+    missing = [n for n, sure in zip(answer.materials, answer.identifiable, strict=True)
+               if not sure.all()]  # fmt: skip
+    assert all(f"{name} (" in text.partition("not determined: ")[2] for name in missing)
+    figures = key_figures(answer)
+    assert [value for value, _ in figures][:2] == [f"{found} / 18", f"±{np.median(width) / 2:.2f}"]
+    mean = answer.mean_absorption[:, 3]
+    assert figures[2] == (
+        f"{mean[0]:.2f} ({mean[1]:.2f}{DASH}{mean[2]:.2f})",
+        "mean absorption of the room at 1 kHz",
+    )
+    both = [(p.parameters["T20_s"].predicted, p.parameters["T20_s"].measured) for p in answer.pairs]
+    error = 100.0 * np.mean([abs(p / m - 1.0) for p, m in both])
+    assert figures[3][0] == f"{error:.1f} %"
+    assert figures[3][1].startswith("error of predicted T20, mean of the fitted measurements; by")
+
+
+def test_a_description_that_the_data_contradict_is_the_headline(answer):
+    nothing = replace(answer, identifiable=np.zeros_like(answer.identifiable))
+    assert headline(nothing).startswith("The data do not determine")
+    void = Finding(Code.MODEL_MISFIT_ALL_BANDS, "Wrong.")
+    assert "no absorption coefficient may be used" in headline(replace(nothing, findings=(void,)))
+    given = replace(answer, lower95=answer.absorption, upper95=answer.absorption)
+    assert headline(given) == "Every coefficient was given; nothing was fitted."
+
+
+def test_findings_are_counted_by_severity(answer):
+    some = (finding("warning", "a"), finding("info", "b"), finding("warning", "c"))
+    assert findings_count(replace(answer, findings=some)) == "Findings: 2 to look at, 1 to know"
+    assert findings_count(answer) == "Findings: 0"
+
+
+# The project.
+
+
+def test_what_the_project_says_stands_at_the_top_and_in_the_margin_of_every_sheet(answer, scene):
+    project = {
+        "client": "The city",
+        "author": "A. N.",
+        "date": "2026-11-22",
+        "instruments": "Mic 1",
+    }
+    text = report_html(answer, scene, title="Hall", project=project)
+    words = "".join(read_page(text).words)
+    assert all(value in words for value in project.values())
+    style = "".join(read_page(text).raw["style"])
+    assert '@top-left { content: "Hall\\20 \\b7 \\20 The\\20 city"; }' in style
+    assert 'content: "Page" " " counter(page) " " "of" " " counter(pages)' in style
+    assert "img-src" not in text
+
+
+def test_no_word_of_a_project_leaves_its_place(answer, scene):
+    project = dict.fromkeys(("client", "author", "date", "instruments"), HOSTILE)
+    page = read_page(report_html(answer, scene, title=HOSTILE, project=project))
+    assert not {"script", "img"} & {tag for tag, _ in page.elements}
+    style = "".join(page.raw["style"])
+    (running,) = re.findall(r"@top-left \{ content: (.*?); \} @bottom-right", style)
+    assert re.fullmatch(r'"(\w|\\[0-9a-f]+ )*"', running)
+    unescaped = re.sub(r"\\([0-9a-f]+) ", lambda m: chr(int(m[1], 16)), running)
+    shown = " ".join(HOSTILE.split())
+    assert unescaped == f'"{shown} · {shown}"'
+    assert "display: none } #" not in style
+
+
+def test_a_logo_is_embedded_and_allowed_by_the_policy_of_that_page_alone(answer, scene):
+    logo = "data:image/png;base64," + base64.b64encode(PNG).decode()
+    page = read_page(report_html(answer, scene, title="Hall", project={"logo": logo}))
+    (image,) = [a for tag, a in page.elements if tag == "img"]
+    assert image == {"class": "logo", "src": logo, "alt": ""}
+    policy = next(a for _, a in page.elements if a.get("http-equiv"))["content"]
+    assert re.fullmatch(
+        r"default-src 'none'; style-src( 'sha256-[\w+/]{43}=')+; img-src data:", policy
+    )
+    for bad in ("http://a/b.png", "data:image/svg+xml;base64,AAAA", 'data:image/png;base64,A"B'):
+        with pytest.raises(InputError, match="logo is no data URL"):
+            report_html(answer, scene, title="Hall", project={"logo": bad})
+
+
+# The language.
+
+
+def translated():
+    """Return every text that the page translates, from the template and the modules."""
+    template = (REPORT / "templates" / "report.html.j2").read_text(encoding="utf-8")
+    found = set(re.findall(r'\bt\("([^"]*)"\)', template))
+    for file in ("html.py", "html_tables.py", "figures.py"):
+        for node in ast.walk(ast.parse((REPORT / file).read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "say":
+                found |= {
+                    part.value
+                    for part in ast.walk(node.args[0])
+                    if isinstance(part, ast.Constant)
+                    and isinstance(part.value, str)
+                    and not isinstance(node.args[0], ast.JoinedStr)
+                }
+    return found - {""}
+
+
+def test_every_text_of_the_page_has_a_german_one_with_the_same_places():
+    german = tomllib.loads((REPORT / "templates" / "german.toml").read_text(encoding="utf-8"))
+    assert len(translated()) > 40
+    assert translated() - set(german) == set()
+    for english, text in german.items():
+        assert sorted(re.findall(r"{\w+}", english)) == sorted(re.findall(r"{\w+}", text)), english
+
+
+def test_a_german_page_says_so_and_leaves_findings_as_they_are(answer, scene):
+    doubt = finding("warning", "Look at the floor and at the wall.")
+    german = replace(answer, findings=(doubt,))
+    text = report_html(german, scene, title="Saal", project={"language": "de"})
+    page = read_page(text)
+    assert text.startswith("<!DOCTYPE html>") and '<html lang="de">' in text
+    assert {"Absorption", "Gemessen und vorhergesagt", "Der Raum", "Herkunft"} <= set(page.headings)
+    words = " ".join("".join(page.words).split())
+    assert "Die Messungen bestimmen" in words and "125 Hz bis 4 kHz" in words
+    assert doubt.sentence in words
+    assert "Absorptionsgrad" in drawing(text, "absorption")
+
+
+def test_small_words_within_names_are_not_translated():
+    scene = scene_of(("glass and steel", "felt of wool to floor"))
+    page = report_html(answer_of(scene), scene, title="t", project={"language": "de"})
+    assert "glass and steel (" in page and "felt of wool to floor (" in page
+
+
+# Why model and measurement disagree.
+
+
+def rows_of(table):
+    return [(row.head, *(cell.text for cell in row.cells)) for row in table.rows]
+
+
+def test_where_predictions_agree_there_is_no_table(answer, scene):
+    assert disagreement_table(with_errors(answer, 0.04), scene) is None
+    assert disagreement_table(replace(answer, pairs=()), scene) is None
+
+
+def test_scatter_as_large_as_interference_makes_it_says_nothing_against_absorption(answer, scene):
+    """Plus and minus by turns; 15 % is beyond two JND, and in the lowest band expected."""
+    off = with_errors(answer, 0.15 * (-1.0) ** np.arange(8))
+    rows = rows_of(disagreement_table(off, scene))
+    time_s = answer.pairs[0].parameters["T20_s"].measured
+    width_hz = answer.bands.upper_hz - answer.bands.lower_hz
+    expected = DECAY_SCATTER["T20_s"] / np.sqrt(width_hz * time_s)
+    as_expected = expected * 1.5 >= 0.15
+    assert as_expected.any() and not as_expected.all()
+    assert "as much as ISO 3382-2 expects" in rows[0][2] and rows[0][3].startswith("None:")
+    lowest = int(np.flatnonzero(as_expected)[0])
+    assert f"±15 % (±{100 * expected[lowest]:.0f} % expected)" in rows[0][1]
+    assert "positions differ more than the model says" in rows[-1][2]
+
+
+def test_a_decay_that_is_too_long_names_the_absorption_that_would_shorten_it(answer, scene):
+    rows = rows_of(disagreement_table(with_errors(answer, 0.3), scene))
+    assert len(rows) == len(answer.bands)
+    for (head, size, why, meaning), mean in zip(rows, answer.mean_absorption[0], strict=True):
+        assert head.startswith("T20, ") and "+30 % on average" in size
+        assert why == "no finding explains it"
+        # Sabine: 30 % more; the air counts too, at 4 kHz three tenths of a hundredth
+        (needed,) = re.findall(r"mean absorption of ([\d.]+) instead", meaning)
+        assert float(needed) == pytest.approx(1.3 * mean, abs=0.016)
+        assert "outside the interval: early and late sound" in meaning
+
+
+def test_a_band_of_pressures_whose_decay_no_check_contradicts_is_not_blamed(answer, scene):
+    """Between smooth walls energies that add miss the decay at the right absorption."""
+    off = replace(with_errors(answer, 0.3), models=("coherent",) * 3 + ("energy",) * 3)
+    rows = rows_of(disagreement_table(off, scene))
+    assert ["pressures" in row[2] for row in rows] == [True, False, False, False]
+    assert rows[0][0] == "T20, 125 Hz to 500 Hz"
+    assert rows[0][3].startswith("None by itself")
+    missed = Finding(Code.DECAY_NOT_REPRODUCED, "Missed.", {"bands_hz": [125.0, 250.0, 500.0]})
+    rows = rows_of(disagreement_table(replace(off, findings=(missed,)), scene))
+    assert len(rows) == 6 and "see the finding" in rows[0][2] and "instead of" in rows[0][3]
+
+
+def test_findings_and_misfit_are_the_reasons_where_they_concern_the_band(answer, scene):
+    low = Finding(Code.BELOW_SCHROEDER_FREQUENCY, "Modes.", {"bands_hz": [125.0]})
+    off = replace(with_errors(answer, 0.5, chi2=3.0), findings=(low,))
+    rows = rows_of(disagreement_table(off, scene))
+    assert [("single modes" in row[2], "(φ above 2)" in row[2]) for row in rows] == [
+        (True, True),
+        (False, True),
+    ]
+    assert all(row[3].startswith("Not to be used") for row in rows)
+
+
+# The pictures.
+
+
+def test_points_of_absorption_are_joined_and_the_narrow_drawing_shows_the_same(answer):
+    for figure in (absorption_figure(answer), absorption_figure(answer, narrow=True)):
+        for axes, row in zip(figure.axes, answer.absorption, strict=False):
+            joined = [x for x in axes.lines if x.get_linestyle() == "-" and x.get_marker() == "None"
+                      and len(x.get_xdata()) == len(answer.bands)]  # fmt: skip
+            np.testing.assert_array_equal(joined[0].get_ydata(), row)
+    assert absorption_figure(answer, narrow=True).get_size_inches()[0] <= 390 / 96
+
+
+def test_the_scale_of_the_matrix_ends_where_nothing_is_identifiable(answer):
+    mesh = identifiability_figure(answer).axes[0].collections[0]
+    assert mesh.norm.boundaries[-1] == WIDEST_IDENTIFIABLE
+    colours = mesh.cmap(mesh.norm([0.199, 0.201, 0.9]))
+    assert (colours[1] == colours[2]).all() and (colours[0] != colours[1]).any()
+
+
+def test_decay_curves_show_the_noise_and_the_range_that_was_evaluated(answer):
+    levels = np.array([-38.0, -40.0, np.nan, -30.0, -41.0, -44.0])
+    pair = answer.pairs[0]
+    pair = replace(pair, decay=replace(pair.decay, noise_db=levels))
+    for axes, level in zip(decay_figure(answer, pair).axes, levels, strict=True):
+        (shaded,) = axes.patches
+        box = shaded.get_bbox()
+        assert (box.y0, box.y1) == (-25.0, -5.0)  # T20
+        floors = [x.get_ydata()[0] for x in axes.lines if x.get_linestyle() == ":"]
+        assert floors == ([] if np.isnan(level) else [level])
+
+
+def test_the_plan_names_the_materials_of_walls_floor_and_ceiling():
+    scene = scene_of(("brick", "carpet", "tiles"))
+    for narrow in (False, True):
+        axes = room_figure(scene, narrow=narrow).axes[1]
+        assert axes.get_title(loc="left") == "plan\nfloor carpet\nceiling tiles"
+        assert "brick" in [t.get_text() for t in axes.texts]
+        colours = {tuple(c) for c in np.round(axes.collections[0].get_colors()[:, :3], 3)}
+        red = tuple(np.round([int(material_colour(0)[i : i + 2], 16) / 255 for i in (1, 3, 5)], 3))
+        assert colours == {red}
+
+
+def test_greys_of_drawings_turn_with_the_page(answer, scene):
+    text = report_html(answer, scene, title="t")
+    for name in ("room", "absorption", "decay", "absorption-narrow", "room-narrow"):
+        rules = re.sub(r"var\(--\w+,#\w+\)", "", drawing(text, name))
+        assert not re.findall(r"(?:fill|stroke):#(\w\w)\1\1\b", rules), name
+    style = "".join(read_page(text).raw["style"])
+    assert "prefers-color-scheme: dark" in style and "@page" in style
