@@ -30,6 +30,7 @@ from roomfit.cli import (
     impedance,
     paper,
     predict,
+    schema,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import warn
@@ -47,6 +48,7 @@ _COMMANDS = (
     impedance,
     paper,
     predict,
+    schema,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

@@ -11,24 +11,14 @@ import numpy as np
 
 from roomfit.bands import Bands
 from roomfit.errors import InputError, located
-from roomfit.io.campaign import (
-    Campaign,
-    MaterialTable,
-    MeasuredFile,
-    SharedDirectivity,
-    SourceDirectivity,
-    Spectrum,
-    input_files,
-    read_campaign,
-)
-from roomfit.io.campaign import (
-    Directivity as FirstOrderTable,
-)
+from roomfit.io.campaign import Campaign, MeasuredFile, input_files, read_campaign
 from roomfit.io.directivity import read_directivity
 from roomfit.io.door import check_files
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_room
+from roomfit.io.schema import Directivity as FirstOrderTable
+from roomfit.io.schema import MaterialTable, SharedDirectivity, SourceDirectivity, Spectrum
 from roomfit.materials.catalogue import material_prior
 from roomfit.materials.priors import MaterialPrior, complete_priors
 from roomfit.measurement import Measurement
