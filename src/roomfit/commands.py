@@ -35,6 +35,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
+from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import identify_arguments, material_priors
@@ -94,6 +95,37 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
+
+
+def draft_to_folder(
+    folder: Path,
+    room: RoomSpec | None,
+    recordings: str | None = None,
+    positions: Path | None = None,
+    *,
+    because: str = "",
+    overwrite: bool = False,
+) -> str:
+    """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
+
+    Raises
+    ------
+    InputError
+        There is a campaign already and `overwrite` is false, the room or the positions cannot be
+        read, the unit is in doubt, or no recording has the shape of the template.
+    StoreError
+        The disk refuses.
+    """
+    _check_place(folder / "campaign.toml", overwrite)
+    text = draft_campaign(
+        room,
+        matching_files(folder, recordings),
+        None if positions is None else read_positions(positions),
+        folder=folder,
+        because=because,
+    )
+    write_text_atomically(folder / "campaign.toml", text)
+    return text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -168,13 +200,13 @@ def export_result(
 def _check_place(out: Path, overwrite: bool) -> None:
     if out.is_dir():
         raise InputError(
-            "the export is one file, and a folder is in its place",
+            "one file is written, and a folder is in its place",
             where=str(out),
             hint=f"write --out {out / 'materials.txt'}",
         )
     if out.exists() and not out.is_file():
         raise InputError(
-            "the export is one file, and something else is in its place",
+            "one file is written, and something else is in its place",
             where=str(out),
             found="a device, a pipe or a socket, which would be replaced",
             needed="a new name",

@@ -36,7 +36,7 @@ def test_help_and_version_load_nothing_heavy():
 
 
 COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
-            "impedance", "paper", "predict", "schema")  # fmt: skip
+            "impedance", "init", "paper", "predict", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -62,6 +62,37 @@ def _read_toml(path: Path) -> dict[str, Any]:
         ) from error
 
 
+FILL_IN = "FILL IN"  # what `roomfit init` leaves to be filled in
+
+
+def blanks(content: object, key: str = "") -> list[str]:
+    """Return the keys of a campaign whose values are still to be filled in.
+
+    Examples
+    --------
+    >>> blanks({"sources": {"S1": {"position": FILL_IN}}, "measurements": [{"file": "a.wav"}]})
+    ['sources.S1.position']
+    """
+    if content == FILL_IN:
+        return [key]
+    if isinstance(content, dict):
+        return [b for k, v in content.items() for b in blanks(v, f"{key}.{k}".lstrip("."))]
+    if isinstance(content, list):
+        return [b for i, v in enumerate(content, start=1) for b in blanks(v, f"{key}[{i}]")]
+    return []
+
+
+def _check_blanks(path: Path, content: dict[str, Any]) -> None:
+    found = blanks(content)
+    if found:
+        raise InputError(
+            "the campaign is not filled in",
+            where=str(path),
+            found=f"{FILL_IN} for {', '.join(found)}",
+            needed="values, as [1.2, 3.4, 1.5] for a position: x, y, z in m",
+        )
+
+
 def _check_data(path: Path, campaign: CampaignTable) -> None:
     """Refuse a campaign that leaves nothing to fit."""
     if not campaign.measurements:
@@ -319,8 +350,10 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     (['R'], 'auto')
     """
     path = Path(path)
+    content = _read_toml(path)
+    _check_blanks(path, content)
     try:
-        table = CampaignTable.model_validate(_read_toml(path))
+        table = CampaignTable.model_validate(content)
     except ValidationError as error:
         raise explained(path, error, CampaignTable) from None
     if to_fit:

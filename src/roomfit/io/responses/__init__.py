@@ -21,6 +21,7 @@ _READERS = {
     ".sofa": read_sofa,
     ".txt": read_rew,
 }
+RESPONSE_SUFFIXES = tuple(_READERS)
 _KEYS = {
     ".wav": ("channel",),
     ".wave": ("channel",),
