@@ -122,6 +122,7 @@ def draft_to_folder(
         matching_files(folder, recordings),
         None if positions is None else read_positions(positions),
         folder=folder,
+        template=recordings,
         because=because,
     )
     write_text_atomically(folder / "campaign.toml", text)
@@ -411,6 +412,7 @@ def identify_to_folder(
     campaign_file: Path,
     out: Path,
     *,
+    between_hz: tuple[float, float] | None = None,
     overwrite: bool = False,
     keep: bool = True,
     progress: Progress | None = None,
@@ -422,6 +424,8 @@ def identify_to_folder(
     Parameters
     ----------
     campaign_file, out : Path
+    between_hz : (lowest, highest), optional
+        Bands to fit in place of the campaign's, see `identify_arguments`.
     overwrite : bool
         Write into a folder that is not empty.
     keep : bool
@@ -441,8 +445,7 @@ def identify_to_folder(
 
     # checked now rather than after minutes of work; made only when there is something to put in
     check_output_folder(out, overwrite=overwrite)
-    campaign = read_campaign(campaign_file)
-    arguments = identify_arguments(campaign)
+    arguments = identify_arguments(read_campaign(campaign_file), between_hz)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())

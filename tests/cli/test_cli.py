@@ -64,6 +64,7 @@ def test_help_lists_every_command_and_no_former_name(monkeypatch, capsys):
         (("desing",), "did you mean 'design'?"),
         (("fly",), "try     roomfit --help"),
         (("demo", "--seed", "x"), "--seed: 'x' is not a whole number"),
+        (("identify", "a", "--out", "b", "--bands", "low"), "--bands: 'low' is not a number"),
         (("coverage", "a", "--out", "b", "--snr-db", "x"), "--snr-db: 'x' is not a number"),
         (("paper", "--out", "b", "--workers", "0"), "--workers: 0 is less than 1"),
     ],

@@ -66,7 +66,7 @@ def test_files_a_drawing_in_inches_and_positions_in_centimetres_become_a_campaig
         monkeypatch, "init", folder, "--room", folder / "room.obj", "--unit", "in", *arguments,
         folder / "positions.csv",
     ) == 0  # fmt: skip
-    assert "1 sources, 2 receivers, 2 measurements" in capsys.readouterr().out
+    assert "1 sources, 2 receivers, ir/{source}_{receiver}.wav" in capsys.readouterr().out
     campaign = read_campaign(folder / "campaign.toml")
     assert (campaign.room.unit, campaign.room.up) == ("in", "y")
     assert {p.name: tuple(p.position_m) for p in campaign.receivers} == RECEIVERS_M

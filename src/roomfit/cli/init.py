@@ -62,7 +62,8 @@ def run(options: argparse.Namespace) -> None:
     written = tomllib.loads(text)
     file = options.folder / "campaign.toml"
     kinds = ("sources", "receivers", "measurements")
-    say(f"{file}: {', '.join(f'{len(written[k])} {k}' for k in kinds)}")
+    found = [f"{len(written[k])} {k}" for k in kinds if k in written]
+    say(f"{file}: {', '.join(found)}, {written.get('recordings', 'recordings one by one')}")
     left = blanks(written)
     if left:
         say("to be filled in: " + ", ".join(left))

@@ -8,6 +8,7 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,10 @@ from roomfit._checks import did_you_mean, nearest, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
+from roomfit.findings import Code, Finding
 from roomfit.io.complaints import explained
 from roomfit.io.door import read_bytes, same_file
+from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
 from roomfit.io.schema import (
@@ -99,7 +102,8 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
         raise InputError(
             "the campaign has no measurement",
             where=str(path),
-            needed="at least one [[measurements]] table",
+            needed="at least one [[measurements]] table, or recordings = "
+            '"DIR/{source}_{receiver}.wav"',
         )
     if all(row.use == "validate" for row in campaign.measurements):
         raise InputError(
@@ -107,6 +111,55 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
             where=str(path),
             needed='at least one measurement with use = "fit"',
         )
+
+
+def _with_recordings(
+    path: Path, table: CampaignTable, *, to_fit: bool
+) -> tuple[CampaignTable, tuple[Finding, ...]]:
+    """Return the table with all measurements in full: those found by name, and all defaults.
+
+    A pair, or a file, that has a [[measurements]] of its own is left to it.
+    """
+    common = table.defaults.model_dump(exclude_unset=True)
+    rows = list(table.measurements)
+    # a state that is the default is that of a row, too, when it is asked who has one
+    stated = {(r.source, r.receiver, r.state or table.defaults.state) for r in rows}
+    used = {same_file(path.parent / r.file) for r in rows if r.file}
+    templates = table.recordings if isinstance(table.recordings, list) else [table.recordings]
+    found, findings = [], []
+    for template in filter(None, templates):
+        with located(f"{path}, recordings"):
+            files = files_of_shape(path.parent, template)
+        known: list[tuple[str, dict[str, str]]] = []
+        for source, receiver in product(table.sources, table.receivers):
+            own = {"source": source, "receiver": receiver}
+            shape = shape_of(template, own)
+            known += [(name, own) for name in files if shape.fullmatch(name)]
+        new = [
+            {**own, "file": name}
+            for name, own in known
+            if same_file(path.parent / name) not in used
+            and (*own.values(), table.defaults.state) not in stated
+        ]
+        if to_fit and not new and not rows:
+            raise InputError(
+                "no recording has the name of a source and a receiver",
+                where=f"{path}, recordings",
+                found=f"{template}: {in_short(files) or 'no files'}",
+                needed=f"sources {in_short(list(table.sources))}, "
+                f"receivers {in_short(list(table.receivers))}",
+            )
+        found += [MeasurementTable.model_validate(row) for row in new]
+        names = {name for name, _ in known}
+        unused = [f for f in files if f not in names and same_file(path.parent / f) not in used]
+        if unused:
+            text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
+            findings.append(Finding(Code.RECORDINGS_UNUSED, text, {"files": unused}))
+    rows = [
+        row.model_copy(update={k: v for k, v in common.items() if k not in row.model_fields_set})
+        for row in (*rows, *found)
+    ]
+    return table.model_copy(update={"measurements": rows}), tuple(findings)
 
 
 def _check_products(path: Path, campaign: CampaignTable) -> None:
@@ -289,6 +342,8 @@ class Campaign:
     states : mapping of name to materials by surface
         Further states of the room.
     groups : tuple of PointGroup
+    findings : tuple of Finding
+        What is doubtful about the file itself.
     """
 
     path: Path
@@ -309,6 +364,7 @@ class Campaign:
     design: DesignTable = field(default_factory=DesignTable)
     states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     groups: tuple[PointGroup, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -356,6 +412,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         table = CampaignTable.model_validate(content)
     except ValidationError as error:
         raise explained(path, error, CampaignTable) from None
+    table, findings = _with_recordings(path, table, to_fit=to_fit)
     if to_fit:
         _check_data(path, table)
     _check_names(path, table)
@@ -399,6 +456,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         table.design,
         {state.name: state.materials for state in table.states},
         tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
+        findings,
     )
 
 

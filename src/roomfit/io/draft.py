@@ -15,11 +15,12 @@ from pathlib import Path
 
 import numpy as np
 
-from roomfit.errors import InputError
+from roomfit.errors import InputError, located
 from roomfit.geometry.build import Face
 from roomfit.geometry.mesh import Mesh, area_vector_m2
 from roomfit.io.campaign import FILL_IN
 from roomfit.io.door import csv_rows, read_bytes, read_text
+from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import read_mesh, read_model
 from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec
@@ -42,6 +43,12 @@ _LEVEL = re.compile(
 )
 _HEADER_BYTES = 4096
 _CLEARLY = 0.75  # an axis along which a room is shorter than that points up
+_DEFAULTS = (
+    "latency_s = 0.0        # from the first sample to emission",
+    'time_zero = "unknown"  # where recordings and source share no clock',
+    'level = "per-file"     # where the gain was changed between recordings',
+    'excitation = "sweep.wav"  # where they are recordings of a sweep',
+)
 Positions = Mapping[str, Sequence[float]]
 
 
@@ -175,41 +182,26 @@ def matching_files(folder: Path, template: str | None) -> dict[str, tuple[str, s
             name: (a, b) if whole else ("S1", Path(name).stem)
             for name, (a, _, b) in zip(names, split, strict=True)
         }
-    if not {"{source}", "{receiver}"} <= set(re.findall(r"\{\w+\}", template)):
-        raise InputError(
-            "a template of recordings without source or receiver",
-            where="--recordings",
-            found=repr(template),
-            needed="{source} and {receiver}, as in 'DIR/{source}_{receiver}.wav'",
-        )
-    shape = re.escape(template).replace(r"\*", "[^/]*")
-    for key in ("source", "receiver"):
-        own = rf"\{{{key}\}}"
-        shape = shape.replace(own, f"(?P<{key}>[^/]+?)", 1).replace(own, f"(?P={key})")
-    below = folder / Path(template).parent
-    names = _recordings(folder, below, Path(template).suffix) if "{" not in str(below) else ()
-    found = {n: re.fullmatch(shape, n) for n in names}
-    pairs = {n: (m["source"], m["receiver"]) for n, m in found.items() if m}
-    if not pairs:
-        listed = ", ".join(names[:6]) + (f" and {len(names) - 6} more" if len(names) > 6 else "")
+    with located("--recordings"):
+        shape, names = shape_of(template), files_of_shape(folder, template)
+    if not names:
+        below = Path(template).parent
         raise InputError(
             "no recording has a name of this shape",
-            where=str(below),
-            found=listed or "no recordings",
+            where=str(folder / below),
+            found=in_short(_recordings(folder / below)) or "no recordings",
             needed=template,
             hint="put {source} and {receiver} where names differ, and * for other text",
         )
-    return pairs
+    found = [shape.fullmatch(name) for name in names]
+    return {m[0]: (m["source"], m["receiver"]) for m in found if m}
 
 
-def _recordings(folder: Path, below: Path | None = None, suffix: str = "") -> tuple[str, ...]:
-    place = folder if below is None else below
-    kinds = (suffix,) if suffix else RESPONSE_SUFFIXES
-    files = sorted(place.iterdir()) if place.is_dir() else []
-    chosen = [f for f in files if f.suffix.lower() in kinds or f.suffix == suffix]
+def _recordings(folder: Path) -> list[str]:
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    chosen = [f for f in files if f.suffix.lower() in RESPONSE_SUFFIXES and f.is_file()]
     # exports of REW are texts, and not every text is one
-    chosen = [f for f in chosen if f.suffix.lower() != ".txt"] or chosen
-    return tuple(Path(os.path.relpath(f, folder)).as_posix() for f in chosen if f.is_file())
+    return [f.name for f in chosen if f.suffix.lower() != ".txt"] or [f.name for f in chosen]
 
 
 def draft_campaign(
@@ -218,6 +210,7 @@ def draft_campaign(
     positions: Positions | None = None,
     *,
     folder: Path,
+    template: str | None = None,
     because: str = "",
 ) -> str:
     """Return the text of a first campaign file, blanks in place of what is not known.
@@ -232,6 +225,8 @@ def draft_campaign(
         Of sources and receivers; of a recording's they are looked up, others are left out.
     folder : Path
         Where the file will stand.
+    template : str, optional
+        That of the recordings' names, which then stands in place of a table for each.
     because : str
         Why the unit is what it is, where the caller chose it among several.
 
@@ -245,11 +240,12 @@ def draft_campaign(
         "#   roomfit check campaign.toml",
         "#   roomfit identify campaign.toml --out result",
         "",
+        *([f"recordings = {_quoted(template)}", ""] if template is not None else []),
         "[room]",
         *_room_lines(room, folder, because),
         *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
         *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
-        *_measurement_lines(recordings),
+        *_measurement_lines(recordings, template),
         "",
         "[identify]",
         "from_hz = 125",
@@ -315,16 +311,15 @@ def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
         if name is None:
             continue
         of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
-        more = f" and {len(of) - 6} more" if len(of) > 6 else ""
         first, *others = suggested_entries(name) or ("",)
-        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {_one_line(of[:6])}{more}"]
+        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {_one_line(in_short(of))}"]
         alike = f"  # or {', '.join(others)}" if others else ""
         lines += [f'# prior = "{first}"{alike}'] if first else []
     return lines
 
 
-def _one_line(names: Sequence[str]) -> str:
-    return "".join(c if c.isprintable() else "?" for c in ", ".join(names))
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
 
 
 def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[str]:
@@ -338,10 +333,18 @@ def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[
     return lines
 
 
-def _measurement_lines(recordings: Mapping[str, tuple[str, str]]) -> list[str]:
-    lines = [""]
+def _measurement_lines(
+    recordings: Mapping[str, tuple[str, str]], template: str | None
+) -> list[str]:
+    lines = [
+        "",
+        "# What holds of all recordings, unless their own [[measurements]] say otherwise.",
+    ]
+    lines += ["[defaults]", *(f"# {line}" for line in _DEFAULTS)]
+    if template is not None:
+        return lines
     for file, (source, receiver) in (recordings or {FILL_IN: ("S1", "R1")}).items():
-        lines += ["[[measurements]]", f"source = {_quoted(source)}"]
+        lines += ["", "[[measurements]]", f"source = {_quoted(source)}"]
         lines += [f"receiver = {_quoted(receiver)}", f"file = {_quoted(file)}"]
     return lines
 

@@ -112,7 +112,7 @@ class AirTable(Table):
 
 
 class Spectrum(Table):
-    """Values at frequencies, for scattering."""
+    """Values at frequencies, whatever bands are fitted."""
 
     centres_hz: list[Hertz] = Field(min_length=1)
     """Frequencies of the values, in any order."""
@@ -123,6 +123,8 @@ class Spectrum(Table):
 class Prior(Table):
     """Prior of an absorption coefficient: its mean and standard deviation."""
 
+    centres_hz: list[Hertz] | None = None
+    """Frequencies of lists of `mean` and `sd`, where they are not those of the fitted bands."""
     mean: InnerFraction | list[InnerFraction]
     """Of the absorption coefficient: one number, or one for each band."""
     sd: PriorSd | list[PriorSd]
@@ -134,8 +136,8 @@ class MaterialTable(Table):
 
     scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
     """Scattering coefficient, ISO 17497-1: number, list by band, {centres_hz, values} or "fit"."""
-    absorption: PerBand | None = None
-    """Absorption coefficient that is known: it is fixed, not fitted."""
+    absorption: PerBand | Spectrum | str | None = None
+    """Known, and fixed: number, list by band, {centres_hz, values} or entry of the catalogue."""
     prior: Prior | str | None = None
     """{mean, sd} of the absorption coefficient, or the name of an entry of the catalogue."""
     bounds: tuple[Fraction, Fraction] | None = None
@@ -236,23 +238,13 @@ class ReceiverTable(Table):
     """Standard deviation of each coordinate in m; 0: exact. Default: 0.02."""
 
 
-class MeasurementTable(Table):
-    """``[[measurements]]``."""
+class DefaultsTable(Table):
+    """``[defaults]``: what holds of every measurement that does not say otherwise."""
 
-    source: str | None = None
-    """Name of a source of this file."""
-    receiver: str | None = None
-    """Name of a receiver of this file."""
-    file: str | None = None
-    """Impulse response: WAV, MAT, SOFA or export of REW; with `excitation` a recorded sweep."""
     excitation: str | None = None
     """The sweep as it was played (WAV): `file` is its recording, and is deconvolved."""
     excitation_channel: Number | None = None
     """Channel of the excitation, from 0."""
-    parameters: str | None = None
-    """In place of `file`: a CSV table of ISO 3382 values."""
-    spectrum: str | None = None
-    """In place of `file`: damped pressures (.npz), for `roomfit impedance`."""
     channel: Number | None = None
     """WAV: channel; MAT: column; from 0. Required where there are several."""
     variable: str | None = None
@@ -282,6 +274,21 @@ class MeasurementTable(Table):
     """Fitted, or predicted and compared only."""
     state: str = ""
     """State of the room: one of [[states]]."""
+
+
+class MeasurementTable(DefaultsTable):
+    """``[[measurements]]``."""
+
+    source: str | None = None
+    """Name of a source of this file."""
+    receiver: str | None = None
+    """Name of a receiver of this file."""
+    file: str | None = None
+    """Impulse response: WAV, MAT, SOFA or export of REW; with `excitation` a recorded sweep."""
+    parameters: str | None = None
+    """In place of `file`: a CSV table of ISO 3382 values."""
+    spectrum: str | None = None
+    """In place of `file`: damped pressures (.npz), for `roomfit impedance`."""
 
 
 class StateTable(Table):
@@ -448,6 +455,10 @@ class CampaignTable(Table):
     """Further states of the room."""
     groups: dict[str, GroupTable] = {}
     """Positions that have a common offset, by name."""
+    recordings: str | list[str] | None = None
+    """Names of recordings, as "DIR/{source}_{receiver}.wav": one of every pair that is there."""
+    defaults: DefaultsTable = DefaultsTable()
+    """What holds of every measurement that does not say otherwise."""
     measurements: list[MeasurementTable] = []
     """What was measured, one table each."""
     identify: IdentifyTable = IdentifyTable()
