@@ -153,7 +153,7 @@ def test_materials_are_listed_with_area_surfaces_and_an_entry_by_their_names(tmp
     ("template", "words"),
     [
         ("ir/{source}.wav", "a template of recordings without source or receiver"),
-        ("ir/{source}-{receiver}.wav", "LS1_MP1.wav, ir/LS1_MP2.wav"),
+        ("ir/{source}-{receiver}.wav", "LS1_MP1.wav, LS1_MP2.wav"),
         ("elsewhere/{source}_{receiver}.wav", "no recordings"),
     ],
 )
