@@ -21,7 +21,7 @@ from roomfit.cli import command_parsers
 from roomfit.geometry.build import TOO_WARPED_FROM_M
 from roomfit.geometry.check import LEAK_LIMIT
 from roomfit.inversion.trace_plan import LEAST_RADIUS_M, LEAST_RAYS
-from roomfit.io import campaign as schema
+from roomfit.io import schema
 from roomfit.io.inputs import material_priors
 from roomfit.materials.priors import DEFAULT_LOGIT_SD, DEFAULT_MEAN
 from roomfit.objective.energy import EnergyTerm

@@ -35,6 +35,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import read_campaign
 from roomfit.io.door import files_read, reading_noted
+from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import check_campaign as check_campaign
@@ -42,6 +43,7 @@ from roomfit.io.inputs import check_room as check_room
 from roomfit.io.inputs import identify_arguments
 from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
+from roomfit.io.rooms.model import RoomSpec
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -52,6 +54,38 @@ from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+
+def draft_to_folder(
+    folder: Path,
+    room: RoomSpec | None,
+    recordings: str | None = None,
+    positions: Path | None = None,
+    *,
+    because: str = "",
+    overwrite: bool = False,
+) -> str:
+    """Write a first campaign.toml into a folder, see `draft_campaign`, and return its text.
+
+    Raises
+    ------
+    InputError
+        There is a campaign already and `overwrite` is false, the room or the positions cannot be
+        read, the unit is in doubt, or no recording has the shape of the template.
+    StoreError
+        The disk refuses.
+    """
+    _check_place(folder / "campaign.toml", overwrite)
+    text = draft_campaign(
+        room,
+        matching_files(folder, recordings),
+        None if positions is None else read_positions(positions),
+        folder=folder,
+        template=recordings,
+        because=because,
+    )
+    write_text_atomically(folder / "campaign.toml", text)
+    return text
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -126,13 +160,13 @@ def export_result(
 def _check_place(out: Path, overwrite: bool) -> None:
     if out.is_dir():
         raise InputError(
-            "the export is one file, and a folder is in its place",
+            "one file is written, and a folder is in its place",
             where=str(out),
             hint=f"write --out {out / 'materials.txt'}",
         )
     if out.exists() and not out.is_file():
         raise InputError(
-            "the export is one file, and something else is in its place",
+            "one file is written, and something else is in its place",
             where=str(out),
             found="a device, a pipe or a socket, which would be replaced",
             needed="a new name",
@@ -337,6 +371,7 @@ def identify_to_folder(
     campaign_file: Path,
     out: Path,
     *,
+    between_hz: tuple[float, float] | None = None,
     quick: bool = False,
     overwrite: bool = False,
     keep: bool = True,
@@ -349,6 +384,8 @@ def identify_to_folder(
     Parameters
     ----------
     campaign_file, out : Path
+    between_hz : (lowest, highest), optional
+        Bands to fit in place of the campaign's, see `identify_arguments`.
     quick : bool
         A first answer, see `Settings.quick`, without pictures beside the report.
     overwrite : bool
@@ -372,7 +409,7 @@ def identify_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file)
     project = project_details(campaign.project, campaign.path.parent)
-    arguments = identify_arguments(campaign)
+    arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))

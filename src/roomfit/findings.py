@@ -111,6 +111,7 @@ class Code(StrEnum):
     DECAY_RANGE_TOO_SMALL = "decay-range-too-small", "warning"
     RECORDING_BELOW_NOISE = "recording-below-noise", "warning"
     MEASUREMENT_OUTLIER = "measurement-outlier", "warning"
+    RECORDINGS_UNUSED = "recordings-unused", "warning"
     RECORDING_COUNTED_ONCE = "recording-counted-once", "warning"
     RECORDING_OF_TWO_PAIRS = "recording-of-two-pairs", "serious", _VOIDS
     REPEATED_RESPONSES_DIFFER = "repeated-responses-differ", "warning"

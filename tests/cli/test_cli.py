@@ -54,7 +54,7 @@ def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
 
 
 COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
-            "impedance", "paper", "predict")  # fmt: skip
+            "impedance", "init", "paper", "predict", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -82,6 +82,7 @@ def test_help_lists_every_command_and_no_former_name(monkeypatch, capsys):
         (("desing",), "did you mean 'design'?"),
         (("fly",), "try     roomfit --help"),
         (("demo", "--seed", "x"), "--seed: 'x' is not a whole number"),
+        (("identify", "a", "--out", "b", "--bands", "low"), "--bands: 'low' is not a number"),
         (("coverage", "a", "--out", "b", "--snr-db", "x"), "--snr-db: 'x' is not a number"),
         (("paper", "--out", "b", "--workers", "0"), "--workers: 0 is less than 1"),
     ],
@@ -165,6 +166,24 @@ def test_overwriting_replaces_what_has_the_same_name_and_keeps_the_rest(tmp_path
     assert json.loads((out / "result.json").read_text())["format"] == "roomfit-result"
     assert (out / "notes.txt").read_text() == "mine"
     assert sorted(p.name for p in tmp_path.iterdir()) == ["campaign", "out"]
+
+
+def test_the_schema_is_json_that_says_what_every_key_means(monkeypatch, capsys):
+    """And takes a campaign that is good: every key of it is among the properties."""
+    assert run_command(monkeypatch, "schema") == 0
+    schema = json.loads(capsys.readouterr().out)
+    tables = {"CampaignTable": schema, **schema["$defs"]}
+    silent = [
+        f"{name}.{key}"
+        for name, table in tables.items()
+        for key, own in table["properties"].items()
+        if not own.get("description")
+    ]
+    assert silent == []
+    assert {"room", "sources", "receivers", "measurements"} <= schema["properties"].keys()
+    assert schema["additionalProperties"] is False
+    latency = schema["$defs"]["MeasurementTable"]["properties"]["latency_s"]
+    assert (latency["minimum"], latency["maximum"], latency["default"]) == (-10.0, 10.0, 0.0)
 
 
 def test_check_tells_a_room_in_numbers_and_its_faults_in_words(tmp_path, monkeypatch, capsys):

@@ -9,7 +9,7 @@ from typing import Any, Union, get_args, get_origin
 from pydantic import BaseModel
 from pydantic.fields import FieldInfo
 
-from roomfit.io.campaign import CampaignTable
+from roomfit.io.schema import BECAUSE, CampaignTable
 from roomfit.settings import SETTING_LIMITS
 
 # checked where their meaning is known: lengths after their unit, bands, and the air
@@ -29,7 +29,11 @@ def numbers(model: type[BaseModel] = CampaignTable, at: str = "") -> Iterator[tu
     for name, field in model.model_fields.items():
         place = f"{at}.{name}".lstrip(".")
         own = [m for m in field.metadata if hasattr(m, "ge") or hasattr(m, "le")]
-        yield from _within(field.annotation, place, own, field.description)
+        yield from _within(field.annotation, place, own, _why(field))
+
+
+def _why(field: FieldInfo) -> str | None:
+    return (field.json_schema_extra or {}).get(BECAUSE)
 
 
 def _within(
@@ -43,7 +47,7 @@ def _within(
     elif hasattr(annotation, "__metadata__"):
         limits = [m for m in annotation.__metadata__ if isinstance(m, FieldInfo)]
         inner = [k for f in limits for k in f.metadata]
-        reason = next((f.description for f in limits if f.description), why)
+        reason = next((_why(f) for f in limits if _why(f)), why)
         yield from _within(annotation.__origin__, place, inner, reason)
     elif get_origin(annotation) is dict:
         yield from _within(get_args(annotation)[1], f"{place}.NAME", own, why)

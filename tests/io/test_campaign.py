@@ -11,10 +11,11 @@ from hypothesis import strategies as st
 
 from roomfit.errors import InputError, RoomfitError
 from roomfit.io.campaign import read_campaign
-from roomfit.io.inputs import campaign_room, material_priors
+from roomfit.io.inputs import campaign_room, identify_arguments, material_priors
 from roomfit.io.project import project_details
 from roomfit.materials.catalogue import broad_prior_findings, catalogue, catalogue_prior
 from roomfit.materials.priors import logit_prior, sampling_scattering
+from small_campaign import small_responses, write_wav
 
 GOOD = """
 [room]
@@ -405,3 +406,142 @@ def test_a_logo_that_is_no_small_picture_is_refused(tmp_path, content, words):
     campaign = with_project(tmp_path, 'logo = "logo.png"')
     with pytest.raises(InputError, match=words):
         details(campaign)
+
+
+# What is said once: defaults of measurements, recordings by their names.
+
+
+PATTERN = """
+recordings = "{source}_{receiver}.wav"
+[room]
+shoebox = [6, 5, 3]
+[defaults]
+latency_s = 0.0008
+level = "per-file"
+[sources.LS_1]
+position = [1, 1, 1]
+[receivers.MP1]
+position = [4, 3, 1]
+[receivers.MP2]
+position = [4, 2, 1]
+"""
+
+
+def test_recordings_are_found_by_their_names_and_have_the_defaults(tmp_path):
+    """Names hold separators themselves; a pair without a file is no measurement."""
+    for name in ("LS_1_MP1.wav", "LS_1_MP2.wav", "notes.txt"):
+        (tmp_path / name).touch()
+    campaign = campaign_from(tmp_path, PATTERN)
+    assert [(m.source, m.receiver, m.response.path.name) for m in campaign.measurements] == [
+        ("LS_1", "MP1", "LS_1_MP1.wav"),
+        ("LS_1", "MP2", "LS_1_MP2.wav"),
+    ]
+    assert {(m.response.latency_s, m.level, m.use) for m in campaign.measurements} == {
+        (0.0008, "per-file", "fit")
+    }
+    assert campaign.findings == ()
+
+
+def test_what_a_measurement_says_itself_stands_before_defaults_and_patterns(tmp_path):
+    for name in ("LS_1_MP1.wav", "LS_1_MP2.wav"):
+        (tmp_path / name).touch()
+    own = """[[measurements]]
+source = "LS_1"
+receiver = "MP2"
+file = "./LS_1_MP2.wav"
+latency_s = 0.0
+use = "validate"
+"""
+    campaign = campaign_from(tmp_path, PATTERN + own)
+    assert [(m.receiver, m.use, m.response.latency_s) for m in campaign.measurements] == [
+        ("MP2", "validate", 0.0),
+        ("MP1", "fit", 0.0008),
+    ]
+
+
+def test_recordings_of_unknown_names_are_reported_and_none_at_all_refused(tmp_path):
+    (tmp_path / "LS_1_MP1.wav").touch()
+    (tmp_path / "LS_1_MP7.wav").touch()
+    (finding,) = campaign_from(tmp_path, PATTERN).findings
+    assert finding.evidence["files"] == ["LS_1_MP7.wav"]
+    (tmp_path / "LS_1_MP1.wav").unlink()
+    with pytest.raises(InputError, match="LS_1_MP7") as caught:
+        campaign_from(tmp_path, PATTERN)
+    assert "receivers MP1, MP2" in str(caught.value.needed)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "words"),
+    [
+        ("{source}_{receiver}", "{source}", "without source or receiver"),
+        ("{source}_{receiver}.wav", "{source}/{receiver}.wav", "without source or receiver"),
+        ("latency_s = 0.0008", "latncy_s = 0.0008", "did you mean 'latency_s'"),
+        ("latency_s = 0.0008", "latency_s = 80", "cut the file beyond that"),
+        ("latency_s = 0.0008", 'file = "a.wav"', "unknown key"),
+    ],
+)
+def test_what_is_wrong_with_defaults_and_patterns_is_named(tmp_path, old, new, words):
+    (tmp_path / "LS_1_MP1.wav").touch()
+    with pytest.raises(InputError) as caught:
+        campaign_from(tmp_path, PATTERN.replace(old, new))
+    assert words in str(caught.value)
+
+
+# Absorption and priors at frequencies of their own, and bands of the command line.
+
+
+def priors_between(tmp_path, line: str, between_hz=None):
+    campaign = campaign_from(
+        tmp_path,
+        PATTERN.replace("[room]", '[room]\nmaterials = {floor = "carpet"}')
+        + f"[materials.carpet]\n{line}\n[identify]\nfrom_hz = 250\nto_hz = 1000\n",
+    )
+    return campaign, identify_arguments(campaign, between_hz)
+
+
+@pytest.fixture
+def decays(tmp_path):
+    for name in ("LS_1_MP1.wav", "LS_1_MP2.wav"):
+        write_wav(tmp_path / name, small_responses()["MP1"])
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("absorption = {centres_hz = [125, 500, 2000], values = [0.1, 0.3, 0.5]}", [0.2, 0.3, 0.4]),
+        ('absorption = "carpet-heavy-on-concrete"', None),
+        ("absorption = [0.2, 0.3, 0.4]", [0.2, 0.3, 0.4]),
+    ],
+)
+@pytest.mark.usefixtures("decays")
+def test_known_absorption_may_stand_at_any_frequencies(tmp_path, line, expected):
+    """Halfway in octaves is halfway in value; an entry of the catalogue is taken at its mean."""
+    campaign, arguments = priors_between(tmp_path, line)
+    known = next(k.known for k in arguments["materials"] if k.name == "carpet")
+    if expected is None:
+        expected, _ = catalogue_prior("carpet-heavy-on-concrete", campaign.bands)
+    np.testing.assert_allclose(known, expected, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("decays")
+def test_a_prior_at_frequencies_of_its_own_is_that_of_the_bands(tmp_path):
+    line = "prior = {centres_hz = [125, 500, 2000], mean = [0.1, 0.3, 0.5], sd = 0.05}"
+    same = "prior = {mean = [0.2, 0.3, 0.4], sd = 0.05}"
+    found, expected = (
+        next(k for k in priors_between(tmp_path, own)[1]["materials"] if k.name == "carpet")
+        for own in (line, same)
+    )
+    np.testing.assert_allclose(found.prior_logit_mean, expected.prior_logit_mean, rtol=1e-12)
+    np.testing.assert_allclose(found.prior_logit_sd, expected.prior_logit_sd, rtol=1e-12)
+
+
+@pytest.mark.usefixtures("decays")
+def test_bands_of_the_command_line_keep_the_values_of_the_campaign_s(tmp_path):
+    _, arguments = priors_between(tmp_path, "absorption = [0.2, 0.3, 0.4]", (500, 1000))
+    assert arguments["bands"].centres_hz.tolist() == [500.0, 1000.0]
+    carpet = next(k for k in arguments["materials"] if k.name == "carpet")
+    assert carpet.known.tolist() == [0.3, 0.4]
+    with pytest.raises(InputError, match="one value per fitted band"):
+        priors_between(tmp_path, "absorption = [0.2, 0.3, 0.4]", (500, 2000))
+    with pytest.raises(InputError, match="centres"):
+        priors_between(tmp_path, "absorption = {centres_hz = [500], values = [0.1, 0.2]}")

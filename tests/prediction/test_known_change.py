@@ -261,6 +261,11 @@ def test_in_boxes_of_known_walls_the_changed_room_lies_inside_and_no_direction_i
         ("Glaswolle", "mineral-wool-50-mm"),
         ("windowglass", "glass-3-4-mm"),
         ("Türen", "door-wood-solid"),
+        ("Rideaux côté cour", "curtain-medium-draped"),
+        ("Porte en bois", "door-wood-solid"),
+        ("Laine de verre", "mineral-wool-50-mm"),
+        ("Plâtre", "plaster-on-masonry"),
+        ("Béton", "concrete-smooth"),
     ],
 )
 def test_entries_are_suggested_by_the_name_of_a_material(name, entry):

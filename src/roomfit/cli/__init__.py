@@ -28,8 +28,10 @@ from roomfit.cli import (
     export,
     identify,
     impedance,
+    init,
     paper,
     predict,
+    schema,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
 from roomfit.cli.terminal import warn
@@ -45,8 +47,10 @@ _COMMANDS = (
     export,
     identify,
     impedance,
+    init,
     paper,
     predict,
+    schema,
 )
 _RENAMED = {"calibrate": "coverage"}
 _INTERRUPTED = 130

@@ -84,6 +84,12 @@ def whole_number(text: str) -> int:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number") from None
 
 
+def number_range(text: str) -> tuple[float, float]:
+    """Return two numbers that are written as in 500-2000; one alone is both."""
+    low, _, high = text.partition("-")
+    return number(low), number(high or low)
+
+
 def positive_number(text: str) -> int:
     """Return a whole number of at least 1."""
     value = whole_number(text)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import progress_line, say
 
 
@@ -14,6 +14,11 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "identify", about, run)
     parser.add_argument("campaign", type=Path, help="Campaign file (TOML).")
     parser.add_out()
+    parser.add_option(
+        "--bands",
+        "Bands to fit, as 500-2000, in place of from_hz and to_hz of the campaign.",
+        type=number_range,
+    )
     parser.add_argument(
         "--quick",
         action="store_true",
@@ -33,6 +38,7 @@ def run(options: argparse.Namespace) -> None:
         answer = identify_to_folder(
             options.campaign,
             options.out,
+            between_hz=options.bands,
             quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,

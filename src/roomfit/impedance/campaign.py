@@ -28,7 +28,6 @@ from roomfit.impedance.wave_model import GainMode, Nuisances
 from roomfit.inversion.measurements import from_emission
 from roomfit.io.campaign import (
     Campaign,
-    MaterialTable,
     MeasuredFile,
     MeasuredSpectrum,
     input_files,
@@ -37,6 +36,7 @@ from roomfit.io.campaign import (
 from roomfit.io.door import check_files, files_read, npz_arrays, read_bytes, reading_noted
 from roomfit.io.inputs import read_file
 from roomfit.io.rooms import read_room
+from roomfit.io.schema import MaterialTable
 from roomfit.measurement import LATENCY_SD_S
 from roomfit.scene import Room, Scene, distances_m, position_findings
 from roomfit.signals.response import check_travel, compare_onset, find_onset

@@ -1,4 +1,4 @@
-"""A campaign file, format_version 1: its keys, what each may hold, and what they mean.
+"""A campaign file, read: what it says, with paths resolved and names checked.
 
 Every complaint names the key and what was needed.
 """
@@ -8,328 +8,44 @@ from __future__ import annotations
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import ValidationError
 
 from roomfit._checks import did_you_mean, nearest, unique_names
 from roomfit.air import Air
 from roomfit.bands import OCTAVES_HZ, Bands, bands_between
 from roomfit.errors import InputError, located
+from roomfit.findings import Code, Finding
 from roomfit.io.complaints import explained
 from roomfit.io.door import read_bytes, same_file
-from roomfit.io.project import ProjectTable
+from roomfit.io.file_names import files_of_shape, in_short, shape_of
 from roomfit.io.responses.recordings import ResponseSpec
 from roomfit.io.rooms.model import PolygonSpec, RoomSpec
-from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
+from roomfit.io.schema import (
+    AirTable,
+    CampaignTable,
+    DesignTable,
+    IdentifyTable,
+    ImpedanceTable,
+    LoudspeakerTable,
+    MaterialTable,
+    MeasuredDirectivity,
+    MeasurementTable,
+    ProductTable,
+    ProjectTable,
+    ReceiverTable,
+    RoomTable,
+    SharedDirectivity,
+    SourceDirectivity,
+    SourceTable,
+)
 from roomfit.measurement import Level, Use
 from roomfit.scene import Point, PointGroup, check_groups
-from roomfit.settings import SETTING_LIMITS, Settings
-
-
-def _limited(low: float, high: float, why: str) -> Any:
-    """Return the range of a number of the file, and why it ends there: a refusal says it."""
-    return Field(ge=low, le=high, description=why)
-
-
-Fraction = Annotated[float, _limited(0.0, 1.0, "a share of energy")]
-PerBand = Fraction | list[Fraction]
-# smaller ones cannot be distinguished from none, and their logit has no bounds
-InnerFraction = Annotated[
-    float, _limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
-]
-PriorSd = Annotated[
-    float, _limited(1e-4, 1.0, "absorption lies between 0 and 1; what is known is fixed")
-]
-Metre = Annotated[float, _limited(0.0, 1.0, "m; what is off by more must be measured again")]
-Coordinate = Annotated[float, _limited(-1e6, 1e6, "m; the corners of a room are not farther off")]
-Position = tuple[Coordinate, Coordinate, Coordinate]
-Height = Annotated[float, _limited(0.0, 1e4, "m above the lowest point of a room")]
-Number = Annotated[int, _limited(0, 10**6, "counted from 0; no file holds more")]
-Start = Annotated[float, _limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
-Strength = Annotated[float, _limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
-Hertz = Annotated[float, _limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
-
-
-class Table(BaseModel):
-    """A table of the file: an unknown key is an error, and nothing changes after reading."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=False, allow_inf_nan=False)
-
-
-class PolygonTable(Table):
-    """``[room] polygons``: corner and plane tables."""
-
-    corners: list[str] = Field(min_length=1)
-    planes: list[str] = Field(min_length=1)
-    replace: dict[str, str] = {}
-    drop: list[int] = []
-    sides: dict[str, Literal[1, 2]] = {}
-
-
-class RoomTable(Table):
-    """``[room]``."""
-
-    file: str | None = None
-    shoebox: tuple[float, float, float] | None = None
-    polygons: PolygonTable | None = None
-    unit: str | None = None
-    up: Literal["z", "y"] | None = None
-    materials: dict[str, str] = {}
-    lengths_sd: tuple[Metre, Metre, Metre] | None = None
-
-
-class GroupTable(Table):
-    """``[groups.NAME]``: positions with one common offset."""
-
-    members: list[str] = Field(min_length=1)
-    sd: Metre | tuple[Metre, Metre, Metre]
-
-
-class AirTable(Table):
-    """``[air]``."""
-
-    temperature_c: float = 20.0
-    temperature_sd_c: Annotated[float, _limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
-    humidity_percent: float = 50.0
-    pressure_kpa: float = 101.325
-    speed_of_sound_m_s: float | None = None
-    attenuation: Literal["iso9613", "none"] = "iso9613"
-
-
-class Spectrum(Table):
-    """Values at frequencies, for scattering."""
-
-    centres_hz: list[Hertz] = Field(min_length=1)
-    values: list[Fraction] = Field(min_length=1)
-
-
-class Prior(Table):
-    """Prior of an absorption coefficient: its mean and standard deviation."""
-
-    mean: InnerFraction | list[InnerFraction]
-    sd: PriorSd | list[PriorSd]
-
-
-class MaterialTable(Table):
-    """``[materials.NAME]``."""
-
-    scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
-    absorption: PerBand | None = None
-    prior: Prior | str | None = None
-    bounds: tuple[Fraction, Fraction] | None = None
-    same_absorption_as: str | None = None
-    product: str | None = None
-    delay_sd_ms: (
-        Annotated[float, _limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None
-    ) = None
-    impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
-    impedance_start: dict[str, Start | list[Start]] | None = None
-
-
-class ProductTable(Table):
-    """``[products.NAME]``: what all materials of one product have in common."""
-
-    sd: Annotated[
-        float, _limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
-    ] = PRODUCT_SD
-    prior: Prior | str | None = None
-    bounds: tuple[Fraction, Fraction] | None = None
-
-
-class Directivity(Table):
-    """First-order directivity of a source."""
-
-    aim: Position
-    order: Literal[1] = 1
-    b: Strength
-    b_sd: Strength = 0.0
-
-
-class MeasuredDirectivity(Table):
-    """Directivity of a source from a SOFA file, and how the source stood in the room."""
-
-    file: str
-    aim: Position = (1.0, 0.0, 0.0)
-    up: Position = (0.0, 0.0, 1.0)
-
-
-class SharedDirectivity(Table):
-    """Directivity of a source that is one of several of a make, and where it aimed."""
-
-    loudspeaker: str
-    aim: Position
-    up: Position = (0.0, 0.0, 1.0)
-
-
-class LoudspeakerTable(Table):
-    """``[loudspeakers.NAME]``: what all sources of one make have in common."""
-
-    directivity: str = "fit"
-    b_sd: Annotated[
-        float, _limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
-    ] = 0.5
-
-
-SourceDirectivity = str | Directivity | MeasuredDirectivity | SharedDirectivity
-
-
-class SourceTable(Table):
-    """``[sources.NAME]``."""
-
-    position: Position
-    position_sd: Metre | None = None
-    directivity: SourceDirectivity = "omni"
-
-
-class ReceiverTable(Table):
-    """``[receivers.NAME]``."""
-
-    position: Position
-    position_sd: Metre | None = None
-
-
-class MeasurementTable(Table):
-    """``[[measurements]]``."""
-
-    source: str | None = None
-    receiver: str | None = None
-    file: str | None = None
-    excitation: str | None = None
-    excitation_channel: Number | None = None
-    parameters: str | None = None
-    spectrum: str | None = None
-    channel: Number | None = None
-    variable: str | None = None
-    sampling_rate_variable: str | None = None
-    sampling_rate_hz: (
-        Annotated[float, _limited(100.0, 1e7, "Hz; sound of walls is recorded with 8 to 192 kHz")]
-        | None
-    ) = None
-    measurement: Number | None = None
-    receiver_index: Number | None = None
-    time_zero: Literal["emission", "direct", "unknown"] = "emission"
-    latency_s: Annotated[float, _limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
-    latency_sd_s: (
-        Annotated[float, _limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
-    ) = None
-    level: Literal["per-source", "per-file", "absolute"] = "per-source"
-    use: Literal["fit", "validate"] = "fit"
-    state: str = ""
-
-
-class StateTable(Table):
-    """``[[states]]``: the same room with other materials on some of its surfaces."""
-
-    name: str = Field(min_length=1)
-    materials: dict[str, str] = Field(min_length=1)
-
-
-class IdentifyTable(Table):
-    """``[identify]``."""
-
-    bands: Literal["octave", "third-octave"] | list[Hertz] = "octave"
-    from_hz: Hertz = 125.0
-    to_hz: Hertz = 4000.0
-    method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
-        "auto"
-    )
-    model: Literal["auto", "energy", "coherent"] = "auto"
-    positions: Literal["auto", "fit", "fixed"] = "auto"
-    wall_delays: bool = True
-    smoothness_per_octave: (
-        Annotated[float, _limited(*SETTING_LIMITS["smoothness_per_octave"])] | None
-    ) = None
-    seed: Annotated[int, _limited(*SETTING_LIMITS["seed"])] = 1
-
-
-class ImpedanceTable(Table):
-    """``[impedance]``: what ``roomfit impedance`` fits, and how."""
-
-    from_hz: Hertz = 100.0
-    to_hz: Hertz = 1000.0
-    step_hz: Annotated[
-        float, _limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
-    ] = 10.0
-    tau_s: Annotated[
-        float, _limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
-    ] = 0.015
-    gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
-    positions: Literal["fit", "fixed"] = "fit"
-    speed_of_sound: Literal["fit", "fixed"] = "fit"
-    random_starts: Annotated[int, _limited(0, 100, "each costs as much as a fit")] = 3
-
-
-class DesignTable(Table):
-    """``[design]``: where ``roomfit design`` may put sources and receivers."""
-
-    sources: list[Position] = []
-    receivers: list[Position] = []
-    new_sources: Annotated[int, _limited(0, 1000, "candidates are traced one by one")] = 8
-    grid_m: (
-        Annotated[float, _limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None
-    ) = None
-    source_heights_m: tuple[Height, Height] = (1.0, 2.0)
-    receiver_heights_m: tuple[Height, Height] = (1.0, 2.0)
-    region_m: tuple[Position, Position] | None = None
-    wall_distance_m: Annotated[
-        float, _limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
-    ] = 1.0
-    source_distance_m: (
-        Annotated[float, _limited(0.1, 1000.0, "m; nearer is the source itself")] | None
-    ) = None
-    receiver_distance_m: Annotated[float, _limited(0.0, 1000.0, "m; no room is so long")] = 2.0
-    most_sources: Annotated[int, _limited(1, 1000, "candidates are traced one by one")] | None = (
-        None
-    )
-    criterion: Literal["determinant", "mean", "worst"] = "determinant"
-    decay_range_db: Annotated[float, _limited(10.0, 120.0, "dB; no recording has more")] = 45.0
-    position_sd: Metre = 0.02
-    level: Literal["per-source", "per-file", "absolute"] = "per-source"
-    draws: Annotated[int, _limited(1, 100, "each costs as much as a design")] = 2
-
-
-class SettingsTable(Table):
-    """``[settings]``: constants of `roomfit.Settings` that stand behind the choices."""
-
-    n_rays: int | Literal["auto"] | None = None
-    n_rays_beside_images: int | Literal["auto"] | None = None
-    receiver_radius_m: float | Literal["auto"] | None = None
-    default_scattering: float | None = None
-    n_draws: int | None = None
-    posterior_draws: bool | None = None
-    n_random_starts: int | None = None
-    n_scattering_rays: int | None = None
-    most_images: int | None = None
-    most_coherent_images: int | None = None
-    most_triangles_for_images: int | None = None
-    coherent_until_s: float | None = None
-    speed_of_sound_sd: float | None = None
-    decay_range_db: float | None = None
-    max_rounds: int | None = None
-
-
-class CampaignTable(Table):
-    """The whole file."""
-
-    format_version: Literal[1] = 1
-    project: ProjectTable = ProjectTable()
-    room: RoomTable
-    air: AirTable = AirTable()
-    materials: dict[str, MaterialTable] = {}
-    products: dict[str, ProductTable] = {}
-    loudspeakers: dict[str, LoudspeakerTable] = {}
-    sources: dict[str, SourceTable] = {}
-    receivers: dict[str, ReceiverTable] = {}
-    states: list[StateTable] = []
-    groups: dict[str, GroupTable] = {}
-    measurements: list[MeasurementTable] = []
-    identify: IdentifyTable = IdentifyTable()
-    settings: SettingsTable = SettingsTable()
-    impedance: ImpedanceTable = ImpedanceTable()
-    design: DesignTable = DesignTable()
+from roomfit.settings import Settings
 
 
 def _read_toml(path: Path) -> dict[str, Any]:
@@ -350,13 +66,45 @@ def _read_toml(path: Path) -> dict[str, Any]:
         ) from error
 
 
+FILL_IN = "FILL IN"  # what `roomfit init` leaves to be filled in
+
+
+def blanks(content: object, key: str = "") -> list[str]:
+    """Return the keys of a campaign whose values are still to be filled in.
+
+    Examples
+    --------
+    >>> blanks({"sources": {"S1": {"position": FILL_IN}}, "measurements": [{"file": "a.wav"}]})
+    ['sources.S1.position']
+    """
+    if content == FILL_IN:
+        return [key]
+    if isinstance(content, dict):
+        return [b for k, v in content.items() for b in blanks(v, f"{key}.{k}".lstrip("."))]
+    if isinstance(content, list):
+        return [b for i, v in enumerate(content, start=1) for b in blanks(v, f"{key}[{i}]")]
+    return []
+
+
+def _check_blanks(path: Path, content: dict[str, Any]) -> None:
+    found = blanks(content)
+    if found:
+        raise InputError(
+            "the campaign is not filled in",
+            where=str(path),
+            found=f"{FILL_IN} for {', '.join(found)}",
+            needed="values, as [1.2, 3.4, 1.5] for a position: x, y, z in m",
+        )
+
+
 def _check_data(path: Path, campaign: CampaignTable) -> None:
     """Refuse a campaign that leaves nothing to fit."""
     if not campaign.measurements:
         raise InputError(
             "the campaign has no measurement",
             where=str(path),
-            needed="at least one [[measurements]] table",
+            needed="at least one [[measurements]] table, or recordings = "
+            '"DIR/{source}_{receiver}.wav"',
         )
     if all(row.use == "validate" for row in campaign.measurements):
         raise InputError(
@@ -364,6 +112,55 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
             where=str(path),
             needed='at least one measurement with use = "fit"',
         )
+
+
+def _with_recordings(
+    path: Path, table: CampaignTable, *, to_fit: bool
+) -> tuple[CampaignTable, tuple[Finding, ...]]:
+    """Return the table with all measurements in full: those found by name, and all defaults.
+
+    A pair, or a file, that has a [[measurements]] of its own is left to it.
+    """
+    common = table.defaults.model_dump(exclude_unset=True)
+    rows = list(table.measurements)
+    # a state that is the default is that of a row, too, when it is asked who has one
+    stated = {(r.source, r.receiver, r.state or table.defaults.state) for r in rows}
+    used = {same_file(path.parent / r.file) for r in rows if r.file}
+    templates = table.recordings if isinstance(table.recordings, list) else [table.recordings]
+    found, findings = [], []
+    for template in filter(None, templates):
+        with located(f"{path}, recordings"):
+            files = files_of_shape(path.parent, template)
+        known: list[tuple[str, dict[str, str]]] = []
+        for source, receiver in product(table.sources, table.receivers):
+            own = {"source": source, "receiver": receiver}
+            shape = shape_of(template, own)
+            known += [(name, own) for name in files if shape.fullmatch(name)]
+        new = [
+            {**own, "file": name}
+            for name, own in known
+            if same_file(path.parent / name) not in used
+            and (*own.values(), table.defaults.state) not in stated
+        ]
+        if to_fit and not new and not rows:
+            raise InputError(
+                "no recording has the name of a source and a receiver",
+                where=f"{path}, recordings",
+                found=f"{template}: {in_short(files) or 'no files'}",
+                needed=f"sources {in_short(list(table.sources))}, "
+                f"receivers {in_short(list(table.receivers))}",
+            )
+        found += [MeasurementTable.model_validate(row) for row in new]
+        names = {name for name, _ in known}
+        unused = [f for f in files if f not in names and same_file(path.parent / f) not in used]
+        if unused:
+            text = f"No source and receiver have the names of these recordings: {in_short(unused)}."
+            findings.append(Finding(Code.RECORDINGS_UNUSED, text, {"files": unused}))
+    rows = [
+        row.model_copy(update={k: v for k, v in common.items() if k not in row.model_fields_set})
+        for row in (*rows, *found)
+    ]
+    return table.model_copy(update={"measurements": rows}), tuple(findings)
 
 
 def _check_products(path: Path, campaign: CampaignTable) -> None:
@@ -547,6 +344,8 @@ class Campaign:
         Further states of the room.
     groups : tuple of PointGroup
     project : ProjectTable
+    findings : tuple of Finding
+        What is doubtful about the file itself.
     """
 
     path: Path
@@ -568,6 +367,7 @@ class Campaign:
     states: Mapping[str, Mapping[str, str]] = field(default_factory=dict)
     groups: tuple[PointGroup, ...] = ()
     project: ProjectTable = field(default_factory=ProjectTable)
+    findings: tuple[Finding, ...] = ()
 
 
 def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
@@ -609,10 +409,13 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     (['R'], 'auto')
     """
     path = Path(path)
+    content = _read_toml(path)
+    _check_blanks(path, content)
     try:
-        table = CampaignTable.model_validate(_read_toml(path))
+        table = CampaignTable.model_validate(content)
     except ValidationError as error:
         raise explained(path, error, CampaignTable) from None
+    table, findings = _with_recordings(path, table, to_fit=to_fit)
     if to_fit:
         _check_data(path, table)
     _check_names(path, table)
@@ -657,6 +460,7 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         {state.name: state.materials for state in table.states},
         tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
         table.project,
+        findings,
     )
 
 

@@ -14,6 +14,7 @@ from pydantic_core import ErrorDetails
 
 from roomfit._checks import nearest
 from roomfit.errors import InputError
+from roomfit.io.schema import BECAUSE
 
 
 def explained(path: Path, error: ValidationError, table: type[BaseModel]) -> InputError:
@@ -88,16 +89,19 @@ def _reason(table: type[BaseModel], place: tuple[int | str, ...]) -> str | None:
     for part in place:
         field = model.model_fields.get(str(part))
         if field is not None:
-            found = field.description or next(_descriptions(field.annotation), None)
+            found = next(_reasons(field), None)
             model = next(iter(_models_within(field.annotation)), model)
     return found
 
 
-def _descriptions(annotation: Any) -> Iterator[str]:
-    for part in (*get_args(annotation), *getattr(annotation, "__metadata__", ())):
-        if isinstance(part, FieldInfo) and part.description:
-            yield part.description
-        yield from _descriptions(part)
+def _reasons(part: Any) -> Iterator[str]:
+    """Yield why the numbers of a key end where they do, of unions and lists the first."""
+    if isinstance(part, FieldInfo):
+        if isinstance(part.json_schema_extra, dict) and BECAUSE in part.json_schema_extra:
+            yield str(part.json_schema_extra[BECAUSE])
+        part = part.annotation
+    for inner in (*get_args(part), *getattr(part, "__metadata__", ())):
+        yield from _reasons(inner)
 
 
 def _place(complaint: ErrorDetails) -> tuple[int | str, ...]:

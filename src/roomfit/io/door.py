@@ -325,15 +325,15 @@ def complete(what: str, needed: str) -> Iterator[None]:
         ) from error
 
 
-def csv_rows(text: str, where: str) -> Iterator[tuple[int, list[str]]]:
-    """Yield number of the line and cells of each row of a table with commas.
+def csv_rows(text: str, where: str, delimiter: str = ",") -> Iterator[tuple[int, list[str]]]:
+    """Yield number of the line and cells of each row of a table with commas or the like.
 
     Raises
     ------
     InputError
         The text is no such table, or a cell has more than 131,072 letters.
     """
-    reader = csv.reader(text.split("\n"))
+    reader = csv.reader(text.split("\n"), delimiter=delimiter)
     try:
         for cells in reader:
             yield reader.line_num, cells

@@ -2,36 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from contextlib import nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import TypedDict
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from roomfit.bands import Bands
+from roomfit.bands import Bands, bands_between
 from roomfit.errors import InputError, located
-from roomfit.io.campaign import (
-    Campaign,
-    MaterialTable,
-    MeasuredFile,
-    SharedDirectivity,
-    SourceDirectivity,
-    Spectrum,
-    input_files,
-    read_campaign,
-)
-from roomfit.io.campaign import (
-    Directivity as FirstOrderTable,
-)
+from roomfit.io.campaign import Campaign, MeasuredFile, input_files, read_campaign
 from roomfit.io.directivity import read_directivity
 from roomfit.io.door import check_files
 from roomfit.io.iso3382 import read_parameters
 from roomfit.io.responses import read_response
 from roomfit.io.rooms import read_mesh, read_room
 from roomfit.io.rooms.model import RoomSpec
-from roomfit.materials.catalogue import broad_prior_findings, material_prior, product_findings
-from roomfit.materials.priors import MaterialPrior, complete_priors
+from roomfit.io.schema import Directivity as FirstOrderTable
+from roomfit.io.schema import MaterialTable, Prior, SharedDirectivity, SourceDirectivity, Spectrum
+from roomfit.materials.catalogue import (
+    broad_prior_findings,
+    catalogue_prior,
+    material_prior,
+    product_findings,
+)
+from roomfit.materials.priors import MaterialPrior, complete_priors, in_bands
 from roomfit.measurement import Measurement
 from roomfit.response.directivity import (
     Directivity,
@@ -116,36 +113,59 @@ def _material_prior(campaign: Campaign, table: MaterialTable, name: str) -> Mate
     product = None if table.product is None else campaign.products[table.product]
     # what is known of a product is stated with it
     stated = table if product is None else product
-    prior = stated.prior
+    prior, where = stated.prior, f"materials.{name}"
+    known: ArrayLike | None
+    if isinstance(table.absorption, str):
+        with located(f"{where}.absorption"):
+            known, _ = catalogue_prior(table.absorption, bands)
+    elif isinstance(table.absorption, Spectrum):
+        own = table.absorption
+        known = _at_bands(own.centres_hz, own.values, bands, f"{where}.absorption")
+    else:
+        known = table.absorption
     with nullcontext() if product is None else located(f"products.{table.product}"):
-        own = material_prior(
+        found = material_prior(
             name,
             bands,
-            absorption=table.absorption,
-            prior=prior if prior is None or isinstance(prior, str) else (prior.mean, prior.sd),
+            absorption=known,
+            prior=prior if prior is None or isinstance(prior, str) else _mean_and_sd(prior, bands),
             bounds=stated.bounds,
             scattering=(
-                _at_bands(scattering, bands, f"materials.{name}.scattering")
+                _at_bands(scattering.centres_hz, scattering.values, bands, f"{where}.scattering")
                 if isinstance(scattering, Spectrum)
                 else scattering
             ),
             same_absorption_as=table.same_absorption_as,
             delay_sd_s=None if table.delay_sd_ms is None else 1e-3 * table.delay_sd_ms,
         )
-    return own if product is None else replace(own, product=table.product, product_sd=product.sd)
+    return (
+        found if product is None else replace(found, product=table.product, product_sd=product.sd)
+    )
 
 
-def _at_bands(table: Spectrum, bands: Bands, where: str) -> FloatArray:
-    """Return coefficients at the bands, interpolated over the logarithm of the frequency."""
-    if len(table.centres_hz) != len(table.values):
+def _mean_and_sd(prior: Prior, bands: Bands) -> tuple[ArrayLike, ArrayLike]:
+    if prior.centres_hz is None:
+        return prior.mean, prior.sd
+    mean, sd = (
+        _at_bands(prior.centres_hz, own, bands, f"prior.{key}") if isinstance(own, list) else own
+        for key, own in (("mean", prior.mean), ("sd", prior.sd))
+    )
+    return mean, sd
+
+
+def _at_bands(
+    centres_hz: Sequence[float], values: Sequence[float], bands: Bands, where: str
+) -> FloatArray:
+    """Return values at the bands, interpolated over the logarithm of the frequency."""
+    if len(centres_hz) != len(values):
         raise InputError(
-            "scattering has not as many values as centres",
+            "not as many values as centres",
             where=where,
-            found=f"{len(table.values)} values and {len(table.centres_hz)} centres",
+            found=f"{len(values)} values and {len(centres_hz)} centres",
         )
-    order = np.argsort(table.centres_hz)
-    at = np.log(np.array(table.centres_hz)[order])
-    return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(table.values)[order]))
+    order = np.argsort(centres_hz)
+    at = np.log(np.array(centres_hz)[order])
+    return np.asarray(np.interp(np.log(bands.centres_hz), at, np.array(values)[order]))
 
 
 def read_measurements(campaign: Campaign) -> tuple[Measurement | MeasuredValues, ...]:
@@ -274,17 +294,37 @@ def load_campaign(path: Path | str) -> IdentifyArguments:
     return identify_arguments(read_campaign(Path(path)))
 
 
-def identify_arguments(campaign: Campaign) -> IdentifyArguments:
-    """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`."""
+def identify_arguments(
+    campaign: Campaign, between_hz: tuple[float, float] | None = None
+) -> IdentifyArguments:
+    """Return a campaign that was read as arguments of `roomfit.identify`, see `load_campaign`.
+
+    Parameters
+    ----------
+    campaign : Campaign
+    between_hz : (lowest, highest), optional
+        Centres of bands to fit in place of the campaign's, of the same kind. Lists with a value for
+        each band stay those of the campaign's, and hold for the ones among them only.
+    """
     check_files(input_files(campaign), str(campaign.path))
     room = campaign_room(campaign)
+    own, bands = campaign.bands, campaign.bands
+    if between_hz is not None:
+        bands = bands_between(own.kind, *between_hz)
+    described = campaign
+    if not np.isin(bands.centres_hz, own.centres_hz).all():
+        # all of both: more than a list of the campaign has values for, which is then refused
+        ends_hz = np.concatenate([own.centres_hz, bands.centres_hz])
+        every = bands_between(own.kind, float(ends_hz.min()), float(ends_hz.max()))
+        described = replace(campaign, bands=every)
+    at = np.searchsorted(described.bands.centres_hz, bands.centres_hz)
     return {
         "scene": campaign_scene(campaign, room),
         "measurements": read_measurements(campaign),
-        "materials": material_priors(campaign, room.materials),
-        "bands": campaign.bands,
+        "materials": in_bands(material_priors(described, room.materials), at),
+        "bands": bands,
         "settings": campaign.settings,
-        "directivities": source_directivities(campaign, campaign.bands),
+        "directivities": source_directivities(campaign, bands),
     }
 
 
@@ -292,6 +332,7 @@ def campaign_room(campaign: Campaign) -> Room:
     """Return the room of a campaign with what was found in reading it."""
     room, findings = read_room(campaign.room)
     with located(str(campaign.path)):
+        findings = (*findings, *campaign.findings)
         described = replace(room, findings=findings, lengths_sd_m=campaign.room.lengths_sd)
         return with_states(described, campaign.states)
 

@@ -2,32 +2,14 @@
 
 from __future__ import annotations
 
-import datetime
 from base64 import b64encode
 from pathlib import Path
-from typing import Annotated, Literal
-
-from pydantic import BaseModel, ConfigDict, Field
 
 from roomfit.errors import InputError
 from roomfit.io.door import read_bytes
+from roomfit.io.schema import ProjectTable
 
-Words = Annotated[str, Field(max_length=200)]
 _LOGOS = {"png": b"\x89PNG\r\n\x1a\n", "jpeg": b"\xff\xd8\xff"}
-
-
-class ProjectTable(BaseModel):
-    """``[project]``: nothing of it decides the answer."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True)
-
-    title: Words | None = None
-    client: Words | None = None
-    author: Words | None = None
-    date: datetime.date | Words | None = None
-    instruments: Annotated[list[Words], Field(max_length=40)] = []
-    logo: str | None = None
-    language: Literal["en", "de"] = "en"
 
 
 def project_details(own: ProjectTable, folder: Path) -> dict[str, str]:

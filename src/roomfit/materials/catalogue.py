@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 import tomllib
+import unicodedata
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
@@ -275,7 +276,7 @@ def search_catalogue(words: Iterable[str]) -> tuple[CatalogueEntry, ...]:
     )
 
 
-# Words by which rooms name materials, English and German, and the entries that they may mean.
+# Words by which rooms name materials, English, German and French, and what they may mean.
 _CURTAINS = ("curtain-medium-draped", "curtain-heavy-draped", "curtain-light-flat")
 _CARPETS = ("carpet-heavy-on-concrete", "carpet-on-underlay", "carpet-thin-on-concrete")
 _PLASTERS = ("plaster-on-masonry", "plaster-painted", "plaster-on-lath")
@@ -286,43 +287,58 @@ _WOOL = ("mineral-wool-50-mm", "mineral-wool-25-mm", "mineral-wool-100-mm")
 _TILES = ("ceiling-tile-suspended", "ceiling-tile-fixed", "ceiling-fibreglass-suspended")
 _SEATS = ("seats-medium-empty", "seats-light-empty", "seats-wood-empty")
 _WORDS: Mapping[str, tuple[str, ...]] = {
-    **dict.fromkeys(("curtain", "drape", "vorhang", "gardine"), _CURTAINS),
-    **dict.fromkeys(("carpet", "teppich"), _CARPETS),
-    **dict.fromkeys(("plaster", "putz", "stucco"), _PLASTERS),
-    **dict.fromkeys(("plasterboard", "gypsum", "gips", "drywall"), _BOARDS),
-    **dict.fromkeys(("wood", "holz", "timber", "panelling"), _PANELS),
-    **dict.fromkeys(("glass", "glas", "window", "fenster", "glazing"), _PANES),
-    **dict.fromkeys(("wool", "wolle"), _WOOL),
+    **dict.fromkeys(("curtain", "drape", "vorhang", "gardine", "rideau"), _CURTAINS),
+    **dict.fromkeys(("carpet", "teppich", "moquette", "tapis"), _CARPETS),
+    **dict.fromkeys(("plaster", "putz", "stucco", "platre", "enduit"), _PLASTERS),
+    **dict.fromkeys(("plasterboard", "gypsum", "gips", "drywall", "placoplatre"), _BOARDS),
+    **dict.fromkeys(("wood", "holz", "timber", "panelling", "bois"), _PANELS),
+    **dict.fromkeys(
+        ("glass", "glas", "window", "fenster", "glazing", "verre", "vitre", "fenetre"), _PANES
+    ),
+    **dict.fromkeys(("wool", "wolle", "lainederoche", "lainedeverre", "laineminerale"), _WOOL),
     **dict.fromkeys(("woodwool", "holzwolle"), ("wood-wool-25-mm", "wood-wool-50-mm")),
-    **dict.fromkeys(("ceilingtile", "akustikdecke", "suspendedceiling"), _TILES),
-    **dict.fromkeys(("seat", "chair", "stuhl", "sitz", "bestuhlung"), _SEATS),
-    **dict.fromkeys(("door", "tuer"), ("door-wood-solid",)),
+    **dict.fromkeys(("ceilingtile", "akustikdecke", "suspendedceiling", "fauxplafond"), _TILES),
+    **dict.fromkeys(
+        ("seat", "chair", "stuhl", "sitz", "bestuhlung", "siege", "chaise", "fauteuil"), _SEATS
+    ),
+    **dict.fromkeys(("door", "tuer", "porte"), ("door-wood-solid",)),
     **dict.fromkeys(("parquet", "parkett"), ("parquet-on-concrete", "wood-floor-on-joists")),
-    **dict.fromkeys(("woodfloor", "holzboden", "dielen"), ("wood-floor-on-joists",)),
+    **dict.fromkeys(
+        ("woodfloor", "holzboden", "dielen", "plancherbois"), ("wood-floor-on-joists",)
+    ),
     **dict.fromkeys(("lino", "vinyl"), ("linoleum-on-concrete", "linoleum-on-underlay")),
     **dict.fromkeys(("concrete", "beton"), ("concrete-smooth", "concrete-painted")),
-    **dict.fromkeys(("brick", "ziegel", "backstein"), ("brick-painted", "brick-unglazed")),
-    **dict.fromkeys(("marble", "marmor", "fliese", "stone"), ("tile-or-marble",)),
-    **dict.fromkeys(("foam", "schaum"), ("foam-50-mm", "foam-25-mm")),
-    **dict.fromkeys(("audience", "publikum"), ("audience-upholstered", "audience-wood-chairs")),
-    **dict.fromkeys(("cork", "kork"), ("cork-tiles",)),
-    **dict.fromkeys(("plywood", "sperrholz"), ("plywood-10-mm", "plywood-thin-with-cavity")),
+    **dict.fromkeys(
+        ("brick", "ziegel", "backstein", "brique"), ("brick-painted", "brick-unglazed")
+    ),
+    **dict.fromkeys(
+        ("marble", "marmor", "fliese", "stone", "pierre", "marbre", "carrelage"),
+        ("tile-or-marble",),
+    ),
+    **dict.fromkeys(("foam", "schaum", "mousse"), ("foam-50-mm", "foam-25-mm")),
+    **dict.fromkeys(
+        ("audience", "publikum", "public"), ("audience-upholstered", "audience-wood-chairs")
+    ),
+    **dict.fromkeys(("cork", "kork", "liege"), ("cork-tiles",)),
+    **dict.fromkeys(
+        ("plywood", "sperrholz", "contreplaque"), ("plywood-10-mm", "plywood-thin-with-cavity")
+    ),
     **dict.fromkeys(
         ("acousticplaster", "akustikputz"), ("acoustic-plaster", "acoustic-plaster-thick")
     ),
 }
 
 # what follows says where the material is, or what is behind it
-_BESIDE = re.compile(r"\b(?:on|in|over|with|auf|vor|mit|aus)\b|[,(]")
+_BESIDE = re.compile(r"\b(?:on|in|over|with|auf|vor|mit|aus|sur|avec|devant|en)\b|[,(]")
 
 
 def suggested_entries(name: str) -> tuple[str, ...]:
     """Return entries of the catalogue that a material of this name may be, the likeliest first.
 
-    By that of some English and German words that stands last in the name, before any "on", "auf",
-    comma or bracket: a wooden door is a door, and a carpet on concrete a carpet. Nothing where it
-    holds none of them. A name is a hint and no more: which entry it is, if any, somebody who has
-    seen the room must say.
+    By that of some English, German and French words that stands last in the name, before any "on",
+    "auf", "sur", comma or bracket: a wooden door is a door, and a carpet on concrete a carpet.
+    Nothing where it holds none of them. A name is a hint and no more: which entry it is, if any,
+    somebody who has seen the room must say.
 
     Examples
     --------
@@ -330,6 +346,7 @@ def suggested_entries(name: str) -> tuple[str, ...]:
     ('curtain-medium-draped', ('door-wood-solid',))
     """
     plain = name.lower().replace("ü", "ue").replace("_", " ")
+    plain = unicodedata.normalize("NFKD", plain)  # accents become letters, which go below
     head = "".join(c for c in _BESIDE.split(plain)[0] if c.isalnum())
     found = [(head.rfind(word) + len(word), len(word), word) for word in _WORDS if word in head]
     return _WORDS[max(found)[2]] if found else ()

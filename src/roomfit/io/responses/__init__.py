@@ -29,6 +29,7 @@ _READERS = {
     ".sofa": read_sofa,
     ".txt": read_rew,
 }
+RESPONSE_SUFFIXES = tuple(_READERS)
 _KEYS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys((*_WAVES, *_SOUNDS, ".npy"), ("channel",)),
     ".mat": ("channel", "variable", "sampling_rate_variable"),

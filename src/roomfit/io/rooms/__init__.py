@@ -81,7 +81,7 @@ def read_mesh(spec: RoomSpec) -> tuple[Mesh, tuple[Finding, ...]]:
     if lengths is not None:
         with located("[room] shoebox"):
             return shoebox_mesh(lengths), ()
-    model, where = _read_model(spec)
+    model, where = read_model(spec)
     vertices_m = in_metres(model, spec.unit, spec.up, where)
     _check_size(model, vertices_m, where)
     mesh, built = build_mesh(vertices_m, model.faces)
@@ -105,7 +105,14 @@ def shoebox_lengths_m(spec: RoomSpec) -> tuple[float, float, float] | None:
     return x, y, z
 
 
-def _read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
+def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
+    """Return the polygons of a room file in its own unit and axes, and its name for messages.
+
+    Raises
+    ------
+    InputError
+        The file is of no known format, or cannot be read.
+    """
     if spec.polygons is not None:
         return read_polygons(spec.polygons, spec.unit), str(spec.polygons.corners[0])
     path = Path(spec.file or "")

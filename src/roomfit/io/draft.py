@@ -1,0 +1,354 @@
+"""A first campaign file from what there is: a room, recordings by their names, positions.
+
+What cannot be known is a blank, `FILL_IN`, with which no campaign is read; what was guessed says so
+in a comment beside it.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from roomfit.errors import InputError, located
+from roomfit.geometry.build import Face
+from roomfit.geometry.mesh import Mesh, area_vector_m2
+from roomfit.io.campaign import FILL_IN
+from roomfit.io.door import csv_rows, read_bytes, read_text
+from roomfit.io.file_names import files_of_shape, in_short, shape_of
+from roomfit.io.responses import RESPONSE_SUFFIXES
+from roomfit.io.rooms import read_mesh, read_model
+from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec
+from roomfit.materials.catalogue import suggested_entries
+from roomfit.scene import material_areas, surface_materials
+from roomfit.typing import FloatArray
+
+# Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
+_LEAST_M, _HIGHEST_M, _LONGEST_M, _LARGEST_M3 = 1.5, 20.0, 150.0, 60_000.0
+_UNITS = {
+    **dict.fromkeys(("m", "meter", "meters", "metre", "metres"), "m"),
+    **dict.fromkeys(("mm", "millimeter", "millimeters", "millimetre", "millimetres"), "mm"),
+    **dict.fromkeys(("cm", "centimeter", "centimeters", "centimetre", "centimetres"), "cm"),
+    **dict.fromkeys(("ft", "foot", "feet"), "ft"),
+    **dict.fromkeys(("in", "inch", "inches"), "in"),
+}
+_STATED_UNIT = re.compile(r"\bunits?\b\W{0,4}([a-z]+)", re.IGNORECASE)
+_LEVEL = re.compile(
+    r"floor|ceiling|boden|decke|plancher|plafond|(?<![a-z])sol(?![a-z])", re.IGNORECASE
+)
+_HEADER_BYTES = 4096
+_CLEARLY = 0.75  # an axis along which a room is shorter than that points up
+_DEFAULTS = (
+    "latency_s = 0.0        # from the first sample to emission",
+    'time_zero = "unknown"  # where recordings and source share no clock',
+    'level = "per-file"     # where the gain was changed between recordings',
+    'excitation = "sweep.wav"  # where they are recordings of a sweep',
+)
+Positions = Mapping[str, Sequence[float]]
+
+
+def likely_units(room: Path) -> dict[str, str]:
+    """Return each unit that a room file may be in, with the reason in words, the stated one alone.
+
+    A format or a header that states its unit decides; else it is by size, and more than one unit,
+    or none, means that somebody must say.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, or is of no known format.
+    """
+    model, _ = read_model(RoomSpec(file=room))
+    if model.unit is not None:
+        return {model.unit: "by the format of the file"}
+    head = read_bytes(room, "room file")[:_HEADER_BYTES].decode("ascii", errors="replace")
+    stated = [_UNITS[m.lower()] for m in _STATED_UNIT.findall(head) if m.lower() in _UNITS]
+    if stated:
+        return {stated[0]: "by the header of the file"}
+    return plausible_units(np.ptp(model.vertices, axis=0))
+
+
+def plausible_units(size: FloatArray) -> dict[str, str]:
+    """Return the units in which a bounding box, shape (3,), is a room, with its lengths in words.
+
+    Examples
+    --------
+    >>> plausible_units(np.array([6.0, 5.0, 3.0])), list(plausible_units(np.array([30, 20, 10])))
+    ({'m': 'the room is then 6 x 5 x 3 m'}, ['m', 'ft'])
+    """
+    found = {}
+    for unit, metres in METRES_PER_UNIT.items():
+        lengths = size * metres
+        high = float(lengths.min())
+        fits = _LEAST_M <= high <= _HIGHEST_M and float(lengths.max()) <= _LONGEST_M
+        if fits and float(np.prod(lengths)) <= _LARGEST_M3:
+            found[unit] = f"the room is then {' x '.join(f'{x:.3g}' for x in lengths)} m"
+    return found
+
+
+def likely_up(model: RoomModel) -> tuple[str, str]:
+    """Return the axis of a room file that points up, and why: "" where nothing contradicts.
+
+    Surfaces whose names say floor or ceiling are level; without such, a room is the least high.
+    """
+    upright = np.zeros(3)
+    for face in model.faces:
+        names = (face.surface.name, face.surface.group, face.surface.file_material)
+        if any(_LEVEL.search(name) for name in names if name):
+            upright += np.abs(area_vector_m2(_ring(model, face)))
+    if upright.any():
+        axis = "xyz"[int(np.argmax(upright))]
+        if axis != "x":
+            return axis, "" if axis == model.up else "floor and ceiling are level then"
+    _, along_y, along_z = np.ptp(model.vertices, axis=0)
+    short, long = ("y", along_z) if along_y < along_z else ("z", along_y)
+    if short != model.up and min(along_y, along_z) < _CLEARLY * long:
+        return short, "the room is the least high then"
+    return model.up, ""
+
+
+def _ring(model: RoomModel, face: Face) -> FloatArray:
+    return np.asarray(model.vertices[list(face.corners)])
+
+
+def read_positions(path: Path) -> dict[str, tuple[float, float, float]]:
+    """Return positions in m by name from a table: name, x, y, z, with or without a heading.
+
+    Separated by commas, tabs, or semicolons with decimal commas. A heading may state the unit, as
+    in ``name,x_mm,y_mm,z_mm`` or ``x [ft]``; without, they are metres.
+
+    Raises
+    ------
+    InputError
+        The table cannot be read, or a line is not understood.
+    """
+    text = read_text(path, "table of positions")
+    delimiter = next((d for d in ";\t" if d in text), ",")
+    found: dict[str, tuple[float, float, float]] = {}
+    factor = 1.0
+    for number, cells in csv_rows(text, str(path), delimiter):
+        cells = [c.strip() for c in cells]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        try:
+            numbers = [float(c.replace(",", ".")) for c in cells[1:4]]
+        except ValueError:
+            numbers = []
+        if len(numbers) == 3 and np.all(np.isfinite(numbers)) and cells[0] not in found:
+            x, y, z = (factor * n for n in numbers)
+            found[cells[0]] = (round(x, 6), round(y, 6), round(z, 6))
+        elif found or number > 1:
+            raise InputError(
+                "a line of the table of positions is not understood",
+                where=f"{path}, line {number}",
+                found=repr(delimiter.join(cells)),
+                needed="a name that stands once, and x, y, z",
+            )
+        else:
+            words = re.split(r"[^a-z]+", cells[1].lower()) if len(cells) > 1 else []
+            factor = next((METRES_PER_UNIT[_UNITS[w]] for w in words if w in _UNITS), 1.0)
+    if not found:
+        raise InputError(
+            "the table of positions is empty", where=str(path), needed="lines name, x, y, z"
+        )
+    return found
+
+
+def matching_files(folder: Path, template: str | None) -> dict[str, tuple[str, str]]:
+    """Return source and receiver by the name of each recording, relative to a folder.
+
+    Parameters
+    ----------
+    folder : Path
+    template : str or None
+        As in ``"responses/{source}_{receiver}.wav"``; * stands for any text. None: recordings in
+        the folder itself, by that shape if all have it, else all of one source.
+
+    Raises
+    ------
+    InputError
+        The template lacks {source} or {receiver}, or no file has its shape.
+    """
+    if template is None:
+        names = _recordings(folder)
+        split = [Path(name).stem.partition("_") for name in names]
+        whole = bool(split) and all(mark for _, mark, _ in split)
+        return {
+            name: (a, b) if whole else ("S1", Path(name).stem)
+            for name, (a, _, b) in zip(names, split, strict=True)
+        }
+    with located("--recordings"):
+        shape, names = shape_of(template), files_of_shape(folder, template)
+    if not names:
+        below = Path(template).parent
+        raise InputError(
+            "no recording has a name of this shape",
+            where=str(folder / below),
+            found=in_short(_recordings(folder / below)) or "no recordings",
+            needed=template,
+            hint="put {source} and {receiver} where names differ, and * for other text",
+        )
+    found = [shape.fullmatch(name) for name in names]
+    return {m[0]: (m["source"], m["receiver"]) for m in found if m}
+
+
+def _recordings(folder: Path) -> list[str]:
+    files = sorted(folder.iterdir()) if folder.is_dir() else []
+    chosen = [f for f in files if f.suffix.lower() in RESPONSE_SUFFIXES and f.is_file()]
+    # exports of REW are texts, and not every text is one
+    return [f.name for f in chosen if f.suffix.lower() != ".txt"] or [f.name for f in chosen]
+
+
+def draft_campaign(
+    room: RoomSpec | None,
+    recordings: Mapping[str, tuple[str, str]],
+    positions: Positions | None = None,
+    *,
+    folder: Path,
+    template: str | None = None,
+    because: str = "",
+) -> str:
+    """Return the text of a first campaign file, blanks in place of what is not known.
+
+    Parameters
+    ----------
+    room : RoomSpec or None
+        Its file or its lengths; a unit that is None is guessed, and so is the axis that points up.
+    recordings : mapping of file to (source, receiver)
+        Paths relative to `folder`, from `matching_files`.
+    positions : mapping of name to x, y, z in m, optional
+        Of sources and receivers; of a recording's they are looked up, others are left out.
+    folder : Path
+        Where the file will stand.
+    template : str, optional
+        That of the recordings' names, which then stands in place of a table for each.
+    because : str
+        Why the unit is what it is, where the caller chose it among several.
+
+    Raises
+    ------
+    InputError
+        The room cannot be read; or its unit is in doubt, with the units that are plausible.
+    """
+    lines = [
+        "# A first campaign, made by `roomfit init`. Blanks are marked FILL IN. Then:",
+        "#   roomfit check campaign.toml",
+        "#   roomfit identify campaign.toml --out result",
+        "",
+        *([f"recordings = {_quoted(template)}", ""] if template is not None else []),
+        "[room]",
+        *_room_lines(room, folder, because),
+        *_point_lines("sources", [s for s, _ in recordings.values()], positions or {}),
+        *_point_lines("receivers", [r for _, r in recordings.values()], positions or {}),
+        *_measurement_lines(recordings, template),
+        "",
+        "[identify]",
+        "from_hz = 125",
+        "to_hz = 4000",
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _room_lines(room: RoomSpec | None, folder: Path, because: str) -> list[str]:
+    if room is None:
+        return [f'shoebox = "{FILL_IN}"  # lengths along x, y, z in m; or file = "room.obj"']
+    if room.file is None:
+        lengths = room.shoebox or (0.0, 0.0, 0.0)
+        unit = [f"unit = {_quoted(room.unit)}"] if room.unit not in (None, "m") else []
+        lines = [f"shoebox = [{', '.join(f'{x:g}' for x in lengths)}]", *unit]
+        materials = {"walls": "walls", "floor": "floor", "ceiling": "ceiling"}
+        mesh, _ = read_mesh(room)
+        lines += ["", "# which material is where: south, north, east and west are the walls"]
+        lines += ["[room.materials]", *(f"{k} = {_quoted(v)}" for k, v in materials.items())]
+        return [*lines, *_material_lines(mesh, materials)]
+    model, _ = read_model(room)
+    spec, lines = _in_known_unit(room, model, because)
+    lines = [f"file = {_quoted(Path(os.path.relpath(room.file, folder)).as_posix())}", *lines]
+    mesh, _ = read_mesh(spec)
+    bare = [s.name for s in mesh.surfaces if s.file_material is None]
+    if bare:
+        lines += ["", "# surfaces without a material in the file", "[room.materials]"]
+        lines += [f'{_quoted(name)} = "{FILL_IN}"' for name in dict.fromkeys(bare)]
+    return [*lines, *_material_lines(mesh, {})]
+
+
+def _in_known_unit(room: RoomSpec, model: RoomModel, because: str) -> tuple[RoomSpec, list[str]]:
+    lines, unit, up = [], room.unit, room.up
+    if unit is None:
+        units = likely_units(Path(room.file or ""))
+        if len(units) != 1:
+            size = " x ".join(f"{x:.4g}" for x in np.ptp(model.vertices, axis=0))
+            either = "; ".join(f"{u}: {why}" for u, why in units.items())
+            raise InputError(
+                "the unit of the room file is in doubt",
+                where=str(room.file),
+                found=f"a room of {size}, and no unit in the file",
+                needed=f"--unit, one of {', '.join(units or METRES_PER_UNIT)}",
+                hint=either or "no unit makes a usual room of it: look at the drawing",
+            )
+        ((unit, why),) = units.items()
+        because = why if why.startswith("by") else f"guessed: {why}"
+    lines.append(f"unit = {_quoted(unit)}" + (f"  # {because}" if because else ""))
+    if up is None:
+        up, why = likely_up(model)
+        if why:
+            lines.append(f"up = {_quoted(up)}  # guessed: {why}")
+    else:
+        lines.append(f"up = {_quoted(up)}")
+    return replace(room, unit=unit, up=up), lines
+
+
+def _material_lines(mesh: Mesh, materials: Mapping[str, str]) -> list[str]:
+    lines = ["", "# What is known of a material before the measurement, if anything: a prior or a"]
+    lines += ["# known absorption. Entries of `roomfit catalogue` are suggested by names alone."]
+    owners = surface_materials(mesh.surfaces, materials)
+    for name, area in material_areas(mesh, materials).items():
+        if name is None:
+            continue
+        of = [s.name for s, owner in zip(mesh.surfaces, owners, strict=True) if owner == name]
+        first, *others = suggested_entries(name) or ("",)
+        lines += [f"[materials.{_quoted(name)}]  # {area:.1f} m2: {_one_line(in_short(of))}"]
+        alike = f"  # or {', '.join(others)}" if others else ""
+        lines += [f'# prior = "{first}"{alike}'] if first else []
+    return lines
+
+
+def _one_line(text: str) -> str:
+    return "".join(c if c.isprintable() else "?" for c in text)
+
+
+def _point_lines(kind: str, names: Sequence[str], positions: Positions) -> list[str]:
+    lines = [""]
+    for name in dict.fromkeys(names or ("S1" if kind == "sources" else "R1",)):
+        lines.append(f"[{kind}.{_quoted(name)}]")
+        if name in positions:
+            lines.append(f"position = [{', '.join(f'{x:g}' for x in positions[name])}]")
+        else:
+            lines.append(f'position = "{FILL_IN}"  # [x, y, z] in m, z up')
+    return lines
+
+
+def _measurement_lines(
+    recordings: Mapping[str, tuple[str, str]], template: str | None
+) -> list[str]:
+    lines = [
+        "",
+        "# What holds of all recordings, unless their own [[measurements]] say otherwise.",
+    ]
+    lines += ["[defaults]", *(f"# {line}" for line in _DEFAULTS)]
+    if template is not None:
+        return lines
+    for file, (source, receiver) in (recordings or {FILL_IN: ("S1", "R1")}).items():
+        lines += ["", "[[measurements]]", f"source = {_quoted(source)}"]
+        lines += [f"receiver = {_quoted(receiver)}", f"file = {_quoted(file)}"]
+    return lines
+
+
+def _quoted(text: str | None) -> str:
+    """Return a text as TOML writes it, which quotes as JSON does."""
+    return json.dumps(text or "", ensure_ascii=False)

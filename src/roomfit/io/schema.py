@@ -1,0 +1,509 @@
+"""The keys of a campaign file, format_version 1: what each means, and what it may hold.
+
+Docstrings of keys are their descriptions in the JSON schema that ``roomfit schema`` prints.
+"""
+
+from __future__ import annotations
+
+import datetime
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from roomfit.materials.priors import PRODUCT_SD, PRODUCT_SDS
+from roomfit.settings import SETTING_LIMITS
+
+BECAUSE = "because"  # why the range of a number ends where it does, in its schema
+
+
+def _limited(low: float, high: float, why: str) -> Any:
+    """Return the range of a number of the file, and why it ends there: a refusal says it."""
+    return Field(ge=low, le=high, json_schema_extra={BECAUSE: why})
+
+
+Fraction = Annotated[float, _limited(0.0, 1.0, "a share of energy")]
+PerBand = Fraction | list[Fraction]
+# smaller ones cannot be distinguished from none, and their logit has no bounds
+InnerFraction = Annotated[
+    float, _limited(1e-3, 0.999, "0 and 1 have no logit; what is known is fixed: absorption = ...")
+]
+PriorSd = Annotated[
+    float, _limited(1e-4, 1.0, "absorption lies between 0 and 1; what is known is fixed")
+]
+Metre = Annotated[float, _limited(0.0, 1.0, "m; what is off by more must be measured again")]
+Coordinate = Annotated[float, _limited(-1e6, 1e6, "m; the corners of a room are not farther off")]
+Position = tuple[Coordinate, Coordinate, Coordinate]
+Height = Annotated[float, _limited(0.0, 1e4, "m above the lowest point of a room")]
+Number = Annotated[int, _limited(0, 10**6, "counted from 0; no file holds more")]
+Start = Annotated[float, _limited(-1e9, 1e9, "no number of a wall, in these units, is larger")]
+Strength = Annotated[float, _limited(0.0, 10.0, "1 is a cardioid; beyond 10 nothing changes")]
+Hertz = Annotated[float, _limited(1.0, 1e5, "Hz; bands are defined and sound is recorded there")]
+
+
+class Table(BaseModel):
+    """A table of the file: an unknown key is an error, and nothing changes after reading."""
+
+    model_config = ConfigDict(
+        extra="forbid",
+        frozen=True,
+        strict=False,
+        allow_inf_nan=False,
+        use_attribute_docstrings=True,
+    )
+
+
+class PolygonTable(Table):
+    """``[room] polygons``: corner and plane tables."""
+
+    corners: list[str] = Field(min_length=1)
+    """CSV files of corners: number, x, y, z. A later file replaces corners of an earlier one."""
+    planes: list[str] = Field(min_length=1)
+    """CSV files of planes: number, material, area, and one corner number after the other."""
+    replace: dict[str, str] = {}
+    """A plane's number, and the CSV file of planes that replace it."""
+    drop: list[int] = []
+    """Numbers of planes to leave out."""
+    sides: dict[str, Literal[1, 2]] = {}
+    """A plane's number and 1 (a wall) or 2 (a sheet in the air), whatever its row says."""
+
+
+class RoomTable(Table):
+    """``[room]``."""
+
+    file: str | None = None
+    """OBJ, AC3D (.ac), PLY, STL, GLB, CATT-Acoustic (.geo) or DXF; recognised by the extension."""
+    shoebox: tuple[float, float, float] | None = None
+    """Three lengths along x, y and z of a box with one corner at the origin."""
+    polygons: PolygonTable | None = None
+    """Tables of corners and planes."""
+    unit: str | None = None
+    """m, mm, cm, ft or in; required where the file states none (OBJ, AC3D, PLY, STL)."""
+    up: Literal["z", "y"] | None = None
+    """Axis that points up in the file. Default: y for GLB, z for all others."""
+    materials: dict[str, str] = {}
+    """From names of surfaces, groups or the file's own materials to names of materials."""
+    lengths_sd: tuple[Metre, Metre, Metre] | None = None
+    """Of a shoebox: standard deviations in m of its lengths, which then are fitted; 0: exact."""
+
+
+class GroupTable(Table):
+    """``[groups.NAME]``: positions with one common offset."""
+
+    members: list[str] = Field(min_length=1)
+    """Names of sources and receivers; * and ? stand for any text."""
+    sd: Metre | tuple[Metre, Metre, Metre]
+    """Standard deviation of the common offset in m: one number, or one for each axis; 0: exact."""
+
+
+class AirTable(Table):
+    """``[air]``."""
+
+    temperature_c: float = 20.0
+    """Temperature in degrees Celsius, -20 to 50."""
+    temperature_sd_c: Annotated[float, _limited(*SETTING_LIMITS["temperature_sd_c"])] | None = None
+    """Its standard deviation, from which the prior of the speed of sound follows."""
+    humidity_percent: float = 50.0
+    """Relative humidity, 0 to 100."""
+    pressure_kpa: float = 101.325
+    """Static pressure, 50 to 120."""
+    speed_of_sound_m_s: float | None = None
+    """In place of the one that follows from the temperature."""
+    attenuation: Literal["iso9613", "none"] = "iso9613"
+    """Attenuation of sound by air: by ISO 9613-1, or none."""
+
+
+class Spectrum(Table):
+    """Values at frequencies, whatever bands are fitted."""
+
+    centres_hz: list[Hertz] = Field(min_length=1)
+    """Frequencies of the values, in any order."""
+    values: list[Fraction] = Field(min_length=1)
+    """One for each frequency."""
+
+
+class Prior(Table):
+    """Prior of an absorption coefficient: its mean and standard deviation."""
+
+    centres_hz: list[Hertz] | None = None
+    """Frequencies of lists of `mean` and `sd`, where they are not those of the fitted bands."""
+    mean: InnerFraction | list[InnerFraction]
+    """Of the absorption coefficient: one number, or one for each band."""
+    sd: PriorSd | list[PriorSd]
+    """Standard deviation of the absorption coefficient: one number, or one for each band."""
+
+
+class MaterialTable(Table):
+    """``[materials.NAME]``."""
+
+    scattering: Fraction | list[Fraction] | Spectrum | Literal["fit"] | None = None
+    """Scattering coefficient, ISO 17497-1: number, list by band, {centres_hz, values} or "fit"."""
+    absorption: PerBand | Spectrum | str | None = None
+    """Known, and fixed: number, list by band, {centres_hz, values} or entry of the catalogue."""
+    prior: Prior | str | None = None
+    """{mean, sd} of the absorption coefficient, or the name of an entry of the catalogue."""
+    bounds: tuple[Fraction, Fraction] | None = None
+    """Lowest and highest absorption."""
+    same_absorption_as: str | None = None
+    """Another material of the room that has the same absorption."""
+    product: str | None = None
+    """What the material is made of: a table [products.NAME]."""
+    delay_sd_ms: (
+        Annotated[float, _limited(0.0, 5.0, "ms; porous layers delay by tenths")] | None
+    ) = None
+    """Standard deviation of the delay of its reflections in ms; 0: none. Default: 0.2."""
+    impedance: Literal["spline", "miki", "resonator", "panel", "constant", "auto"] | None = None
+    """For `roomfit impedance`: what its reflection coefficient is like over frequency."""
+    impedance_start: dict[str, Start | list[Start]] | None = None
+    """Where the search for the impedance begins."""
+
+
+class ProductTable(Table):
+    """``[products.NAME]``: what all materials of one product have in common."""
+
+    sd: Annotated[
+        float, _limited(*PRODUCT_SDS, "in logit; equal walls share one: same_absorption_as")
+    ] = PRODUCT_SD
+    """How far, in logit, each material lies from what they have in common."""
+    prior: Prior | str | None = None
+    """Of the absorption that they have in common."""
+    bounds: tuple[Fraction, Fraction] | None = None
+    """Lowest and highest absorption."""
+
+
+class Directivity(Table):
+    """First-order directivity of a source."""
+
+    aim: Position
+    """The axis, in the room's frame, of any length."""
+    order: Literal[1] = 1
+    """First order, the only one."""
+    b: Strength
+    """Amplitude 1 + b cos of the angle to the axis: 0 is omnidirectional, 1 a cardioid."""
+    b_sd: Strength = 0.0
+    """Standard deviation of b; above 0 the pattern is fitted."""
+
+
+class MeasuredDirectivity(Table):
+    """Directivity of a source from a SOFA file, and how the source stood in the room."""
+
+    file: str
+    """A SOFA file of responses all around the source."""
+    aim: Position = (1.0, 0.0, 0.0)
+    """Where the front of the source pointed."""
+    up: Position = (0.0, 0.0, 1.0)
+    """Where the top of the source pointed."""
+
+
+class SharedDirectivity(Table):
+    """Directivity of a source that is one of several of a make, and where it aimed."""
+
+    loudspeaker: str
+    """The table [loudspeakers.NAME] to which the source belongs."""
+    aim: Position
+    """Where the front of the source pointed."""
+    up: Position = (0.0, 0.0, 1.0)
+    """Where the top of the source pointed."""
+
+
+class LoudspeakerTable(Table):
+    """``[loudspeakers.NAME]``: what all sources of one make have in common."""
+
+    directivity: str = "fit"
+    """"fit", or a SOFA file of responses all around the loudspeaker."""
+    b_sd: Annotated[
+        float, _limited(1e-3, 10.0, "0 would be omnidirectional: leave the table out")
+    ] = 0.5
+    """Prior standard deviation of the coefficients of a pattern that is fitted."""
+
+
+SourceDirectivity = str | Directivity | MeasuredDirectivity | SharedDirectivity
+
+
+class SourceTable(Table):
+    """``[sources.NAME]``."""
+
+    position: Position
+    """x, y, z in m, z up, in the room's frame."""
+    position_sd: Metre | None = None
+    """Standard deviation of each coordinate in m; 0: exact. Default: 0.02."""
+    directivity: SourceDirectivity = "omni"
+    """"omni", "fit", a SOFA file, or a table."""
+
+
+class ReceiverTable(Table):
+    """``[receivers.NAME]``."""
+
+    position: Position
+    """x, y, z in m, z up, in the room's frame."""
+    position_sd: Metre | None = None
+    """Standard deviation of each coordinate in m; 0: exact. Default: 0.02."""
+
+
+class DefaultsTable(Table):
+    """``[defaults]``: what holds of every measurement that does not say otherwise."""
+
+    excitation: str | None = None
+    """The sweep as it was played (WAV): `file` is its recording, and is deconvolved."""
+    excitation_channel: Number | None = None
+    """Channel of the excitation, from 0."""
+    channel: Number | None = None
+    """WAV: channel; MAT: column; from 0. Required where there are several."""
+    variable: str | None = None
+    """MAT: name of the array of responses."""
+    sampling_rate_variable: str | None = None
+    """MAT: name of the variable that states the sampling rate."""
+    sampling_rate_hz: (
+        Annotated[float, _limited(100.0, 1e7, "Hz; sound of walls is recorded with 8 to 192 kHz")]
+        | None
+    ) = None
+    """Sampling rate, where the file states none."""
+    measurement: Number | None = None
+    """SOFA: which measurement, from 0."""
+    receiver_index: Number | None = None
+    """SOFA: which receiver, from 0."""
+    time_zero: Literal["emission", "direct", "unknown"] = "emission"
+    """What the first sample is: emission by a common clock, the direct sound, or unknown."""
+    latency_s: Annotated[float, _limited(-10.0, 10.0, "s; cut the file beyond that")] = 0.0
+    """Delay of the measuring chain in s: from the first sample to emission."""
+    latency_sd_s: (
+        Annotated[float, _limited(0.0, 0.1, 's; beyond that time_zero = "unknown"')] | None
+    ) = None
+    """Its standard deviation in s. Default: 0.02 ms for emission, else 0.1 ms."""
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    """Files that share an unknown gain: those of a source, none, or all levels are absolute."""
+    use: Literal["fit", "validate"] = "fit"
+    """Fitted, or predicted and compared only."""
+    state: str = ""
+    """State of the room: one of [[states]]."""
+
+
+class MeasurementTable(DefaultsTable):
+    """``[[measurements]]``."""
+
+    source: str | None = None
+    """Name of a source of this file."""
+    receiver: str | None = None
+    """Name of a receiver of this file."""
+    file: str | None = None
+    """Impulse response: WAV, MAT, SOFA or export of REW; with `excitation` a recorded sweep."""
+    parameters: str | None = None
+    """In place of `file`: a CSV table of ISO 3382 values."""
+    spectrum: str | None = None
+    """In place of `file`: damped pressures (.npz), for `roomfit impedance`."""
+
+
+class StateTable(Table):
+    """``[[states]]``: the same room with other materials on some of its surfaces."""
+
+    name: str = Field(min_length=1)
+    """What measurements refer to with `state`."""
+    materials: dict[str, str] = Field(min_length=1)
+    """As [room.materials]; what is not named stays."""
+
+
+class IdentifyTable(Table):
+    """``[identify]``."""
+
+    bands: Literal["octave", "third-octave"] | list[Hertz] = "octave"
+    """Kind of bands, or a list of nominal centres in Hz."""
+    from_hz: Hertz = 125.0
+    """Lowest centre; ignored where bands are listed."""
+    to_hz: Hertz = 4000.0
+    """Highest centre."""
+    method: Literal["auto", "simplex", "annealing", "least-squares", "certified", "posterior"] = (
+        "auto"
+    )
+    """How absorption is searched for."""
+    model: Literal["auto", "energy", "coherent"] = "auto"
+    """Whether energies or pressures of reflections add."""
+    positions: Literal["auto", "fit", "fixed"] = "auto"
+    """Whether positions, speed of sound and latencies are fitted within their priors."""
+    wall_delays: bool = True
+    """Whether delays of reflections are fitted."""
+    smoothness_per_octave: (
+        Annotated[float, _limited(*SETTING_LIMITS["smoothness_per_octave"])] | None
+    ) = None
+    """Standard deviation by which logit absorption changes from octave to octave."""
+    seed: Annotated[int, _limited(*SETTING_LIMITS["seed"])] = 1
+    """Of rays and annealing."""
+
+
+class ImpedanceTable(Table):
+    """``[impedance]``: what ``roomfit impedance`` fits, and how."""
+
+    from_hz: Hertz = 100.0
+    """Lowest frequency."""
+    to_hz: Hertz = 1000.0
+    """Highest frequency."""
+    step_hz: Annotated[
+        float, _limited(0.1, 1000.0, "Hz; finer than 1/(2 pi tau_s) adds no information")
+    ] = 10.0
+    """Distance of frequencies."""
+    tau_s: Annotated[
+        float, _limited(1e-3, 1.0, "s; shorter holds no reflection, longer all that is late")
+    ] = 0.015
+    """Time constant of the exponential window."""
+    gain: Literal["auto", "known", "common", "source", "pair", "spectrum", "pair-spectrum"] = "auto"
+    """Which gains are unknown."""
+    positions: Literal["fit", "fixed"] = "fit"
+    """Fitted within their standard deviations, or exact."""
+    speed_of_sound: Literal["fit", "fixed"] = "fit"
+    """Fitted, or exact."""
+    random_starts: Annotated[int, _limited(0, 100, "each costs as much as a fit")] = 3
+    """Starts at random besides the usual one."""
+
+
+class DesignTable(Table):
+    """``[design]``: where ``roomfit design`` may put sources and receivers."""
+
+    sources: list[Position] = []
+    """Positions for sources. Left out: spread evenly."""
+    receivers: list[Position] = []
+    """Positions for receivers."""
+    new_sources: Annotated[int, _limited(0, 1000, "candidates are traced one by one")] = 8
+    """How many positions for sources are generated."""
+    grid_m: (
+        Annotated[float, _limited(0.1, 100.0, "m; nearer positions tell nothing new")] | None
+    ) = None
+    """Spacing of a grid of receivers."""
+    source_heights_m: tuple[Height, Height] = (1.0, 2.0)
+    """Lowest and highest."""
+    receiver_heights_m: tuple[Height, Height] = (1.0, 2.0)
+    """Lowest and highest."""
+    region_m: tuple[Position, Position] | None = None
+    """Lower and upper corner of a box that contains all generated positions."""
+    wall_distance_m: Annotated[
+        float, _limited(0.01, 100.0, "m; 0 is in the wall, and no room is so wide")
+    ] = 1.0
+    """Least distance of generated positions from walls and furniture."""
+    source_distance_m: (
+        Annotated[float, _limited(0.1, 1000.0, "m; nearer is the source itself")] | None
+    ) = None
+    """Least distance of a receiver from its source."""
+    receiver_distance_m: Annotated[float, _limited(0.0, 1000.0, "m; no room is so long")] = 2.0
+    """Least distance of chosen receivers from each other."""
+    most_sources: Annotated[int, _limited(1, 1000, "candidates are traced one by one")] | None = (
+        None
+    )
+    """How many different sources a design may have."""
+    criterion: Literal["determinant", "mean", "worst"] = "determinant"
+    """What is minimised."""
+    decay_range_db: Annotated[float, _limited(10.0, 120.0, "dB; no recording has more")] = 45.0
+    """Expected decay above the noise."""
+    position_sd: Metre = 0.02
+    """Expected standard deviation of positions."""
+    level: Literal["per-source", "per-file", "absolute"] = "per-source"
+    """As of measurements."""
+    draws: Annotated[int, _limited(1, 100, "each costs as much as a design")] = 2
+    """Of the absorption from its prior."""
+
+
+class SettingsTable(Table):
+    """``[settings]``: constants of `roomfit.Settings` that stand behind the choices."""
+
+    n_rays: int | Literal["auto"] | None = None
+    """Rays a source."""
+    n_rays_beside_images: int | Literal["auto"] | None = None
+    """Rays a source, where image sources bring what is early."""
+    receiver_radius_m: float | Literal["auto"] | None = None
+    """Radius of the spheres in which rays are counted."""
+    default_scattering: float | None = None
+    """Scattering coefficient where nothing chooses it."""
+    n_draws: int | None = None
+    """Draws of the absorption behind predictions."""
+    posterior_draws: bool | None = None
+    """Whether a fit leaves draws that are made with the model itself."""
+    n_random_starts: int | None = None
+    """Further starts of a fit of energies."""
+    n_scattering_rays: int | None = None
+    """Rays of the trials that choose scattering."""
+    most_images: int | None = None
+    """Image sources a pair at most."""
+    most_coherent_images: int | None = None
+    """The same, for pressures."""
+    most_triangles_for_images: int | None = None
+    """Rooms of more triangles are traced by rays after the first orders."""
+    coherent_until_s: float | None = None
+    """Time after emission until which pressures are added."""
+    speed_of_sound_sd: float | None = None
+    """Relative standard deviation of the speed of sound."""
+    decay_range_db: float | None = None
+    """Range of the decay that is fitted."""
+    max_rounds: int | None = None
+    """Rounds of updated weights at most."""
+
+
+Words = Annotated[str, Field(max_length=200)]
+
+
+class ProjectTable(Table):
+    """``[project]``: what the report says of itself; nothing of it decides the answer."""
+
+    title: Words | None = None
+    """Heading of the report."""
+    client: Words | None = None
+    """For whom it was measured."""
+    author: Words | None = None
+    """Who measured, or wrote the report."""
+    date: datetime.date | Words | None = None
+    """Of the measurement."""
+    instruments: Annotated[list[Words], Field(max_length=40)] = []
+    """What was measured with."""
+    logo: str | None = None
+    """A PNG or JPEG file beside the campaign."""
+    language: Literal["en", "de"] = "en"
+    """Of the report's headings."""
+
+
+class CampaignTable(Table):
+    """The whole file."""
+
+    format_version: Literal[1] = 1
+    """Of this file's format: 1, the only one."""
+    project: ProjectTable = ProjectTable()
+    """What the report says of itself."""
+    room: RoomTable
+    """The room."""
+    air: AirTable = AirTable()
+    """The air."""
+    materials: dict[str, MaterialTable] = {}
+    """What is known of materials before the measurement, by name."""
+    products: dict[str, ProductTable] = {}
+    """What materials of one product have in common, by name."""
+    loudspeakers: dict[str, LoudspeakerTable] = {}
+    """What sources of one make have in common, by name."""
+    sources: dict[str, SourceTable] = {}
+    """Sources by name."""
+    receivers: dict[str, ReceiverTable] = {}
+    """Receivers by name."""
+    states: list[StateTable] = []
+    """Further states of the room."""
+    groups: dict[str, GroupTable] = {}
+    """Positions that have a common offset, by name."""
+    recordings: str | list[str] | None = None
+    """Names of recordings, as "DIR/{source}_{receiver}.wav": one of every pair that is there."""
+    defaults: DefaultsTable = DefaultsTable()
+    """What holds of every measurement that does not say otherwise."""
+    measurements: list[MeasurementTable] = []
+    """What was measured, one table each."""
+    identify: IdentifyTable = IdentifyTable()
+    """How `roomfit identify` fits."""
+    settings: SettingsTable = SettingsTable()
+    """Constants behind these choices."""
+    impedance: ImpedanceTable = ImpedanceTable()
+    """How `roomfit impedance` fits."""
+    design: DesignTable = DesignTable()
+    """Where `roomfit design` may measure."""
+
+
+def campaign_schema() -> dict[str, Any]:
+    """Return the JSON schema of a campaign file, with which editors complete and check its keys.
+
+    Examples
+    --------
+    >>> campaign_schema()["$defs"]["MeasurementTable"]["properties"]["use"]["description"]
+    'Fitted, or predicted and compared only.'
+    """
+    own = CampaignTable.model_json_schema()
+    title = {"title": "Campaign of roomfit, format_version 1"}
+    return {"$schema": "https://json-schema.org/draft/2020-12/schema", **own, **title}
