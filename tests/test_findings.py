@@ -57,6 +57,7 @@ def test_these_findings_and_no_others_void_identifiability():
     """Each of them says that the description of the whole room is in doubt."""
     assert {code.value for code in Code if code.voids_identifiability} == {
         "decay-bent",
+        "noise-gated",
         "fixed-absorption-contradicted",
         "levels-not-linear",
         "recording-of-two-pairs",

@@ -121,7 +121,7 @@ def one_message(text: str) -> str:
         # files
         (FIRST_FILE, 'file = "none.wav"', r"does not exist(?s:.*)none.wav(?s:.*)relative"),
         (FIRST_FILE, f"{FIRST_FILE}\nchannel = 3", r"no such channel(?s:.*)3(?s:.*)channel = 0"),
-        (FIRST_FILE, 'file = "a.flac"', r"unknown kind(?s:.*)'.flac'(?s:.*)\.wav"),
+        (FIRST_FILE, 'file = "a.ogg"', r"unknown kind(?s:.*)'.ogg'(?s:.*)\.wav"),
         (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 5.0", r"ends before the direct sound"),
         (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 23.0", r"measurements\[1\].latency_s(?s:.*)10"),
     ],

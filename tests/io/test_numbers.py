@@ -70,6 +70,10 @@ LISTS = {
     "design.region_m": [[0.5, 0.5, 0.5], [3.0, 2.0, 2.0]],
     "materials.NAME.scattering.centres_hz": [500.0, 1000.0],
     "materials.NAME.scattering.values": [0.1, 0.2],
+    "materials.NAME.absorption.centres_hz": [500.0, 1000.0],
+    "materials.NAME.absorption.values": [0.1, 0.2],
+    "materials.NAME.prior.centres_hz": [500.0, 1000.0],
+    "products.NAME.prior.centres_hz": [500.0, 1000.0],
     "sources.NAME.directivity.aim": [1.0, 0.0, 0.0],
     "sources.NAME.directivity.up": [0.0, 0.0, 1.0],
     "identify.bands": [500.0, 1000.0],
@@ -102,8 +106,15 @@ def written(folder: Path, place: str, number: float) -> Path:
     }
     if place.startswith("room.polygons"):
         content["room"] = {"polygons": {"corners": ["a.csv"], "planes": ["b.csv"]}}
-    if place.endswith("absorption"):
+    if ".absorption" in place:
         content["materials"]["carpet"].pop("prior")
+    if ".absorption." in place:
+        at_frequencies = {"centres_hz": [500.0, 1000.0], "values": [0.1, 0.2]}
+        content["materials"]["carpet"]["absorption"] = at_frequencies
+    if place.endswith("prior.centres_hz"):
+        at_frequencies = {"mean": [0.3, 0.3], "sd": [0.1, 0.1]}
+        content["materials"]["carpet"]["prior"].update(at_frequencies)
+        content["products"]["panel"]["prior"].update(at_frequencies)
     if place.endswith("scattering"):
         content["materials"]["walls"] = {}
     inner: Any = content

@@ -214,8 +214,8 @@ def with_coherence(
     images, c = term.images, term.geometry.speed_m_s
     spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
-    places = (images.image_to_receiver_m, images.image_transform, images.hits)
-    spread_squared(images.offsets, images.row, *places, c, roots, spread)
+    last_legs = (images.image_to_receiver_m, images.image_transform, images.hits)
+    spread_squared(images.offsets, images.row, *last_legs, c, roots, spread)
     travel_s = images.lengths_m() / c
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread

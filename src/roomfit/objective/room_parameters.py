@@ -293,7 +293,7 @@ def values_by_pressures(
     observed = term.observations[i]
     at_s = rows.length_m[image] / rows.length_m[image].min() * observed.direct_s
     powers = power_table(np.sqrt(1.0 - absorption)[None], rows.max_hits)[0]
-    own = np.flatnonzero(image).astype(np.int32)
+    own = image.astype(np.int32)
     root = root_energies(rows.weight_per_m2[own], own, rows.hits, powers)
     bank, bin_s = FilterBank(term.bands), float(edges[1] - edges[0])
     # sixteen samples a period: phases within a tenth of a radian
