@@ -317,7 +317,9 @@ def combine(
             misses,
             areas @ absorption / areas.sum(),
             _eyring_start(measured),
-            decays_by_scattering(measured, traced, absorption, settings, misses),
+            decays_by_scattering(
+                measured, traced, absorption, settings, () if settings.quick else misses
+            ),
         ),
         *disagree,
     )
