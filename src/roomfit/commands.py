@@ -33,6 +33,7 @@ from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
+from roomfit.inversion.usable import CheckedRecordings, check_recordings
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.io.draft import draft_campaign, matching_files, read_positions
@@ -78,7 +79,8 @@ def check_room(spec: RoomSpec) -> RoomCheck:
 def check_campaign(campaign: Campaign) -> RoomCheck:
     """Return all faults of a campaign's room and of the positions of sources and receivers.
 
-    Measured files are not opened. Positions are checked once the room itself has no fault.
+    Measured files are not opened, see `check_campaign_recordings`. Positions are checked once the
+    room itself has no fault.
 
     Raises
     ------
@@ -95,6 +97,44 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
+
+
+def check_campaign_recordings(
+    campaign: Campaign, out: Path | None = None, *, overwrite: bool = False
+) -> CheckedRecordings:
+    """Read everything that a campaign names and examine it, see `check_recordings`.
+
+    Parameters
+    ----------
+    out : Path, optional
+        Folder for a picture of room and positions, ``room.png``.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the room has faults.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import png
+    from roomfit.report.room_figure import room_figure
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    own = identify_arguments(campaign)
+    with located(str(campaign.path)):
+        checked = check_recordings(
+            own["scene"],
+            own["measurements"],
+            own["bands"],
+            own["directivities"],
+            own["settings"].decay_range_db,
+        )
+    if out is not None:
+        picture = png(room_figure(measured_scene(own["scene"], own["measurements"])))
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_bytes_atomically(folder / "room.png", picture)
+    return checked
 
 
 def draft_to_folder(
