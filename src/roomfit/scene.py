@@ -613,13 +613,13 @@ def position_findings(
 
 
 _READINGS: tuple[tuple[str, FloatArray], ...] = (
-    ("feet, not metres", 0.3048 * np.eye(3)),
-    ("inches, not metres", 0.0254 * np.eye(3)),
-    ("centimetres, not metres", 0.01 * np.eye(3)),
-    ("millimetres, not metres", 0.001 * np.eye(3)),
-    ("in axes with y up: write x, -z, y", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
-    ("in axes with y and z exchanged: write x, z, y", np.eye(3)[[0, 2, 1]]),
-    ("in axes with x and y exchanged: write y, x, z", np.eye(3)[[1, 0, 2]]),
+    ("as feet", 0.3048 * np.eye(3)),
+    ("as inches", 0.0254 * np.eye(3)),
+    ("as centimetres", 0.01 * np.eye(3)),
+    ("as millimetres", 0.001 * np.eye(3)),
+    ("with y up, as x, -z, y", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
+    ("as x, z, y", np.eye(3)[[0, 2, 1]]),
+    ("as y, x, z", np.eye(3)[[1, 0, 2]]),
 )
 
 
@@ -632,11 +632,11 @@ def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]
             return [
                 fault(
                     Code.POSITIONS_MISREAD,
-                    f"positions seem to be {what}",
-                    found=f"{np.count_nonzero(~inside)} of {len(points)} outside of the room as "
-                    "they stand, and all of them inside so",
+                    "room and positions are in different units or axes",
+                    found=f"{np.count_nonzero(~inside)} of {len(points)} positions outside of the "
+                    f"room, and all of them inside if they are taken {what}",
                     needed="metres, z up, in the frame of the room",
-                    hint="convert the positions, or check unit and up of the room",
+                    hint="check unit and up of the room, or convert the positions",
                 )
             ]
     return []

@@ -137,6 +137,18 @@ def test_feet_for_metres_are_recognised_with_and_without_a_delay(delay_s):
     assert "feet are read as metres" in found.sentence
 
 
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_another_scale_is_no_delay(factor):
+    """A sampling rate that is wrong by a tenth, or a drawing: lateness grows with distance."""
+    files = [
+        replace(m, samples=np.asarray(m.samples), sampling_rate_hz=RATE_HZ / factor)
+        for m in recordings()
+    ]
+    (found,) = arrival_findings(SCENE, files)
+    assert found.code is Code.COORDINATES_SCALED
+    assert found.evidence["factor"] == pytest.approx(factor, abs=0.02)
+
+
 def test_two_exchanged_files_are_named():
     files = recordings()
     a, b = (
@@ -248,8 +260,8 @@ def test_which_recording_is_usable_in_which_band_is_a_table():
 
 def test_positions_in_feet_or_other_axes_are_named_before_the_single_ones():
     for matrix, words in (
-        (np.eye(3) / 0.3048, "feet, not metres"),
-        (np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "y up"),
+        (np.eye(3) / 0.3048, "taken as feet"),
+        (np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "with y up"),
     ):
         with pytest.raises(InputError, match=words):
             scene_of(

@@ -20,7 +20,7 @@ from roomfit.measurement import MeasuredPair, Measurement
 from roomfit.objective.observation import DEFAULT_POSITION_SD_M
 from roomfit.scene import Point, Scene
 from roomfit.signals.response import find_onset, onset_tolerance_m, times_s
-from roomfit.typing import FloatArray
+from roomfit.typing import BoolArray, FloatArray
 
 # Coordinates in one unit that are read in another are off by one of these factors.
 _FACTORS = {
@@ -30,6 +30,7 @@ _FACTORS = {
     0.001: "millimetres are read as metres",
     1.0 / 0.3048: "metres are read as feet",
 }
+_SAME_FACTOR = 0.03
 _FEWEST = 3
 # One campaign in a thousand whose positions are as specified is taken for one with a displaced
 # point; the standard deviation of an onset is a centimetre and a sample.
@@ -85,7 +86,7 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
         return ()
     off = np.abs(found.late_m) > found.tolerance_m
     if off.any():
-        for cause in (_begin_at_direct, _alike_late, _other_unit, _exchanged):
+        for cause in (_begin_at_direct, _stretched, _alike_late, _other_unit, _exchanged):
             findings = cause(found)
             if findings:
                 return findings
@@ -194,19 +195,38 @@ def _late(measurements: Sequence[Measurement], late_s: float, n_all: int) -> Fin
     return Finding(Code.RECORDINGS_LATE, text, evidence)
 
 
+def _stretched(found: _Arrivals) -> tuple[Finding, ...]:
+    """All arrivals are early or late in proportion to the distance, better than by one delay."""
+    distance_m, tolerance_m = found.distance_m, found.tolerance_m
+    factor = float(found.path_m @ distance_m / (distance_m @ distance_m))
+    rest_m = found.path_m - factor * distance_m
+    apart_m = found.late_m - np.median(found.late_m)
+    clear = 2.0 * float(np.linalg.norm(rest_m)) < float(np.linalg.norm(apart_m))
+    if len(rest_m) < _FEWEST or not clear or np.any(np.abs(rest_m) > tolerance_m):
+        return ()
+    for known, what in _FACTORS.items():
+        if abs(factor / known - 1.0) < _SAME_FACTOR:
+            return (_scaled(known, what, len(rest_m)),)
+    what = "the scale of the drawing, the sampling rate, or the temperature is another"
+    return (_scaled(factor, what, len(rest_m)),)
+
+
+def _scaled(factor: float, what: str, n: int) -> Finding:
+    text = (
+        f"The direct sounds of all {n} files arrive as if all positions were {factor:.4g} times as "
+        f"far apart: {what}. Compare the positions, the unit of the room and the files."
+    )
+    return Finding(Code.COORDINATES_SCALED, text, {"factor": factor})
+
+
 def _other_unit(found: _Arrivals) -> tuple[Finding, ...]:
-    """All distances are those of another unit, be there a common delay or not."""
+    """All distances are those of another unit, beside a common delay."""
     if len(found.path_m) < _FEWEST or np.ptp(found.distance_m) < 3.0 * found.tolerance_m.max():
         return ()
     for factor, what in _FACTORS.items():
         late_m = found.path_m - factor * found.distance_m
         if np.all(np.abs(late_m - np.median(late_m)) <= found.tolerance_m):
-            text = (
-                f"The direct sounds of all {len(late_m)} files arrive as if all positions were "
-                f"{factor:.4g} times as far apart: {what}. Convert the positions, and compare the "
-                "unit of the room."
-            )
-            return (Finding(Code.COORDINATES_SCALED, text, {"factor": factor}),)
+            return (_scaled(factor, what, len(late_m)),)
     return ()
 
 
@@ -287,7 +307,7 @@ def _displaced(found: _Arrivals) -> tuple[Finding, ...]:
     sure = chi2.sf(gain, n_free) * len(gains) < _LEVEL and gain - second > _MORE_THAN_OTHERS
     if not sure or chi2.sf(rest, n_left) < _LEVEL:
         return ()
-    return _displacement(found, best, columns[best], delays)
+    return _displacement(found, best, np.asarray(~columns[best].any(axis=1)), delays)
 
 
 def _derivatives(found: _Arrivals) -> dict[Point, FloatArray]:
@@ -310,13 +330,11 @@ def _left(columns: FloatArray, data: FloatArray) -> tuple[float, int]:
 
 
 def _displacement(
-    found: _Arrivals, point: Point, column: FloatArray, delays: FloatArray
+    found: _Arrivals, point: Point, others: BoolArray, delays: FloatArray
 ) -> tuple[Finding, ...]:
-    others = np.asarray(~column.any(axis=1))
     delay_m, *_ = np.linalg.lstsq(delays[others], found.late_m[others], rcond=None)
     rest_m = (found.late_m - delays @ delay_m)[~others]
-    shift_m, *_ = np.linalg.lstsq(column[~others], rest_m, rcond=0.1)
-    size_m = float(np.linalg.norm(shift_m))
+    size_m = float(np.max(np.abs(rest_m)))  # no path changes by more than its end moves
     if size_m < _LEAST_SHIFT_M:
         return ()
     kind, name = "receiver" if point in found.receiver else "source", point.name
