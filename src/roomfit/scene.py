@@ -625,7 +625,7 @@ _READINGS: tuple[tuple[str, FloatArray], ...] = (
 
 def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]:
     """Return a fault where points are all inside in another unit, or with other axes."""
-    if len(points) < 2 or 2 * np.count_nonzero(~inside) < len(points):
+    if np.count_nonzero(~inside) < max(2, len(points) / 2):
         return []
     for what, matrix in _READINGS:
         if np.all(is_inside(room.mesh, points @ matrix.T)):
