@@ -38,7 +38,7 @@ def test_help_and_version_load_nothing_heavy():
 
 
 COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
-            "impedance", "init", "paper", "predict", "schema")  # fmt: skip
+            "impedance", "init", "paper", "predict", "reverberation", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)

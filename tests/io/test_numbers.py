@@ -70,6 +70,10 @@ LISTS = {
     "design.region_m": [[0.5, 0.5, 0.5], [3.0, 2.0, 2.0]],
     "materials.NAME.scattering.centres_hz": [500.0, 1000.0],
     "materials.NAME.scattering.values": [0.1, 0.2],
+    "materials.NAME.absorption.centres_hz": [500.0, 1000.0],
+    "materials.NAME.absorption.values": [0.2, 0.3],
+    "materials.NAME.prior.centres_hz": [500.0, 1000.0],
+    "products.NAME.prior.centres_hz": [500.0, 1000.0],
     "sources.NAME.directivity.aim": [1.0, 0.0, 0.0],
     "sources.NAME.directivity.up": [0.0, 0.0, 1.0],
     "identify.bands": [500.0, 1000.0],
@@ -102,8 +106,13 @@ def written(folder: Path, place: str, number: float) -> Path:
     }
     if place.startswith("room.polygons"):
         content["room"] = {"polygons": {"corners": ["a.csv"], "planes": ["b.csv"]}}
-    if place.endswith("absorption"):
+    if "absorption" in place:
         content["materials"]["carpet"].pop("prior")
+    if "absorption." in place:
+        spectrum = {"centres_hz": [500, 1000], "values": [0.2, 0.3]}
+        content["materials"]["carpet"]["absorption"] = spectrum
+    if place.startswith("reverberation"):
+        content["reverberation"] = {"file": "a.csv"}
     if place.endswith("scattering"):
         content["materials"]["walls"] = {}
     inner: Any = content

@@ -31,6 +31,7 @@ from roomfit.cli import (
     init,
     paper,
     predict,
+    reverberation,
     schema,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
@@ -50,6 +51,7 @@ _COMMANDS = (
     init,
     paper,
     predict,
+    reverberation,
     schema,
 )
 _RENAMED = {"calibrate": "coverage"}

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from roomfit.findings import Code, Finding
+from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
 from roomfit.inversion.usable import CheckedRecordings
 from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
@@ -391,6 +392,31 @@ def room_text(title: str, check: RoomCheck) -> str:
     else:
         rows += ["", "The room can be traced."]
     return "\n".join(rows)
+
+
+def diffuse_text(found: DiffuseAbsorption) -> str:
+    """Return mean absorption and materials by each formula, and what may be concluded from them."""
+    width = max(len(n) for n in (*found.materials, "decay time, s"))
+    bands = "  ".join(f"{f:>13g}" for f in found.bands.centres_hz)
+    times = [f"{t:.2f} +- {sd:.2f}" for t, sd in zip(found.decay_s, found.decay_sd_s, strict=True)]
+    rows = [f"{'Hz':<{width}}  {bands}"]
+    rows.append(f"{'decay time, s':<{width}}  " + "  ".join(f"{cell:>13}" for cell in times))
+    for i, formula in enumerate(FORMULAS):
+        rows += ["", f"Absorption by {formula}, 95 % interval"]
+        named = (
+            ("room mean", found.mean[i]),
+            *zip(found.materials, found.absorption[i], strict=True),
+        )
+        for name, values in named:
+            cells = [_interval_cell(*column, sure=True) for column in values.T]
+            rows.append(f"{name:<{width}}  " + "  ".join(f"{cell:>13}" for cell in cells))
+    words = (
+        "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
+        "differ by what that means. What stands for single materials is their priors, moved "
+        "together until they give this mean: nothing more is known of any of them. Impulse "
+        "responses and positions would separate them (roomfit identify)."
+    )
+    return "\n".join([*rows, "", textwrap.fill(words, 100)])
 
 
 def recordings_text(checked: CheckedRecordings) -> str:
