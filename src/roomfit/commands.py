@@ -33,7 +33,8 @@ from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
-from roomfit.io.campaign import read_campaign
+from roomfit.inversion.usable import CheckedRecordings, check_recordings
+from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import input_digests
@@ -54,6 +55,44 @@ from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+
+def check_campaign_recordings(
+    campaign: Campaign, out: Path | None = None, *, overwrite: bool = False
+) -> CheckedRecordings:
+    """Read everything that a campaign names and examine it, see `check_recordings`.
+
+    Parameters
+    ----------
+    out : Path, optional
+        Folder for a picture of room and positions, ``room.png``.
+
+    Raises
+    ------
+    InputError
+        A file cannot be read, or the room has faults.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import png
+    from roomfit.report.room_figure import room_figure
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    own = identify_arguments(campaign)
+    with located(str(campaign.path)):
+        checked = check_recordings(
+            own["scene"],
+            own["measurements"],
+            own["bands"],
+            own["directivities"],
+            own["settings"].decay_range_db,
+        )
+    if out is not None:
+        picture = png(room_figure(measured_scene(own["scene"], own["measurements"])))
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_bytes_atomically(folder / "room.png", picture)
+    return checked
 
 
 def draft_to_folder(

@@ -107,6 +107,12 @@ class Code(StrEnum):
 
     # Recordings and room parameters.
 
+    RECORDINGS_LATE = "recordings-late", "serious", _VOIDS
+    COORDINATES_SCALED = "coordinates-scaled", "serious", _VOIDS
+    EXCHANGED = "exchanged", "serious", _VOIDS
+    LEVELS_APART = "levels-apart", "serious", _VOIDS
+    POLARITY_DIFFERS = "polarity-differs", "warning"
+    RECORDING_UNUSABLE = "recording-unusable", "serious"
     TIME_ZERO_MISMATCH = "time-zero-mismatch", ("warning", "serious")
     DECAY_RANGE_TOO_SMALL = "decay-range-too-small", "warning"
     RECORDING_BELOW_NOISE = "recording-below-noise", "warning"
@@ -162,9 +168,11 @@ class Code(StrEnum):
     LAYERS_IGNORED = "layers-ignored", "warning"
     MATERIALS_JOINED = "materials-joined", "info"
     TWO_SIDED_TAKEN_AS_SHEETS = "two-sided-taken-as-sheets", "warning"
+    AXES_EXCHANGED = "axes-exchanged", "warning"
     POSITION_IN_WALL = "position-in-wall", "serious"
     POSITION_OUTSIDE = "position-outside", "serious"
     SOURCE_AT_RECEIVER = "source-at-receiver", "serious"
+    POSITIONS_MISREAD = "positions-misread", "serious"
 
     # Predictions.
 

@@ -6,6 +6,7 @@ room is like, whether it can be traced, and whether sources and receivers stand 
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
@@ -23,6 +24,7 @@ from roomfit.geometry.mesh import (
     SHOEBOX_SURFACES,
     Mesh,
     Surface,
+    area_vectors_m2,
     corners_m,
     fault,
     is_double_sided,
@@ -350,6 +352,7 @@ def check_mesh(
     (('plaster', 66.0), ('floor', 30.0), ('ceiling', 30.0))
     """
     bare = material_findings(mesh, materials)
+    upright = axis_findings(mesh)
     closed, leak, doubts = examine(mesh)
     x, y, z = np.ptp(mesh.vertices_m, axis=0).tolist()
     return RoomCheck(
@@ -362,7 +365,36 @@ def check_mesh(
         closed=closed,
         leak=leak,
         material_areas_m2=tuple(material_areas(mesh, materials).items()),
-        findings=(*earlier, *bare, *doubts),
+        findings=(*earlier, *bare, *upright, *doubts),
+    )
+
+
+_LEVEL_NAMES = re.compile(
+    r"floor|ceiling|boden|decke|plancher|plafond|(?<![a-z])sol(?![a-z])", re.IGNORECASE
+)
+
+
+def is_level_by_name(surface: Surface) -> bool:
+    """Return whether a name of a surface says floor or ceiling, in English, German or French."""
+    names = (surface.name, surface.group, surface.file_material)
+    return any(_LEVEL_NAMES.search(name) for name in names if name)
+
+
+def axis_findings(mesh: Mesh) -> tuple[Finding, ...]:
+    """Return a finding where floor and ceiling, by their names, stand upright."""
+    level = np.array([is_level_by_name(s) for s in mesh.surfaces], dtype=np.bool_)
+    sums = np.abs(area_vectors_m2(mesh)[level[mesh.triangle_surface]]).sum(axis=0)
+    if not sums.any() or int(np.argmax(sums)) == 2:
+        return ()
+    names = ", ".join(s.name for s, own in zip(mesh.surfaces, level, strict=True) if own)
+    axis = "xy"[int(np.argmax(sums))]
+    return (
+        Finding(
+            Code.AXES_EXCHANGED,
+            f"{names} should be level and stand upright, across {axis}: another axis of the file "
+            'points up. Set up = "y" (or "z") under [room], or give positions in the same axes.',
+            {"surfaces": names, "axis": axis},
+        ),
     )
 
 
@@ -577,7 +609,37 @@ def position_findings(
             found.append(_in_wall(f"{kind} {point.name!r}", point, wall, float(distance[i])))
         elif not inside[i]:
             found.append(_outside(f"{kind} {point.name!r}", point, wall, distance[i], low, high))
-    return (*found, *_coinciding(sources, receivers))
+    return (*_misread(room, points, inside), *found, *_coinciding(sources, receivers))
+
+
+_READINGS: tuple[tuple[str, FloatArray], ...] = (
+    ("as feet", 0.3048 * np.eye(3)),
+    ("as inches", 0.0254 * np.eye(3)),
+    ("as centimetres", 0.01 * np.eye(3)),
+    ("as millimetres", 0.001 * np.eye(3)),
+    ("with y up, as x, -z, y", np.array([[1.0, 0, 0], [0, 0, -1], [0, 1, 0]])),
+    ("as x, z, y", np.eye(3)[[0, 2, 1]]),
+    ("as y, x, z", np.eye(3)[[1, 0, 2]]),
+)
+
+
+def _misread(room: Room, points: FloatArray, inside: BoolArray) -> list[Finding]:
+    """Return a fault where points are all inside in another unit, or with other axes."""
+    if np.count_nonzero(~inside) < max(2, len(points) / 2):
+        return []
+    for what, matrix in _READINGS:
+        if np.all(is_inside(room.mesh, points @ matrix.T)):
+            return [
+                fault(
+                    Code.POSITIONS_MISREAD,
+                    "room and positions are in different units or axes",
+                    found=f"{np.count_nonzero(~inside)} of {len(points)} positions outside of the "
+                    f"room, and all of them inside if they are taken {what}",
+                    needed="metres, z up, in the frame of the room",
+                    hint="check unit and up of the room, or convert the positions",
+                )
+            ]
+    return []
 
 
 def _in_wall(who: str, point: Point, wall: str, distance_m: float) -> Finding:

@@ -9,11 +9,13 @@ import subprocess
 import sys
 import time
 
+import numpy as np
 import pytest
+import soundfile
 
 import roomfit
 from roomfit.cli.terminal import progress_line
-from small_campaign import MATERIALS, box_obj, run_command, write_campaign
+from small_campaign import MATERIALS, box_obj, run_command, write_campaign, write_wav
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "h5py", "soundfile", "trimesh")
 
@@ -54,7 +56,7 @@ def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
 
 
 COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
-            "impedance", "init", "paper", "predict", "schema")  # fmt: skip
+            "impedance", "init", "paper", "predict", "reverberation", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
@@ -226,6 +228,54 @@ def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monke
     assert "30.22 m3" in capsys.readouterr().out
     assert run_command(monkeypatch, "check", campaign, "--unit", "mm") == 2
     assert "itself specifies" in capsys.readouterr().err
+
+
+def late_campaign(folder, samples=40):
+    """The small campaign with a third position, all files late by so many samples of 8 kHz."""
+    campaign = write_campaign(folder)
+    for file in folder.glob("*.wav"):
+        pressure, rate_hz = soundfile.read(file)
+        write_wav(file, np.append(np.zeros(samples), pressure), rate_hz)
+    return campaign
+
+
+def test_check_of_a_campaign_shows_every_recording_by_band_and_draws_the_room(
+    tmp_path, monkeypatch, capsys
+):
+    campaign = write_campaign(tmp_path / "campaign")
+    out = tmp_path / "out"
+    assert run_command(monkeypatch, "check", campaign, "--out", out) == 0
+    shown = capsys.readouterr().out
+    row = next(line for line in shown.splitlines() if line.startswith("LS1 to MP1"))
+    # of 2.15 m; peak over noise, and the decay range at 500 and 1000 Hz
+    assert re.fullmatch(r"LS1 to MP1 \(LS1_MP1.wav\) +5.9\d +6.27 +\d\d +4\d +4\d", row)
+    assert "Schroeder frequency, Hz" in shown
+    assert [f.name for f in out.iterdir() if f.name[0] != "."] == ["room.png"]
+    assert run_command(monkeypatch, "check", campaign, "--out", out) == 2
+
+
+def test_check_says_one_cause_once_and_ends_with_1(tmp_path, monkeypatch, capsys):
+    campaign = late_campaign(tmp_path)
+    assert run_command(monkeypatch, "check", campaign) == 1
+    shown = " ".join(capsys.readouterr().out.split())
+    assert re.search(
+        r"All 2 files are 4.\d\d ms late \(3\d samples\): set latency_s = 0.004", shown
+    )
+    assert "time-zero-mismatch" not in shown
+    text = campaign.read_text().replace("[room]", "[defaults]\nlatency_s = 0.005\n[room]")
+    campaign.write_text(text)
+    assert run_command(monkeypatch, "check", campaign) == 0
+
+
+def test_identify_says_first_what_is_late_and_calls_nothing_identifiable(
+    tmp_path, monkeypatch, capsys
+):
+    campaign = late_campaign(tmp_path)
+    assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
+    shown = capsys.readouterr().out
+    assert shown.split("\nFindings\n")[1].startswith("- serious: All 2 files are 4.")
+    result = json.loads((tmp_path / "out" / "result.json").read_text())
+    assert not np.any([m["identifiable"] for m in result["materials"].values()])
 
 
 def test_check_refuses_materials_that_the_room_does_not_have(tmp_path, monkeypatch, capsys):

@@ -136,7 +136,7 @@ def test_a_fault_in_the_campaign_is_told_in_one_message(refusal, tmp_path, old, 
     [
         (box_obj(without="ceiling"), "m", ("the mesh leaks", "rays lost")),
         (box_obj(more="f 1 2 2"), "m", ("without area", "ceiling")),
-        (box_obj(), "mm", ("stands outside the room", "check unit")),
+        (box_obj(), "mm", ("are in different units", "check unit", "taken as millimetres")),
         (box_obj(), "yard", ("unknown unit", "'yard'")),
         (box_obj(), None, ("unit of the room file is not known", 'unit = "m"')),
         ("v 0 0 0\n", "m", ("no faces", "room.obj")),

@@ -115,6 +115,8 @@ def written(folder: Path, place: str, number: float) -> Path:
         at_frequencies = {"mean": [0.3, 0.3], "sd": [0.1, 0.1]}
         content["materials"]["carpet"]["prior"].update(at_frequencies)
         content["products"]["panel"]["prior"].update(at_frequencies)
+    if place.startswith("reverberation"):
+        content["reverberation"] = {"file": "a.csv"}
     if place.endswith("scattering"):
         content["materials"]["walls"] = {}
     inner: Any = content

@@ -1,9 +1,9 @@
 """The command line: arguments in, one call into `roomfit`, an exit code out.
 
 Exit codes: 0 done, 1 a fault of roomfit itself, 2 bad input (or an answer that the data do not
-hold), 130 interrupted. Every command is a module with `add`, which declares its arguments, and
-`run`, which carries it out and imports what it needs, so that ``roomfit --help`` loads no
-numerical package.
+hold), 130 interrupted; ``roomfit check`` ends with 1 where recordings are in doubt. Every command
+is a module with `add`, which declares its arguments, and `run`, which carries it out and imports
+what it needs, so that ``roomfit --help`` loads no numerical package.
 """
 
 from __future__ import annotations
@@ -31,6 +31,7 @@ from roomfit.cli import (
     init,
     paper,
     predict,
+    reverberation,
     schema,
 )
 from roomfit.cli.arguments import Commands, Parser, call_error
@@ -50,6 +51,7 @@ _COMMANDS = (
     init,
     paper,
     predict,
+    reverberation,
     schema,
 )
 _RENAMED = {"calibrate": "coverage"}

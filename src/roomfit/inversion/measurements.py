@@ -14,6 +14,7 @@ from roomfit.bands import Bands
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.geometry.mesh import refuse
+from roomfit.inversion.causes import arrival_findings, gain_findings, polarity_findings
 from roomfit.inversion.room_outline import outline_findings
 from roomfit.measurement import MeasuredPair, Measurement, Use
 from roomfit.response.directivity import Directivities
@@ -255,8 +256,12 @@ def collect_measurements(
     own = measured_scene(scene, [*responses, *fitted, *kept])
     responses, copies = counted_once(own, responses)
     own = measured_scene(own, [*responses, *fitted, *kept])
+    causes = arrival_findings(own, responses)
     pairs, findings = observe(own, responses, bands, decay_range_db)
     observed = [(m.pair, m.response) for m in pairs if m.measurement.use == "fit"]
+    if causes:  # which also moves what seem to be echoes of walls
+        findings = tuple(f for f in findings if f.code is not Code.TIME_ZERO_MISMATCH)
+        observed = []
     return Measurements(
         own,
         bands,
@@ -265,6 +270,9 @@ def collect_measurements(
         fitted,
         kept,
         (
+            *causes,
+            *gain_findings(pairs),
+            *polarity_findings(pairs),
             *doubts,
             *more_doubts,
             *copies,

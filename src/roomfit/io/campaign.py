@@ -38,6 +38,7 @@ from roomfit.io.schema import (
     ProductTable,
     ProjectTable,
     ReceiverTable,
+    ReverberationTable,
     RoomTable,
     SharedDirectivity,
     SourceDirectivity,
@@ -105,6 +106,9 @@ def _check_data(path: Path, campaign: CampaignTable) -> None:
             where=str(path),
             needed="at least one [[measurements]] table, or recordings = "
             '"DIR/{source}_{receiver}.wav"',
+            hint="roomfit reverberation reads decay times without positions"
+            if campaign.reverberation
+            else None,
         )
     if all(row.use == "validate" for row in campaign.measurements):
         raise InputError(
@@ -346,6 +350,10 @@ class Campaign:
     project : ProjectTable
     findings : tuple of Finding
         What is doubtful about the file itself.
+    reverberation : ReverberationTable or None
+        Decay times without positions.
+    has_room : bool
+        Whether it describes one; only decay times may do without.
     """
 
     path: Path
@@ -368,9 +376,15 @@ class Campaign:
     groups: tuple[PointGroup, ...] = ()
     project: ProjectTable = field(default_factory=ProjectTable)
     findings: tuple[Finding, ...] = ()
+    reverberation: ReverberationTable | None = None
+    has_room: bool = True
 
 
-def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
+# stands where decay times come with a volume and a surface alone, and is not looked at
+_NO_ROOM = {"shoebox": [1.0, 1.0, 1.0]}
+
+
+def read_campaign(path: Path, *, to_fit: bool = True, decay_times: bool = False) -> Campaign:
     """Read a campaign file.
 
     Parameters
@@ -378,6 +392,8 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     path : Path
     to_fit : bool
         Whether there must be a measurement to fit; a prediction or a design needs none.
+    decay_times : bool
+        Whether decay times are to be read, which may do without a room.
 
     Raises
     ------
@@ -411,6 +427,9 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
     path = Path(path)
     content = _read_toml(path)
     _check_blanks(path, content)
+    has_room = "room" in content or not (decay_times and "reverberation" in content)
+    if not has_room:
+        content["room"] = _NO_ROOM
     try:
         table = CampaignTable.model_validate(content)
     except ValidationError as error:
@@ -461,6 +480,8 @@ def read_campaign(path: Path, *, to_fit: bool = True) -> Campaign:
         tuple(PointGroup(n, tuple(g.members), g.sd) for n, g in table.groups.items()),
         table.project,
         findings,
+        table.reverberation,
+        has_room,
     )
 
 

@@ -25,7 +25,7 @@ from roomfit.io.responses import RESPONSE_SUFFIXES
 from roomfit.io.rooms import read_mesh, read_model
 from roomfit.io.rooms.model import METRES_PER_UNIT, RoomModel, RoomSpec
 from roomfit.materials.catalogue import suggested_entries
-from roomfit.scene import material_areas, surface_materials
+from roomfit.scene import is_level_by_name, material_areas, surface_materials
 from roomfit.typing import FloatArray
 
 # Rooms of people and sound, m and m3: of the units that a size permits, these are plausible.
@@ -38,9 +38,6 @@ _UNITS = {
     **dict.fromkeys(("in", "inch", "inches"), "in"),
 }
 _STATED_UNIT = re.compile(r"\bunits?\b\W{0,4}([a-z]+)", re.IGNORECASE)
-_LEVEL = re.compile(
-    r"floor|ceiling|boden|decke|plancher|plafond|(?<![a-z])sol(?![a-z])", re.IGNORECASE
-)
 _HEADER_BYTES = 4096
 _CLEARLY = 0.75  # an axis along which a room is shorter than that points up
 _DEFAULTS = (
@@ -98,8 +95,7 @@ def likely_up(model: RoomModel) -> tuple[str, str]:
     """
     upright = np.zeros(3)
     for face in model.faces:
-        names = (face.surface.name, face.surface.group, face.surface.file_material)
-        if any(_LEVEL.search(name) for name in names if name):
+        if is_level_by_name(face.surface):
             upright += np.abs(area_vector_m2(_ring(model, face)))
     if upright.any():
         axis = "xyz"[int(np.argmax(upright))]

@@ -46,7 +46,8 @@ def read_parameters(
     The first line is ``source,receiver,parameter,125,250,...`` with nominal centres in Hz. Each
     further line holds one parameter of one pair: T20, T30, EDT in s, C50, C80, G in dB, D50 in
     percent, TS in ms; T20_sd and the like hold the standard deviation. Empty cells are unknown.
-    Lines that begin with # are left out.
+    Lines that begin with # are left out. Semicolons may stand for commas, and decimals then have
+    commas.
 
     Parameters
     ----------
@@ -79,9 +80,12 @@ def read_parameters(
     ('S', array([0.9, 0.8]))
     """
     path = Path(path)
+    text = read_text(path, "table of room parameters")
+    # semicolons leave commas to the decimals
+    delimiter = ";" if ";" in text.partition("\n")[0] else ","
     lines = [
-        (number, cells)
-        for number, cells in csv_rows(read_text(path, "table of room parameters"), str(path))
+        (number, [c.replace(",", ".") for c in cells] if delimiter == ";" else cells)
+        for number, cells in csv_rows(text, str(path), delimiter)
         if any(c.strip() for c in cells) and not cells[0].lstrip().startswith("#")
     ]
     if len(lines) < 2:

@@ -455,6 +455,17 @@ class ProjectTable(Table):
     """Of the report's headings."""
 
 
+class ReverberationTable(Table):
+    """``[reverberation]``: decay times and no positions, for ``roomfit reverberation``."""
+
+    file: str
+    """CSV table: a line of centres in Hz, then a line of decay times in s for each position."""
+    volume_m3: Annotated[float, _limited(1.0, 1e7, "m3; of rooms")] | None = None
+    """Where there is no [room]."""
+    surface_m2: Annotated[float, _limited(1.0, 1e6, "m2; of rooms")] | None = None
+    """Where there is no [room]."""
+
+
 class CampaignTable(Table):
     """The whole file."""
 
@@ -488,6 +499,8 @@ class CampaignTable(Table):
     """What was measured, one table each."""
     identify: IdentifyTable = IdentifyTable()
     """How `roomfit identify` fits."""
+    reverberation: ReverberationTable | None = None
+    """Decay times of a room where no position is known."""
     settings: SettingsTable = SettingsTable()
     """Constants behind these choices."""
     impedance: ImpedanceTable = ImpedanceTable()

@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roomfit.findings import Code, Finding
+from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
+from roomfit.inversion.usable import CheckedRecordings
 from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
@@ -393,6 +395,68 @@ def room_text(title: str, check: RoomCheck) -> str:
     else:
         rows += ["", "The room can be traced."]
     return "\n".join(rows)
+
+
+def diffuse_text(found: DiffuseAbsorption) -> str:
+    """Return mean absorption and materials by each formula, and what may be concluded from them."""
+    width = max(len(n) for n in (*found.materials, "decay time, s"))
+    bands = "  ".join(f"{f:>13g}" for f in found.bands.centres_hz)
+    times = [f"{t:.2f} +- {sd:.2f}" for t, sd in zip(found.decay_s, found.decay_sd_s, strict=True)]
+    rows = [f"{'Hz':<{width}}  {bands}"]
+    rows.append(f"{'decay time, s':<{width}}  " + "  ".join(f"{cell:>13}" for cell in times))
+    for i, formula in enumerate(FORMULAS):
+        rows += ["", f"Absorption by {formula}, 95 % interval"]
+        named = (
+            ("room mean", found.mean[i]),
+            *zip(found.materials, found.absorption[i], strict=True),
+        )
+        for name, values in named:
+            cells = [_interval_cell(*column, sure=True) for column in values.T]
+            rows.append(f"{name:<{width}}  " + "  ".join(f"{cell:>13}" for cell in cells))
+    words = (
+        "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
+        "differ by what that means. What stands for single materials is their priors, moved "
+        "together until they give this mean: nothing more is known of any of them. Impulse "
+        "responses and positions would separate them (roomfit identify)."
+    )
+    return "\n".join([*rows, "", textwrap.fill(words, 100)])
+
+
+def recordings_text(checked: CheckedRecordings) -> str:
+    """Return a table of recordings by band before a fit, and what is wrong with them."""
+    names = [f"{m.source} to {m.receiver} ({m.name})" for m in checked.measurements]
+    width = max(map(len, (*names, "Schroeder frequency, Hz")), default=0)
+    bands = " ".join(f"{f:>6g}" for f in checked.bands.centres_hz)
+    rows = []
+    if names:
+        rows = [
+            "Recordings: direct sound in ms after emission, and by the geometry; peak over noise,",
+            "and decay range by band, in dB; < = too little for T20, - = not to be used",
+            f"{'':<{width}}  {'direct':>8} {'geometry':>8} {'S/N':>4}  {bands}",
+        ]
+    for i, name in enumerate(names):
+        cells = [
+            f"{range_db:5.0f}{' ' if has_t20 else '<'}" if usable else f"{'-':>5} "
+            for range_db, usable, has_t20 in zip(
+                checked.decay_range_db[i], checked.usable[i], checked.has_t20[i], strict=True
+            )
+        ]
+        times = (1e3 * float(x[i]) for x in (checked.onset_s, checked.travel_s))
+        noise_db = float(np.max(checked.peak_to_noise_db[i], initial=-np.inf))
+        numbers = [f"{x:8.2f}" if np.isfinite(x) else f"{'-':>8}" for x in times]
+        numbers += [f"{noise_db:4.0f}" if np.isfinite(noise_db) else f"{'-':>4}"]
+        rows.append(f"{name:<{width}}  {' '.join(numbers)}  {' '.join(cells)}".rstrip())
+    if np.any(np.isfinite(checked.decay_s)):
+        known = np.isfinite(checked.decay_s)
+        for title, values, digits in (
+            ("reverberation time, s", checked.decay_s, 2),
+            ("Schroeder frequency, Hz", checked.schroeder_hz, 0),
+        ):
+            cells = [
+                f"{v:6.{digits}f}" if k else f"{'-':>6}" for v, k in zip(values, known, strict=True)
+            ]
+            rows.append(f"{title:<{width}}  {'':>22}  {' '.join(cells)}")
+    return "\n".join([*rows, "", findings_text(checked.findings)]).strip("\n")
 
 
 def _leak(leak: float | None) -> str:

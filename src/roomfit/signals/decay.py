@@ -321,7 +321,7 @@ def check_is_response(response: ImpulseResponse, where: str | None = None) -> No
         where=where,
         found=f"sound that lasts {len(loud) / response.sampling_rate_hz:.2f} s without decaying",
         needed="the response after deconvolution: one onset, then a decay",
-        hint="divide the recorded spectrum by that of the sweep, and give the result",
+        hint='name the sweep as it was played: excitation = "sweep.wav" under [defaults]',
     )
 
 

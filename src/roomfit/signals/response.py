@@ -194,6 +194,11 @@ def check_travel(response: ImpulseResponse, travel_s: float, where: str | None =
         )
 
 
+def onset_tolerance_m(speed_of_sound_m_s: float, sampling_rate_hz: float) -> float:
+    """Return by how much an onset may differ from the geometry, in m of path."""
+    return _TOLERANCE_M + _ONSET_SAMPLES / sampling_rate_hz * speed_of_sound_m_s
+
+
 def compare_onset(
     onset_s: float, travel_s: float, speed_of_sound_m_s: float, where: str, sampling_rate_hz: float
 ) -> tuple[Finding, ...]:
@@ -211,8 +216,7 @@ def compare_onset(
         Names the response in the sentence.
     """
     apart_m = (onset_s - travel_s) * speed_of_sound_m_s
-    tolerance_m = _TOLERANCE_M + _ONSET_SAMPLES / sampling_rate_hz * speed_of_sound_m_s
-    if abs(apart_m) <= tolerance_m:
+    if abs(apart_m) <= onset_tolerance_m(speed_of_sound_m_s, sampling_rate_hz):
         return ()
     order = "later" if apart_m > 0.0 else "earlier"
     return (

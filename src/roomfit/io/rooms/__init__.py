@@ -25,7 +25,7 @@ from roomfit.io.rooms.model import (
     in_metres,
 )
 from roomfit.io.rooms.tables import read_polygons
-from roomfit.scene import Room, material_findings, room_from_mesh
+from roomfit.scene import Room, axis_findings, material_findings, room_from_mesh
 from roomfit.typing import FloatArray, IntArray
 
 READERS: dict[str, Callable[[Path], RoomModel]] = {
@@ -64,7 +64,7 @@ def read_room(spec: RoomSpec) -> tuple[Room, tuple[Finding, ...]]:
     """
     mesh, findings = read_mesh(spec)
     _, _, doubts = examine(mesh)
-    findings = (*findings, *material_findings(mesh, spec.materials), *doubts)
+    findings = (*findings, *material_findings(mesh, spec.materials), *axis_findings(mesh), *doubts)
     refuse(findings)
     return room_from_mesh(mesh, spec.materials, shoebox_lengths_m(spec)), findings
 

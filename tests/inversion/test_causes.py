@@ -1,0 +1,279 @@
+"""One cause, one sentence: what several recordings show together, before any fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import roomfit
+from roomfit.air import Air, speed_of_sound_m_s
+from roomfit.errors import InputError
+from roomfit.findings import Code
+from roomfit.geometry.mesh import shoebox_mesh
+from roomfit.inversion.causes import arrival_findings
+from roomfit.inversion.measurements import collect_measurements
+from roomfit.inversion.usable import check_recordings
+from roomfit.scene import axis_findings, scene_of, shoebox_room
+
+RATE_HZ = 48_000
+C = speed_of_sound_m_s(Air())
+ROOM = shoebox_room((8.0, 6.0, 3.2), {"walls": "plaster", "floor": "carpet"})
+SOURCES = {"LS1": (1.2, 1.4, 1.3), "LS2": (6.6, 4.3, 1.5), "LS3": (2.4, 4.9, 1.1)}
+RECEIVERS = {
+    "M1": (4.1, 2.3, 1.2),
+    "M2": (5.6, 1.2, 1.4),
+    "M3": (3.3, 3.9, 1.7),
+    "M4": (7.1, 2.9, 1.1),
+}
+SCENE = scene_of(ROOM, SOURCES, RECEIVERS)
+BANDS = roomfit.bands_between("octave", 500, 2000)
+
+
+def response(distance_m: float, rng: np.random.Generator, gain: float = 1.0) -> np.ndarray:
+    """A click of half a millisecond at the direct sound, then a decay of 0.5 s, noise at -60 dB.
+
+    The reverberant field has one level everywhere; it begins 2 ms after the direct sound.
+    """
+    t = np.arange(int(0.8 * RATE_HZ)) / RATE_HZ
+    since = t - distance_m / C
+    click = np.exp(-(((since - 1e-4) * 15_000) ** 2)) / distance_m
+    tail = 0.1 * rng.normal(size=t.size) * np.exp(-6.9 * t / 0.5) * (since > 2e-3)
+    return gain * (click + tail + 1e-4 * rng.normal(size=t.size))
+
+
+def recordings(
+    seed: int = 1, *, at: dict[str, tuple[float, float, float]] | None = None, sd_m: float = 0.0
+) -> list[roomfit.Measurement]:
+    """All pairs, points off by a standard deviation or where `at` has them."""
+    rng = np.random.default_rng(seed)
+    true = {n: np.add(p, rng.normal(0, sd_m, 3)) for n, p in {**SOURCES, **RECEIVERS}.items()}
+    true.update({name: np.array(p) for name, p in (at or {}).items()})
+    return [
+        roomfit.Measurement(
+            s,
+            r,
+            response(float(np.linalg.norm(true[s] - true[r])), rng),
+            RATE_HZ,
+            name=f"{s}_{r}.wav",
+        )
+        for s in SOURCES
+        for r in RECEIVERS
+    ]
+
+
+def changed(files: list[roomfit.Measurement], change, chosen=None) -> list[roomfit.Measurement]:
+    return [
+        replace(m, samples=change(np.asarray(m.samples))) if chosen is None or chosen(m) else m
+        for m in files
+    ]
+
+
+def late(seconds: float):
+    n = round(seconds * RATE_HZ)
+    return (lambda x: np.append(np.zeros(n), x[:-n])) if n > 0 else (lambda x: x[-n:])
+
+
+def voids(findings) -> list:
+    return [f for f in findings if f.code.voids_identifiability]
+
+
+def measured_findings(files, scene=SCENE):
+    return collect_measurements(scene, files, BANDS, {}).findings
+
+
+def test_a_campaign_as_specified_raises_nothing():
+    assert measured_findings(recordings()) == ()
+
+
+def test_a_common_delay_is_one_sentence_with_the_key_to_set():
+    """38 samples at 48 kHz; no single recording and no wall is blamed as well."""
+    findings = measured_findings(changed(recordings(), late(0.00079)))
+    (found,) = findings
+    assert found.code is Code.RECORDINGS_LATE
+    assert found.sentence == (
+        "All 12 files are 0.79 ms late (38 samples): set latency_s = "
+        f"{found.evidence['latency_s']:g}"
+        ' or time_zero = "unknown".'
+    )
+    assert found.evidence["late_s"] == pytest.approx(0.00079, abs=1 / RATE_HZ)
+    set_so = [
+        replace(m, latency_s=found.evidence["latency_s"])
+        for m in changed(recordings(), late(0.00079))
+    ]
+    assert measured_findings(set_so) == ()
+
+
+def test_sources_with_delays_of_their_own_are_a_sentence_each():
+    files = changed(recordings(), late(0.002), lambda m: m.source == "LS2")
+    found = voids(measured_findings(changed(files, late(0.001), lambda m: m.source == "LS3")))
+    assert [f.code for f in found] == [Code.RECORDINGS_LATE] * 2
+    assert ["LS2_M1" in f.sentence for f in found] == [True, False]
+
+
+def test_files_that_begin_at_their_direct_sound_say_so():
+    files = [
+        replace(m, samples=np.asarray(m.samples)[int(np.argmax(np.abs(m.samples))) - 20 :])
+        for m in recordings()
+    ]
+    (found,) = voids(measured_findings(files))
+    assert 'set time_zero = "direct"' in found.sentence
+    assert voids(measured_findings([replace(m, time_zero="direct") for m in files])) == []
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.004])
+def test_feet_for_metres_are_recognised_with_and_without_a_delay(delay_s):
+    files = recordings()
+    if delay_s:
+        files = changed(files, late(delay_s))
+    in_feet = scene_of(
+        shoebox_room(np.array([8.0, 6.0, 3.2]) / 0.3048, "plaster"),
+        {n: np.array(p) / 0.3048 for n, p in SOURCES.items()},
+        {n: np.array(p) / 0.3048 for n, p in RECEIVERS.items()},
+    )
+    (found,) = arrival_findings(in_feet, files)
+    assert found.code is Code.COORDINATES_SCALED
+    assert "feet are read as metres" in found.sentence
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.1])
+def test_another_scale_is_no_delay(factor):
+    """A sampling rate that is wrong by a tenth, or a drawing: lateness grows with distance."""
+    files = [
+        replace(m, samples=np.asarray(m.samples), sampling_rate_hz=RATE_HZ / factor)
+        for m in recordings()
+    ]
+    (found,) = arrival_findings(SCENE, files)
+    assert found.code is Code.COORDINATES_SCALED
+    assert found.evidence["factor"] == pytest.approx(factor, abs=0.02)
+
+
+def test_two_exchanged_files_are_named():
+    files = recordings()
+    a, b = (
+        next(i for i, m in enumerate(files) if m.name == n) for n in ("LS1_M1.wav", "LS1_M4.wav")
+    )
+    one, other = files[a], files[b]
+    files[a], files[b] = replace(one, samples=other.samples), replace(other, samples=one.samples)
+    (found,) = voids(measured_findings(files))
+    assert found.code is Code.EXCHANGED
+    assert found.sentence.startswith("LS1_M1.wav and LS1_M4.wav are exchanged")
+
+
+def test_two_exchanged_positions_are_named():
+    at = {"M1": RECEIVERS["M4"], "M4": RECEIVERS["M1"]}
+    (found,) = voids(measured_findings(recordings(at=at)))
+    assert found.evidence == {"receivers": ["M1", "M4"]}
+
+
+@pytest.mark.parametrize("delay_s", [0.0, 0.003])
+def test_a_microphone_off_by_a_decimetre_is_named_with_a_distance(delay_s):
+    """Positions of the others are off by 5 mm, as measured with care."""
+    scene = replace(
+        SCENE,
+        sources=tuple(replace(p, position_sd_m=0.005) for p in SCENE.sources),
+        receivers=tuple(replace(p, position_sd_m=0.005) for p in SCENE.receivers),
+    )
+    moved = tuple(np.add(RECEIVERS["M3"], (0.1, -0.1, 0.0)))
+    files = recordings(2, at={"M3": moved}, sd_m=0.005)
+    if delay_s:
+        files = changed(files, late(delay_s))
+    found = [f for f in arrival_findings(scene, files) if f.code is Code.DISPLACEMENT_DETECTED]
+    others = [f.code for f in arrival_findings(scene, files) if f.code is not found[0].code]
+    assert others == ([Code.RECORDINGS_LATE] if delay_s else [])
+    assert found[0].evidence["receiver"] == "M3"
+    assert 0.05 < found[0].evidence["metres"] < 0.2
+
+
+def test_positions_as_specified_are_taken_for_displaced_less_than_once_in_a_hundred():
+    """Errors of exactly the specified standard deviation, 2 cm a coordinate; one in a thousand
+    is what chi-square promises for Gaussian errors."""
+    alarms = 0
+    for seed in range(60):
+        files = recordings(seed, sd_m=0.02)
+        alarms += bool([f for f in arrival_findings(SCENE, files) if "elsewhere" in f.sentence])
+    assert alarms == 0
+
+
+@pytest.mark.parametrize("names", [{"LS1_M2.wav"}, {"LS2_M1.wav", "LS2_M3.wav"}])
+def test_another_gain_is_named_with_its_decibels(names):
+    files = changed(recordings(), lambda x: 2.0 * x, lambda m: m.name in names)
+    (found,) = voids(measured_findings(files))
+    assert found.code is Code.LEVELS_APART
+    assert found.evidence["step_db"] == pytest.approx(6.02, abs=1.0)
+    assert 'level = "per-file"' in found.sentence
+    assert voids(measured_findings([replace(m, level="per-file") for m in files])) == []
+
+
+def test_opposite_polarity_is_named_and_voids_nothing():
+    files = changed(recordings(), lambda x: -x, lambda m: m.receiver == "M2")
+    (found,) = measured_findings(files)
+    assert found.code is Code.POLARITY_DIFFERS
+    assert found.sentence.startswith("3 of 12 files (LS1_M2.wav, LS2_M2.wav, LS3_M2.wav)")
+    assert not found.code.voids_identifiability
+
+
+def test_a_sweep_that_was_not_deconvolved_is_one_finding_that_names_the_key():
+    t = np.arange(RATE_HZ) / RATE_HZ
+    sweep = np.sin(2 * np.pi * 50 / np.log(400) * (400**t - 1.0))
+    files = changed(recordings(), lambda x: np.convolve(x[:2000], sweep)[: 2 * RATE_HZ])
+    checked = check_recordings(SCENE, files, BANDS)
+    (found,) = [f for f in checked.findings if f.code is Code.RECORDING_UNUSABLE]
+    assert "all 12 files" in found.sentence
+    assert 'excitation = "sweep.wav"' in found.sentence
+    assert checked.in_doubt
+    assert not checked.usable.any()
+
+
+def test_coordinates_in_millimetres_are_named_although_no_response_is_that_long():
+    """Every single file would be refused for ending before its direct sound."""
+    far = scene_of(
+        shoebox_room((800.0, 600.0, 320.0), "plaster"),
+        {n: 100 * np.array(p) for n, p in SOURCES.items()},
+        {n: 100 * np.array(p) for n, p in RECEIVERS.items()},
+    )
+    files = [replace(m, samples=np.asarray(m.samples)[: RATE_HZ // 4]) for m in recordings()]
+    with pytest.raises(InputError, match="ends before the direct sound"):
+        collect_measurements(far, files, BANDS, {})
+    first = check_recordings(far, files, BANDS).findings[0]
+    assert "centimetres are read as metres" in first.sentence
+
+
+def test_which_recording_is_usable_in_which_band_is_a_table():
+    """Noise 40 dB louder in one file leaves no decay range for T20 there."""
+    rng = np.random.default_rng(5)
+    files = changed(
+        recordings(), lambda x: x + 0.02 * rng.normal(size=x.size), lambda m: m.name == "LS3_M4.wav"
+    )
+    checked = check_recordings(SCENE, files, BANDS)
+    assert checked.usable.shape == (12, 3)
+    assert np.array_equal(checked.has_t20.all(axis=1), [True] * 11 + [False])
+    assert np.all(checked.decay_s == pytest.approx(0.5, rel=0.1))
+    # 2000 sqrt(T / V)
+    assert checked.schroeder_hz == pytest.approx(2000 * np.sqrt(checked.decay_s / 153.6), rel=1e-3)
+    np.testing.assert_allclose(checked.onset_s, checked.travel_s, atol=4 / RATE_HZ)
+
+
+# The room and its positions.
+
+
+def test_positions_in_feet_or_other_axes_are_named_before_the_single_ones():
+    for matrix, words in (
+        (np.eye(3) / 0.3048, "taken as feet"),
+        (np.array([[1.0, 0, 0], [0, 0, 1], [0, -1, 0]]), "with y up"),
+    ):
+        with pytest.raises(InputError, match=words):
+            scene_of(
+                ROOM,
+                {n: matrix @ np.array(p) for n, p in SOURCES.items()},
+                {n: matrix @ np.array(p) for n, p in RECEIVERS.items()},
+            )
+
+
+def test_a_floor_that_stands_upright_is_a_warning_and_a_level_one_is_none():
+    mesh = shoebox_mesh((8.0, 6.0, 3.2))
+    assert axis_findings(mesh) == ()
+    lying = replace(mesh, vertices_m=mesh.vertices_m[:, [0, 2, 1]])
+    (found,) = axis_findings(lying)
+    assert found.sentence.startswith("floor, ceiling should be level and stand upright, across y")
