@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 from hypothesis import HealthCheck, settings
+
+from roomfit.solvers import least_squares
 
 settings.register_profile(
     "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -21,3 +24,12 @@ def real_data() -> Path:
     if not DATA.is_dir():
         pytest.skip("real measurements are not on this machine")
     return DATA
+
+
+@pytest.fixture(scope="module")
+def exact_fits() -> Iterator[None]:
+    """Fits that end within a ten-millionth of a standard deviation, not a fiftieth."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(least_squares, "_SETTLED_SD", 1e-7)
+        patch.setattr(least_squares, "_AGREEMENT_SD", 1e-7)
+        yield

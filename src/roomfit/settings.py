@@ -89,7 +89,7 @@ class Settings:
     speed_of_sound_sd: float = SPEED_OF_SOUND_SD  # relative, where temperature_sd_c is unspecified
     # Windows are fitted until the decay curve of a response has fallen by so much, or to its noise.
     decay_range_db: float = DECAY_RANGE_DB
-    max_rounds: int = MAX_ROUNDS  # of updated weights, until an answer agrees with the last one
+    max_rounds: int = MAX_ROUNDS  # steps of a fit at most, each with weights of its own
     # A first answer: Gaussian intervals, and no search for what files, positions or chain may have
     # wrong.
     quick: bool = False

@@ -25,6 +25,8 @@ from roomfit.objective.problem import Prediction
 from roomfit.solvers.least_squares import marginal, score_band
 from roomfit.typing import BoolArray, FloatArray
 
+pytestmark = pytest.mark.usefixtures("exact_fits")
+
 N_OWN, N_SHARED = 2, 3
 
 

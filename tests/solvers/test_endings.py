@@ -22,7 +22,7 @@ from roomfit.uncertainty.gaussian import FittedBand, band_estimate
 from roomfit.uncertainty.intervals import Refinement
 
 USES = {
-    "main path": least_squares._GAUSS_NEWTON,
+    "main path": least_squares._EXACTLY,
     "impedance": impedance_fit._ending_at(impedance_fit._SETTINGS, 1e-4),
 }
 

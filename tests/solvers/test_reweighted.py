@@ -18,6 +18,8 @@ from roomfit.objective.parameters import (
 from roomfit.solvers.least_squares import fit_band, marginal, score_band
 from roomfit.typing import FloatArray
 
+pytestmark = pytest.mark.usefixtures("exact_fits")
+
 
 @dataclass(frozen=True, eq=False)
 class Dependent(Linear):

@@ -29,6 +29,8 @@ from roomfit.uncertainty.gaussian import FittedBand, absorption_intervals, band_
 from roomfit.uncertainty.intervals import LEAST_SIDE, Refinement, profiled
 from roomfit.uncertainty.profile import RISE95, may_be_bent, profile, profile_curve
 
+pytestmark = pytest.mark.usefixtures("exact_fits")
+
 
 def fitted(problem) -> BandFit:
     return fit_band(problem)

@@ -48,7 +48,7 @@ class CoherentOptions:
     # where the last window ends at the latest; without a limit it ends where the decay drowns
     late_end_s: float = np.inf
     speed_sd: float = SPEED_OF_SOUND_SD  # prior relative standard deviation of the speed of sound
-    max_rounds: int = MAX_ROUNDS  # of updated weights
+    max_rounds: int = MAX_ROUNDS  # steps of a fit at most, each with weights of its own
     quick: bool = False  # one pass, in which no fault is looked for
 
 

@@ -6,7 +6,7 @@ known.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import ClassVar
 
 import numpy as np
@@ -39,6 +39,7 @@ from roomfit.objective.windows import in_windows, squares_in_windows
 from roomfit.response.binned import BinnedPaths, in_band, regrouped
 from roomfit.response.coherent import (
     BandGrid,
+    CoherentResponse,
     ImagePaths,
     band_grid,
     binned_energies,
@@ -81,6 +82,9 @@ class CoherentTerm:
     bins: IntArray  # (n_images,), fine time bin of each of `images`
     coherent_bins: IntArray  # of each of `coherent`
     grid: BandGrid
+    # of the last prediction: energy of the coherent pressure in the windows' pieces, and the values
+    # that it belongs to; the variance there costs no second response
+    _last: dict[bytes, FloatArray] = field(default_factory=dict, init=False, repr=False)
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, all observations end to end, (n_windows,)."""
@@ -90,29 +94,30 @@ class CoherentTerm:
         """Return what the model expects in every window, by absorption, gains and geometry."""
         expected, signal, derivatives = self.energies.predict(values)
         absorption = values["absorption"]
-        response = coherent_response(
-            self.coherent,
-            absorption,
-            times_of(self.geometry, values[GEOMETRY]),
-            self.grid,
-            tuple(o.edges_s for o in self.early),
+        response = self._in_pieces(values)
+        pieces = _first_pieces(self.early)
+        energy, by_log, by_times = (
+            np.add.reduceat(x, pieces)
+            for x in (response.energy, response.by_log_reflected, response.by_times)
         )
+        self._last.clear()
+        self._last[_key(values)] = response.energy
         less, less_by_log = self._as_energies(image_energies(self.coherent, absorption))
         # d ln(1 - a) = -da / (1 - a)
-        by_absorption = -(response.by_log_reflected - less_by_log)
+        by_absorption = -(by_log - less_by_log)
         by_absorption /= np.maximum(1.0 - absorption, 1e-12)
         by_geometry = np.zeros((less.size, self.geometry.sd.size))
         windows, first = self.early_windows(), 0
         for o, observed in enumerate(self.early):
             own = np.arange(first, first + observed.energy.size)
             columns = self.geometry.columns[o]
-            np.add.at(by_geometry, (own[:, None], columns[None, :]), response.by_times[own])
+            np.add.at(by_geometry, (own[:, None], columns[None, :]), by_times[own])
             first += observed.energy.size
         gains = np.append(values["gain"], 1.0)
         gain_of_window = np.repeat(
             [o.gain for o in self.early], [o.energy.size for o in self.early]
         )
-        gain, extra = gains[gain_of_window], response.energy - less
+        gain, extra = gains[gain_of_window], energy - less
         expected[windows] += gain * extra
         signal[windows] += gain * extra
         derivatives["absorption"][windows] += gain[:, None] * by_absorption
@@ -158,15 +163,9 @@ class CoherentTerm:
         """
         gains = np.append(values["gain"], 1.0)
         paths = weighed(self.energies, values["absorption"])
-        # the energy of the coherent pressure in the pieces of the windows
-        intensity = coherent_response(
-            self.coherent,
-            values["absorption"],
-            times_of(self.geometry, values[GEOMETRY]),
-            self.grid,
-            tuple(o.fine_edges_s for o in self.early),
-            derivative=False,
-        ).energy
+        intensity = self._last.get(_key(values))
+        if intensity is None:
+            intensity = self._in_pieces(values, derivative=False).energy
         ends = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in self.early)])
         energy = image_energies(self.images, values["absorption"])
         parts = []
@@ -183,6 +182,17 @@ class CoherentTerm:
             parts.append(own)
         return end_to_end(parts)
 
+    def _in_pieces(self, values: Values, *, derivative: bool = True) -> CoherentResponse:
+        """Return the energy of the coherent pressure in the pieces of the early windows."""
+        return coherent_response(
+            self.coherent,
+            values["absorption"],
+            times_of(self.geometry, values[GEOMETRY]),
+            self.grid,
+            tuple(o.fine_edges_s for o in self.early),
+            derivative=derivative,
+        )
+
     def correlation_length(self, _start: Values) -> FloatArray:
         """Return `WINDOWS_PER_INDEPENDENT_ONE` for every window."""
         return np.full(self.measured().size, WINDOWS_PER_INDEPENDENT_ONE)
@@ -194,6 +204,17 @@ class CoherentTerm:
             found.append(np.arange(first, first + early.energy.size))
             first += observed.energy.size
         return np.concatenate(found)
+
+
+def _key(values: Values) -> bytes:
+    return values["absorption"].tobytes() + values[GEOMETRY].tobytes()
+
+
+def _first_pieces(early: tuple[Observation, ...]) -> IntArray:
+    """Return where the first piece of each early window stands among those of all."""
+    before = np.cumsum([0, *(o.fine_edges_s.size - 1 for o in early[:-1])])
+    own = (np.searchsorted(o.fine_edges_s, o.edges_s[:-1]) for o in early)
+    return np.concatenate([n + first for n, first in zip(before, own, strict=True)])
 
 
 def with_coherence(

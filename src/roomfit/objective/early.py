@@ -24,7 +24,6 @@ from roomfit.objective.energy import (
     variance_of_batches,
 )
 from roomfit.objective.problem import Rows, Values, count_evaluation
-from roomfit.objective.windows import squares_in_windows
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
 from roomfit.signals.filters import (
     SpreadingKernel,
@@ -72,11 +71,12 @@ class DisplacedTerm:
     hits: FloatArray  # (n_images, n_materials)
     weight: FloatArray  # (n_images,), with the loss in air and known directivity
     basis: FloatArray  # (n_images, 3), `pattern_basis` where a directivity is unknown
-    # (n_windows, n_images), share of each image in each window, in the pieces of the windows, and
-    # the derivative of the first by the arrival time
+    # (n_windows, n_images), share of each image in each window, in the pieces of the windows, the
+    # latter squared, and the squared derivative of the first by the arrival time
     spreading: csr_array
     fine_spreading: csr_array
-    slopes: csr_array
+    squared_fine: csr_array
+    squared_slopes: csr_array
 
     def measured(self) -> FloatArray:
         """Return the measured window energies, shape (n_windows,)."""
@@ -124,13 +124,13 @@ class DisplacedTerm:
         n_pieces = np.diff(np.append(kept.first_piece, kept.fine_energy.size))
         fine = self.fine_spreading @ energy + kept.fine_energy * np.repeat(ratio, n_pieces)
         squares = energy**2
-        overlapping = np.maximum(fine**2 - squares_in_windows(self.fine_spreading, squares), 0.0)
+        overlapping = np.maximum(fine**2 - self.squared_fine @ squares, 0.0)
         widths_s = np.concatenate([np.diff(o.fine_edges_s) for o in term.observations])
         interference = np.add.reduceat(
             overlapping / (term.bandwidth_hz * widths_s), kept.first_piece
         )
         timing_s = self._of_window([o.timing_sd_s for o in term.observations])
-        timing = timing_s**2 * squares_in_windows(self.slopes, squares)
+        timing = timing_s**2 * (self.squared_slopes @ squares)
         noise = kept.background[:, 0] + kept.background[:, 1] * signal
         model = model_variance(term, term.measured() - kept.noise, signal, kept.ringing @ signal)
         own = interference + timing + ratio**2 * kept.tracing
@@ -273,6 +273,7 @@ def displaced_term(
         parts = zip(np.split(images.departure[own], ends), aims, strict=True)
         basis = np.concatenate([pattern_basis(p, aim) for p, aim in parts])
     delays = np.concatenate(delays_s)
+    fine = spreading_matrix(*kernel, delays, fine_s)[pieces]
     return DisplacedTerm(
         kept,
         observation,
@@ -280,8 +281,9 @@ def displaced_term(
         weight[own],
         basis,
         spreading_matrix(*kernel, delays, coarse_s)[windows],
-        spreading_matrix(*kernel, delays, fine_s)[pieces],
-        spreading_slopes_per_s(*kernel, delays, coarse_s)[windows],
+        fine,
+        fine.power(2),
+        spreading_slopes_per_s(*kernel, delays, coarse_s)[windows].power(2),
     )
 
 

@@ -115,9 +115,9 @@ def _to_unit(parameters: Parameters, vector: FloatArray) -> FloatArray:
     return np.concatenate(parts)
 
 
-# Of the standard deviation, misfit included: a fit ends where what a step would change is less, of
-# absorptions and, far less exactly, of all else, which is known for the sake of absorption.
-_SETTLED_SD, _OTHERS_SETTLED_SD = 0.02, 0.1
+# Of the standard deviation, misfit included. A fit ends where absorptions are so near to where they
+# lead, and where squares under the weights at hand would move nothing by more than the second.
+_SETTLED_SD, _AGREEMENT_SD = 0.02, 0.1
 _FIRST_DAMPING, _MOST_DAMPING, _LONGEST_STEP = 0.01, 1e8, 3.0
 # A step is taken where it gains this share of what it promises.
 _LEAST_GAIN = 1e-3
@@ -214,17 +214,18 @@ def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX
     """
     at = _Weighed.at(objective, np.array(start, dtype=np.float64))
     names = [b.name for b in objective.parameters.blocks for _ in range(int(b.fitted.sum()))]
-    within = np.where(np.array(names) == "absorption", _SETTLED_SD, _OTHERS_SETTLED_SD)
-    more, damping, raised = np.zeros_like(at.information), _FIRST_DAMPING, 2.0
-    previous, left_sd = at.vector, at.left_sd(more)
+    within = np.where(np.array(names) == "absorption", _SETTLED_SD, _AGREEMENT_SD)
+    none = np.zeros_like(at.information)
+    previous, more, damping, raised = at.vector, none, _FIRST_DAMPING, 2.0
     for number in range(max_rounds + 1):
-        if np.all(left_sd <= within):
+        agrees = bool(np.all(at.left_sd(none) <= _AGREEMENT_SD))
+        if agrees and np.all(at.left_sd(more) <= within):
             return at.fit(Ending.CONVERGED, number + 1, previous)
         if number == max_rounds or damping > _MOST_DAMPING:
             break
         step = at.step(more, damping)
         if at.slope @ step >= 0.0:  # what was learned on the way is of no use here
-            more = np.zeros_like(more)
+            more = none
             step = at.step(more, damping)
         there = _Weighed.at(objective, at.vector + step)
         downhill = -float(at.slope @ step)
@@ -238,12 +239,10 @@ def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * share - 1.0) ** 3)
         else:
             damping, raised = max(raised * damping, _FIRST_DAMPING), 2.0 * raised
-        left_sd = at.left_sd(more)
-    if damping <= _MOST_DAMPING:
-        return at.fit(Ending.OUT_OF_ROUNDS, number + 1, previous)
-    stuck = at.left_sd(np.zeros_like(more))
-    exact = bool(np.all(stuck <= _OTHERS_SETTLED_SD))
-    return at.fit(Ending.NO_MORE_PROGRESS if exact else Ending.OUT_OF_DAMPING, number + 1, previous)
+    ending = Ending.NO_MORE_PROGRESS if agrees else Ending.OUT_OF_DAMPING
+    return at.fit(
+        Ending.OUT_OF_ROUNDS if damping <= _MOST_DAMPING else ending, number + 1, previous
+    )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
