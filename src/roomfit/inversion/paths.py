@@ -145,8 +145,8 @@ def traced_paths(
         if not settings.quick:
             trial = scattering_trial(measurements, priors, settings, plan.settings, start)
         if trial is not None:
-            fit, specified = trial
-            doubts = suspected_scattering(fit, scene.room.materials, specified)
+            doubts = suspected_scattering(trial[0], scene.room.materials, trial[1])
+        del trial  # with two traces of its own
     done = part(progress, 0.5 if chosen else 0.0, 1.0)
     found = cached_trace(scene, plan.settings, plan.scattering, cache, done)
     paths = found.value.paths

@@ -30,7 +30,7 @@ from roomfit.response.scattering import (
     rows_for_band,
     scattering_weights,
 )
-from roomfit.scene import Scene
+from roomfit.scene import Scene, select_pairs
 from roomfit.settings import Settings
 from roomfit.signals.noise import NoiseEstimate
 from roomfit.solvers.least_squares import fit_band
@@ -66,6 +66,8 @@ _LEAST_GAIN = 5.0
 _TRIAL_BANDS, _HIGHEST_TRIAL_HZ = 3, 4500.0
 _TRIAL_S = 0.2
 _KEPT_TRACES = 2
+# So many responses tell how walls scatter; of more, every second, third and so on is tried.
+_MOST_TRIED = 50
 
 
 class Retracer:
@@ -391,11 +393,14 @@ def _energy_fit(
     scene, bands = measurements.scene, measurements.bands
     own = Bands(bands.kind, bands.centres_hz[chosen])
     known = in_bands(priors, np.arange(chosen.start, chosen.stop))
-    responses = []
+    observed = observed[:: -(-len(observed) // _MOST_TRIED)]
+    pairs = np.unique([m.pair for m in observed])
+    scene, responses = select_pairs(scene, pairs), []
     for m in observed:
         noise = [getattr(m.noise, f.name)[chosen] for f in fields(NoiseEstimate)]
         own_end_s = m.fit_end_s[chosen]
-        responses.append(replace(m, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
+        pair = int(np.searchsorted(pairs, m.pair))
+        responses.append(replace(m, pair=pair, noise=NoiseEstimate(*noise), fit_end_s=own_end_s))
     retracer = Retracer(scene, own, trace_settings)
 
     def fit(coefficients: FloatArray) -> FloatArray:
