@@ -35,7 +35,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
-from roomfit.io.encoding import input_digests
+from roomfit.io.encoding import csv_text, input_digests
 from roomfit.io.exports import export_materials, read_material_table
 from roomfit.io.inputs import identify_arguments, material_priors
 from roomfit.io.project import project_details
@@ -47,6 +47,13 @@ from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
+from roomfit.report.comparison import (
+    Comparison,
+    compare_results,
+    comparison_figure,
+    comparison_page,
+    comparison_rows,
+)
 from roomfit.report.figures import in_file_name, write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Result
@@ -95,6 +102,43 @@ def check_campaign(campaign: Campaign) -> RoomCheck:
     assumed = (*broad_prior_findings(priors), *product_findings(priors))
     position_doubts = position_findings(room, campaign.sources, campaign.receivers)
     return replace(check, findings=(*check.findings, *position_doubts, *assumed))
+
+
+@reading_noted()
+def compare_to_folder(
+    first: Path, second: Path, out: Path | None = None, *, overwrite: bool = False
+) -> Comparison:
+    """Compare two results; write compared.csv, compared.html and compared.png into a folder.
+
+    Parameters
+    ----------
+    first, second : Path
+        ``result.json`` or ``absorption.csv``.
+    out : Path, optional
+        Left out, nothing is written.
+
+    Raises
+    ------
+    InputError
+        A result cannot be read, the two have nothing in common, or the folder is not empty.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import png
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    compared = compare_results(read_result(first), read_result(second))
+    if out is not None:
+        labels = (str(first), str(second))
+        heading, *rows = comparison_rows(compared)
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_text_atomically(folder / "compared.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "compared.html", comparison_page(compared, labels))
+            write_bytes_atomically(
+                folder / "compared.png", png(comparison_figure(compared, labels))
+            )
+    return compared
 
 
 @dataclass(frozen=True, slots=True, eq=False)
