@@ -37,11 +37,13 @@ from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.io.encoding import csv_text, input_digests
 from roomfit.io.exports import export_materials, read_material_table
-from roomfit.io.inputs import identify_arguments, material_priors
+from roomfit.io.gltf import gltf_text
+from roomfit.io.inputs import campaign_room, identify_arguments, material_priors
 from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.workbook import workbook_bytes
 from roomfit.materials.catalogue import broad_prior_findings, product_findings
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
@@ -130,7 +132,7 @@ def compare_to_folder(
         check_output_folder(out, overwrite=overwrite)
     compared = compare_results(read_result(first), read_result(second))
     if out is not None:
-        labels = (str(first), str(second))
+        labels = ("/".join(first.parts[-2:]), "/".join(second.parts[-2:]))
         heading, *rows = comparison_rows(compared)
         with whole_output_folder(out, overwrite=overwrite) as folder:
             write_text_atomically(folder / "compared.csv", csv_text(heading, rows))
@@ -155,6 +157,7 @@ def export_result(
     out: Path,
     *,
     scattering: float | None = None,
+    campaign_file: Path | None = None,
     overwrite: bool = False,
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
@@ -163,12 +166,14 @@ def export_result(
     ----------
     result_file : Path
         A ``result.json`` or an ``absorption.csv``.
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"}
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
         Coefficient of every material where the result contains none, 0 to 1; by default that of
         `Settings`.
+    campaign_file : Path, optional
+        For "gltf", which needs the room: the campaign of the result.
     overwrite : bool
         Replace an existing file.
 
@@ -195,6 +200,10 @@ def export_result(
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
+    if wanted in ("excel", "gltf"):
+        _check_place(out, overwrite)
+        write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
+        return ExportedFiles((out,), ())
     texts, findings = export_materials(
         read_material_table(result_file),
         wanted,
@@ -208,6 +217,19 @@ def export_result(
     _check_place(out, overwrite)
     write_text_atomically(out, texts[""])
     return ExportedFiles((out,), findings)
+
+
+def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
+    if wanted == "excel":
+        return workbook_bytes(result_file)
+    if campaign_file is None:
+        raise InputError(
+            "glTF holds the room, which a result does not",
+            needed="the campaign that the result was identified from",
+            hint="add --campaign campaign.toml",
+        )
+    room = campaign_room(read_campaign(campaign_file, to_fit=False))
+    return gltf_text(room, read_material_table(result_file)).encode()
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

@@ -6,7 +6,7 @@ Before and after a renovation, two methods, or two measurements of one room.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, cast
+from typing import Literal
 
 import numpy as np
 from matplotlib.figure import Figure
@@ -180,12 +180,13 @@ def _verdicts(p_value: FloatArray, given: BoolArray) -> tuple[tuple[Verdict, ...
     passed = p_value.ravel()[order] <= FALSE_ALARM_RATE / np.arange(n, 0, -1)
     sure = np.zeros(p_value.size, dtype=np.bool_)
     sure[order[: n if passed.all() else int(np.argmin(passed))]] = True
-    sure = sure.reshape(p_value.shape)
 
     def verdict(i: int, j: int) -> Verdict:
         if given[i, j]:
             return "changed" if p_value[i, j] == 0.0 else "given"
-        return "changed" if sure[i, j] else "perhaps" if p_value[i, j] <= 0.05 else "no"
+        return (
+            "changed" if sure[i * n_columns + j] else "perhaps" if p_value[i, j] <= 0.05 else "no"
+        )
 
     n_rows, n_columns = p_value.shape
     return tuple(tuple(verdict(i, j) for j in range(n_columns)) for i in range(n_rows))
@@ -297,7 +298,7 @@ def comparison_tables(compared: Comparison) -> tuple[Table, ...]:
         bounds = f"{number(low, 2, signed=True)} to {number(high, 2, signed=True)}"
         verdict = compared.verdicts[i][j]
         words = {"changed": ("changed",), "perhaps": ("perhaps",), "given": ("given",), "no": ()}
-        small = (bounds, " → ".join(values), *cast(tuple[str, ...], words[verdict]))
+        small = (bounds, " → ".join(values), *words[verdict])
         return Cell(number(d, 2, signed=True) if np.isfinite(d) else DASH, small, styles[verdict])
 
     def rows(block: IntArray) -> list[Row]:
