@@ -1,6 +1,10 @@
 """Sphinx: MyST pages, and a gallery whose examples are run at every build."""
 
+import json
 from importlib.metadata import version as package_version
+from pathlib import Path
+
+from roomfit.io.campaign import CampaignTable
 
 project = "roomfit"
 author = "the roomfit founders"
@@ -18,16 +22,8 @@ exclude_patterns = ["_build", "_templates", "examples", "gallery/*.py", "gallery
 templates_path = ["_templates"]
 default_role = "code"  # docstrings quote names in single backticks
 
-html_theme = "alabaster"
-html_theme_options = {
-    "description": "The absorption of a real room's walls, and how sure one can be",
-    "fixed_sidebar": True,
-    "page_width": "72em",
-    "sidebar_width": "15em",
-    "body_max_width": "none",
-    "show_powered_by": False,
-}
-html_sidebars = {"**": ["about.html", "navigation.html", "searchbox.html"]}
+html_theme = "furo"
+html_title = f"roomfit {release}"
 html_static_path = ["_static"]
 html_css_files = ["roomfit.css"]
 html_show_copyright = False
@@ -56,3 +52,15 @@ sphinx_gallery_conf = {
     "write_computation_times": False,
     "within_subsection_order": "FileNameSortKey",
 }
+
+
+def _write_schema(app, error):
+    """Put the JSON schema of a campaign beside the first page."""
+    if error is None:
+        text = json.dumps(CampaignTable.model_json_schema(), indent=1)
+        (Path(app.outdir) / "campaign.schema.json").write_text(text + "\n", encoding="utf-8")
+
+
+def setup(app):
+    """Register what is done after the pages."""
+    app.connect("build-finished", _write_schema)

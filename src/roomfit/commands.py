@@ -37,18 +37,27 @@ from roomfit.inversion.usable import CheckedRecordings, check_recordings
 from roomfit.io.campaign import Campaign, read_campaign
 from roomfit.io.door import files_read, reading_noted
 from roomfit.io.draft import draft_campaign, matching_files, read_positions
-from roomfit.io.encoding import input_digests
+from roomfit.io.encoding import csv_text, input_digests
 from roomfit.io.exports import export_materials, read_material_table
+from roomfit.io.gltf import gltf_text
+from roomfit.io.inputs import campaign_room, identify_arguments
 from roomfit.io.inputs import check_campaign as check_campaign
 from roomfit.io.inputs import check_room as check_room
-from roomfit.io.inputs import identify_arguments
 from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms.model import RoomSpec
+from roomfit.io.workbook import workbook_bytes
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
 from roomfit.prediction.predict import Predicted, predict
+from roomfit.report.comparison import (
+    Comparison,
+    compare_results,
+    comparison_figure,
+    comparison_page,
+    comparison_rows,
+)
 from roomfit.report.figures import in_file_name, write_pictures
 from roomfit.report.text import findings_text
 from roomfit.results import Result
@@ -127,6 +136,43 @@ def draft_to_folder(
     return text
 
 
+@reading_noted()
+def compare_to_folder(
+    first: Path, second: Path, out: Path | None = None, *, overwrite: bool = False
+) -> Comparison:
+    """Compare two results; write compared.csv, compared.html and compared.png into a folder.
+
+    Parameters
+    ----------
+    first, second : Path
+        ``result.json`` or ``absorption.csv``.
+    out : Path, optional
+        Left out, nothing is written.
+
+    Raises
+    ------
+    InputError
+        A result cannot be read, the two have nothing in common, or the folder is not empty.
+    StoreError
+        The disk refuses.
+    """
+    from roomfit.report.figures import png
+
+    if out is not None:
+        check_output_folder(out, overwrite=overwrite)
+    compared = compare_results(read_result(first), read_result(second))
+    if out is not None:
+        labels = ("/".join(first.parts[-2:]), "/".join(second.parts[-2:]))
+        heading, *rows = comparison_rows(compared)
+        with whole_output_folder(out, overwrite=overwrite) as folder:
+            write_text_atomically(folder / "compared.csv", csv_text(heading, rows))
+            write_text_atomically(folder / "compared.html", comparison_page(compared, labels))
+            write_bytes_atomically(
+                folder / "compared.png", png(comparison_figure(compared, labels))
+            )
+    return compared
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ExportedFiles:
     """Files that were written, and what their reader must know."""
@@ -141,6 +187,7 @@ def export_result(
     out: Path,
     *,
     scattering: float | None = None,
+    campaign_file: Path | None = None,
     overwrite: bool = False,
 ) -> ExportedFiles:
     """Write the materials of a result in the format of another program.
@@ -149,12 +196,14 @@ def export_result(
     ----------
     result_file : Path
         A ``result.json`` or an ``absorption.csv``.
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv"}
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
         Coefficient of every material where the result contains none, 0 to 1; by default that of
         `Settings`.
+    campaign_file : Path, optional
+        For "gltf", which needs the room: the campaign of the result.
     overwrite : bool
         Replace an existing file.
 
@@ -181,6 +230,10 @@ def export_result(
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
+    if wanted in ("excel", "gltf"):
+        _check_place(out, overwrite)
+        write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
+        return ExportedFiles((out,), ())
     texts, findings = export_materials(
         read_material_table(result_file),
         wanted,
@@ -194,6 +247,19 @@ def export_result(
     _check_place(out, overwrite)
     write_text_atomically(out, texts[""])
     return ExportedFiles((out,), findings)
+
+
+def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
+    if wanted == "excel":
+        return workbook_bytes(result_file)
+    if campaign_file is None:
+        raise InputError(
+            "glTF holds the room, which a result does not",
+            needed="the campaign that the result was identified from",
+            hint="add --campaign campaign.toml",
+        )
+    room = campaign_room(read_campaign(campaign_file, to_fit=False))
+    return gltf_text(room, read_material_table(result_file)).encode()
 
 
 def _check_place(out: Path, overwrite: bool) -> None:

@@ -169,6 +169,30 @@ class Result:
         columns = ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
         return data_frame(columns, rows, "absorption.csv")
 
+    def to_xarray(self) -> Any:
+        """Return absorption, bounds and identifiability as an xarray data set.
+
+        Variables have the dimensions ``material`` and ``band_hz``; ``area_m2`` has ``material``,
+        ``chi2_reduced`` has ``band_hz``.
+
+        Raises
+        ------
+        InputError
+            xarray, on which roomfit does not depend, is not installed.
+        """
+        from roomfit.report.wording import optional_package
+
+        both, names = ("material", "band_hz"), ("absorption", "lower95", "upper95", "identifiable")
+        return optional_package("xarray", "data sets", "to_xarray").Dataset(
+            {
+                **{name: (both, getattr(self, name)) for name in names},
+                "area_m2": ("material", self.areas_m2),
+                "chi2_reduced": ("band_hz", self.chi2_reduced),
+            },
+            coords={"material": list(self.materials), "band_hz": self.bands.centres_hz},
+            attrs={"intervals": self.interval_kind, "method": self.method, "model": self.model},
+        )
+
 
 def absorption_posterior(answer: Result) -> AbsorptionPosterior:
     """Return the absorption of an answer with its posterior, as predictions and designs take it.

@@ -6,13 +6,16 @@ import configparser
 import csv
 import json
 import re
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from hypothesis import given
 from hypothesis import strategies as st
 
+from report_cases import answer_of, scene_of
 from roomfit.bands import bands_between
 from roomfit.commands import export_result
 from roomfit.errors import InputError
@@ -294,6 +297,109 @@ def test_a_table_that_cannot_be_exported_is_refused(tmp_path, text, words):
     (tmp_path / "absorption.csv").write_text(text)
     with pytest.raises(InputError, match=words):
         read_material_table(tmp_path / "absorption.csv")
+
+
+def with_parameters(folder: Path) -> Path:
+    """Return a result with a pair, a fit and a finding whose sentence looks like a formula."""
+    path = write_result(folder)
+    content = json.loads(path.read_text())
+    compared = {k: [1.0] * 5 + [None] for k in ("measured", "predicted", "jnd", "mean_of_others")}
+    content["pairs"] = [
+        {"source": "S", "receiver": "R", "use": "fit", "parameters": {"T20_s": compared}}
+    ]
+    content["fit"] = {"phi": [1.0] * 6, "converged": [True] * 6, "models": ["energy"] * 6}
+    content["findings"] = [{"severity": "info", "code": "x", "sentence": "=cmd|'/c calc'!A1\x07"}]
+    content["materials"]["=1+1"] = content["materials"].pop("carpet, grey")
+    path.write_text(json.dumps(content))
+    return path
+
+
+def test_a_workbook_has_a_sheet_a_table_and_no_formula(tmp_path):
+    openpyxl = pytest.importorskip("openpyxl")
+    out = tmp_path / "result.xlsx"
+    export_result(with_parameters(tmp_path), "excel", out)
+    book = openpyxl.load_workbook(out)
+    assert book.sheetnames == [
+        *("absorption", "absorption by band", "room parameters", "fit", "findings")
+    ]
+    cells = [cell for sheet in book for row in sheet for cell in row]
+    assert not [c for c in cells if c.data_type == "f"]
+    assert not [c.value for c in cells if isinstance(c.value, str) and c.value[:1] in "=+-@"]
+    rows = list(book["absorption"].values)
+    assert rows[0] == ("material", "band_hz", "absorption", "lower95", "upper95", "identifiable")
+    found = {(r[0], r[1]): r[2] for r in rows[1:]}
+    assert found["Wand grün", 250.0] == 0.012 and found["'=1+1", 125.0] == 0.021
+    assert len(found) == 18
+    assert next(iter(book["absorption by band"].values))[1:] == tuple(OCTAVES)
+    measured = list(book["room parameters"].values)
+    assert measured[1] == ("S", "R", "fit", "T20_s", 125.0, 1.0, 1.0, 1.0, 1.0)
+    assert measured[6][5] is None
+    assert list(book["findings"].values)[1][2] == "'=cmd|'/c calc'!A1?"
+
+
+def test_without_openpyxl_the_message_says_what_to_install(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "openpyxl", None)
+    with pytest.raises(InputError, match=r"roomfit\[excel\]"):
+        export_result(write_result(tmp_path), "excel", tmp_path / "a.xlsx")
+    assert not (tmp_path / "a.xlsx").exists()
+
+
+CAMPAIGN = """
+[room]
+shoebox = [6, 5, 3]
+[room.materials]
+walls = "Wand grün"
+floor = "carpet, grey"
+ceiling = "not fitted"
+[sources.S]
+position = [1, 1, 1]
+[receivers.R]
+position = [4, 3, 1]
+"""
+
+
+def test_gltf_is_the_room_with_its_absorption_in_extras(tmp_path):
+    """Read back by trimesh: areas, and the y axis up."""
+    campaign, out = tmp_path / "campaign.toml", tmp_path / "room.gltf"
+    campaign.write_text(CAMPAIGN, encoding="utf-8")
+    export_result(write_result(tmp_path, 0.2), "gltf", out, campaign_file=campaign)
+    content = json.loads(out.read_text(encoding="utf-8"))
+    extras = {m["name"]: m.get("extras") for m in content["materials"]}
+    assert extras["not fitted"] is None
+    assert extras["carpet, grey"]["roomfit"]["absorption"] == ABSORPTION["carpet, grey"]
+    assert extras["carpet, grey"]["roomfit"]["bands_hz"] == OCTAVES
+    assert extras["carpet, grey"]["roomfit"]["scattering"] == [0.2] * 6
+    assert extras["Wand grün"]["roomfit"]["identifiable"][1] is False
+    scene = trimesh.load(out)
+    np.testing.assert_allclose(scene.bounds, [[0.0, 0.0, -5.0], [6.0, 3.0, 0.0]], atol=1e-6)
+    areas = {m.visual.material.name: m.area for m in scene.geometry.values()}
+    expected = {"Wand grün": 66.0, "carpet, grey": 30.0, "not fitted": 30.0}
+    assert areas == pytest.approx(expected)
+
+
+def test_gltf_needs_the_campaign_of_the_result(tmp_path):
+    result, out = write_result(tmp_path), tmp_path / "room.gltf"
+    with pytest.raises(InputError, match="--campaign"):
+        export_result(result, "gltf", out)
+    other = tmp_path / "campaign.toml"
+    other.write_text(CAMPAIGN.replace("Wand grün", "a").replace("carpet, grey", "b"))
+    with pytest.raises(InputError, match="no material in common"):
+        export_result(result, "gltf", out, campaign_file=other)
+
+
+def test_a_result_is_an_xarray_data_set():
+    pytest.importorskip("xarray")
+    answer = answer_of(scene_of())
+    data = answer.to_xarray()
+    assert data["absorption"].sel(material="floor", band_hz=500.0) == answer.absorption[1, 2]
+    assert dict(data.sizes) == {"material": 3, "band_hz": 6}
+    assert data["area_m2"].values.tolist() == answer.areas_m2.tolist()
+
+
+def test_without_xarray_the_message_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(sys.modules, "xarray", None)
+    with pytest.raises(InputError, match="pip install xarray"):
+        answer_of(scene_of()).to_xarray()
 
 
 def test_the_command_writes_and_keeps_what_is_there(tmp_path, monkeypatch, capsys):

@@ -14,12 +14,15 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "export", about, run)
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
-        "--format", "catt, odeon, isimpa, raven, pyroomacoustics or csv.", required=True
+        "--format",
+        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel or gltf.",
+        required=True,
     )
     parser.add_out("File to write; for raven a folder.")
     parser.add_option(
         "--scattering", "For all materials, where the result does not specify it.", type=number
     )
+    parser.add_option("--campaign", "For gltf: the campaign, which has the room.", type=Path)
     parser.add_overwrite("Replace what exists.")
 
 
@@ -31,6 +34,7 @@ def run(options: argparse.Namespace) -> None:
         options.format,
         options.out,
         scattering=options.scattering,
+        campaign_file=options.campaign,
         overwrite=options.overwrite,
     )
     for file in written.files:

@@ -36,7 +36,7 @@ def csv_text(heading: Sequence[object], rows: Iterable[Sequence[object]]) -> str
     """
     stream = io.StringIO()
     writer = csv.writer(stream, lineterminator="\n")
-    writer.writerows([_inert(cell) for cell in row] for row in (heading, *rows))
+    writer.writerows([inert(cell) for cell in row] for row in (heading, *rows))
     return stream.getvalue()
 
 
@@ -44,7 +44,8 @@ _FORMULA = re.compile(r"'*[=+\-@\t\r]")
 _NUMBER = re.compile(r"[-+]?(\d+(\.\d*)?|\.\d+)([eE][-+]?\d+)?|[-+]?(inf|nan)")
 
 
-def _inert(cell: object) -> object:
+def inert(cell: object) -> object:
+    """Return a cell that no spreadsheet takes for a formula: an apostrophe stands before it."""
     if isinstance(cell, str) and _FORMULA.match(cell) and not _NUMBER.fullmatch(cell):
         return f"'{cell}"
     return cell

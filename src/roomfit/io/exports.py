@@ -375,7 +375,9 @@ def export_materials(
     """
     if wanted not in FORMATS:
         raise InputError(
-            "no such format for an export", found=repr(wanted), needed=", ".join(FORMATS)
+            "no such format for an export",
+            found=repr(wanted),
+            needed=", ".join((*FORMATS, "excel", "gltf")),
         )
     if not 0.0 <= scattering <= 1.0:
         raise InputError(

@@ -240,17 +240,28 @@ def data_frame(columns: Sequence[str], rows: Iterable[Sequence[object]], file: s
     InputError
         pandas, on which roomfit does not depend, is not installed.
     """
+    pandas = optional_package("pandas", "data frames", "to_dataframe", file)
+    return pandas.DataFrame(list(rows), columns=list(columns))
+
+
+def optional_package(name: str, what: str, where: str, file: str = "result.json") -> Any:
+    """Return a package on which roomfit does not depend.
+
+    Raises
+    ------
+    InputError
+        It is not installed; `what` needs it, and `file` holds the same.
+    """
     try:
-        pandas = import_module("pandas")
+        return import_module(name)
     except ImportError as error:
         raise InputError(
-            "data frames need pandas",
-            where="to_dataframe",
+            f"{what} need {name}",
+            where=where,
             found=str(error),
-            needed="the package pandas, on which roomfit does not depend",
-            hint=f"pip install pandas; or read {file}, which the command line writes",
+            needed=f"the package {name}, on which roomfit does not depend",
+            hint=f"pip install {name}; or read {file}, which the command line writes",
         ) from error
-    return pandas.DataFrame(list(rows), columns=list(columns))
 
 
 def html_table(caption: str, columns: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

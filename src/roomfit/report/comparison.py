@@ -1,0 +1,317 @@
+"""Two answers beside each other: which coefficients of the same materials differ, and how surely.
+
+Before and after a renovation, two methods, or two measurements of one room.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from matplotlib.figure import Figure
+from scipy.special import ndtr, ndtri
+
+from roomfit.errors import InputError
+from roomfit.report.figures import OKABE_ITO, band_panels, figure_legend, frequency_axis, literal
+from roomfit.report.html import tables_page
+from roomfit.report.wording import (
+    DASH,
+    Cell,
+    Row,
+    Table,
+    band_tables,
+    coefficient,
+    count,
+    hertz,
+    listing,
+    number,
+)
+from roomfit.typing import BoolArray, FloatArray, IntArray
+from roomfit.uncertainty.posterior import AbsorptionPosterior
+
+Verdict = Literal["changed", "perhaps", "no", "given"]
+FALSE_ALARM_RATE = 0.05
+"""That any coefficient is called changed where none did; and of each that is called perhaps."""
+_QUANTILE95 = float(ndtri(0.975))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Comparison:
+    """Absorption of the materials and bands that two answers have in common."""
+
+    materials: tuple[str, ...]
+    centres_hz: FloatArray  # (n_bands,)
+    # (3, n_materials, n_bands), coefficient and its 95 % bounds, of the first and of the second
+    first: FloatArray
+    second: FloatArray
+    difference: FloatArray  # (3, n_materials, n_bands), second minus first with its 95 % bounds
+    p_value: FloatArray  # (n_materials, n_bands), of no difference; 1 where both were given alike
+    verdicts: tuple[tuple[Verdict, ...], ...]  # by material and band
+    missing: tuple[str, ...]  # sentences on what only one of the two has
+
+    def __str__(self) -> str:
+        """Return what the command line prints."""
+        return comparison_text(self)
+
+
+def compare_results(first: AbsorptionPosterior, second: AbsorptionPosterior) -> Comparison:
+    """Compare the absorption of two answers, material by material and band by band.
+
+    Parameters
+    ----------
+    first, second : AbsorptionPosterior
+        From `roomfit.absorption_posterior` or `roomfit.read_result`. Materials and bands are the
+        same where their names and centres are.
+
+    Returns
+    -------
+    Comparison
+
+    Raises
+    ------
+    InputError
+        No material or no band is in both, or one has octaves and the other third octaves.
+
+    Notes
+    -----
+    Errors of the two are taken as independent. The 95 % bounds of a difference are those of
+    MOVER [1]_ from the bounds of both, so that skew intervals stay skew:
+    ``d - sqrt((b - l_b)^2 + (u_a - a)^2)`` below, the mirror image above. Its standard deviation
+    is what the bound on the side of 0 is of ``d``: the root of the summed variances where
+    intervals are symmetrical. "Changed" are differences that remain when the whole table is to
+    raise a false alarm in 5 % of cases at most, by Holm's step-down [2]_, whatever depends on
+    what; "perhaps" are those whose own bounds exclude 0.
+
+    What both answers have in common (positions, air, a directivity, a prior, the geometry of one
+    model) is in both intervals and cancels in part: the test then finds less than there is. A
+    description that is wrong in one of the two only is in neither.
+
+    References
+    ----------
+    .. [1] G. Y. Zou, A. Donner, "Construction of confidence limits about effect measures: a
+           general approach", Statistics in Medicine 27, 1693-1702 (2008).
+    .. [2] S. Holm, "A simple sequentially rejective multiple test procedure", Scandinavian Journal
+           of Statistics 6, 65-70 (1979).
+
+    Examples
+    --------
+    >>> import roomfit
+    >>> bands = roomfit.bands_between("octave", 500, 500)
+    >>> def found(a, low, high):
+    ...     table = (np.array([[x]]) for x in (a, low, high))
+    ...     return AbsorptionPosterior(("wall",), bands, *table, np.full((1, 1, 1), 0.01))
+    >>> compared = compare_results(found(0.1, 0.08, 0.12), found(0.3, 0.27, 0.33))
+    >>> compared.verdicts, np.round(compared.difference[:, 0, 0], 3).tolist()
+    ((('changed',),), [0.2, 0.164, 0.236])
+    """
+    if first.bands.kind != second.bands.kind:
+        raise InputError(
+            "the two results have bands of different width",
+            found=f"{first.bands.kind} and {second.bands.kind} bands",
+            needed="both in octaves, or both in third octaves",
+            hint="identify one of the two again in the bands of the other",
+        )
+    names = [name for name in first.materials if name in second.materials]
+    centres = np.intersect1d(first.bands.centres_hz, second.bands.centres_hz)
+    for what, common, own in (
+        ("material", names, (first.materials, second.materials)),
+        ("band", centres, tuple(_heads(x) for x in (first, second))),
+    ):
+        if not len(common):
+            raise InputError(
+                f"the two results have no {what} in common",
+                found=" and ".join(", ".join(x) for x in own),
+                needed="the same names in both campaigns" if what == "material" else "one band",
+            )
+    a, b = (_chosen(x, names, centres) for x in (first, second))
+    difference, p_value, given = _differences(a, b)
+    verdicts = _verdicts(p_value, given)
+    return Comparison(
+        tuple(names), centres, a, b, difference, p_value, verdicts, _missing(first, second)
+    )
+
+
+def _heads(answer: AbsorptionPosterior) -> tuple[str, ...]:
+    return tuple(hertz(float(f)) for f in answer.bands.centres_hz)
+
+
+def _chosen(answer: AbsorptionPosterior, names: list[str], centres_hz: FloatArray) -> FloatArray:
+    """Return coefficients and bounds of these materials and bands."""
+    rows = [answer.materials.index(name) for name in names]
+    columns = [int(np.flatnonzero(answer.bands.centres_hz == f)[0]) for f in centres_hz]
+    tables = (answer.absorption, answer.lower95, answer.upper95)
+    return np.stack([table[np.ix_(rows, columns)] for table in tables])
+
+
+def _missing(first: AbsorptionPosterior, second: AbsorptionPosterior) -> tuple[str, ...]:
+    """Return sentences on what is in one of the two only."""
+    sentences = []
+    for here, there, which in ((first, second, "first"), (second, first, "second")):
+        for what, own, other in (
+            ("material", here.materials, there.materials),
+            ("band", _heads(here), _heads(there)),
+        ):
+            only = [name for name in own if name not in other]
+            if only:
+                counted = what if len(only) == 1 else f"{what}s"
+                sentences.append(f"Only the {which} result has the {counted} {listing(only)}.")
+    return tuple(sentences)
+
+
+def _differences(a: FloatArray, b: FloatArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Return differences with bounds, p-values, and where both coefficients were given."""
+    d = b[0] - a[0]
+    below = np.sqrt((b[0] - b[1]) ** 2 + (a[2] - a[0]) ** 2)
+    above = np.sqrt((b[2] - b[0]) ** 2 + (a[0] - a[1]) ** 2)
+    given = (below == 0.0) & (above == 0.0)
+    towards = np.where(d > 0.0, below, above)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        z = np.where(d == 0.0, 0.0, np.abs(d) / towards) * _QUANTILE95
+    p_value = np.where(np.isfinite(d), 2.0 * ndtr(-np.nan_to_num(z, posinf=np.inf)), 1.0)
+    return np.stack([d, d - below, d + above]), p_value, given
+
+
+def _verdicts(p_value: FloatArray, given: BoolArray) -> tuple[tuple[Verdict, ...], ...]:
+    order = np.argsort(p_value, axis=None, kind="stable")
+    order = order[~given.ravel()[order]]
+    n = len(order)
+    # the first that fails ends the list: Holm
+    passed = p_value.ravel()[order] <= FALSE_ALARM_RATE / np.arange(n, 0, -1)
+    sure = np.zeros(p_value.size, dtype=np.bool_)
+    sure[order[: n if passed.all() else int(np.argmin(passed))]] = True
+
+    def verdict(i: int, j: int) -> Verdict:
+        if given[i, j]:
+            return "changed" if p_value[i, j] == 0.0 else "given"
+        return (
+            "changed" if sure[i * n_columns + j] else "perhaps" if p_value[i, j] <= 0.05 else "no"
+        )
+
+    n_rows, n_columns = p_value.shape
+    return tuple(tuple(verdict(i, j) for j in range(n_columns)) for i in range(n_rows))
+
+
+def comparison_sentences(compared: Comparison) -> tuple[str, ...]:
+    """Return what changed, at which rate of false alarms, and what the comparison cannot know."""
+    verdicts = np.array(compared.verdicts)
+    tested = int((verdicts != "given").sum())
+    changed, perhaps = (int((verdicts == v).sum()) for v in ("changed", "perhaps"))
+    by_chance = f"{FALSE_ALARM_RATE * tested:.1f}"
+    return (
+        f"{changed} of {count(tested, 'coefficient')} changed (*), {perhaps} perhaps (?).",
+        f"Were nothing changed, a * would appear anywhere in {100 * FALSE_ALARM_RATE:g} % of such "
+        f"tables at most (Holm), and on average {by_chance} coefficients would bear a ? or *.",
+        "Errors of the two results are taken as independent. Which they share (positions, air, "
+        "source, prior, model) is not known: shared errors cancel, and the test then finds less "
+        "than there is. An error of the description of one of them is in neither interval.",
+        *compared.missing,
+    )
+
+
+_MARKS = {"changed": "*", "perhaps": "?", "no": "", "given": "="}
+
+
+def comparison_text(compared: Comparison) -> str:
+    """Return the table as text: first, second, difference with its 95 % bounds."""
+    width = max(8, *(len(name) for name in compared.materials))
+    lines = [
+        f"{'material':<{width}} {'Hz':>6}  {'first':<18} {'second':<18} {'difference':<24}",
+    ]
+    for i, name in enumerate(compared.materials):
+        for j, centre in enumerate(compared.centres_hz):
+            first, second = (_interval(x[:, i, j]) for x in (compared.first, compared.second))
+            d, low, high = compared.difference[:, i, j]
+            mark = _MARKS[compared.verdicts[i][j]]
+            lines.append(
+                f"{name:<{width}} {centre:>6g}  {first:<18} {second:<18} "
+                f"{d:+.3f} ({low:+.3f} to {high:+.3f}) {mark}".rstrip()
+            )
+    return "\n".join([*lines, "", *comparison_sentences(compared)])
+
+
+def _interval(values: FloatArray) -> str:
+    value, low, high = (float(v) for v in values)
+    return f"{value:.3f} ({low:.3f}-{high:.3f})"
+
+
+def comparison_rows(compared: Comparison) -> list[list[str]]:
+    """Return the rows of a table: names, numbers with five decimals, and the verdict."""
+    rows = [
+        [
+            *("material", "band_hz", "first", "first_lower95", "first_upper95"),
+            *("second", "second_lower95", "second_upper95"),
+            *("difference", "difference_lower95", "difference_upper95", "p_value", "changed"),
+        ]
+    ]
+    for i, name in enumerate(compared.materials):
+        for j, centre in enumerate(compared.centres_hz):
+            tables = (compared.first, compared.second, compared.difference)
+            numbers = [f"{v:.5f}" for table in tables for v in table[:, i, j]]
+            p_value = f"{compared.p_value[i, j]:.3g}"
+            rows.append([name, f"{centre:g}", *numbers, p_value, compared.verdicts[i][j]])
+    return rows
+
+
+def comparison_figure(compared: Comparison, labels: tuple[str, str]) -> Figure:
+    """Return both results over frequency with 95 % intervals, one panel a material.
+
+    Bands that changed are shaded, and paler those that perhaps did.
+    """
+    figure, panels = band_panels(len(compared.materials), 2.45)
+    centres = compared.centres_hz
+    for i, axes in enumerate(panels):
+        for j, verdict in enumerate(compared.verdicts[i]):
+            if verdict in ("changed", "perhaps"):
+                axes.axvspan(
+                    centres[j] / 2**0.3, centres[j] * 2**0.3, color=OKABE_ITO[4], lw=0,
+                    alpha=0.35 if verdict == "changed" else 0.14,
+                    label="changed" if verdict == "changed" else "perhaps changed",
+                )  # fmt: skip
+        looks = (
+            (compared.first, labels[0], OKABE_ITO[0], "o", 2.0**-0.06),
+            (compared.second, labels[1], OKABE_ITO[1], "s", 2.0**0.06),
+        )
+        for table, label, colour, marker, beside in looks:
+            value, low, high = table[:, i]
+            bars = np.maximum([value - low, high - value], 0.0)
+            axes.errorbar(
+                centres * beside, value, yerr=bars, fmt=f"{marker}-", color=colour, capsize=2.5,
+                lw=1.0, ms=4.5, label=literal(label, 30),
+            )  # fmt: skip
+        axes.set_title(literal(compared.materials[i], 30), fontsize=10, loc="left")
+    frequency_axis(panels[0], centres)
+    panels[0].set_ylim(-0.03, 1.03)
+    figure.supxlabel("band centre (Hz)", fontsize=10)
+    figure.supylabel("absorption coefficient", fontsize=10)
+    figure_legend(figure, panels[0], 4)
+    return figure
+
+
+def comparison_tables(compared: Comparison) -> tuple[Table, ...]:
+    """Return the differences with their bounds, materials in rows and bands in columns."""
+    styles = {"changed": "far", "perhaps": "middle", "no": "", "given": "given"}
+
+    def cell(i: int, j: int) -> Cell:
+        d, low, high = (float(v) for v in compared.difference[:, i, j])
+        values = [coefficient(float(x[0, i, j]), 1.0) for x in (compared.first, compared.second)]
+        bounds = f"{number(low, 2, signed=True)} to {number(high, 2, signed=True)}"
+        verdict = compared.verdicts[i][j]
+        words = {"changed": ("changed",), "perhaps": ("perhaps",), "given": ("given",), "no": ()}
+        small = (bounds, " → ".join(values), *words[verdict])
+        return Cell(number(d, 2, signed=True) if np.isfinite(d) else DASH, small, styles[verdict])
+
+    def rows(block: IntArray) -> list[Row]:
+        return [
+            Row(name, tuple(cell(i, int(j)) for j in block))
+            for i, name in enumerate(compared.materials)
+        ]
+
+    caption = "Difference of absorption, second minus first, 95 % bounds"
+    return band_tables(caption, "material", compared.centres_hz, rows)
+
+
+def comparison_page(compared: Comparison, labels: tuple[str, str]) -> str:
+    """Return the table of differences as a page, under the policy of the report."""
+    lead = " ".join((f"First: {labels[0]}; second: {labels[1]}.", *comparison_sentences(compared)))
+    return tables_page("Absorption compared", lead, comparison_tables(compared))
