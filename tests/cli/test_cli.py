@@ -55,8 +55,8 @@ def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
     assert "can be traced" in done.stdout + done.stderr
 
 
-COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
-            "impedance", "init", "paper", "predict", "reverberation", "schema")  # fmt: skip
+COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export",
+            "identify", "impedance", "init", "paper", "predict", "reverberation", "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
