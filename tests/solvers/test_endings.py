@@ -64,7 +64,7 @@ def test_the_right_derivative_converges(name: str) -> None:
 def test_a_start_at_the_minimum_is_convergence_even_where_no_step_helps(name: str) -> None:
     """Rounding rejects all steps from there, and none promises anything."""
     settings = USES[name]
-    exact = replace(settings, gain=1e-30, relative_gain=0.0, length_sd=0.0, entry_sd=0.0)
+    exact = replace(settings, gain=1e-30, relative_gain=0.0, length_sd=0.0)
     best = levenberg_marquardt(decay_residuals, np.array([0.5, 1.0]), exact).x
     found = levenberg_marquardt(decay_residuals, best, settings)
     assert found.ending.converged

@@ -343,6 +343,7 @@ class _Logarithms:
 
     def __init__(self, objective: Objective) -> None:
         self.objective, self.evaluations = objective, 0
+        self._at: FloatArray | None = None
         start, measured = start_vector(objective.parameters), objective.measured()
         variance, logs = objective.variance(start), objective.is_gamma()
         expected = self._predicted(start).expected
@@ -367,7 +368,7 @@ class _Logarithms:
         return np.concatenate((residuals, prior)), np.concatenate((rows, prior_rows))
 
     def _predicted(self, vector: FloatArray) -> Prediction:
-        if not self.evaluations or not np.array_equal(vector, self._at):
+        if self._at is None or not np.array_equal(vector, self._at):
             self._at, self._prediction = np.array(vector), self.objective.predict(vector)
             self.evaluations += 1
         return self._prediction

@@ -21,11 +21,10 @@ class MarquardtSettings:
     """How steps are damped, and which step is the last.
 
     A step solves ``(H + damping diag(H)) step = -gradient`` with ``H = J^T J``. The first one that
-    meets one of the four tests of convergence ends the descent; a test of 0 is never met.
+    meets one of the three tests of convergence ends the descent; a test of 0 is never met.
     """
 
     max_trials: int = 40  # steps tried, whether they help or not
-    max_steps: int | None = None  # steps taken; None: as many as are tried
     damping: float = 1e-3  # of the first step
     lowered: float = 0.1  # factor on the damping after a step that helps
     raised: float = 8.0  # and after one that does not
@@ -33,10 +32,8 @@ class MarquardtSettings:
     most_damping: float = 1e10
     ridge: float = 0.0  # share of the mean of diag(H) added to it before it is damped
     longest_entry: float = math.inf  # a longer step is shortened, all entries alike
-    accepts_equal: bool = False  # whether a step that leaves the cost as it is counts as a help
     # converged: ...
     length_sd: float = 0.0  # root of step' H step, a length in standard deviations, below this
-    entry_sd: float = 0.0  # every entry below this share of its own standard deviation
     gain: float = 0.0  # the cost fell by less
     relative_gain: float = 0.0  # the cost fell by less than this share of it
     # a step that does not help is the last where it promised at most this share of the cost
@@ -50,8 +47,6 @@ class Minimum(NamedTuple):
     cost: float  # half the sum of squares
     evaluations: int
     ending: Ending
-    steps: int = 0  # that were taken
-    damping: float = 0.0  # of the step that would be next
     normal: FloatArray = np.empty((0, 0))  # J^T J at x, undamped; (0, 0) without derivative
 
 
@@ -78,25 +73,23 @@ def levenberg_marquardt(
     values, jacobian = residuals(x)
     cost, damping = 0.5 * float(values @ values), settings.damping
     gradient, normal = jacobian.T @ values, jacobian.T @ jacobian
-    trials = steps = 0
-    most_steps = settings.max_trials if settings.max_steps is None else settings.max_steps
+    trials = 0
 
     def ended(ending: Ending) -> Minimum:
-        return Minimum(x, cost, 1 + trials, ending, steps, damping, normal)
+        return Minimum(x, cost, 1 + trials, ending, normal)
 
     if not x.size:
         return ended(Ending.CONVERGED)
-    while trials < settings.max_trials and steps < most_steps:
+    while trials < settings.max_trials:
         step = _damped_step(normal, gradient, damping, settings)
         values, jacobian = residuals(x + step)
         trials += 1
         there = 0.5 * float(values @ values)
-        if there < cost or (settings.accepts_equal and there == cost):
+        if there < cost:
             last = _is_last(step, normal, cost - there, cost, settings)
             x, cost = x + step, there
             gradient, normal = jacobian.T @ values, jacobian.T @ jacobian
             damping = max(settings.lowered * damping, settings.least_damping)
-            steps += 1
             if last:
                 return ended(Ending.CONVERGED)
             continue
@@ -128,9 +121,4 @@ def _is_last(
     """Whether a step meets one of the tests of convergence."""
     if gain < settings.gain or gain < settings.relative_gain * cost:
         return True
-    if float(step @ normal @ step) < settings.length_sd**2:
-        return True
-    if not settings.entry_sd:
-        return False
-    sd = np.sqrt(np.diag(np.linalg.inv(normal)))
-    return bool(np.max(np.abs(step) / sd) < settings.entry_sd)
+    return float(step @ normal @ step) < settings.length_sd**2
