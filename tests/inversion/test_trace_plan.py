@@ -67,14 +67,14 @@ def test_no_window_ends_later_than_the_image_sources_of_a_smooth_box() -> None:
 
 
 def test_many_pairs_share_the_image_sources_that_fit_into_memory() -> None:
-    """Two hundred have 25,000 each for pressures, five million together; eight have their 60,000.
+    """Two hundred have 20,000 each for pressures, four million together; eight have their 60,000.
 
     Where images are all there is, eight pairs have their 400,000, and 200 have rays beside fewer.
     """
     room = box_room(LENGTHS_M)
     prior = MaterialPrior("x", np.zeros(1), np.ones(1), scattering=np.zeros(1))
     priors = tuple(replace(prior, name=name) for name in BOX_MATERIALS)
-    for n_receivers, expected in ((8, 60_000), (200, 25_000)):
+    for n_receivers, expected in ((8, 60_000), (200, 20_000)):
         places = [[1.2 + 0.01 * i, 4.9, 1.6] for i in range(n_receivers)]
         scene = scene_of(room, [SOURCE], places)
         until_s = plan_trace(scene, priors, 2.0, 2.0, Settings(), coherent=True)

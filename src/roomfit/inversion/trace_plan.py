@@ -75,7 +75,7 @@ _OF_THE_DATA, _CROSSINGS_AS_ONE = 1.0 / 3.0, 5.0
 # A trace takes about twice the memory of its paths.
 _MOST_PATH_BYTES = 480e6
 # Image sources of all pairs together, where there is nothing else, and for pressures: 1 GB.
-_MOST_IMAGES_OF_ALL, _MOST_COHERENT_OF_ALL = 10e6, 5e6
+_MOST_IMAGES_OF_ALL, _MOST_COHERENT_OF_ALL = 10e6, 4e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -118,8 +118,8 @@ def plan_trace(
     rays fill. The number of rays follows, divided by the least effective fraction of any band at
     that time, up to what fits into 1 GB, with a finding where that is less.
 
-    Image sources are so many a pair as the settings say, and 5 million of all pairs together for
-    pressures, 10 million where there is nothing else: of 200 pairs each has 25,000, which is .21 s
+    Image sources are so many a pair as the settings say, and 4 million of all pairs together for
+    pressures, 10 million where there is nothing else: of 200 pairs each has 20,000, which is .2 s
     of a room of 70 m³.
 
     Parameters

@@ -48,7 +48,7 @@ from roomfit.response.coherent import (
     image_energies,
     spread_squared,
 )
-from roomfit.response.energy import first_rows
+from roomfit.response.energy import first_rows, shared_zeros
 from roomfit.scene import Scene
 from roomfit.signals.filters import FilterBank
 from roomfit.typing import FloatArray, IntArray
@@ -440,7 +440,7 @@ def coherent_term(
         energies,
         observed,
         geometry,
-        replace(images, coherence=np.zeros(travel.size)),
+        replace(images, coherence=shared_zeros(travel.size)),
         nothing,
         bins,
         np.zeros(0, dtype=np.int32),

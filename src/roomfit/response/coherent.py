@@ -468,68 +468,49 @@ def coherent_response(
     derivative : bool
         False leaves the derivatives zero.
     """
-    roots = _roots(paths, absorption)
-    parts = []
-    for first in range(0, len(edges_s), _AT_ONCE):
-        last = min(first + _AT_ONCE, len(edges_s))
-        own = replace(
-            times, shifts_m=times.shifts_m[first:last], latency_s=times.latency_s[first:last]
-        )
-        few = replace(paths, offsets=paths.offsets[first : last + 1])
-        parts.append(_response(few, roots, own, grid, edges_s[first:last], derivative=derivative))
-    return CoherentResponse(*(np.concatenate(column) for column in zip(*parts, strict=True)))
-
-
-def _response(
-    paths: ImagePaths,
-    roots: FloatArray,
-    times: Times,
-    grid: BandGrid,
-    edges_s: tuple[FloatArray, ...],
-    *,
-    derivative: bool,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Return energies, and derivatives by ln(1 - alpha) and times, of a few observations."""
-    n_columns = 8 + len(paths.materials) if derivative else 1
-    impulses = np.zeros((len(edges_s), grid.n, n_columns), dtype=grid.real)
-    grid_impulses(
-        paths.offsets,
-        paths.row,
-        paths.image_to_receiver_m,
-        paths.image_transform,
-        paths.hits,
-        roots,
-        times.shifts_m,
-        times.speed_m_s,
-        times.latency_s,
-        times.delays_s,
-        grid.first_s,
-        grid.rate_hz,
-        grid.table,
-        impulses,
-    )
     n_materials = len(paths.materials)
-    spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
-    transfer = grid.filter.astype(grid.real)
-    pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
+    n_columns = 8 + n_materials if derivative else 1
+    roots, transfer = _roots(paths, absorption), grid.filter.astype(grid.real)
+    slope, parts = grid.slope.astype(grid.complex), []
+    for o in range(0, len(edges_s), _AT_ONCE):
+        own = edges_s[o : o + _AT_ONCE]
+        impulses = np.zeros((len(own), grid.n, n_columns), dtype=grid.real)
+        grid_impulses(
+            paths.offsets[o : o + len(own) + 1],
+            paths.row,
+            paths.image_to_receiver_m,
+            paths.image_transform,
+            paths.hits,
+            roots,
+            times.shifts_m[o : o + len(own)],
+            times.speed_m_s,
+            times.latency_s[o : o + len(own)],
+            times.delays_s,
+            grid.first_s,
+            grid.rate_hz,
+            grid.table,
+            impulses,
+        )
+        spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
+        pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
+        columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
+        if derivative:
+            level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
+            moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=2)
+            columns = np.concatenate((level, moved), axis=1)
+        parts.append(integrated_products(pressure, columns, grid, own))
+    energy, slopes = (np.concatenate(column) for column in zip(*parts, strict=True))
+    by_times = np.zeros((energy.size, 8 + n_materials))
     if not derivative:
-        nothing = np.zeros((len(edges_s), 0, grid.n), dtype=grid.real)
-        energy, _ = integrated_products(pressure, nothing, grid, edges_s)
-        n = energy.size
-        return energy, np.zeros((n, n_materials)), np.zeros((n, 8 + n_materials))
-    level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
-    moved = fft.irfft(spectra * grid.slope.astype(grid.complex), grid.n, axis=-1, workers=2)
-    columns = np.concatenate((level, moved), axis=1)
-    energy, slopes = integrated_products(pressure, columns, grid, edges_s)
+        return CoherentResponse(energy, by_times[:, 8:], by_times)
     shifted = slopes[:, n_materials:]  # s, hits s, -source, receiver, -ln c
     first = 1 + n_materials
-    by_times = np.zeros((energy.size, 8 + n_materials))
     by_times[:, 0:3] = -shifted[:, first : first + 3]
     by_times[:, 3:6] = shifted[:, first + 3 : first + 6]
     by_times[:, 6] = -shifted[:, first + 6]
     by_times[:, 7] = shifted[:, 0]
     by_times[:, 8:] = shifted[:, 1 : 1 + n_materials]
-    return energy, 0.5 * slopes[:, :n_materials], by_times
+    return CoherentResponse(energy, 0.5 * slopes[:, :n_materials], by_times)
 
 
 def integrated_products(

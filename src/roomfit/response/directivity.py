@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import NamedTuple, TypeAlias
 
 import numba
 import numpy as np
@@ -140,8 +140,7 @@ def weigh_directed(
     return out
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class EnergyParts:
+class EnergyParts(NamedTuple):
     """What the variance of energies is made of, for a gain of 1."""
 
     energy: FloatArray  # (n_windows,), of all rows

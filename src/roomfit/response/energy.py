@@ -185,12 +185,12 @@ def rows_in_air(rows: EnergyRows, attenuation_per_m: float) -> EnergyRows:
     return replace(
         rows,
         weight_per_m2=rows.weight_per_m2 * np.exp(-attenuation_per_m * rows.length_m),
-        length_m=_zeros(len(rows)),
+        length_m=shared_zeros(len(rows)),
     )
 
 
-def _zeros(n: int) -> FloatArray:
-    """Return read-only zeros, the same memory for all rows of all bands."""
+def shared_zeros(n: int) -> FloatArray:
+    """Return read-only zeros, the same memory for all who ask."""
     size = max(1 << max(n - 1, 0).bit_length(), 1)
     return _zeros_of_size(size)[:n]
 
