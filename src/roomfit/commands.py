@@ -6,7 +6,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +31,7 @@ from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
+from roomfit.inversion.causes import arrival_findings
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
@@ -44,6 +45,7 @@ from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms import read_mesh
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.materials.catalogue import broad_prior_findings, product_findings
+from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -455,6 +457,7 @@ def identify_to_folder(
     between_hz: tuple[float, float] | None = None,
     overwrite: bool = False,
     keep: bool = True,
+    noted: Callable[[Finding], None] | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
@@ -470,6 +473,8 @@ def identify_to_folder(
         Write into a folder that is not empty.
     keep : bool
         Keep the trace in the output folder, so that a run that was interrupted continues from it.
+    noted : callable, optional
+        Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
 
     Raises
@@ -487,6 +492,11 @@ def identify_to_folder(
     check_output_folder(out, overwrite=overwrite)
     arguments = identify_arguments(read_campaign(campaign_file), between_hz)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
+        if noted is not None:
+            measured = arguments["measurements"]
+            responses = [m for m in measured if isinstance(m, Measurement)]
+            for doubt in arrival_findings(measured_scene(arguments["scene"], measured), responses):
+                noted(doubt)
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
     page = report_html(
