@@ -6,7 +6,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -31,6 +31,7 @@ from roomfit.experiment_design.campaign import design_arguments
 from roomfit.experiment_design.design import Design, design
 from roomfit.experiment_design.output import write_design
 from roomfit.findings import Finding
+from roomfit.inversion.causes import arrival_findings
 from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
@@ -47,6 +48,7 @@ from roomfit.io.project import project_details
 from roomfit.io.results import read_result, write_result
 from roomfit.io.rooms.model import RoomSpec
 from roomfit.io.workbook import workbook_bytes
+from roomfit.measurement import Measurement
 from roomfit.prediction.campaign import WantedPairs, predict_arguments
 from roomfit.prediction.changes import Change
 from roomfit.prediction.output import write_predicted
@@ -480,6 +482,7 @@ def identify_to_folder(
     quick: bool = False,
     overwrite: bool = False,
     keep: bool = True,
+    noted: Callable[[Finding], None] | None = None,
     progress: Progress | None = None,
 ) -> Result:
     """Identify a campaign and write result.json, tables, pictures and report into a folder.
@@ -497,6 +500,8 @@ def identify_to_folder(
         Write into a folder that is not empty.
     keep : bool
         Keep the trace in the output folder, so that a run that was interrupted continues from it.
+    noted : callable, optional
+        Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
 
     Raises
@@ -517,6 +522,11 @@ def identify_to_folder(
     arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
     with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
+        if noted is not None:
+            measured = arguments["measurements"]
+            responses = [m for m in measured if isinstance(m, Measurement)]
+            for doubt in arrival_findings(measured_scene(arguments["scene"], measured), responses):
+                noted(doubt)
         answer = identify(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     inputs = tuple(files_read())
     page = report_html(

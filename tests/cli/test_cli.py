@@ -272,7 +272,8 @@ def test_identify_says_first_what_is_late_and_calls_nothing_identifiable(
 ):
     campaign = late_campaign(tmp_path)
     assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
-    shown = capsys.readouterr().out
+    shown, noted = capsys.readouterr()
+    assert noted.startswith("serious: All 2 files are 4.")
     assert shown.split("\nFindings\n")[1].startswith("- serious: All 2 files are 4.")
     result = json.loads((tmp_path / "out" / "result.json").read_text())
     assert not np.any([m["identifiable"] for m in result["materials"].values()])

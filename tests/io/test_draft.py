@@ -71,6 +71,12 @@ def test_files_a_drawing_in_inches_and_positions_in_centimetres_become_a_campaig
     assert (campaign.room.unit, campaign.room.up) == ("in", "y")
     assert {p.name: tuple(p.position_m) for p in campaign.receivers} == RECEIVERS_M
     assert [m.response.path.name for m in campaign.measurements] == ["LS1_MP1.wav", "LS1_MP2.wav"]
+    assert run_command(monkeypatch, "check", folder / "campaign.toml") == 1
+    # the recordings have 8 kHz
+    assert "4000 Hz, whose filter ends at 7943 Hz" in " ".join(capsys.readouterr().out.split())
+    text = (folder / "campaign.toml").read_text()
+    text = text.replace("from_hz = 125", "from_hz = 500").replace("to_hz = 4000", "to_hz = 1000")
+    (folder / "campaign.toml").write_text(text)
     assert run_command(monkeypatch, "check", folder / "campaign.toml") == 0
     assert "30.22 m3" in capsys.readouterr().out
 

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number_range
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import progress_line, say, warn
 
 
 def add(commands: Commands) -> None:
@@ -42,6 +42,7 @@ def run(options: argparse.Namespace) -> None:
             quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,
+            noted=lambda doubt: warn(f"{doubt.severity}: {doubt.sentence}"),
             progress=progress,
         )
     say(answer_text(answer))

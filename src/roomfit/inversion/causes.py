@@ -31,6 +31,7 @@ _FACTORS = {
     1.0 / 0.3048: "metres are read as feet",
 }
 _SAME_FACTOR = 0.03
+_MOST_EXCHANGED = 50
 _FEWEST = 3
 # One campaign in a thousand whose positions are as specified is taken for one with a displaced
 # point; the standard deviation of an onset is a centimetre and a sample.
@@ -254,7 +255,10 @@ def _exchanged(found: _Arrivals) -> tuple[Finding, ...]:
             return (Finding(Code.EXCHANGED, text, {"files": [a.where, b.where]}),)
     exchanges = []
     for kind, points in (("receivers", found.receiver), ("sources", found.source)):
-        for one, other in combinations({p.name: p for p in points}.values(), 2):
+        doubtful = {points[i].name: points[i] for i in off}
+        if len(doubtful) > _MOST_EXCHANGED:
+            continue  # not two of them: something that all have in common
+        for one, other in combinations(doubtful.values(), 2):
             to = {one.name: other, other.name: one}
             moved = [to.get(p.name, p) for p in points]
             ends = (found.source, moved) if kind == "receivers" else (moved, found.receiver)

@@ -169,14 +169,14 @@ def _updated(
         share = expit(x)
         area, by_absorption = absorption_area_m2(formula, low + span * share, areas_m2)
         slope = by_absorption * span * share * (1.0 - share) / area
-        moved_by = covariance @ slope
-        gain = moved_by / (float(slope @ covered) + sd**2)
+        shared = covariance @ slope
+        gain = shared / (float(slope @ shared) + sd**2)
         new = centre + gain * (value - np.log(area) + float(slope @ (x - centre)))
         step = np.clip(new - x, -2.0, 2.0)
         x = x + step
         if float(np.max(np.abs(step))) < _DONE:
             break
-    posterior = covariance - np.outer(gain, moved_by)
+    posterior = covariance - np.outer(gain, shared)
     sds = np.sqrt(np.maximum(np.diag(posterior), 0.0))
     materials = np.stack([low + span * expit(x + z * sds) for z in (0.0, -Z95, Z95)], axis=1)
     weights = areas_m2.sum(axis=0) / areas_m2.sum()
