@@ -14,8 +14,10 @@ import pytest
 
 import roomfit
 from report_cases import answer_of, drawing, finding, read_page, scene_of
+from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
+from roomfit.inversion.compare import _decay
 from roomfit.inversion.model_checks import DECAY_SCATTER
 from roomfit.report.disagreement import disagreement_table
 from roomfit.report.figures import absorption_figure, decay_figure, identifiability_figure
@@ -23,7 +25,9 @@ from roomfit.report.html import findings_count, headline, key_figures, report_ht
 from roomfit.report.room_figure import material_colour, room_figure
 from roomfit.report.wording import DASH
 from roomfit.results import Compared
-from roomfit.signals.decay import in_jnd
+from roomfit.signals.decay import decay_curve, in_jnd
+from roomfit.signals.filters import FilterBank
+from roomfit.signals.response import ImpulseResponse
 from roomfit.uncertainty.gaussian import WIDEST_IDENTIFIABLE
 
 REPORT = Path(roomfit.__file__).parent / "report"
@@ -298,3 +302,18 @@ def test_greys_of_drawings_turn_with_the_page(answer, scene):
         assert not re.findall(r"(?:fill|stroke):#(\w\w)\1\1\b", rules), name
     style = "".join(read_page(text).raw["style"])
     assert "prefers-color-scheme: dark" in style and "@page" in style
+
+
+@pytest.mark.parametrize("noise_db", [-30.0, -45.0])
+def test_the_noise_level_of_a_decay_is_where_decay_and_noise_are_alike(noise_db):
+    """White noise that decays, and white noise that stays: every band meets it at their ratio."""
+    rng, rate_hz = np.random.default_rng(3), 48_000
+    time_s = np.arange(2 * rate_hz) / rate_hz
+    decaying = rng.standard_normal(time_s.size) * np.exp(-0.5 * time_s / 0.08)
+    steady = rng.standard_normal(time_s.size) * 10.0 ** (noise_db / 20.0)
+    bank = FilterBank(bands_between("octave", 500, 2000))
+    curve = decay_curve(bank, ImpulseResponse(decaying + steady, rate_hz, 0.0), 0.0)
+    # the end is sought where the level has come near the noise: 4 dB of margin
+    np.testing.assert_allclose(_decay(curve, curve).noise_db, noise_db, atol=4.0)
+    ended = replace(curve, noise_reached=np.array([True, False, True]))
+    assert np.isnan(_decay(ended, ended).noise_db).tolist() == [False, True, False]

@@ -299,7 +299,7 @@ def test_drawings_of_one_page_share_no_id_and_refer_only_to_their_own(case):
     text, page = case[2], case[3]
     ids = [a["id"] for _, a in page.elements if "id" in a]
     assert len(ids) == len(set(ids))
-    for name in ("room", "absorption", "identifiable", "decay"):
+    for name in ("room", "room-narrow", "absorption", "identifiable", "decay"):
         root = ET.fromstring(drawing(text, name))
         own = {e.attrib["id"] for e in root.iter() if "id" in e.attrib}
         assert own
@@ -311,6 +311,7 @@ def test_drawings_of_one_page_share_no_id_and_refer_only_to_their_own(case):
         classes = {e.attrib["class"] for e in root.iter() if "class" in e.attrib}
         rules = set(re.findall(r"\.([\w-]+)\{", root.find("style").text))
         assert {c for c in classes if not c.startswith("curve-")} == rules
+        assert all(re.fullmatch(rf"{name}-(all|s\d+)", rule) for rule in rules)
 
 
 def test_words_of_a_drawing_stay_words_in_the_type_of_the_page(case):

@@ -223,8 +223,8 @@ def _short_tag(tag: str, name: str, styles: dict[str, str]) -> str:
         style = re.sub(r"font-family:[^;]*", "font-family:sans-serif", style)
         style = re.sub(r"\s*([:;])\s*", r"\1", style.strip())
         style = re.sub(r"#([\da-f]{2})\1\1\b", _of_the_page, style)
-        for colour, name in (("#0072b2", "data"), ("#8a3c00", "warm")):
-            style = style.replace(colour, f"var(--{name},{colour})")
+        for colour, variable in (("#0072b2", "data"), ("#8a3c00", "warm")):
+            style = style.replace(colour, f"var(--{variable},{colour})")
         return f' class="{styles.setdefault(style, f"{name}-s{len(styles)}")}"'
 
     def shorter(found: re.Match[str]) -> str:
