@@ -37,14 +37,15 @@ def test_help_and_version_load_nothing_heavy():
         assert done.stderr == ""
 
 
-def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
+def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     """What makes it answer within a second or so: of the large packages only what a room needs."""
-    campaign = write_campaign(tmp_path)
+    room = tmp_path / "room.obj"
+    room.write_text(box_obj())
     names = ("matplotlib", "scipy.signal", "scipy.stats", "roomfit.inversion", "roomfit.prediction")
     program = (
         f"import sys; sys.path[:0] = {sys.path!r}\n"
         f"from roomfit.cli import main\n"
-        f"try: main(['check', {str(campaign)!r}])\n"
+        f"try: main(['check', {str(room)!r}, '--unit', 'm'])\n"
         "except SystemExit: pass\n"
         f"print('LOADED', [m for m in {names} if m in sys.modules])"
     )
@@ -56,7 +57,8 @@ def test_a_check_loads_no_pictures_and_no_statistics(tmp_path):
 
 
 COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export",
-            "identify", "impedance", "init", "paper", "predict", "reverberation", "schema")  # fmt: skip
+            "identify", "impedance", "init", "paper", "predict", "reverberation",
+            "schema")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)

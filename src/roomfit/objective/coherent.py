@@ -279,8 +279,8 @@ def _early_variance(
     bins, e, g = (x[own][inside] for x in (term.bins, energy, images.coherence))
     n_bins = observed.spreading.shape[1]
     random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
-    single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
-    late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
+    single = np.asarray(np.bincount(bins, e**2 * (1.0 - g**2), n_bins), dtype=np.float64)
+    late = np.asarray(np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins), dtype=np.float64)
     spread = observed.fine_spreading @ random
     pieces = (
         spread**2 + 2.0 * spread * coherent - squares_in_windows(observed.fine_spreading, single)

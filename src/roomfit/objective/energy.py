@@ -245,7 +245,8 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     """Return what the variance of each observation is made of, absorption (n_materials,)."""
     found = []
     for o, observed in enumerate(problem.observations):
-        parts = parts_of(problem, o, absorption)
+        pattern = problem.patterns[o] if problem.patterns else None
+        parts = weigh_parts(problem.rows[o], pattern, absorption, problem.attenuation_per_m)
         tracing = variance_of_batches(parts.batches, observed)
         found.append(Weighed(parts.energy, parts.squares, tracing))
     return tuple(found)

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TypeAlias
+from typing import Any, TypeAlias
 
 import numba
 import numpy as np
@@ -474,7 +474,7 @@ def coherent_response(
     slope, parts = grid.slope.astype(grid.complex), []
     for o in range(0, len(edges_s), _AT_ONCE):
         own = edges_s[o : o + _AT_ONCE]
-        impulses = np.zeros((len(own), grid.n, n_columns), dtype=grid.real)
+        impulses: Any = np.zeros((len(own), grid.n, n_columns), dtype=grid.real)
         grid_impulses(
             paths.offsets[o : o + len(own) + 1],
             paths.row,
@@ -493,7 +493,7 @@ def coherent_response(
         )
         spectra = fft.rfft(np.ascontiguousarray(np.swapaxes(impulses, 1, 2)), axis=-1, workers=2)
         pressure = fft.irfft(spectra[:, 0] * transfer, grid.n, axis=-1, workers=2)
-        columns = np.zeros((len(own), 0, grid.n), dtype=grid.real)
+        columns: Any = np.zeros((len(own), 0, grid.n), dtype=grid.real)
         if derivative:
             level = fft.irfft(spectra[:, 1 : 1 + n_materials] * transfer, grid.n, workers=2)
             moved = fft.irfft(spectra * slope, grid.n, axis=-1, workers=2)

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple, TypeAlias
+from typing import Any, NamedTuple, TypeAlias
 
 import numba
 import numpy as np
@@ -379,7 +379,7 @@ def coherent_slopes(
     """
     root = np.sqrt(image_energies(images, absorption) * images.coherence)
     heights = np.column_stack([amplitude, slope]) * root[:, None]
-    impulses = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
+    impulses: Any = np.zeros((len(edges_s), 4, grid.n), dtype=grid.real)
     arrivals = arrival_times_s(images, times)
     grid_directed_impulses(
         images.offsets, arrivals, heights, grid.first_s, grid.rate_hz, grid.table, impulses
