@@ -35,7 +35,7 @@ def test_help_and_version_load_nothing_heavy():
         assert done.stderr == ""
 
 
-COMMANDS = ("batch", "catalogue", "check", "coverage", "demo", "design", "export", "identify",
+COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export", "identify",
             "impedance", "paper", "predict")  # fmt: skip
 
 
