@@ -35,8 +35,8 @@ def test_help_and_version_load_nothing_heavy():
         assert done.stderr == ""
 
 
-COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export", "identify",
-            "impedance", "paper", "predict")  # fmt: skip
+COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export",
+            "identify", "impedance", "paper", "predict")  # fmt: skip
 
 
 @pytest.mark.parametrize("command", COMMANDS)
