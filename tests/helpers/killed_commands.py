@@ -66,6 +66,8 @@ def covered(_: Any, out: Path, *__: Any, **___: Any) -> Any:
 COMMANDS = "roomfit.commands."
 STUBS: dict[str, dict[str, Any]] = {
     "identify": {
+        COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
+        COMMANDS + "project_details": lambda *_: {},
         COMMANDS + "identify_arguments": empty,
         COMMANDS + "identify": nothing,
         COMMANDS + "measured_scene": nothing,
