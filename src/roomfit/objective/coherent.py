@@ -262,13 +262,17 @@ def _early_variance(
     late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
     spread = observed.fine_spreading @ random
     pieces = (
-        spread**2 + 2.0 * spread * coherent - squares_in_windows(observed.fine_spreading, single)
+        spread**2
+        + 2.0 * spread * coherent
+        - squares_in_windows(observed.fine_spreading, np.asarray(single, np.float64))
     )
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, late)
+    timing = observed.timing_sd_s**2 * squares_in_windows(
+        observed.slopes, np.asarray(late, np.float64)
+    )
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
     return {

@@ -370,5 +370,5 @@ def _integrals_of_powers(
     # fine enough for the trapezoidal rule
     f = np.geomspace(bands.lower_hz[0] / 2.0, bands.upper_hz[-1] * 2.0, 4096 * (1 + len(bands)))
     squared = frequency_response(FilterBank(bands), f) ** 2
-    once, twice = (np.trapezoid(squared**n, f, axis=1) for n in (1, 2))
+    once, twice = (np.asarray(np.trapezoid(squared**n, f, axis=1)) for n in (1, 2))
     return read_only(once), read_only(twice)

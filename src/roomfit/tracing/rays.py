@@ -321,8 +321,8 @@ def trace_rays(
                 progress((done + last / own.n_rays) / len(parts))
     statistics = ray_statistics(sum(own.n_rays for (own, _), _ in parts), tallies)
     if images is not None and not pieces:
-        own_batches = {"n_batches": settings.n_batches, "sampling_scattering": coefficients}
-        return Trace(replace(images, **own_batches), statistics)
+        alone = replace(images, n_batches=settings.n_batches, sampling_scattering=coefficients)
+        return Trace(alone, statistics)
     if images is not None:
         pieces.insert(0, Piece(**{name: getattr(images, name) for name in Piece._fields}))
     joined = _joined(pieces, coefficients.shape[1])
