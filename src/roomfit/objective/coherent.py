@@ -214,8 +214,8 @@ def with_coherence(
     images, c = term.images, term.geometry.speed_m_s
     spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
-    places = (images.image_to_receiver_m, images.image_transform, images.hits)
-    spread_squared(images.offsets, images.row, *places, c, roots, spread)
+    shared = (images.row, images.image_to_receiver_m, images.image_transform, images.hits)
+    spread_squared(images.offsets, *shared, c, roots, spread)
     travel_s = images.lengths_m() / c
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
@@ -261,11 +261,8 @@ def _early_variance(
     single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
     late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
     spread = observed.fine_spreading @ random
-    pieces = (
-        spread**2
-        + 2.0 * spread * coherent
-        - squares_in_windows(observed.fine_spreading, np.asarray(single, np.float64))
-    )
+    pieces = spread**2 + 2.0 * spread * coherent
+    pieces -= squares_in_windows(observed.fine_spreading, np.asarray(single, np.float64))
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
