@@ -235,8 +235,8 @@ def with_coherence(
     images, c = term.images, term.geometry.speed_m_s
     spread = np.empty(images.weight.size)
     roots = local_roots(term.geometry, covariance)
-    last_legs = (images.image_to_receiver_m, images.image_transform, images.hits)
-    spread_squared(images.offsets, images.row, *last_legs, c, roots, spread)
+    shared = (images.row, images.image_to_receiver_m, images.image_transform, images.hits)
+    spread_squared(images.offsets, *shared, c, roots, spread)
     travel_s = images.lengths_m() / c
     spread += 2.0 * (_POSITION_SD_M / c) ** 2 + (_TIMING_SHARE * travel_s) ** 2
     phase = (2.0 * np.pi * term.energies.centre_hz) ** 2 * spread
@@ -279,17 +279,18 @@ def _early_variance(
     bins, e, g = (x[own][inside] for x in (term.bins, energy, images.coherence))
     n_bins = observed.spreading.shape[1]
     random = np.maximum(paths.energy - np.bincount(bins, g * e, n_bins), 0.0)
-    single = np.asarray(np.bincount(bins, e**2 * (1.0 - g**2), n_bins), dtype=np.float64)
-    late = np.asarray(np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins), dtype=np.float64)
+    single = np.bincount(bins, e**2 * (1.0 - g**2), n_bins)
+    late = np.bincount(bins, (e * (1.0 - g)) ** 2, n_bins)
     spread = observed.fine_spreading @ random
-    pieces = (
-        spread**2 + 2.0 * spread * coherent - squares_in_windows(observed.fine_spreading, single)
-    )
+    pieces = spread**2 + 2.0 * spread * coherent
+    pieces -= squares_in_windows(observed.fine_spreading, np.asarray(single, np.float64))
     pieces = np.maximum(pieces, 0.0)
     pieces /= term.energies.bandwidth_hz * np.diff(observed.fine_edges_s)
     first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
     interference = np.add.reduceat(pieces, first)
-    timing = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, late)
+    timing = observed.timing_sd_s**2 * squares_in_windows(
+        observed.slopes, np.asarray(late, np.float64)
+    )
     tracing = paths.tracing[: observed.energy.size]
     signal = gain * (observed.spreading @ random + np.add.reduceat(coherent, first))
     return {

@@ -26,7 +26,8 @@ from roomfit.signals.filters import FilterBank, energy_bandwidth_hz, frequency_r
 from roomfit.tracing.paths import Paths, paths_of_pairs
 from roomfit.typing import BoolArray, FloatArray, IntArray
 
-Float32Array: TypeAlias = NDArray[np.float32]
+RealArray: TypeAlias = NDArray[np.floating[Any]]
+"""Of single or double precision."""
 
 # Taps of the gridding kernel and steps of its table between two taps.
 TAPS = 6
@@ -56,7 +57,7 @@ def grid_impulses(
     offsets: IntArray,
     row: IntArray,
     away: FloatArray,
-    image_transform: FloatArray | Float32Array,
+    image_transform: RealArray,
     hits: IntArray,
     root: FloatArray,
     shifts: FloatArray,
@@ -66,7 +67,7 @@ def grid_impulses(
     first_s: float,
     rate_hz: float,
     table: FloatArray,
-    impulses: Float32Array,
+    impulses: RealArray,
 ) -> None:
     """Add every path's impulse, times its derivatives, to the grids of its observation.
 
@@ -140,8 +141,8 @@ def grid_impulses(
 def window_products(
     starts: IntArray,
     edges: FloatArray,
-    pressure: Float32Array,
-    derivatives: Float32Array,
+    pressure: RealArray,
+    derivatives: RealArray,
     energy: FloatArray,
     slopes: FloatArray,
 ) -> None:
@@ -210,7 +211,7 @@ def spread_squared(
     offsets: IntArray,
     row: IntArray,
     away: FloatArray,
-    image_transform: FloatArray | Float32Array,
+    image_transform: RealArray,
     hits: IntArray,
     speed: float,
     roots: FloatArray,
@@ -271,7 +272,7 @@ class ImagePaths:
     image_to_receiver_m: FloatArray  # (n_rows, 3)
     # (n_rows, 9), orthogonal matrix A of each path, row by row: a source that moves by x moves its
     # image by A x
-    image_transform: FloatArray | Float32Array
+    image_transform: RealArray
     coherence: FloatArray  # (n_paths,), gamma, 0 to 1
     row: IntArray  # int32 (n_paths,), of each path
     sign: FloatArray | None = None  # (n_paths,), of the source's pressure, 1 or -1; None for all 1
@@ -514,8 +515,8 @@ def coherent_response(
 
 
 def integrated_products(
-    pressure: Float32Array,
-    derivatives: Float32Array,
+    pressure: RealArray,
+    derivatives: RealArray,
     grid: BandGrid,
     edges_s: tuple[FloatArray, ...],
 ) -> tuple[FloatArray, FloatArray]:

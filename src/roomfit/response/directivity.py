@@ -26,6 +26,7 @@ from roomfit.response.coherent import (
     TAPS,
     BandGrid,
     ImagePaths,
+    RealArray,
     Times,
     image_energies,
     integrated_products,
@@ -409,7 +410,7 @@ def grid_directed_impulses(
     first_s: float,
     rate_hz: float,
     table: FloatArray,
-    impulses: FloatArray,
+    impulses: RealArray,
 ) -> None:
     """Add impulses of several heights at each path's time to the grids of its observation.
 
