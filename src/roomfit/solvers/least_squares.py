@@ -190,7 +190,7 @@ def score_band(objective: Objective, start: FloatArray, *, max_rounds: int = MAX
     Solved are the quasi-likelihood equations [1]_: the weighted residuals, their weights those at
     the answer itself, have no slope. A variance that moved inside a minimised sum would reward
     predictions that are large and uncertain. Each step solves ``(H + C + damping diag(H)) step =
-    -slope``, H the information under the weights at hand; C is what earlier steps have told of how
+    -slope``, H the information under the weights at hand; C is what earlier steps have shown of how
     the slope changes beyond H, since weights follow the answer [2]_. A step counts as gain what the
     squares fall by under the geometric mean of the variances at both of its ends, the
     quasi-likelihood itself to the third order where the variance goes with the square of the mean.
