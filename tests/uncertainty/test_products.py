@@ -41,6 +41,8 @@ from roomfit.uncertainty.posterior import AbsorptionPosterior, band_draws, prior
 from roomfit.uncertainty.sampling import log_posterior, surrogate
 from roomfit.uncertainty.smoothing import smooth_over_bands, smoothed
 
+pytestmark = pytest.mark.usefixtures("exact_fits")
+
 BANDS = bands_between("octave", 500, 1000)
 MEAN = float(np.log(0.15 / 0.85))
 
