@@ -24,6 +24,7 @@ from roomfit.objective.energy import (
     variance_of_batches,
 )
 from roomfit.objective.problem import Rows, Values, count_evaluation
+from roomfit.objective.windows import in_windows
 from roomfit.response.directivity import amplitude_and_slope, pattern_basis
 from roomfit.signals.filters import (
     SpreadingKernel,
@@ -206,7 +207,7 @@ def kept_paths(
     for number, o in enumerate(observations):
         parts = parts_of(weighed, number, absorption)
         fine.append(o.fine_spreading @ parts.energy)
-        tracing.append(variance_of_batches(parts.batches, o))
+        tracing.append(variance_of_batches(in_windows(o.spreading, parts.batches)))
         first.append(n_fine + np.searchsorted(o.fine_edges_s, o.edges_s[:-1]))
         n_fine += o.fine_edges_s.size - 1
     noise = np.concatenate([o.noise for o in observations])

@@ -247,7 +247,7 @@ def weighed(problem: EnergyTerm, absorption: FloatArray) -> tuple[Weighed, ...]:
     for o, observed in enumerate(problem.observations):
         pattern = problem.patterns[o] if problem.patterns else None
         parts = weigh_parts(problem.rows[o], pattern, absorption, problem.attenuation_per_m)
-        tracing = variance_of_batches(parts.batches, observed)
+        tracing = variance_of_batches(in_windows(observed.spreading, parts.batches))
         found.append(Weighed(parts.energy, parts.squares, tracing))
     return tuple(found)
 
@@ -264,7 +264,11 @@ def observation_variance(
     """Return the parts of `EnergyTerm.variance` of one observation by name, (n_windows,) each."""
     observed = problem.observations[observation]
     positions = observed.timing_sd_s**2 * squares_in_windows(observed.slopes, paths.squares)
-    interference = _interference(problem.bandwidth_hz, observed, paths.energy, paths.squares)
+    overlapping = (observed.fine_spreading @ paths.energy) ** 2
+    overlapping -= squares_in_windows(observed.fine_spreading, paths.squares)
+    pieces = np.maximum(overlapping, 0.0) / (problem.bandwidth_hz * np.diff(observed.fine_edges_s))
+    first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
+    interference = np.add.reduceat(pieces, first)
     return {
         "interference": gain**2 * interference,
         "positions": gain**2 * positions,
@@ -368,18 +372,6 @@ def fine_edges_s(edges_s: FloatArray, bandwidth_hz: float) -> FloatArray:
     return np.concatenate((*pieces, edges_s[-1:]))
 
 
-def _interference(
-    bandwidth_hz: float, observed: Observation, energy: FloatArray, squares: FloatArray
-) -> FloatArray:
-    """Return the variance of each window by interference, for a gain of 1."""
-    overlapping = (observed.fine_spreading @ energy) ** 2
-    overlapping -= squares_in_windows(observed.fine_spreading, squares)
-    widths_s = np.diff(observed.fine_edges_s)
-    pieces = np.maximum(overlapping, 0.0) / (bandwidth_hz * widths_s)
-    first = np.searchsorted(observed.fine_edges_s, observed.edges_s[:-1])
-    return np.asarray(np.add.reduceat(pieces, first))
-
-
 def late_shares(edges_s: FloatArray) -> FloatArray:
     """Return which share of each window's energy every later one gets if it rings for 2 ms.
 
@@ -397,12 +389,12 @@ def tracing_variance(
     rows: EnergyRows, observed: Observation, coefficients: FloatArray, attenuation: FloatArray
 ) -> FloatArray:
     """Return the Monte-Carlo variance of each window's energy, from independent batches."""
-    return variance_of_batches(batch_energies(rows, coefficients, attenuation)[:, 0], observed)
+    batches = batch_energies(rows, coefficients, attenuation)[:, 0]
+    return variance_of_batches(in_windows(observed.spreading, batches))
 
 
-def variance_of_batches(batches: FloatArray, observed: Observation) -> FloatArray:
-    """Return the same from the energies of every batch and bin, shape (n_batches, n_bins)."""
-    if len(batches) < 2:
-        return np.zeros(observed.energy.size)
-    windows = in_windows(observed.spreading, batches)
+def variance_of_batches(windows: FloatArray) -> FloatArray:
+    """Return the same from the energies of every window and batch, (n_windows, n_batches)."""
+    if windows.shape[1] < 2:
+        return np.zeros(len(windows))
     return np.asarray(windows.shape[1] * np.var(windows, axis=1, ddof=1))

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from roomfit.findings import Code, Finding
-from roomfit.inversion.diffuse import FORMULAS, DiffuseAbsorption
-from roomfit.inversion.usable import CheckedRecordings
 from roomfit.logit import Z95, expit
 from roomfit.materials.catalogue import OCTAVES_HZ, CatalogueEntry
 from roomfit.report.wording import PARAMETERS, decay_time_key, parameter, short_hertz
@@ -19,6 +17,8 @@ from roomfit.scene import RoomCheck
 from roomfit.typing import BoolArray, FloatArray
 
 if TYPE_CHECKING:  # heavy, and no text of a room needs them
+    from roomfit.inversion.diffuse import DiffuseAbsorption
+    from roomfit.inversion.usable import CheckedRecordings
     from roomfit.results import ComparedPair, Result
 
 # A recording has all parameters, and these represent them; a table of room parameters has the
@@ -399,6 +399,8 @@ def room_text(title: str, check: RoomCheck) -> str:
 
 def diffuse_text(found: DiffuseAbsorption) -> str:
     """Return mean absorption and materials by each formula, and what may be concluded from them."""
+    from roomfit.inversion.diffuse import FORMULAS
+
     width = max(len(n) for n in (*found.materials, "decay time, s"))
     bands = "  ".join(f"{f:>13g}" for f in found.bands.centres_hz)
     times = [f"{t:.2f} +- {sd:.2f}" for t, sd in zip(found.decay_s, found.decay_sd_s, strict=True)]
