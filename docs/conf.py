@@ -4,7 +4,7 @@ import json
 from importlib.metadata import version as package_version
 from pathlib import Path
 
-from roomfit.io.campaign import CampaignTable
+from roomfit.io.schema import campaign_schema
 
 project = "roomfit"
 author = "the roomfit founders"
@@ -57,7 +57,7 @@ sphinx_gallery_conf = {
 def _write_schema(app, error):
     """Put the JSON schema of a campaign beside the first page."""
     if error is None:
-        text = json.dumps(CampaignTable.model_json_schema(), indent=1)
+        text = json.dumps(campaign_schema(), indent=1)
         (Path(app.outdir) / "campaign.schema.json").write_text(text + "\n", encoding="utf-8")
 
 

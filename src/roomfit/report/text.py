@@ -458,7 +458,8 @@ def recordings_text(checked: CheckedRecordings) -> str:
                 f"{v:6.{digits}f}" if k else f"{'-':>6}" for v, k in zip(values, known, strict=True)
             ]
             rows.append(f"{title:<{width}}  {'':>22}  {' '.join(cells)}")
-    return "\n".join([*rows, "", findings_text(checked.findings)]).strip("\n")
+    findings = findings_text(checked.findings).replace(" in result.json)", ")")
+    return "\n".join([*rows, "", findings]).strip("\n")
 
 
 def _leak(leak: float | None) -> str:
