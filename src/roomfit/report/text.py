@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Sequence
 from typing import TYPE_CHECKING
@@ -458,7 +459,7 @@ def recordings_text(checked: CheckedRecordings) -> str:
                 f"{v:6.{digits}f}" if k else f"{'-':>6}" for v, k in zip(values, known, strict=True)
             ]
             rows.append(f"{title:<{width}}  {'':>22}  {' '.join(cells)}")
-    findings = findings_text(checked.findings).replace(" in result.json)", ")")
+    findings = re.sub(r"\s+in\s+result\.json\)", ")", findings_text(checked.findings))
     return "\n".join([*rows, "", findings]).strip("\n")
 
 
