@@ -106,7 +106,9 @@ def test_delta_is_what_other_rays_change(certified: tuple[roomfit.Result, list[A
     noisy = replace(energies, rows=louder)
     before = tracing_delta(energies, problem.parameters, fit.vector, precision)
     after = tracing_delta(noisy, problem.parameters, fit.vector, precision)
-    silent = tuple(replace(rows, n_batches=0) for rows in energies.rows)
+    silent = tuple(
+        replace(rows, n_batches=0, batch=np.full_like(rows.batch, -1)) for rows in energies.rows
+    )
     assert (
         tracing_delta(replace(energies, rows=silent), problem.parameters, fit.vector, precision)
         == 0.02

@@ -20,6 +20,8 @@ from unittest.mock import patch
 
 import numpy as np
 
+from roomfit.settings import Settings
+
 STEPS = ("open", "os.", "shutil.", "tempfile.", "ctypes.", "fcntl.")
 WORD = ["old"]
 
@@ -68,7 +70,7 @@ STUBS: dict[str, dict[str, Any]] = {
     "identify": {
         COMMANDS + "read_campaign": lambda *_: SimpleNamespace(project=None, path=Path("c.toml")),
         COMMANDS + "project_details": lambda *_: {},
-        COMMANDS + "identify_arguments": empty,
+        COMMANDS + "identify_arguments": lambda *_: {**empty(), "settings": Settings()},
         COMMANDS + "identify": nothing,
         COMMANDS + "measured_scene": nothing,
         "roomfit.report.html.report_html": word,

@@ -209,6 +209,7 @@ def combined(tmp_path_factory):
 
 VOIDS = (
     "decay-bent",
+    "noise-gated",
     "displacement-detected",
     "levels-not-linear",
     "model-misfit-all-bands",

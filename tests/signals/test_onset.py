@@ -150,7 +150,7 @@ def recorded(method: str, decay_s: float) -> ImpulseResponse:
 def test_the_raw_recording_of_an_excitation_is_refused(method, decay_s):
     with pytest.raises(InputError, match="recording of the excitation") as caught:
         check_is_response(recorded(method, decay_s), "LS1 to MP1")
-    assert "divide the recorded spectrum" in str(caught.value)
+    assert "excitation = " in str(caught.value)
 
 
 @pytest.mark.parametrize("decay_s", [0.05, 0.3, 1.0, 6.0])

@@ -85,6 +85,7 @@ class StraightInExponents(Linear):
         return Prediction(expected, expected, jacobian)
 
 
+@pytest.mark.usefixtures("exact_fits")
 def test_arrival_times_follow_to_the_best_ones_where_data_are_straight_in_the_exponents():
     """The conditional optimum of a linear problem, by its normal equations: however far away."""
     linear = linear_case(7)

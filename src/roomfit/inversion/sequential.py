@@ -32,6 +32,8 @@ from roomfit.typing import FloatArray, Progress
 FIT_END_S = 0.2
 # Error of the model, ringing, and random phase of a reflection, from good to bad.
 NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
+# One as likely leads on to the next: a random phase is nothing where nothing is coherent.
+_AS_LIKELY = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -177,7 +179,7 @@ def forward_pass(
             if best.fit.chi2_reduced <= 1.0:
                 break
             fit = fit_in_rounds(band, best.fit.vector, noise, known, max_rounds=limit)
-            if fit.log_likelihood <= best.log_likelihood:
+            if fit.log_likelihood < best.log_likelihood - _AS_LIKELY:
                 break
             best = fit
         fits.append(best)
