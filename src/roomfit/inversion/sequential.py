@@ -51,7 +51,7 @@ class CoherentOptions:
     late_end_s: float = np.inf
     speed_sd: float = SPEED_OF_SOUND_SD  # prior relative standard deviation of the speed of sound
     max_rounds: int = MAX_ROUNDS  # steps of a fit at most, each with weights of its own
-    quick: bool = False  # one pass, in which no fault is looked for
+    quick: bool = False  # no fault is looked for
 
 
 @dataclass(frozen=True, slots=True, eq=False)
