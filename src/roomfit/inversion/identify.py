@@ -237,8 +237,8 @@ def _quick_findings(settings: Settings) -> tuple[Finding, ...]:
     if not settings.quick:
         return ()
     text = (
-        "A first answer: intervals are Gaussian, and neither misplaced positions nor a fault of the "
-        "chain, nor another scattering than specified, was looked for. Identify without quick "
+        "A first answer: intervals are Gaussian, and neither misplaced positions nor a fault of "
+        "the chain, nor another scattering than specified, was looked for. Identify without quick "
         "before relying on it."
     )
     return (Finding(Code.FIRST_ANSWER, text),)
