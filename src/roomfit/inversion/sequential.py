@@ -181,7 +181,7 @@ def forward_pass(
             fit = fit_in_rounds(band, best.fit.vector, noise, known, max_rounds=limit)
             if fit.log_likelihood < best.log_likelihood - _AS_LIKELY:
                 break
-            best = fit
+            best = max(best, fit, key=lambda f: f.log_likelihood)
         fits.append(best)
         if options.model == "coherent" or _advantage(band, best) > 0.0:
             known = best.found
