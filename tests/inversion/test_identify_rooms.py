@@ -9,7 +9,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from hostile import FAULTS, box, outcome
 from roomfit.commands import run_demo
+from roomfit.findings import Code
 from roomfit.inversion.identify import identify
 from roomfit.io.inputs import load_campaign
 from small_campaign import run_command
@@ -29,6 +31,16 @@ def test_the_demo_keeps_its_promise(tmp_path):
     assert (tmp_path / "demo" / "result" / "absorption_and_truth.png").stat().st_size > 10_000
     assert (tmp_path / "demo" / "campaign" / "campaign.toml").exists()
     assert [p.name for p in tmp_path.iterdir()] == ["demo"]
+
+
+@pytest.mark.slow
+def test_positions_ten_centimetres_off_are_found_from_the_responses():
+    """Specified to 1 cm: passes from low to high alone ended at chi-square 1.2 2.5 1.3, 12 values."""
+    found = outcome(box(4, 8), FAULTS["10 cm"])
+    assert Code.POSITION_UNCERTAINTY_INFLATED in found.codes
+    assert max(found.phi) < 1.0
+    assert found.n_identifiable >= 15
+    assert found.wrong == 0
 
 
 def dechorate_text(folder: Path) -> str:

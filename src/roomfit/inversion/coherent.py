@@ -46,12 +46,14 @@ from roomfit.inversion.outliers import (
 )
 from roomfit.inversion.paths import TracedPaths
 from roomfit.inversion.sequential import (
+    UNDECIDED,
     CoherentBand,
     CoherentBandFit,
     CoherentOptions,
     forward_pass,
     leave_one_out_pass,
     log_likelihoods,
+    settled_passes,
 )
 from roomfit.inversion.systematics import (
     batch_spread,
@@ -405,10 +407,6 @@ def _gain_of_freeing(
     return gain, after - before
 
 
-# Log-likelihoods nearer than this do not decide between two models.
-_UNDECIDED = 2.0
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class CoherentFit:
     """Every band fitted with partly coherent image sources, and what was found on the way."""
@@ -466,7 +464,7 @@ def fit_coherent(
         fits = forward_pass(state.bands, settings, part(progress, 0.8, 1.0))
     findings = (*state.findings, *position_uncertainty_findings(position_sd_scale))
     findings = (*findings, *fixed_parameter_checks(state, fits))
-    fits, final = leave_one_out_pass(state.bands, fits, settings)
+    fits, final = settled_passes(state.bands, fits, settings)
     geometry = state.geometry
     estimate = None if geometry is None or final is None else fitted_geometry(geometry, final)
     findings = (*findings, *_source_findings(state), *geometry_findings(estimate))
@@ -545,7 +543,7 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         noisy = with_shared_errors(objective, found.fit, sources, relative, band)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
         own = replace(own, window_t20_s=_window_t20_s(windows, found.fit))
-        beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= _UNDECIDED
+        beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
 
 
@@ -659,7 +657,7 @@ def _needs_energy_fit(
     """Whether the energy model's answer of a band may be needed."""
     if fit is None:
         return True
-    return settings.model != "coherent" and bool(likelihoods[1] - likelihoods[0] < _UNDECIDED)
+    return settings.model != "coherent" and bool(likelihoods[1] - likelihoods[0] < UNDECIDED)
 
 
 def _decided(
@@ -675,4 +673,4 @@ def _decided(
         return coherent
     better = likelihoods[1] - likelihoods[0]
     best, other = (coherent, energy) if better > 0.0 else (energy, coherent)
-    return best if abs(better) >= _UNDECIDED else with_both_intervals(best, other)
+    return best if abs(better) >= UNDECIDED else with_both_intervals(best, other)

@@ -34,6 +34,10 @@ FIT_END_S = 0.2
 NOISES = ((0.1, 0.0, 0.0), (0.2, 0.1, 0.0), (0.2, 0.1, 0.5), (0.4, 0.2, 0.5))
 # One as likely leads on to the next: a random phase is nothing where nothing is coherent.
 _AS_LIKELY = 0.1
+# Mean squared distance of geometries in standard deviations: half of one.
+_AGREED = 0.25
+# Log-likelihoods nearer than this do not decide between two models.
+UNDECIDED = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -157,12 +161,16 @@ def fit_in_rounds(
 
 
 def forward_pass(
-    bands: Sequence[CoherentBand | None], options: CoherentOptions, progress: Progress | None
+    bands: Sequence[CoherentBand | None],
+    options: CoherentOptions,
+    progress: Progress | None,
+    start: tuple[Sequence[CoherentBandFit | None], Marginal] | None = None,
 ) -> list[CoherentBandFit | None]:
     """Fit the bands from low to high, each under what the lower ones determine of the geometry.
 
     With the error of the model that the likelihood prefers: larger ones are tried only while the
-    data scatter more than the model says.
+    data scatter more than the model says. They start at their fits by energies and the geometry of
+    the lower bands, or at the fits and the geometry of an earlier pass, with its coherence.
     """
     fits: list[CoherentBandFit | None] = []
     known: Marginal | None = None
@@ -173,8 +181,14 @@ def forward_pass(
         geometry = geometry_block(band.coherent.geometry)
         moved = np.zeros(int(geometry.fitted.sum())) if known is None else known.mean
         limit = options.max_rounds
-        start = np.append(band.energy_fit.vector, moved)
-        best = fit_in_rounds(band, start, NOISES[0], known, max_rounds=limit)
+        vector, covariance = np.append(band.energy_fit.vector, moved), None
+        earlier = None if start is None else start[0][i]
+        if start is not None and earlier is not None:
+            vector = np.append(earlier.fit.vector[: band.energy_fit.vector.size], start[1].mean)
+            covariance = np.asarray(np.linalg.inv(start[1].information))
+        best = fit_in_rounds(
+            band, vector, NOISES[0], known, covariance=covariance, max_rounds=limit
+        )
         for noise in NOISES[1:]:
             if best.fit.chi2_reduced <= 1.0:
                 break
@@ -223,6 +237,38 @@ def leave_one_out_pass(
             max_rounds=options.max_rounds,
         )
     return again, final
+
+
+def settled_passes(
+    bands: Sequence[CoherentBand | None],
+    fits: Sequence[CoherentBandFit | None],
+    options: CoherentOptions,
+) -> tuple[list[CoherentBandFit | None], Marginal | None]:
+    """Fit each band under what all others say, again from there while that explains more.
+
+    Positions that are far off permit little coherence, and little coherence draws them little: the
+    passes from low to high then end before the geometry is found. Where the bands disagree on it,
+    though each was fitted to its own data under what all others say, all passes start again at
+    what the last ones found. Returns as `leave_one_out_pass` does.
+    """
+    again, final = leave_one_out_pass(bands, fits, options)
+    is_settled = final is None or _disagreement(again, final) <= _AGREED
+    while final is not None and not is_settled:
+        other = forward_pass(bands, options, None, (again, final))
+        other, found = leave_one_out_pass(bands, other, options)
+        each = zip(again, other, strict=True)
+        gain = sum(b.log_likelihood - a.log_likelihood for a, b in each if a and b)
+        is_settled = gain < UNDECIDED
+        if not is_settled:
+            again, final = other, found
+    return again, final
+
+
+def _disagreement(fits: Sequence[CoherentBandFit | None], final: Marginal) -> float:
+    """Return the largest distance of a band's geometry from that of all, in variances."""
+    n = final.mean.size
+    moved = [f.fit.vector[-n:] - final.mean for f in fits if f is not None and f.found is not None]
+    return max((float(d @ final.information @ d) / n for d in moved), default=0.0)
 
 
 def geometry_information(parameters: Parameters) -> FloatArray:
