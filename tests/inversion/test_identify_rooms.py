@@ -35,7 +35,7 @@ def test_the_demo_keeps_its_promise(tmp_path):
 
 @pytest.mark.slow
 def test_positions_ten_centimetres_off_are_found_from_the_responses():
-    """Specified to 1 cm: passes from low to high alone ended at chi-square 1.2 2.5 1.3, 12 values."""
+    """Specified to 1 cm: passes from low to high alone ended at chi-square 2.5, 12 values."""
     found = outcome(box(4, 8), FAULTS["10 cm"])
     assert Code.POSITION_UNCERTAINTY_INFLATED in found.codes
     assert max(found.phi) < 1.0
