@@ -10,10 +10,10 @@ response and measured values of five pairs, Aspoeck et al. 2020). None comes wit
 The null model knows nothing of the room: it takes the mean of the pairs that were fitted.
 
 ROOM        dechorate    three microphones fitted, three predicted
-            dechorate-aimed  the same, the loudspeaker told to aim at the fitted microphones
+            dechorate-aimed  the same, the loudspeaker specified to aim at the fitted microphones
             dechorate-fitted  the same, the loudspeaker's directivity fitted
             dechorate-1  each microphone predicted from the five others
-            tudelft      four loudspeakers fitted, the fifth predicted; the outline told in two ways
+            tudelft      four loudspeakers fitted, the fifth predicted; the outline in two variants
             tudelft-fitted the same with a directivity of each loudspeaker that is fitted
             tudelft-null the null model alone, each loudspeaker in turn: nothing is fitted
             bras         one response and ISO 3382 values of two pairs fitted, a fourth predicted
@@ -62,7 +62,7 @@ DELFT_LOUDSPEAKERS = (1, 4, 5, 6, 7)
 # Where file and room have their corners apart: echoes tell x, nothing tells y.
 DELFT_SHIFT_M = (0.45, 0.5, 0.0)
 BRAS_PLACES_M = ((-0.993, 1.426), (0.439, -0.147), (1.361, -0.603), (-1.110, -0.256))
-# Whether an error is told relative to the measured value, and in which unit.
+# Whether an error is specified relative to the measured value, and in which unit.
 JUDGED = {
     "T20_s": ("T20", True, "%"),
     "T30_s": ("T30", True, "%"),
@@ -218,7 +218,7 @@ def dechorate_one_out(data: Path, ending: str) -> None:
 
 
 def delft(data: Path, ending: str) -> None:
-    """Four loudspeakers fitted, the last predicted; corners told at the wall, and of the file."""
+    """Four loudspeakers fitted, the last predicted; corners given at the wall, and of the file."""
     for specified, shift in (
         ("x + 0.45 m, y + 0.5 m", DELFT_SHIFT_M),
         ("as in the files", (0, 0, 0)),

@@ -8,7 +8,7 @@
 What is run and timed is `roomfit identify` on campaign files, without writing its folder.
 
 Boxes of 4.5-9 x 3.6-7 x 2.4-3.8 m, no two sides alike, six materials from 0.01 to 0.97, positions
-0.6 m clear of the walls and told with an error, noise 45 to 60 dB below the peak. --delay-ms lets
+0.6 m clear of the walls and given with an error, noise 45 to 60 dB below the peak. --delay-ms lets
 the walls that absorb more than a half delay what they reflect; the other program cannot, so those
 data are made by `roomfit.synthetic.boxes`'s images. --strength gives every source the
 other program's cardioid of that |b|, 30 degrees off the middle of the room; --directivity says
@@ -147,9 +147,11 @@ def main() -> None:
     parser.add_argument("--c-error", type=float, default=0.0)
     parser.add_argument("--delay-ms", type=float, default=0.0)
     parser.add_argument("--top-hz", type=float, default=4000.0)
-    parser.add_argument("--unfitted", action="store_true", help="positions and c as told")
+    parser.add_argument("--unfitted", action="store_true", help="positions and c as specified")
     parser.add_argument("--strength", type=float, default=0.0, help="|b| of every source")
-    parser.add_argument("--directivity", choices=("omni", "fit"), default="omni", help="told")
+    parser.add_argument(
+        "--directivity", choices=("omni", "fit"), default="omni", help="as specified"
+    )
     parser.add_argument("--energy", action="store_true", help="energies alone")
     parser.add_argument("--no-delays", action="store_true", help="walls that do not delay")
     parser.add_argument("--third-octaves", action="store_true")

@@ -6,7 +6,7 @@
 Responses come from `roomfit.synthetic.polyhedra`, which follows pressures from cell to
 cell, shares no code with the search for image sources, and goes on for longer than any fit; files
 are written as a campaign and read back as anybody's. Sources and receivers stand some
---position-error away from where they are told, in each coordinate, and the planes of the drawing
+--position-error away from where they are given, in each coordinate, and the planes of the drawing
 --plane-error along their normals (rooms of one cell). Loudspeakers differ by --loudspeaker-db from
 octave to octave. The null model gives all walls of a room the
 area mean of the fitted answer.

@@ -5,7 +5,7 @@
 Boxes as in `boxes.py`, s = 0.15 at every wall. Data: image sources that add as pressures, thinned
 by (1 - s) a hit, and noise modulated by an independent tracer (`simulated_rooms/random_boxes.py`).
 Each room is written as a campaign and identified three times as anybody's: its walls' scattering
-told, to be fitted (which chooses among eight values by energies), and told to be none. Right is
+specified, fitted (which chooses among eight values by energies), and none. Right is
 what is fitted if of .05, .15, .3 and .5 the nearest (in ratio) is the truth. "sure" is the share
 called identifiable, "wrong" how many of these lie outside their interval.
 """
@@ -47,7 +47,7 @@ class Outcome:
 
 
 def outcome(plan: BoxPlan, campaign: Path, specified: str, model: Model) -> Outcome:
-    """Identify a campaign with what is told of scattering, and set the truth beside it."""
+    """Identify a campaign with what is specified of scattering, and set the truth beside it."""
     text = campaign.read_text()
     file = campaign.with_name("specified.toml")
     file.write_text(text.replace("scattering = 0.0", f"scattering = {specified}"))

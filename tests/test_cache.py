@@ -168,7 +168,7 @@ def test_a_trace_is_found_again_with_the_same_bits_and_only_for_the_same_scene(t
 
 
 @pytest.mark.parametrize("damage", ["cut", "turned", "empty", "text"])
-def test_a_damaged_file_is_told_and_computed_anew(tmp_path, damage):
+def test_a_damaged_file_is_reported_and_computed_anew(tmp_path, damage):
     scene, cache = box_scene(), Cache(tmp_path / "cache")
     scattering = uniform_scattering(scene.room.materials, 0.2)
     first = cached_trace(scene, SETTINGS, scattering, cache)
@@ -276,7 +276,7 @@ def test_an_error_while_overwriting_removes_nothing(tmp_path):
 
 
 def prediction_command(folder: Path, out: Path) -> list[str]:
-    """A prediction of four pairs whose absorption is told by a small table."""
+    """A prediction of four pairs whose absorption is specified by a small table."""
     campaign = folder / "campaign.toml"
     if not campaign.exists():
         more = "[sources.LS2]\nposition = [3.0, 2.5, 1.4]\n[receivers.MP1]"

@@ -197,7 +197,7 @@ def test_files_and_tests_that_a_page_names_are_there():
         assert (ROOT / "benchmarks" / f"{name}.py").exists(), name
 
 
-def test_every_command_and_option_is_told():
+def test_every_command_and_option_is_reported():
     reported = "".join(path.read_text(encoding="utf-8") for path in PAGES)
     for name, parser in command_parsers().items():
         assert f"roomfit {name}" in reported
@@ -214,7 +214,7 @@ def tables() -> list[type[BaseModel]]:
 
 
 @pytest.mark.parametrize("table", tables())
-def test_every_key_of_a_campaign_is_told_with_its_default(table):
+def test_every_key_of_a_campaign_is_reported_with_its_default(table):
     text = page("campaign-file.md")
     rows = [line.strip("| ").split(" | ") for line in text.split("\n") if line.startswith("| `")]
     for key, field in table.model_fields.items():

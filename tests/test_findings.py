@@ -162,7 +162,7 @@ def test_a_code_is_found_by_its_text():
 
 
 @pytest.mark.parametrize("text", ["only-the-prior", "LEAK", "", None, 3, ["leak"]])
-def test_an_unknown_code_in_a_file_is_told_in_five_parts(text):
+def test_an_unknown_code_in_a_file_is_reported_in_five_parts(text):
     with pytest.raises(InputError, match="unknown code") as caught:
         code_of(text, "out/result.json")
     error = caught.value

@@ -1,4 +1,4 @@
-"""``import roomfit``: every public name loads, is typed where it is told, and costs nothing."""
+"""``import roomfit``: every public name loads, is typed where it is given, and costs nothing."""
 
 from __future__ import annotations
 

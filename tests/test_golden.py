@@ -92,7 +92,7 @@ def test_times_versions_and_provenance_count_for_nothing(tmp_path):
     assert exit_codes(differences) == (0, 0)
 
 
-def test_words_and_counts_are_told_and_are_no_other_numbers(tmp_path):
+def test_words_and_counts_are_reported_and_are_no_other_numbers(tmp_path):
     def change(result):
         result["findings"][0].update(code="position-inconsistent", sentence="Moved.")
         result["fit"]["evaluations"] = 435

@@ -251,7 +251,7 @@ def test_an_export_does_not_replace_what_is_no_file(tmp_path, monkeypatch, capsy
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no full device")
-def test_output_to_a_full_device_is_told(tmp_path):
+def test_output_to_a_full_device_is_reported(tmp_path):
     with Path("/dev/full").open("w") as full:
         done = subprocess.run(
             [sys.executable, "-m", "roomfit", "catalogue", "carpet"],

@@ -1,4 +1,4 @@
-"""``method = "certified"`` in a campaign: what is proven, told and refused."""
+"""``method = "certified"`` in a campaign: what is proven, specified and refused."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def test_a_certificate_stands_in_the_result_file(
 
 
 def test_auto_proves_what_is_affordable(tmp_path: Path) -> None:
-    """Two materials and a gain: energies are certified, and the answer's distance is told."""
+    """Two materials and a gain: energies are certified, and the answer's distance is reported."""
     changes = (("to_hz = 1000", 'to_hz = 500\nmodel = "energy"'), *CHANGES[1:])
     path = write_campaign(tmp_path / "in", *changes)
     answer = roomfit.identify(**roomfit.load_campaign(path))

@@ -221,7 +221,7 @@ def test_check_of_a_campaign_names_every_wrong_position_at_once(tmp_path, monkey
 
 
 def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monkeypatch, capsys):
-    """The same box told in millimetres; --unit beside a campaign would be a second truth."""
+    """The same box specified in millimetres; --unit beside a campaign would be a second truth."""
     campaign = write_campaign(
         tmp_path, ("shoebox = [3.9, 3.1, 2.5]", 'file = "r.obj"\nunit = "m"'), (MATERIALS, "")
     )

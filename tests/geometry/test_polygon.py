@@ -100,7 +100,7 @@ def test_corners_on_one_line_have_no_triangles():
     assert len(triangulate(line).triangles) == 0
 
 
-def test_a_lifted_corner_is_told_by_its_distance_from_the_plane():
+def test_a_lifted_corner_is_reported_by_its_distance_from_the_plane():
     """A unit square with one corner lifted by h is h/4 off its best plane at every corner."""
     h = 0.02
     square = np.array([[0, 0, 0], [1, 0, 0], [1, 1, h], [0, 1, 0]])

@@ -69,7 +69,7 @@ def fitted(campaign_file: Path, **options: str) -> CoherentFit:
 
 
 def test_a_box_is_found_within_its_intervals(box: tuple[Path, np.ndarray]) -> None:
-    """Both bands are told coherent, and errors are below those of energies alone.
+    """Both bands are reported coherent, and errors are below those of energies alone.
 
     Twelve 95 % intervals of which three or more miss by chance once in 50 boxes; this seed was
     not chosen.

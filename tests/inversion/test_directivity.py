@@ -394,8 +394,8 @@ def in_the_room(campaign: Campaign, found: AbsorptionPosterior) -> AbsorptionPos
     return room_posterior(found, priors, found.bands, source_directivities(campaign, found.bands))
 
 
-def test_a_prediction_without_the_fit_takes_what_was_told_before_it(tmp_path: Path) -> None:
-    """The told mean where there is one; omnidirectional, with a finding, where there is none."""
+def test_a_prediction_without_the_fit_takes_what_was_specified_before_it(tmp_path: Path) -> None:
+    """The given mean where there is one; omnidirectional, with a finding, where there is none."""
     bands, half = Bands("octave", np.array([500.0, 1000.0])), np.full((3, 2), 0.5)
     alone = AbsorptionPosterior(
         ("walls", "carpet", "tiles"), bands, half, half, half, np.zeros((2, 3, 3))

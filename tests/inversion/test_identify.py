@@ -81,7 +81,7 @@ def test_a_first_answer_is_hardly_less_certain_and_says_what_was_not_looked_for(
     assert width.mean() < 1.5 * full.mean()
     # of the same data: the two differ by less than either may be wrong
     assert np.all(np.abs(first.absorption - plain.absorption) < 0.5 * np.maximum(width, full))
-    assert set(np.ravel(first.interval_kinds)) <= {"gaussian", "prior", "told", "fixed"}
+    assert set(np.ravel(first.interval_kinds)) <= {"gaussian", "profile", "none", "given"}
 
 
 @pytest.mark.slow
@@ -174,7 +174,7 @@ def test_a_file_without_a_clock_is_put_on_that_of_the_geometry(tmp_path, plain, 
 
 
 def test_an_absorption_that_is_given_stays_exactly(tmp_path, few_rays):
-    """Also where it is told for each band, at 0 and at 1."""
+    """Also where it is specified for each band, at 0 and at 1."""
     answer = answer_to(
         tmp_path,
         (CARPET, f"{CARPET}\nabsorption = [0.4, 0.41]"),
@@ -227,7 +227,7 @@ VOIDS = (
 
 
 @pytest.mark.parametrize("text", VOIDS)
-def test_where_the_room_is_told_wrong_only_what_is_held_is_identifiable(combined, text):
+def test_where_the_room_is_specified_wrong_only_what_is_held_is_identifiable(combined, text):
     """Whoever finds it; and the walls are not blamed for being inseparable."""
     sure, unsure = combined(), combined(Finding(Code(text), "It is.", {}))
     held = np.array(unsure.materials) == "carpet"

@@ -126,7 +126,7 @@ def one_message(text: str) -> str:
         (FIRST_FILE, f"{FIRST_FILE}\nlatency_s = 23.0", r"measurements\[1\].latency_s(?s:.*)10"),
     ],
 )  # fmt: skip
-def test_a_fault_in_the_campaign_is_told_in_one_message(refusal, tmp_path, old, new, words):
+def test_a_fault_in_the_campaign_is_reported_in_one_message(refusal, tmp_path, old, new, words):
     message = refusal(write_campaign(tmp_path / "campaign", (old, new)))
     assert re.search(words, message), message
 
@@ -144,7 +144,9 @@ def test_a_fault_in_the_campaign_is_told_in_one_message(refusal, tmp_path, old, 
     ],
     ids=["leak", "zero-area", "wrong-unit", "unknown-unit", "no-unit", "no-faces", "no-room"],
 )
-def test_a_fault_in_the_room_file_is_told_with_its_place(refusal, tmp_path, content, unit, words):
+def test_a_fault_in_the_room_file_is_reported_with_its_place(
+    refusal, tmp_path, content, unit, words
+):
     specified = 'file = "room.obj"' + (f'\nunit = "{unit}"' if unit else "")
     campaign = write_campaign(tmp_path / "campaign", (SHOEBOX, specified), (MATERIALS, ""))
     (tmp_path / "campaign" / "room.obj").write_text(content)
@@ -278,7 +280,7 @@ def files_of(folder: Path) -> list[Path]:
     return sorted(p for p in found if CACHE_FOLDER not in p.parts)
 
 
-def test_a_full_disk_is_told_and_leaves_nothing(tmp_path, monkeypatch, capsys):
+def test_a_full_disk_is_reported_and_leaves_nothing(tmp_path, monkeypatch, capsys):
     import roomfit.cache
 
     def full(_descriptor: int) -> None:
@@ -340,7 +342,7 @@ def test_as_a_program_of_its_own_the_message_is_all_that_is_shown(tmp_path):
     assert not (tmp_path / "out").exists()
 
 
-def test_all_files_that_are_missing_are_told_at_once_before_one_is_read(refusal, tmp_path):
+def test_all_files_that_are_missing_are_reported_at_once_before_one_is_read(refusal, tmp_path):
     campaign = write_campaign(
         tmp_path / "campaign",
         (FIRST_FILE, 'file = "none.wav"'),
@@ -361,7 +363,7 @@ def test_what_is_refused_after_the_trace_leaves_no_cache(tmp_path, monkeypatch, 
     from roomfit.errors import CannotTell
 
     def refused(*_args: object, **_settings: object) -> None:
-        raise CannotTell("nothing can be told", where="here")
+        raise CannotTell("nothing can be determined", where="here")
 
     monkeypatch.setattr(stages, "broad_prior_findings", refused)
     campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
@@ -369,7 +371,7 @@ def test_what_is_refused_after_the_trace_leaves_no_cache(tmp_path, monkeypatch, 
     if earlier:
         (out / CACHE_FOLDER).mkdir(parents=True)
     assert run_command(monkeypatch, "identify", campaign, "--out", out) == 2
-    assert "nothing can be told" in capsys.readouterr().err
+    assert "nothing can be determined" in capsys.readouterr().err
     assert (tmp_path / "deep").exists() == earlier
     assert bool(list(tmp_path.rglob("*.npz"))) == earlier
 
@@ -402,8 +404,10 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
         warnings.simplefilter("error")
         assert run_command(monkeypatch, "identify", campaign, "--out", tmp_path / "out") == 0
     assert capsys.readouterr().err == ""
-    told = json.loads((tmp_path / "out" / "result.json").read_text())["provenance"]["inputs_sha256"]
-    assert told == {name.encode(errors="replace").decode(): own for name, own in before.items()}
+    reported = json.loads((tmp_path / "out" / "result.json").read_text())["provenance"][
+        "inputs_sha256"
+    ]
+    assert reported == {name.encode(errors="replace").decode(): own for name, own in before.items()}
     assert "caf?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 

@@ -116,7 +116,7 @@ def test_what_is_wrong_is_named_with_its_place(tmp_path, old, new, words):
         ("delay_sd_ms = 9", "delay_sd_ms"),
     ],
 )
-def test_what_is_told_of_a_material_is_checked(tmp_path, line, words):
+def test_what_is_specified_of_a_material_is_checked(tmp_path, line, words):
     text = GOOD.replace("scattering = 0.2", line)
     with pytest.raises(InputError, match=words):
         material_priors(campaign_from(tmp_path, text), ("carpet", "other"))
@@ -212,7 +212,7 @@ def test_the_same_measurement_twice_is_refused(tmp_path):
         campaign_from(tmp_path, twice)
 
 
-def test_an_empty_and_a_missing_campaign_are_told_apart(tmp_path):
+def test_an_empty_and_a_missing_campaign_are_distinguished(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         read_campaign(tmp_path / "none.toml")
     with pytest.raises(InputError, match="the campaign file is empty"):
@@ -313,7 +313,7 @@ def test_the_finding_of_a_broad_prior_names_where_more_can_be_said(tmp_path):
         (("scattering = 0.2", 'same_absorption_as = "wall"'), "same_absorption_as of its own"),
     ],
 )
-def test_what_is_told_of_a_product_is_checked(tmp_path, change, words):
+def test_what_is_specified_of_a_product_is_checked(tmp_path, change, words):
     with pytest.raises(InputError, match=words):
         campaign_from(tmp_path, PANELS.replace(*change))
 
@@ -343,7 +343,7 @@ def test_a_known_wall_of_a_product_is_between_its_bounds(tmp_path):
         ('[products.""]\nsd = 0.1', r"product without a name(?s:.*)campaign.toml, \[products\]"),
     ],
 )
-def test_what_is_wrong_with_states_and_groups_is_told_in_words(tmp_path, line, words):
+def test_what_is_wrong_with_states_and_groups_is_reported_in_words(tmp_path, line, words):
     with pytest.raises(InputError, match=words) as refusal:
         campaign_from(tmp_path, f"{GOOD}\n{line}\n")
     assert not re.search("String|Dictionary|validation|instance", str(refusal.value))

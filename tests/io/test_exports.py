@@ -198,7 +198,7 @@ def test_the_wide_table_holds_values_and_intervals(tmp_path):
 
 
 @pytest.mark.parametrize("wanted", FORMATS)
-def test_what_the_data_do_not_hold_is_told_with_every_format(tmp_path, wanted):
+def test_what_the_data_do_not_hold_is_reported_with_every_format(tmp_path, wanted):
     written = export_result(write_result(tmp_path), wanted, tmp_path / "out")
     doubt = {f.code: f for f in written.findings}[Code.EXPORT_NOT_IDENTIFIABLE]
     assert doubt.evidence["materials"] == {"Wand grün": [250.0]}
@@ -214,7 +214,7 @@ def test_an_octave_is_the_mean_of_its_thirds():
     assert filled.tolist() == [False, False, True]
 
 
-def test_a_gap_between_octaves_is_bridged_and_told():
+def test_a_gap_between_octaves_is_bridged_and_reported():
     octaves = bands_between("octave", 125, 1000)
     there = np.array([0, 3])
     bands = type(octaves)("octave", octaves.centres_hz[there])

@@ -156,8 +156,8 @@ def test_an_absurd_number_is_refused_or_taken_but_nothing_fails(folder: Path, pl
                 arguments(read_campaign(path))
         except RoomfitError as error:
             assert isinstance(error, InputError), (number, error)
-            told = [error.where, error.found, error.needed, error.hint]
-            assert error.where and sum(map(bool, told)) > 1, (number, str(error))
+            reported = [error.where, error.found, error.needed, error.hint]
+            assert error.where and sum(map(bool, reported)) > 1, (number, str(error))
 
 
 def test_a_number_as_good_as_any_is_taken_at_every_place(folder: Path) -> None:
@@ -199,7 +199,7 @@ def test_every_number_has_limits_with_a_reason_and_they_are_documented() -> None
         ("settings.n_rays", 0, r"campaign.toml, settings.n_rays(?s:.*)1 to 1e\+08(?s:.*)gigabytes"),
     ],
 )
-def test_a_refused_number_is_told_with_the_reason(folder, place, number, words) -> None:
+def test_a_refused_number_is_reported_with_the_reason(folder, place, number, words) -> None:
     with pytest.raises(InputError) as refusal:
         read_campaign(written(folder, place, number))
     assert re.search(words, str(refusal.value)), refusal.value

@@ -233,7 +233,7 @@ def test_many_equal_peaks_are_clipped_however_short(tmp_path):
         assert codes(findings) == reported
 
 
-def test_a_constant_offset_is_told_and_subtracted(tmp_path):
+def test_a_constant_offset_is_reported_and_subtracted(tmp_path):
     path = write_wav(tmp_path / "offset.wav", 0.5 * decay() + 0.01)
     response, findings = read_response(ResponseSpec(path))
     np.testing.assert_allclose(response.pressure, 0.5 * decay(), atol=1e-4)
@@ -248,7 +248,7 @@ def test_an_encoding_that_loses_the_decay_is_refused(tmp_path):
     assert "ULAW" in str(caught.value)
 
 
-def test_missing_empty_foreign_and_unreadable_files_are_told_apart(tmp_path):
+def test_missing_empty_foreign_and_unreadable_files_are_distinguished(tmp_path):
     with pytest.raises(InputError, match="does not exist"):
         read_response(ResponseSpec(tmp_path / "none.wav"))
     (tmp_path / "empty.wav").touch()

@@ -128,7 +128,7 @@ def test_a_normalised_export_gets_its_level_back(tmp_path):
     assert codes(read_response(ResponseSpec(written(tmp_path, lost)))[1]) == [Code.LEVEL_UNKNOWN]
 
 
-def test_a_zero_at_the_peak_and_a_window_are_told(tmp_path):
+def test_a_zero_at_the_peak_and_a_window_are_reported(tmp_path):
     text = rew_text(decay(), -120 / RATE_HZ, window="")
     path = written(tmp_path, text)
     assert codes(read_response(ResponseSpec(path))[1]) == [
@@ -355,7 +355,7 @@ def test_the_band_of_an_excitation_is_the_one_it_was_made_for(signal, low_hz, hi
     assert abs(np.log2(high / high_hz)) <= 1 / 12
 
 
-def test_a_clipped_recording_is_told_and_the_crests_of_low_tones_are_not(tmp_path):
+def test_a_clipped_recording_is_reported_and_the_crests_of_low_tones_are_not(tmp_path):
     """16 bits: at 15 Hz and half of full scale several samples at a crest are equal."""
     low = pyfar.signals.exponential_sweep_time(RATE_HZ, (15, 9000), sampling_rate=RATE_HZ)
     played = 0.5 * low.time[0]

@@ -233,7 +233,7 @@ def test_a_sheet_is_double_sided_by_words_or_by_a_column(tmp_path, sheet):
 
 
 def test_tables_can_be_patched_by_later_ones(tmp_path):
-    """The floor is replaced by two halves, a corner moves, a wrong area and a curtain are told."""
+    """The floor is replaced by two halves, a corner moves, a wrong area and a curtain are given."""
     tables = l_tables(tmp_path)
     halves = "No,corner1 ,corner 2,corner 3,corner 4,material,area\n"
     halves += "70,6,5,4,3,oak,\n71,6,3,2,1,oak,99\n"

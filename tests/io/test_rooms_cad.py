@@ -154,7 +154,7 @@ def test_a_door_is_cut_out_of_its_wall(tmp_path):
 
 
 def test_an_object_that_is_moved_cannot_refer_to_corners_outside_it(tmp_path):
-    """Whether before or behind the move is not told by the format."""
+    """Whether before or behind the move is not reported by the format."""
     panel = "OBJECT\nTRANSLATE 1 0 0\nCORNERS\n80 x(1) 0 0\n81 0 1 0\n82 0 1 1\n"
     written(tmp_path, panel + "PLANES\n[100 a / 80 81 82 / b]", "panel.geo")
     path = written(tmp_path, "INCLUDE panel\n" + BOX)
@@ -271,7 +271,7 @@ def test_loops_of_corners_and_planes_make_a_drum(tmp_path):
         ("CORNERS", "MIRROR 4 200\nCORNERS", "same number", "corner"),
     ],
 )
-def test_what_cannot_be_read_is_told_with_its_line(tmp_path, old, new, words, shown):
+def test_what_cannot_be_read_is_reported_with_its_line(tmp_path, old, new, words, shown):
     assert old in BOX
     path = written(tmp_path, BOX.replace(old, new, 1))
     with pytest.raises(InputError, match=words) as caught:
@@ -410,7 +410,7 @@ def test_nested_rows_of_blocks_land_where_another_program_puts_them(tmp_path):
     assert len(expected) == 48
 
 
-def test_what_is_no_face_is_counted_and_hidden_layers_are_told(tmp_path):
+def test_what_is_no_face_is_counted_and_hidden_layers_are_reported(tmp_path):
     document, space = drawing()
     as_faces(space)
     space.add_line((0, 0), (1, 1))

@@ -37,7 +37,7 @@ def test_a_folder_that_does_not_exist_is_the_disks_turn(tmp_path):
         write_text_atomically(tmp_path / "missing" / "a.txt", "x")
 
 
-def test_an_output_folder_with_something_in_it_is_refused_unless_told(tmp_path):
+def test_an_output_folder_with_something_in_it_is_refused_unless_permitted(tmp_path):
     (tmp_path / "earlier.txt").write_text("result of a long night")
     with pytest.raises(InputError, match=r"exists and is not empty(?s:.*)--overwrite"):
         check_output_folder(tmp_path)

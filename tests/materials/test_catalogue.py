@@ -200,7 +200,7 @@ def test_a_reading_left_out_lies_where_the_others_said():
 
 
 def test_the_rules_for_the_ends_miss_by_as_much_as_they_widen():
-    """125 Hz foretold from the next two octaves, and 4 kHz from 2 kHz, over all entries."""
+    """125 Hz predicted from the next two octaves, and 4 kHz from 2 kHz, over all entries."""
     m = np.array([e.logit_mean for e in catalogue().entries])
     low = m[:, 1] - m[:, 2] - np.clip(0.75 * (m[:, 2] - m[:, 3]), -0.7, 0.7)
     high = m[:, 6] - m[:, 5]

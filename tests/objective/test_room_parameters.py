@@ -453,7 +453,7 @@ def test_other_heads_and_missing_pairs_are_refused(tmp_path):
         read_parameters(table(tmp_path, "A,1,T20,1,1\n"), source="C")
 
 
-def test_a_pair_measured_twice_with_different_results_is_told(tmp_path):
+def test_a_pair_measured_twice_with_different_results_is_reported(tmp_path):
     """The mean is used with half of the difference as its spread."""
     path = table(tmp_path, "A,1,T20,1.0,1.0\nA,1,T20,1.2,1.0\n")
     (joined,), (finding,) = read_parameters(path)

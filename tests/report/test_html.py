@@ -239,7 +239,7 @@ def test_findings_come_first_with_the_most_serious_ahead(case):
     assert doubts == {"class": "doubts serious", "open": ""}
 
 
-def test_the_summary_counts_what_can_be_told(case):
+def test_the_summary_counts_what_can_be_reported(case):
     answer, _, _, page = case
     words = " ".join("".join(page.words).split())
     n = int(answer.identifiable.sum())
@@ -415,7 +415,7 @@ def test_an_odd_answer_makes_a_whole_page_without_nan(name):
             assert all(len(cell) > 1 for cell in cells if cell[0] == DASH), "a dash without reason"
 
 
-def test_missing_values_are_told_with_their_reason():
+def test_missing_values_are_reported_with_their_reason():
     answer, scene = ODD["some values missing"]
     page = read_page(report_html(answer, scene, title="t"))
     cells = table(page, "S1 to R1")["C80"]
@@ -495,7 +495,7 @@ def test_a_name_is_drawn_letter_by_letter(names):
 
 
 @given(st.floats(), st.integers(0, 4), st.booleans())
-def test_a_number_is_told_to_its_last_digit_or_as_a_dash(value, decimals, signed):
+def test_a_number_is_reported_to_its_last_digit_or_as_a_dash(value, decimals, signed):
     reported = wording.number(value, decimals, signed=signed)
     if not np.isfinite(value):
         assert reported == DASH

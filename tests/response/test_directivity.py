@@ -110,7 +110,7 @@ def test_a_measured_directivity_is_that_of_the_source_measured():
     np.testing.assert_allclose(sphere_mean(measured.factor), 1.0, rtol=1e-12)
 
 
-def test_left_and_top_are_told_apart():
+def test_left_and_top_are_distinguished():
     """A source that sends only to its left, and one only upwards, standing ordinarily."""
     axes = loudspeaker_axes([0.0, 1.0, 0.0])
     energy = np.stack([np.maximum(MANY[:, 1], 0.0), np.maximum(MANY[:, 2], 0.0)], axis=1)

@@ -290,7 +290,7 @@ def test_batches_and_images_make_up_the_whole() -> None:
 
 
 def test_the_standard_error_is_the_spread_of_repeated_sums() -> None:
-    """Of 400 independent sums of 16 batches: mean variance told against the variance seen."""
+    """Of 400 independent sums of 16 batches: mean variance reported against the variance seen."""
     rng = np.random.default_rng(10)
     predicted, observed = [], []
     for _ in range(400):

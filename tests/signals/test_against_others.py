@@ -106,7 +106,7 @@ def test_direct_sound_arrives_at_the_stated_distances(real_data):
 
 
 def test_the_mean_reverberation_time_of_the_acoustic_laboratory(real_data):
-    """T20 of dEchorate, mean of six: .29 .42 .56 .58 .55 .55 s as told, within 6 %.
+    """T20 of dEchorate, mean of six: .29 .42 .56 .58 .55 .55 s as specified, within 6 %.
 
     Told as approximate; the six scatter by 9 % at 125 Hz and 3 to 6 % above.
     """

@@ -97,7 +97,7 @@ def test_colour_is_causal():
     assert np.sum(played[:2000] ** 2) < 1e-6 * np.sum(played**2)
 
 
-def test_power_is_multiplied_by_the_gain_told():
+def test_power_is_multiplied_by_the_gain_specified():
     """A tone's power after taking colour out, against the gain at its frequency."""
     t = np.arange(16_000) / RATE_HZ
     tone = ImpulseResponse(np.sin(2 * np.pi * 700.0 * t) * np.hanning(t.size), RATE_HZ)

@@ -168,7 +168,7 @@ def test_a_decay_that_drowns_too_early_gives_nan_and_a_finding_not_a_number():
     assert not range_findings(room_parameters(clean), "LS1 to MP1")
 
 
-def test_a_decay_of_a_few_decibels_is_refused_and_the_reason_told():
+def test_a_decay_of_a_few_decibels_is_refused_and_the_reason_reported():
     """Noise 10 dB down drowns every band; 80 ms of a decay of 1 s are 5 dB of it."""
     with pytest.raises(InputError, match="drowns in noise"):
         check_decay_range(decay_curve(OCTAVES, tones(3.0, noise_db=-8.0), 0.0), "LS1 to MP1")

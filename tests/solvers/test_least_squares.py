@@ -166,7 +166,7 @@ def test_descents_do_not_leap_over_a_ridge() -> None:
         np.testing.assert_allclose(end, [well, 0.5], atol=0.02)
 
 
-def test_both_wells_are_told_with_the_better_first() -> None:
+def test_both_wells_are_reported_with_the_better_first() -> None:
     """Starts spread evenly end in two places."""
     points = np.array([(a, b) for a in np.linspace(0, 1, 9) for b in (0.0, 1.0)])
     found = minima_of_descents(two_wells, points)

@@ -1,4 +1,4 @@
-"""Boxes with something on a wall that nobody was told of."""
+"""Boxes with something on a wall that nobody specified."""
 
 from __future__ import annotations
 

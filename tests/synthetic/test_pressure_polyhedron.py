@@ -41,7 +41,7 @@ SHAPES: tuple[Shape, ...] = ("paper", "slanted", "l-shaped")
 
 
 def truths() -> tuple[SyntheticBox, SyntheticPolyhedron]:
-    """Return one box told in both ways."""
+    """Return one box specified in both ways."""
     absorption = np.linspace(0.05, 0.8, 30).reshape(6, 5)
     delays = (0.0, 1e-4, 0.0, 2e-4, 3e-4, 0.0)
     air = np.full(5, 1e-3)
@@ -94,7 +94,9 @@ def test_another_program_has_the_same_images(name: Shape) -> None:
     ("name", "volume", "n_materials"),
     [("paper", 622.0, 7), ("slanted", 74.0, 6), ("l-shaped", 96.7, 6)],
 )
-def test_rooms_are_as_large_as_told_and_close(name: str, volume: float, n_materials: int) -> None:
+def test_rooms_are_as_large_as_specified_and_close(
+    name: str, volume: float, n_materials: int
+) -> None:
     """The sum over walls, the mesh's own measure, and for the L its two rectangles."""
     cells = ROOMS[name]
     assert cell_volume_m3(cells) == pytest.approx(volume, rel=0.01)
@@ -149,7 +151,7 @@ def test_a_campaign_is_written_and_read() -> None:
 
 
 def test_the_files_hold_what_was_measured(tmp_path: Path) -> None:
-    """The direct sound comes at the told distance, up to the errors of the positions."""
+    """The direct sound comes at the specified distance, up to the errors of the positions."""
     import soundfile
 
     rng = np.random.default_rng(4)
@@ -175,7 +177,7 @@ def test_the_files_hold_what_was_measured(tmp_path: Path) -> None:
             assert abs(first - arrival) < 5e-4
 
 
-def test_planes_of_a_room_that_is_not_convex_are_not_told_wrong(tmp_path: Path) -> None:
+def test_planes_of_a_room_that_is_not_convex_are_not_specified_wrong(tmp_path: Path) -> None:
     """Its corners have more than three faces."""
     rng = np.random.default_rng(5)
     plan = replace(polyhedron_plan("l-shaped", rng), duration_s=0.02)

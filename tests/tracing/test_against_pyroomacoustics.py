@@ -93,7 +93,7 @@ def test_the_gabled_room_has_their_images() -> None:
     scene = scene_of(full.room, [[9.82, 6.05, 1.7]], [[4.3, 3.1, 1.2]])
     a = np.linspace(0.1, 0.7, 7)
     walls = [
-        # their walls are triangles here, so that no polygon is told twice; normals out as ours
+        # their walls are triangles here, so that no polygon is given twice; normals out as ours
         pra.wall_factory(triangle.T, [a[surface]], [0.0], f"triangle {i}")
         for i, (triangle, surface) in enumerate(
             zip(corners_m(full.room.mesh), full.room.mesh.triangle_surface, strict=True)

@@ -151,9 +151,9 @@ def test_moved_points_have_the_paths_that_the_unfolding_foretells(name: str) -> 
     assert before.image_transform is not None
     images = tree_or_lattice(room, source, receiver, 0.09 * SPEED_M_S)
     observed = -images.length_m[:, None] * images.arrival
-    foretold = np.linalg.norm(observed + before.image_transform @ ds - dr, axis=1)
-    near = foretold < 0.09 * SPEED_M_S - 0.1
-    gap = np.abs(after.length_m[None, :] - foretold[near, None]).min(axis=1)
+    predicted = np.linalg.norm(observed + before.image_transform @ ds - dr, axis=1)
+    near = predicted < 0.09 * SPEED_M_S - 0.1
+    gap = np.abs(after.length_m[None, :] - predicted[near, None]).min(axis=1)
     assert near.sum() > 100
     assert np.mean(gap < 2e-9) >= (1.0 if name == "box" else 0.98)
 
@@ -295,8 +295,8 @@ def _area(polygon: FloatArray) -> float:
     return float(0.5 * np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)))
 
 
-def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_told() -> None:
-    """The duration told is affordable, and a tenth more is not."""
+def test_what_would_take_too_long_is_refused_and_how_far_one_can_go_is_reported() -> None:
+    """The duration reported is affordable, and a tenth more is not."""
     scene = scene_of(room_of(CELLS["slanted"]), [SOURCES["slanted"]], RECEIVERS["slanted"])
     still = uniform_scattering(scene.room.materials, 0.0)
     with pytest.raises(InputError, match="too many image sources to look for"):

@@ -199,7 +199,7 @@ def test_rain_is_the_same_for_any_number_of_threads():
     np.testing.assert_array_equal(one.length_m, other.length_m)
 
 
-def test_the_memory_that_rain_will_need_is_foretold():
+def test_the_memory_that_rain_will_need_is_predicted():
     """Never too little, and no more than twice too much."""
     scene = scene_of(box_room(), [SOURCE], [RECEIVER])
     for radius in (0.3, 1.0):

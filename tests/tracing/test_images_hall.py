@@ -55,7 +55,7 @@ def _length_m(
     return float(np.linalg.norm(image - SOURCE))
 
 
-def test_the_order_told_is_affordable_and_the_next_one_is_not() -> None:
+def test_the_order_reported_is_affordable_and_the_next_one_is_not() -> None:
     """Counted work: a hall of 76 walls, and the same hall asked for less or more."""
     scene = scene_of(hall_room(1012), [SOURCE, [3.1, -2.3, 1.4]], RECEIVERS)
     still = uniform_scattering(scene.room.materials, 0.0)
@@ -69,7 +69,7 @@ def test_the_order_told_is_affordable_and_the_next_one_is_not() -> None:
     assert affordable_order(scene, 10, 1.0, images=20.0) < order
 
 
-def test_every_seat_of_a_row_is_told_apart() -> None:
+def test_every_seat_of_a_row_is_distinguished() -> None:
     """Coplanar seats stay pieces of their own: two triangles of each rectangle become one."""
     walls, blockers = mirrors_of(hall_room(1012))
     # the shell's walls have the whole hall in front and block nothing

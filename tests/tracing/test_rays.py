@@ -233,7 +233,7 @@ def test_departure_and_arrival_are_the_directions_of_the_direct_sound():
     assert np.all(direct.departure @ towards > 0.97)
 
 
-def test_rays_that_leave_through_a_gap_are_counted_and_told():
+def test_rays_that_leave_through_a_gap_are_counted_and_reported():
     """Scattered rays in a box that lacks half of its floor: hits and escapes share them all."""
     scene = scene_of(box_without(8), [SOURCE], [[2.5, 2.0, 1.5]])
     statistics = _trace(scene, 1.0, n_rays=2000, duration_s=1.0).statistics
@@ -267,7 +267,7 @@ def test_the_fibonacci_sphere_is_the_standard_one():
     np.testing.assert_allclose(np.mod(turn, 2.0 * np.pi), golden, rtol=1e-9)
 
 
-def test_memory_is_told_before_and_refused_where_it_is_too_much():
+def test_memory_is_reported_before_and_refused_where_it_is_too_much():
     """The estimate is right within 10 %, and bytes per path are those of the arrays."""
     scene = _box_scene()
     settings = TraceSettings(0.5, n_rays=4000, image_order=-1)

@@ -1,6 +1,6 @@
 """Images and rays against each other: the same energies, nothing twice, nothing lost.
 
-Every comparison with rays allows five standard errors, told by 32 independent batches. Student's t
+Every comparison with rays allows five standard errors, given by 32 independent batches. Student's t
 of 31 degrees of freedom passes that once in 48,000 draws; with the 100 or so compared here a new
 seed fails about once in 500.
 """
@@ -127,7 +127,7 @@ def test_rays_in_a_box_bring_the_smeared_energies_of_the_images(radius_m: float)
     ]
     z = (energy - np.array(expected)) / error
     assert np.max(np.abs(z)) < ERRORS_ALLOWED
-    # were the errors told too large, z would be too small to notice a fault
+    # were the errors reported too large, z would be too small to notice a fault
     assert 0.4 < np.sqrt(np.mean(z**2)) < 1.7
     # 1 % of standard error for the smaller sphere
     assert np.sum(energy) == pytest.approx(np.sum(expected), rel=0.04)
@@ -202,7 +202,7 @@ def test_each_path_is_either_an_image_or_a_ray_that_no_image_stands_for() -> Non
     assert paths.n_batches == BATCHES
 
 
-def test_rays_that_an_image_stands_for_are_told_by_their_hits() -> None:
+def test_rays_that_an_image_stands_for_are_reported_by_their_hits() -> None:
     """No diffuse hit and at most so many; order -1 stands for none, the direct sound included."""
     scene = scene_of(box_room(), *PLACES)
     rays = traced(scene, 5000, -1, s=0.5).paths
@@ -294,7 +294,7 @@ def test_a_receiver_in_a_wall_is_refused() -> None:
         traced(scene, 100, 0)
 
 
-def test_a_leak_is_told() -> None:
+def test_a_leak_is_reported() -> None:
     """A box without its ceiling loses rays, and says how many and where."""
     full = box_room()
     mesh = full.mesh

@@ -156,27 +156,27 @@ def observed_apart(rng, truth, noise: float):
 def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_all_up():
     """Four walls of .01 to .04 and two of .1 to .6, each seen with an error of .02.
 
-    A prior about .15 that nobody told lifts the four: draws that take it at its word hold the mean
+    A prior about .15 that nobody stated lifts the four: draws that take it at its word hold the mean
     in 74 of 100 such rooms (500 looked at), those that do not in 91. These truths are not the
     prior's, so that nothing promises 95; 62 of 80 rooms is four standard errors below 91 %.
     """
     rng = np.random.default_rng(8)
-    held = {"as told": 0, "assumed": 0}
+    held = {"as specified": 0, "assumed": 0}
     for _ in range(80):
         truth = np.append(rng.uniform(0.01, 0.04, 4), rng.uniform(0.1, 0.6, 2))
         answer, covariance = observed_apart(rng, truth, 0.02)
         prior = np.full(6, PRIOR_MEAN), PRIOR_SD**2 * np.eye(6)
         drawn = {
-            "as told": rto_draws(answer, covariance, *prior, 256, rng),
+            "as specified": rto_draws(answer, covariance, *prior, 256, rng),
             "assumed": band_draws(answer, covariance, *prior, 256, rng),
         }
         for name, draws in drawn.items():
             low, high = np.quantile(draws.mean(axis=1), (0.025, 0.975))
             held[name] += low <= truth.mean() <= high
-    assert held["assumed"] > max(62, held["as told"])
+    assert held["assumed"] > max(62, held["as specified"])
 
 
-def test_a_prior_that_somebody_told_is_taken_at_its_word():
+def test_a_prior_that_somebody_specified_is_taken_at_its_word():
     """The same draws with and without the doubt, where the prior is not the one for any wall."""
     a, covariance = np.array([0.1, 0.3]), np.diag([0.2, 0.1])
     prior = np.array([-2.0, -1.0]), np.diag([1.0, 0.25])
@@ -211,7 +211,7 @@ def test_tied_materials_move_together():
     assert room.sd == pytest.approx(0.016, rel=0.065)
 
 
-def test_a_room_whose_mean_alone_is_known_is_told_so():
+def test_a_room_whose_mean_alone_is_known_is_reported_so():
     """Five materials, one combination within 10 %: said in words."""
     names = ("a", "b", "c", "d", "e")
     prior = np.full((5, 1), PRIOR_MEAN), PRIOR_SD**2 * np.eye(5)[None]

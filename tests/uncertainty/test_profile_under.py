@@ -1,4 +1,4 @@
-"""A profile and what else is told of the same unknown, against integrals and closed forms."""
+"""A profile and what else is reported of the same unknown, against integrals and closed forms."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_two_gaussians_multiply(mean: float) -> None:
     np.testing.assert_allclose(ends, expected, atol=0.01)
 
 
-def test_told_nothing_a_profile_keeps_its_ends_and_takes_the_sides_it_is_given() -> None:
+def test_with_nothing_specified_a_profile_keeps_its_ends_and_takes_the_sides_it_is_given() -> None:
     plain = straight(0.5)
     np.testing.assert_allclose(profile_under(plain, (1.3, 2.0), 7.0, 0.0), (-1.3, 2.0), atol=0.01)
 

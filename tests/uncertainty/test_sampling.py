@@ -189,7 +189,7 @@ def test_samples_have_the_quantiles_of_a_quadrature():
             assert abs(true - quantile) < 4.0 * sigma + 0.003, (entry, quantile, true)
 
 
-def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_told():
+def test_equal_seeds_give_equal_samples_and_too_few_evaluations_are_reported():
     problem = decay_case(np.random.default_rng(5), np.array([0.2, 0.4]))
     fit = fitted(problem)
     law = log_posterior(problem, fit)

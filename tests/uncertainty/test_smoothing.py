@@ -102,7 +102,7 @@ def test_bands_without_data_take_what_their_neighbours_say_and_no_more():
     np.testing.assert_allclose(got[1], (sd**2)[:, :, None], rtol=1e-9)
 
 
-def test_intervals_hold_where_walls_walk_as_told():
+def test_intervals_hold_where_walls_walk_as_specified():
     """Walls of the prior and the step, seen with noise: 95 % intervals hold 95 % of them.
 
     4800 values, six of a wall: a share off by four of its standard errors, were all of one wall

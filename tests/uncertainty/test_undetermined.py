@@ -45,7 +45,7 @@ def floor_and_ceiling():
     return a, np.linalg.inv(rows.T @ rows + np.linalg.inv(prior)), prior
 
 
-def test_floor_and_ceiling_are_told_together_and_their_difference_as_open():
+def test_floor_and_ceiling_are_reported_together_and_their_difference_as_open():
     a, covariance, before = floor_and_ceiling()
     prior = np.full((3, 1), -1.7), before[None]
     combinations, sentences, _ = determined(
@@ -79,7 +79,7 @@ def test_what_is_open_has_as_many_directions_as_the_data_lack(n, data):
     assert np.abs(rows @ directions[:, k:]).max(initial=0.0) < 1e-4
     assert own.tolist() == list(range(n))
     found = undetermined_groups(covariance, 1.5**2 * np.eye(n))
-    # a material's small part in a direction is not told, so whole ones may be missing at the edge
+    # a material's small part in a direction is not named, so whole ones may be missing at the edge
     assert abs(sum(u.directions for u in found) - (n - k)) <= (0 if k == 0 else 1)
 
 
@@ -182,7 +182,7 @@ def test_text_report_and_result_tell_shares_and_what_is_open():
     assert all(sum(c["weights"].values()) == pytest.approx(1.0, abs=1e-5) for c in reported)
 
 
-def test_a_difference_is_told_the_larger_less_the_smaller():
+def test_a_difference_is_reported_the_larger_less_the_smaller():
     a, covariance, before = floor_and_ceiling()
     found = find_combinations(
         np.ones(3), a, covariance, np.full(3, -1.7), before, np.random.default_rng(1)

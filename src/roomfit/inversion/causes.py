@@ -95,7 +95,8 @@ def arrival_findings(scene: Scene, measurements: Sequence[Measurement]) -> tuple
     if findings:
         kept = [m for m in found.measurements if m.where not in findings[0].evidence["files"]]
         rest = _arrivals(scene, kept)
-        findings = (*(() if rest is None else _alike_late(rest)), *findings)
+        if rest is not None:
+            findings = (*_alike_late(rest), *findings)
     return findings
 
 

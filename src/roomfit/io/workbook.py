@@ -80,10 +80,8 @@ def result_tables(path: Path) -> dict[str, list[Sequence[object]]]:
         tables["room parameters"] = [
             _PARAMETER_HEADING,
             *(
-                [
-                    *(pair["source"], pair["receiver"], pair["use"], name, band),
-                    *(values.get(key, [None] * len(bands))[j] for key in _PARAMETER_KEYS),
-                ]
+                [pair["source"], pair["receiver"], pair["use"], name, band]
+                + [values.get(key, [None] * len(bands))[j] for key in _PARAMETER_KEYS]
                 for pair in content.get("pairs", [])
                 for name, values in pair["parameters"].items()
                 for j, band in enumerate(bands)

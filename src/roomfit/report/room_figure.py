@@ -206,7 +206,8 @@ def _draw_space(axes: Axes, scene: Scene, edges: FloatArray, scale: float) -> No
         for p in (*scene.sources, *scene.receivers):
             foot = np.array([*p.position_m[:2], floor])
             # no grey, which would turn with the page: these lines lie on pale walls
-            axes.plot(*(np.array([p.position_m, foot]) @ onto.T).T, ":", color="#222223", lw=0.9)
+            right, up = onto @ np.array([p.position_m, foot]).T
+            axes.plot(right, up, ":", color="#222223", lw=0.9)
     _draw_points(axes, scene, onto, scale)
     flat = room.mesh.vertices_m @ onto.T
     axes.set_xlim(flat[:, 0].min(), flat[:, 0].max())
