@@ -156,7 +156,7 @@ def observed_apart(rng, truth, noise: float):
 def test_the_mean_of_many_hard_walls_is_held_though_an_assumed_prior_pulls_them_all_up():
     """Four walls of .01 to .04 and two of .1 to .6, each seen with an error of .02.
 
-    A prior about .15 that nobody stated lifts the four: draws that take it at its word hold the mean
+    A prior about .15 that nobody stated lifts the four: draws that take it at its word hold it
     in 74 of 100 such rooms (500 looked at), those that do not in 91. These truths are not the
     prior's, so that nothing promises 95; 62 of 80 rooms is four standard errors below 91 %.
     """

@@ -20,7 +20,7 @@ import math
 import re
 import struct
 import zlib
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from itertools import islice
 
 import numpy as np
@@ -423,6 +423,7 @@ def _samples(lines: list[str], n_header: int, needed: float, where: str) -> Floa
 _SUBTYPES = ("PCM_16", "PCM_24", "PCM_32", "FLOAT", "DOUBLE")
 _UNKNOWN_LENGTHS = (0, 0xFFFFFFFF)
 _WAVE64 = bytes.fromhex("726966662e91cf11a5d628db04c10000")  # the GUID that such a file begins with
+_SOUNDS = "FLAC, AIFF or Wave64"
 
 
 def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
@@ -449,7 +450,7 @@ def read_wav(spec: ResponseSpec, content: bytes) -> Recording:
     elif declared > available:
         found, needed = f"{available} bytes of samples", f"{declared} bytes, by its own header"
         raise _cut_off(str(spec.path), found, needed)
-    samples, rate_hz = _decoded(spec, content, _not_wav)
+    samples, rate_hz = _decoded(spec, content, "WAV")
     return Recording(samples, rate_hz, 0.0, findings)
 
 
@@ -468,15 +469,15 @@ def read_sound(spec: ResponseSpec, content: bytes) -> Recording:
     elif content[:16] == _WAVE64 and len(content) >= 24:
         declared = int(struct.unpack_from("<Q", content, 16)[0])
     elif content[:4] != b"fLaC":
-        raise _not_sound(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
+        raise _not_readable(
+            _SOUNDS, where, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+        )
     if declared > len(content):
         raise _cut_off(where, f"{len(content)} bytes", f"{declared} bytes, by its own header")
-    return Recording(*_decoded(spec, content, _not_sound))
+    return Recording(*_decoded(spec, content, _SOUNDS))
 
 
-def _decoded(
-    spec: ResponseSpec, content: bytes, refused: Callable[[str, str], InputError]
-) -> tuple[FloatArray, float]:
+def _decoded(spec: ResponseSpec, content: bytes, kind: str) -> tuple[FloatArray, float]:
     """Return the samples of the channel that is asked for, and their rate in Hz."""
     where = str(spec.path)
     try:
@@ -504,7 +505,7 @@ def _decoded(
         OverflowError,
         MemoryError,
     ) as error:
-        raise refused(where, str(error)) from error
+        raise _not_readable(kind, where, str(error)) from error
 
 
 def read_npy(spec: ResponseSpec, content: bytes) -> Recording:
@@ -542,7 +543,9 @@ def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
     """Return where the samples begin, and how many bytes of them the header declares."""
     form = content[:4]
     if form not in (b"RIFF", b"RF64", b"BW64") or content[8:12] != b"WAVE":
-        raise _not_wav(where, f"a file of {len(content)} bytes that begins with {content[:12]!r}")
+        raise _not_readable(
+            "WAV", where, f"a file of {len(content)} bytes that begins with {content[:12]!r}"
+        )
     position, long_size, format_found = 12, None, False
     while position + 8 <= len(content):
         name, size = struct.unpack_from("<4sI", content, position)
@@ -551,7 +554,7 @@ def _data_chunk(content: bytes, where: str) -> tuple[int, int]:
         format_found = format_found or name == b"fmt "
         if name == b"data":
             if not format_found:
-                raise _not_wav(where, "samples without a format before them")
+                raise _not_readable("WAV", where, "samples without a format before them")
             if form != b"RIFF" and size == 0xFFFFFFFF and long_size is not None:
                 size = long_size
             return position + 8, size
@@ -574,19 +577,10 @@ def _cut_off(where: str, found: str, needed: str) -> InputError:
     )
 
 
-def _not_sound(where: str, found: str) -> InputError:
+def _not_readable(kind: str, where: str, found: str) -> InputError:
     return InputError(
-        "this is not a FLAC, AIFF or Wave64 file that can be read",
+        f"this is not a {kind} file that can be read",
         where=where,
         found=found,
-        needed="PCM or floating-point samples, the ending .flac, .aif, .aiff or .w64",
-    )
-
-
-def _not_wav(where: str, found: str) -> InputError:
-    return InputError(
-        "this is not a WAV file that can be read",
-        where=where,
-        found=found,
-        needed="RIFF WAVE with PCM or floating-point samples",
+        needed="PCM or floating-point samples under a header of that format",
     )
