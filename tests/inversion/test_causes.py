@@ -87,6 +87,13 @@ def test_a_campaign_as_specified_raises_nothing():
     assert measured_findings(recordings()) == ()
 
 
+def test_arrays_whose_peaks_are_cut_off_are_found_as_files_are():
+    files = changed(recordings(), lambda x: np.clip(x, -0.2 * x.max(), 0.2 * x.max()))
+    found = [f for f in measured_findings(files) if f.code is Code.RESPONSE_CLIPPED]
+    assert len(found) == len(files)
+    assert "LS1 to M1" in found[0].sentence
+
+
 def test_a_common_delay_is_one_sentence_with_the_key_to_set():
     """38 samples at 48 kHz; no single recording and no wall is blamed as well."""
     findings = measured_findings(changed(recordings(), late(0.00079)))

@@ -42,6 +42,7 @@ from roomfit.signals.noise import NoiseEstimate, estimate_noise
 from roomfit.signals.response import (
     ImpulseResponse,
     check_travel,
+    clipping_findings,
     compare_onset,
     find_onset,
     same_recordings,
@@ -348,6 +349,8 @@ def observe(
         _check_same_rate(m, measurements[0])
         check_is_response(m.response, m.where)
         findings += m.findings
+        if not m.findings:  # arrays: no reader has looked at them
+            findings += clipping_findings(m.response.pressure, f"{m.source} to {m.receiver}")
     observed = []
     for m, pair, direct_s, response in zip(
         measurements, pairs, travel_s, from_emission(measurements, travel_s), strict=True

@@ -169,7 +169,8 @@ def png(figure: Figure, dpi: int = 130) -> bytes:
     # the same bytes as `savefig`, which draws everything twice
     stream = io.BytesIO()
     figure.set_dpi(dpi)
-    FigureCanvasAgg(figure).print_png(stream)
+    canvas: Any = FigureCanvasAgg(figure)
+    canvas.print_png(stream)
     return stream.getvalue()
 
 
@@ -192,7 +193,8 @@ def svg(figure: Figure, name: str, title: str) -> str:
     stream = io.StringIO()
     figure.set_dpi(72)  # that of SVG
     with mpl.rc_context({"svg.hashsalt": name, "svg.fonttype": "none"}):
-        FigureCanvasSVG(figure).print_svg(stream, metadata={"Date": None})
+        canvas: Any = FigureCanvasSVG(figure)
+        canvas.print_svg(stream, metadata={"Date": None})
     # the declaration, the document type and the licence of the metadata have no place in a page
     text = stream.getvalue()
     body = text[text.index(">", text.index("<svg ")) + 1 : text.rindex("</svg>")]

@@ -17,6 +17,10 @@ from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.typing import FloatArray
 
+# Equal samples in a row, and equal peaks, at which a response counts as cut off; the levels that
+# its converter must know for the latter, and the steps by which a crest falls beside its top.
+_CLIPPED_RUN, _EQUAL_PEAKS, _FEW_LEVELS, _CREST_STEPS = 4, 5, 500.0, 3.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ImpulseResponse:
@@ -95,6 +99,67 @@ _LOWEST_HZ, _HIGHEST_HZ = 800.0, 8000.0
 _ECHO_S = 0.3e-3
 _SURROUNDINGS_S = 10e-3
 _FLOOR = 1e-9
+
+
+def clipping_findings(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
+    """Return a finding where the peaks of a response were cut off."""
+    return clipping(pressure, name, "Early energy is wrong") or _equal_peaks(pressure, name)
+
+
+def clipping(pressure: FloatArray, name: str, harm: str) -> tuple[Finding, ...]:
+    """Return a finding where the peak was cut off: a run of equal samples with steep sides.
+
+    A peak is one sample or two. The crest of a low tone has more samples that a coarse converter
+    takes for equal, but beside them it falls by a step or two of the converter only. `harm` says
+    what it does to the result.
+    """
+    size = np.abs(pressure)
+    # full scale downwards is one step farther than upwards
+    at_peak = size[1:] >= size.max() * (1.0 - 1e-4)
+    repeated = (np.diff(pressure) == 0.0) & at_peak
+    edges = np.flatnonzero(np.diff(np.concatenate(([0], repeated.astype(np.int8), [0]))))
+    first, last = edges[::2], edges[1::2]
+    steps = np.abs(np.diff(pressure))
+    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
+    beside = np.concatenate(([0.0], steps, [0.0]))
+    steep = np.maximum(beside[first], beside[last + 1]) > crest
+    longest = int(np.max((last - first)[steep], initial=0)) + 1
+    if longest < _CLIPPED_RUN:
+        return ()
+    return (
+        Finding(
+            Code.RESPONSE_CLIPPED,
+            f"{name} looks clipped: {longest} samples in a row have the largest value, "
+            f"{size.max():.4g}. {harm}; measure again at a lower level.",
+            {"longest_run": longest, "largest": float(size.max())},
+        ),
+    )
+
+
+def _equal_peaks(pressure: FloatArray, name: str) -> tuple[Finding, ...]:
+    """Return a finding where many separate peaks of a response are equally high.
+
+    Short peaks that are cut off have no run of equal samples; but no two reflections of a room are
+    equal, let alone five, unless a converter knows only a few levels.
+    """
+    size = np.abs(pressure)
+    steps = np.abs(np.diff(pressure))
+    if size.max() < _FEW_LEVELS * float(steps[steps > 0.0].min()):
+        return ()
+    high = size >= size.max() * (1.0 - 1e-6)
+    before, after = np.concatenate(([0.0], size[:-1])), np.concatenate((size[1:], [0.0]))
+    steep = np.minimum(before, after) < 0.99 * size.max()
+    n_peaks = int(np.count_nonzero(high & steep))
+    if n_peaks < _EQUAL_PEAKS:
+        return ()
+    return (
+        Finding(
+            Code.RESPONSE_CLIPPED,
+            f"{name} looks clipped: {n_peaks} peaks have the same largest value, "
+            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
+            {"equal_peaks": n_peaks, "largest": float(size.max())},
+        ),
+    )
 
 
 def echo_prominence(response: ImpulseResponse) -> FloatArray:

@@ -11,14 +11,11 @@ from scipy.fft import irfft, next_fast_len, rfft, rfftfreq
 from roomfit.errors import InputError
 from roomfit.findings import Code, Finding
 from roomfit.measurement import TimeZero
+from roomfit.signals.response import clipping, clipping_findings
 from roomfit.typing import FloatArray
 
 _SHORTEST_S = 0.01
 _LOUDEST, _SOFTEST = 1e12, 1e-30  # their squares are far from the range of a float
-_CLIPPED_RUN = 4
-_EQUAL_PEAKS = 5
-_FEW_LEVELS = 500.0
-_CREST_STEPS = 3.0
 # Below this share of the peak an offset is far below any noise floor that matters (-80 dB).
 _LEAST_OFFSET = 1e-4
 
@@ -86,7 +83,7 @@ def checked(recording: Recording, where: Path) -> tuple[FloatArray, tuple[Findin
     refuse_useless(recording, where)
     pressure = recording.pressure
     offset, offset_findings = _offset(pressure, where)
-    clipped = clipping(pressure, where, "Early energy is wrong") or _equal_peaks(pressure, where)
+    clipped = clipping_findings(pressure, where.name)
     return pressure - offset, (*recording.findings, *clipped, *offset_findings)
 
 
@@ -126,62 +123,6 @@ def refuse_useless(recording: Recording, where: Path) -> None:
             found=f"{len(pressure)} samples, all of them {pressure[0]:g}",
             hint="another channel may hold the response",
         )
-
-
-def clipping(pressure: FloatArray, where: Path, harm: str) -> tuple[Finding, ...]:
-    """Return a finding where the peak was cut off: a run of equal samples with steep sides.
-
-    A peak is one sample or two. The crest of a low tone has more samples that a coarse converter
-    takes for equal, but beside them it falls by a step or two of the converter only. `harm` says
-    what it does to the result.
-    """
-    size = np.abs(pressure)
-    # full scale downwards is one step farther than upwards
-    at_peak = size[1:] >= size.max() * (1.0 - 1e-4)
-    repeated = (np.diff(pressure) == 0.0) & at_peak
-    edges = np.flatnonzero(np.diff(np.concatenate(([0], repeated.astype(np.int8), [0]))))
-    first, last = edges[::2], edges[1::2]
-    steps = np.abs(np.diff(pressure))
-    crest = _CREST_STEPS * float(steps[steps > 0.0].min())
-    beside = np.concatenate(([0.0], steps, [0.0]))
-    steep = np.maximum(beside[first], beside[last + 1]) > crest
-    longest = int(np.max((last - first)[steep], initial=0)) + 1
-    if longest < _CLIPPED_RUN:
-        return ()
-    return (
-        Finding(
-            Code.RESPONSE_CLIPPED,
-            f"{where.name} looks clipped: {longest} samples in a row have the largest value, "
-            f"{size.max():.4g}. {harm}; measure again at a lower level.",
-            {"longest_run": longest, "largest": float(size.max())},
-        ),
-    )
-
-
-def _equal_peaks(pressure: FloatArray, where: Path) -> tuple[Finding, ...]:
-    """Return a finding where many separate peaks of a response are equally high.
-
-    Short peaks that are cut off have no run of equal samples; but no two reflections of a room are
-    equal, let alone five, unless a converter knows only a few levels.
-    """
-    size = np.abs(pressure)
-    steps = np.abs(np.diff(pressure))
-    if size.max() < _FEW_LEVELS * float(steps[steps > 0.0].min()):
-        return ()
-    high = size >= size.max() * (1.0 - 1e-6)
-    before, after = np.concatenate(([0.0], size[:-1])), np.concatenate((size[1:], [0.0]))
-    steep = np.minimum(before, after) < 0.99 * size.max()
-    n_peaks = int(np.count_nonzero(high & steep))
-    if n_peaks < _EQUAL_PEAKS:
-        return ()
-    return (
-        Finding(
-            Code.RESPONSE_CLIPPED,
-            f"{where.name} looks clipped: {n_peaks} peaks have the same largest value, "
-            f"{size.max():.4g}. Early energy is wrong; measure again at a lower level.",
-            {"equal_peaks": n_peaks, "largest": float(size.max())},
-        ),
-    )
 
 
 def _offset(pressure: FloatArray, where: Path) -> tuple[float, tuple[Finding, ...]]:
@@ -283,7 +224,9 @@ def deconvolved(
     )
     evidence = {"low_hz": low_hz, "high_hz": high_hz, "duration_s": n_kept / rate_hz}
     finding = Finding(Code.DECONVOLVED, text, evidence)
-    clipped = clipping(recording.pressure, path, "The response deconvolved from it is distorted")
+    clipped = clipping(
+        recording.pressure, path.name, "The response deconvolved from it is distorted"
+    )
     findings = (*recording.findings, *excitation.findings, *clipped, finding)
     return Recording(pressure, rate_hz, recording.delay_s - n_lead / rate_hz, findings)
 
