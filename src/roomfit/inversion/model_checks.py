@@ -322,13 +322,13 @@ def decays_by_scattering(
     scene, bands, chosen = measurements.scene, measurements.bands, [m.band for m in misses]
     worst = [max(m.jnd, key=lambda name: abs(m.jnd[name][0])) for m in misses]
     fitted = fitted_decay_times_s(measurements, traced.binned, absorption, chosen)
-    quick = TraceSettings(
+    shortened = TraceSettings(
         traced.settings.duration_s,
         n_rays=settings.n_scattering_rays,
         receiver_radius_m=traced.settings.receiver_radius_m,
         seed=settings.seed,
     )
-    retracer, found = Retracer(scene, bands, quick), {}
+    retracer, found = Retracer(scene, bands, shortened), {}
     for s in _TRIED_SCATTERING:
         coefficients = np.full(len(scene.room.materials), s)
         binned = retracer.at(Scattering(scene.room.materials, coefficients))

@@ -258,9 +258,9 @@ def chosen_scattering(
     fitted = np.array([k.fit_scattering for k in priors])
     if not fitted.any():
         return priors, np.zeros(len(priors)), ()
-    quick = _quick(trace_settings, settings.n_scattering_rays, _FIT_S)
+    shortened = _shortened(trace_settings, settings.n_scattering_rays, _FIT_S)
     every = slice(0, len(measurements.bands))
-    trial = _energy_fit(measurements, priors, settings, quick, start, every)
+    trial = _energy_fit(measurements, priors, settings, shortened, start, every)
     if trial is None:
         raise InputError(
             "scattering cannot be fitted without responses",
@@ -324,8 +324,8 @@ def assumed_scattering(
     n_bands = len(measurements.bands)
     first = max((n_bands - _ASSUMED_BANDS) // 2, 0)
     middle = slice(first, min(first + _ASSUMED_BANDS, n_bands))
-    quick = _quick(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
-    trial = _energy_fit(measurements, priors, settings, quick, start, middle)
+    shortened = _shortened(trace_settings, _ASSUMED_RAYS, _TRIAL_S)
+    trial = _energy_fit(measurements, priors, settings, shortened, start, middle)
     if trial is not None:
         grid = (0.0, *sorted({*_ASSUMED, value}))
         best, low, high = (
@@ -366,11 +366,11 @@ def scattering_trial(
         return None
     last = max(int(np.searchsorted(measurements.bands.centres_hz, _HIGHEST_TRIAL_HZ)), 1)
     chosen = slice(max(last - _TRIAL_BANDS, 0), last)
-    quick = _quick(trace_settings, settings.n_scattering_rays, _TRIAL_S)
-    return _energy_fit(measurements, priors, settings, quick, start, chosen)
+    shortened = _shortened(trace_settings, settings.n_scattering_rays, _TRIAL_S)
+    return _energy_fit(measurements, priors, settings, shortened, start, chosen)
 
 
-def _quick(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:
+def _shortened(settings: TraceSettings, n_rays: int, until_s: float) -> TraceSettings:
     until_s = min(settings.duration_s, until_s)
     return replace(settings, n_rays=n_rays, duration_s=until_s, keep_image_transforms=False)
 
