@@ -17,7 +17,7 @@ from roomfit.inversion.model_checks import certain_misses, decay_misses, fit_fin
 from roomfit.inversion.paths import traced_paths
 from roomfit.inversion.reflections import isolated_reflections, reflection_findings, wall_returns
 from roomfit.materials.priors import complete_priors
-from roomfit.objective.windows import windows_t20_s
+from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.directivity import Pattern
 from roomfit.results import Compared, ComparedPair
 from roomfit.settings import Settings
@@ -72,17 +72,42 @@ def test_a_decay_30_percent_too_long_is_missed_and_one_8_percent_too_long_is_not
 def test_a_decay_that_pressures_reproduce_is_not_missed_though_energies_miss_it() -> None:
     """And one that the fitted windows miss by 30 % as well, is: pairs of 2 s without noise."""
     pairs, fitted = [compared(2.0, 1.3, None)] * 3, [True] * len(OCTAVES)
-    as_fitted = [np.array([[2.0] * 3, [2.0 * off] * 3]) for off in (1.3, 1.05, 1.0, 0.7, 1.05, 1.3)]
-    found = decay_misses(OCTAVES, pairs, fitted, [*as_fitted[:4], None, as_fitted[5]])
+    as_fitted = [
+        {"T20_s": np.array([[2.0] * 3, [2.0 * off] * 3])}
+        for off in (1.3, 1.05, 1.0, 0.7, 1.05, 1.3)
+    ]
+    found = decay_misses(OCTAVES, pairs, fitted, [*as_fitted[:4], {}, as_fitted[5]])
     assert [m.band for m in found] == [0, 3, 4, 5]
+
+
+def test_early_decay_is_judged_by_the_early_decay_of_the_fitted_windows() -> None:
+    """Energies miss EDT by 45 % in every octave, pressures in all but the first two."""
+    rng = np.random.default_rng(8)
+    pairs = [compared(2.0, 0.55, rng) for _ in range(4)]
+    pairs = [replace(p, parameters={"EDT_s": p.parameters["T20_s"]}) for p in pairs]
+    short, right = (np.array([[2.0] * 4, [2.0 * off] * 4]) for off in (0.6, 1.02))
+    as_fitted = [
+        *({"EDT_s": right, "T20_s": short},) * 2,
+        *({"EDT_s": short, "T20_s": right},) * 3,
+        {"T20_s": right},
+    ]
+    found = decay_misses(OCTAVES, pairs, [True] * len(OCTAVES), as_fitted)
+    assert [m.band for m in found] == [2, 3, 4, 5]
 
 
 def test_windows_of_an_exponential_decay_have_its_reverberation_time() -> None:
     """Within 1 %, windows growing by a tenth; and none where three do not fall by 25 dB."""
     edges_s = np.concatenate(([0.0], 0.01 * 1.1 ** np.arange(60)))
     energy = -np.diff(10.0 ** (-6.0 * edges_s / 0.7))
-    assert windows_t20_s(edges_s, energy) == pytest.approx(0.7, rel=0.01)
-    assert np.isnan(windows_t20_s(edges_s[:3], energy[:2]))
+    for name in WINDOW_DECAYS:
+        assert windows_decay_s(edges_s, energy, name) == pytest.approx(0.7, rel=0.01)
+        assert np.isnan(windows_decay_s(edges_s[:2], energy[:1], name))
+    # a decay twice as steep after 10 dB has an early part of its own
+    bent = np.where(edges_s < 0.7 / 6.0, edges_s, 2.0 * edges_s - 0.7 / 6.0)
+    energy = -np.diff(10.0 ** (-6.0 * bent / 0.7))
+    early, late = (windows_decay_s(edges_s, energy, name) for name in ("EDT_s", "T20_s"))
+    assert early == pytest.approx(0.7, rel=0.1)
+    assert late < 0.6
 
 
 # One box of six materials, measured twice over, as image sources with phase have it.

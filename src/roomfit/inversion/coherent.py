@@ -86,7 +86,7 @@ from roomfit.objective.observation import energy_terms, fitted_in_band
 from roomfit.objective.parameters import Geometry, physical_values
 from roomfit.objective.problem import Objective
 from roomfit.objective.room_parameters import ValuesTerm
-from roomfit.objective.windows import windows_t20_s
+from roomfit.objective.windows import WINDOW_DECAYS, windows_decay_s
 from roomfit.response.binned import BinnedPaths
 from roomfit.response.coherent import ImagePaths, image_paths, images_of
 from roomfit.scene import Scene, material_areas_m2
@@ -542,22 +542,24 @@ def coherent_estimates(fit: CoherentFit) -> Iterator[FittedBand | None]:
         sources = _sources(task, number)
         noisy = with_shared_errors(objective, found.fit, sources, relative, band)
         own = band_estimate(objective.parameters, noisy, areas_m2, "coherent")
-        own = replace(own, window_t20_s=_window_t20_s(windows, found.fit))
+        own = replace(own, window_decays_s=_window_decays_s(windows, found.fit))
         beaten = task.settings.model != "coherent" and likelihoods[0] - likelihoods[1] >= UNDECIDED
         yield FittedBand(own) if beaten else FittedBand(own, objective, found.fit)
 
 
-def _window_t20_s(windows: EnergyTerm, fit: BandFit) -> FloatArray:
-    """Return T20 of each file from its windows, measured and as fitted, shape (2, n_files)."""
+def _window_decays_s(windows: EnergyTerm, fit: BandFit) -> dict[str, FloatArray]:
+    """Return decays of each file from its windows, measured and as fitted, shape (2, n_files)."""
     ends = np.cumsum([o.energy.size for o in windows.observations])[:-1]
-    each = zip(
-        windows.observations, np.split(fit.expected[: windows.measured().size], ends), strict=True
-    )
-    times_s = [
-        [windows_t20_s(o.edges_s, e - o.noise) for e in (o.energy, expected)]
-        for o, expected in each
-    ]
-    return np.array(times_s).T
+    fitted = np.split(fit.expected[: windows.measured().size], ends)
+    return {
+        name: np.array(
+            [
+                [windows_decay_s(o.edges_s, e - o.noise, name) for e in (o.energy, expected)]
+                for o, expected in zip(windows.observations, fitted, strict=True)
+            ]
+        ).T
+        for name in WINDOW_DECAYS
+    }
 
 
 def _relative_errors(

@@ -300,7 +300,7 @@ def combine(
     areas = material_areas_m2(scene.room)
     pairs = compare_all(measured, traced.binned, absorption)
     covariance = _logit_covariance(found, absorption, priors)
-    by_pressures = [b.window_t20_s if b.model == "coherent" else None for b in found]
+    by_pressures = [b.window_decays_s if b.model == "coherent" else {} for b in found]
     misses = decay_misses(bands, pairs, [b.model != "prior" for b in found], by_pressures)
     misses = certain_misses(measured, traced, misses, absorption, covariance, settings)
     missed = np.zeros_like(identifiable)

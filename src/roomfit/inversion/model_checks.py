@@ -6,7 +6,7 @@ prior dominates an answer, or a band lies below the Schroeder frequency.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -130,7 +130,7 @@ def decay_misses(
     bands: Bands,
     pairs: Sequence[ComparedPair],
     fitted: Sequence[bool],
-    by_pressures: Sequence[FloatArray | None] = (),
+    by_pressures: Sequence[Mapping[str, FloatArray]] = (),
 ) -> tuple[DecayMiss, ...]:
     """Return the bands in which T20, T30 or EDT of the fitted pairs is not reproduced.
 
@@ -143,7 +143,7 @@ def decay_misses(
 
     Predictions add energies. Between smooth, parallel walls pressures do not add so: the right
     absorption may miss the decay by half there. A band that was fitted by pressures is therefore
-    missed only where its own windows, as fitted, miss their decay by the same measure, too.
+    missed only where its own windows, as fitted, miss the same part of their decay, too.
 
     Parameters
     ----------
@@ -151,8 +151,9 @@ def decay_misses(
         Those kept for validation are left out.
     fitted : sequence of bool
         For each band; others are left out.
-    by_pressures : sequence of float arrays, shape (2, n_files), or None; one a band, optional
-        T20 of the windows of each file, measured and as pressures fit them.
+    by_pressures : sequence of mappings from parameter to float array, shape (2, n_files), optional
+        By band, T20 and EDT of the windows of each file, measured and as pressures fit them; none
+        where energies were fitted.
 
     References
     ----------
@@ -170,13 +171,15 @@ def decay_misses(
                 found[band] = DecayMiss(
                     band, {**before.jnd, name: (mean, float(sd))}, max(before.number, jnd.size)
                 )
-    for band, times_s in enumerate(by_pressures):
-        if times_s is not None and band in found:
+    for band, decays_s in enumerate(by_pressures):
+        for name in decays_s.keys() & found.get(band, DecayMiss(band, {}, 0)).jnd.keys():
+            times_s = decays_s[name]
             measured_s, fitted_s = times_s[:, np.isfinite(times_s).all(axis=0)]
-            scatter = DECAY_SCATTER["T20_s"] / np.sqrt(bandwidth_hz[band] * measured_s)
+            scatter = DECAY_SCATTER[name] / np.sqrt(bandwidth_hz[band] * measured_s)
             mean, sd = mean_miss((fitted_s / measured_s - 1.0) / 0.05, scatter)
             if abs(mean) < max(_LARGEST_MISS_JND, _MISS_SDS * sd):
-                del found[band]
+                rest = {n: v for n, v in found[band].jnd.items() if n != name}
+                found[band] = found[band]._replace(jnd=rest)
     return tuple(found[band] for band in sorted(found) if not found[band].jnd.keys() <= {"T30_s"})
 
 

@@ -81,20 +81,27 @@ def _through(spreading: Spreading, spectrum: ComplexArray, rows: FloatArray) -> 
     )
 
 
-def windows_t20_s(edges_s: FloatArray, energy: FloatArray) -> float:
-    """Return T20 of one response from the energies of its windows, noise taken off, in s.
+WINDOW_DECAYS = {"T20_s": (-5.0, -25.0), "EDT_s": (0.0, -10.0)}
+"""Ranges of levels in dB that `windows_decay_s` knows."""
 
-    From the line through what is left at the windows' beginnings, 5 to 25 dB below the whole; NaN
-    where fewer than three lie there. Energy after the last window is left out.
+
+def windows_decay_s(edges_s: FloatArray, energy: FloatArray, name: str) -> float:
+    """Return T20 or EDT of one response from the energies of its windows, noise taken off, in s.
+
+    From the line through what is left at the windows' beginnings, 5 to 25 or 0 to 10 dB below the
+    whole; NaN where fewer than three lie there. Energy after the last window is left out.
 
     Parameters
     ----------
     edges_s : float array, shape (n_windows + 1,)
     energy : float array, shape (n_windows,)
+    name : str
+        One of `WINDOW_DECAYS`.
     """
+    highest_db, lowest_db = WINDOW_DECAYS[name]
     left = np.cumsum(np.maximum(energy, 0.0)[::-1])[::-1]
     level_db = 10.0 * np.log10(np.maximum(left, np.finfo(np.float64).tiny) / max(left[0], 1e-300))
-    inside = (level_db <= -5.0) & (level_db >= -25.0)
+    inside = (level_db <= highest_db) & (level_db >= lowest_db)
     if np.count_nonzero(inside) < 3:
         return float("nan")
     slope, _ = np.polyfit(edges_s[:-1][inside], level_db[inside], 1)

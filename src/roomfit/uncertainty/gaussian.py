@@ -366,9 +366,9 @@ class BandEstimate:
     # (n_materials,), standard deviation in the logit by which term were left out, see `sds_without`
     costs: Mapping[str, FloatArray] = field(default_factory=dict)
 
-    # (2, n_files), T20 of the windows of each file in s, measured and as fitted, where pressures
-    # were fitted
-    window_t20_s: FloatArray | None = None
+    # by parameter, (2, n_files): decay of each file's windows in s, measured and as fitted, where
+    # pressures were fitted
+    window_decays_s: Mapping[str, FloatArray] = field(default_factory=dict)
 
     @property
     def converged(self) -> bool:
