@@ -395,8 +395,8 @@ def located(outline: Outline) -> Located:
             shift_m = _highest(posterior, shift_m, k, max(float(sd_m[k]), _LEAST_REACH_M))
         found_sd_m[own] = np.sqrt(np.diag(_covariance(posterior, shift_m, own.tolist(), sd_m[own])))
     finding = _implausible(outline, worth, shift_m)
-    gain, far_m = _farthest(outline, worth, shift_m)
-    if finding is None and gain > LEAST_GAIN and far_m is not None:
+    far_m = None if finding is not None else _farthest(outline, worth, shift_m)
+    if far_m is not None:
         finding = _named(outline, worth, shift_m, far_m)
     return Located(outline.moved_m + shift_m, found_sd_m, finding)
 
@@ -532,26 +532,28 @@ def _stated_step(outline: Outline, posterior: Worth, shift_m: FloatArray) -> Flo
     return trials[int(np.argmax(values))]
 
 
-def _farthest(
-    outline: Outline, worth: Worth, shift_m: FloatArray
-) -> tuple[float, FloatArray | None]:
-    """Return the largest gain of one offset beyond what is specified, and where it is.
+def _farthest(outline: Outline, worth: Worth, shift_m: FloatArray) -> FloatArray | None:
+    """Return where one offset is beyond what is specified and gains most, None where none gains.
 
-    Over its axis as specified; less likely than what is within the specified, it is nowhere.
+    Over its axis as specified; less likely than what is within the specified, it is nowhere. What
+    was to stay within the specified may have gone beyond it step by step: then that is far.
     """
-    inside, best, at = worth(shift_m), 0.0, None
+    limits_m = np.array([LARGEST_SHIFT_SD * _tolerance_m(o) for o in outline.offsets])
+    inside, best, at = worth(shift_m), LEAST_GAIN, None
     for k, offset in enumerate(outline.offsets):
-        way, limit_m = np.eye(shift_m.size)[k], LARGEST_SHIFT_SD * _tolerance_m(offset)
+        way = np.eye(shift_m.size)[k]
         same = [o.axis == offset.axis for o in outline.offsets]
         start_m = np.where(same, -outline.moved_m, shift_m)
         here = worth(start_m)
         for d in (*-_GRID_M, *_GRID_M):
-            if abs(d) <= limit_m:
+            if abs(d) <= limits_m[k]:
                 continue
             found = worth(start_m + d * way)
             if found > inside and found - here > best:
                 best, at = found - here, start_m + d * way
-    return best, at
+    went = np.abs(outline.moved_m + shift_m) > limits_m
+    is_free = np.array([not o.is_stated for o in outline.offsets])
+    return shift_m if at is None and np.any(went & is_free) else at
 
 
 def _named(
