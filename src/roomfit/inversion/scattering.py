@@ -59,8 +59,8 @@ _ASSUMED_BANDS, _ASSUMED_RAYS = 2, 8_000
 
 # Walls specified as smooth are tried with this coefficient ...
 _TRIAL = 0.15
-# ... which must gain more than this in log likelihood, and lose less in every band: of six boxes that
-# scatter so one lost 2 in its lowest band; a smooth one of another program lost 5, and gained 22.
+# ... which must gain more than this in log likelihood, and lose less in every band: of six boxes
+# that scatter so one lost 2 in a band; a smooth one of another program lost 5, and gained 22.
 _LEAST_GAIN, _LARGEST_LOSS = 5.0, 3.0
 # The higher a band, the less its energies fluctuate by interference, and the better they determine
 # whether anything arrives between the image sources; higher still, sources are directional.
