@@ -204,7 +204,7 @@ def identify_room(campaign: Path, folder: Path) -> str:
     Where the folder has come into being meanwhile, by whomever, it stays as it is.
     """
     try:
-        identify_to_folder(campaign, folder, keep=False)
+        identify_to_folder(campaign, folder)
     except StoreError:
         raise
     except RoomfitError as error:

@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from roomfit.cache import (
-    cache_unless_refused,
     check_output_folder,
     shared_folder,
     sole_writer,
+    user_cache,
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
@@ -370,7 +370,8 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
-    with located(str(campaign_file)), cache_unless_refused(out, keep=use_cache) as cache:
+    cache = user_cache() if use_cache else None
+    with located(str(campaign_file)):
         predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_predicted(folder, predicted, files_read())
@@ -499,7 +500,7 @@ def identify_to_folder(
     overwrite : bool
         Write into a folder that is not empty.
     keep : bool
-        Keep the trace in the output folder, so that a run that was interrupted continues from it.
+        Keep the trace in the user's cache, so that a run that was interrupted continues from it.
     noted : callable, optional
         Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
@@ -521,7 +522,8 @@ def identify_to_folder(
     project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
-    with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
+    cache = user_cache() if keep else None
+    with located(str(campaign_file)):
         if noted is not None:
             measured = arguments["measurements"]
             responses = [m for m in measured if isinstance(m, Measurement)]

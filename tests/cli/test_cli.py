@@ -135,7 +135,6 @@ def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypat
     assert str(out) in shown.out
     # a name that is no file name does not lead out of the folder
     assert sorted(p.name for p in out.iterdir()) == [
-        ".roomfit-cache",
         ".roomfit-files",
         "absorption.csv",
         "absorption.png",

@@ -20,6 +20,7 @@ from contextlib import contextmanager
 import roomfit
 from roomfit.cli import (
     batch,
+    cache,
     catalogue,
     check,
     compare,
@@ -41,6 +42,7 @@ from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
     batch,
+    cache,
     catalogue,
     check,
     compare,

@@ -25,9 +25,7 @@ def add(commands: Commands) -> None:
         help="A first answer: no search for faults of files, positions and chain, no pictures.",
     )
     parser.add_overwrite()
-    parser.add_argument(
-        "--no-cache", action="store_true", help="Do not keep the trace for a later run."
-    )
+    parser.add_argument("--no-cache", action="store_true", help="Neither use nor keep a trace.")
 
 
 def run(options: argparse.Namespace) -> None:
