@@ -6,6 +6,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -66,6 +67,8 @@ from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
+
+_LOG = logging.getLogger("roomfit")
 
 
 def check_campaign_recordings(
@@ -543,6 +546,7 @@ def identify_to_folder(
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         if not quick:
+            _LOG.info("drawing")
             write_pictures(folder, answer, part(progress, 0.95, 1.0))
     return answer
 
@@ -568,6 +572,7 @@ def run_demo(
     with whole_output_folder(out, overwrite=overwrite) as folder:
         (folder / "campaign").mkdir()
         plan, rng = demo_plan(), np.random.default_rng(seed)
+        _LOG.info("simulating measurements")
         campaign = write_measured_box(plan, folder / "campaign", rng, part(progress, 0.0, 0.4))
         answer = identify_to_folder(campaign, folder / "result", progress=part(progress, 0.4, 1.0))
         rows = [plan.materials.index(name) for name in answer.materials]

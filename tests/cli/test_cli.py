@@ -7,14 +7,12 @@ import json
 import re
 import subprocess
 import sys
-import time
 
 import numpy as np
 import pytest
 import soundfile
 
 import roomfit
-from roomfit.cli.terminal import progress_line
 from small_campaign import MATERIALS, box_obj, run_command, write_campaign, write_wav
 
 HEAVY = ("numpy", "scipy", "numba", "matplotlib", "pydantic", "h5py", "soundfile", "trimesh")
@@ -108,22 +106,6 @@ def test_no_command_at_all_shows_the_help_and_ends_with_2(monkeypatch, capsys):
 def test_the_former_name_of_a_command_answers_with_the_new_one(monkeypatch, capsys):
     assert run_command(monkeypatch, "calibrate", "a.toml", "--out", "b") == 2
     assert capsys.readouterr().err == "the command 'calibrate' is now called 'coverage'\n"
-
-
-def test_progress_is_drawn_on_a_terminal_only_and_cleared_at_the_end(monkeypatch, capsys):
-    with progress_line("working") as progress:
-        progress(0.5)
-    assert capsys.readouterr() == ("", "")
-    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    monkeypatch.setattr("roomfit.cli.terminal._EVERY_S", 0.001)
-    monkeypatch.setenv("COLUMNS", "40")
-    with progress_line("working") as progress:
-        progress(0.5)
-        while " 50 %" not in sys.stderr.getvalue():  # drawn by a thread, however busy the machine
-            time.sleep(0.001)
-    drawn = capsys.readouterr().err.split("\r")
-    assert f"{' 50 %  0:00  working':<39}" in drawn
-    assert drawn[-2:] == [" " * 39, ""]
 
 
 def test_identify_writes_every_file_and_prints_what_they_say(tmp_path, monkeypatch, capsys):

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import logging
 import os
 import signal
 import sys
@@ -74,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with _ended_like_an_interrupt():
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
-            options.run(options)
+            with _shown(options):
+                options.run(options)
             sys.stdout.flush()
     except RoomfitError as error:
         warn(error)
@@ -95,6 +97,19 @@ def main(arguments: Sequence[str] | None = None) -> None:
         text = "the disk is full, or the output cannot grow"
         warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
         sys.exit(2)
+
+
+@contextmanager
+def _shown(options: argparse.Namespace) -> Iterator[None]:
+    """Let the logger ``roomfit`` pass as much as a call asks for."""
+    logger = logging.getLogger("roomfit")
+    before = logger.level
+    if options.quiet or options.verbose:
+        logger.setLevel(logging.ERROR if options.quiet else logging.DEBUG)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))
