@@ -37,7 +37,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.door import files_read, reading_noted
+from roomfit.io.door import files_read, read_text, reading_noted
 from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import csv_text, input_digests
 from roomfit.io.exports import export_materials, read_material_table
@@ -62,6 +62,7 @@ from roomfit.report.comparison import (
     comparison_rows,
 )
 from roomfit.report.figures import in_file_name, write_pictures
+from roomfit.report.pdf import report_pdf
 from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.settings import Settings
@@ -200,8 +201,8 @@ def export_result(
     Parameters
     ----------
     result_file : Path
-        A ``result.json`` or an ``absorption.csv``.
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf"}
+        A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
@@ -235,7 +236,7 @@ def export_result(
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
-    if wanted in ("excel", "gltf"):
+    if wanted in ("excel", "gltf", "pdf"):
         _check_place(out, overwrite)
         write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
         return ExportedFiles((out,), ())
@@ -257,6 +258,11 @@ def export_result(
 def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
     if wanted == "excel":
         return workbook_bytes(result_file)
+    if wanted == "pdf":
+        # the page that was written beside the result
+        own = result_file.suffix.lower() in (".html", ".htm")
+        page = result_file if own else result_file.with_name("report.html")
+        return report_pdf(read_text(page, "report"))
     if campaign_file is None:
         raise InputError(
             "glTF holds the room, which a result does not",
