@@ -216,7 +216,8 @@ def _ifc(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list
     if not content.rstrip().endswith(b"END-ISO-10303-21;"):
         raise ValueError("it does not end as such files do: not one, or cut short")
     model = ifcopenshell.file.from_string(content.decode("utf-8", errors="replace"))
-    settings = ifcopenshell.geom.settings()
+    geom: Any = ifcopenshell.geom
+    settings = geom.settings()
     settings.set("use-world-coords", True)
     scale = calculate_unit_scale(model)
 
@@ -231,7 +232,7 @@ def _ifc(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list
         place[0] = name = str(space.LongName or space.Name or f"#{space.id()}")
         if space.Representation is None:
             continue
-        body = triangles(ifcopenshell.geom.create_shape(settings, space).geometry)
+        body = triangles(geom.create_shape(settings, space).geometry)
         matrix = get_local_placement(space.ObjectPlacement)
         pieces = []
         for boundary in space.BoundedBy:
@@ -241,7 +242,7 @@ def _ifc(content: bytes, _: int, place: list[str]) -> tuple[dict[str, Any], list
             if getattr(surface, "InnerBoundaries", None):  # which the library passes over
                 own = scale * _with_holes(surface)
             else:
-                own = triangles(ifcopenshell.geom.create_shape(settings, surface))
+                own = triangles(geom.create_shape(settings, surface))
             own = own @ matrix[:3, :3].T + scale * matrix[:3, 3]
             pieces.append((own, _element(boundary.RelatedBuildingElement)))
         pieces.sort(key=lambda piece: -_areas(piece[0]).sum())

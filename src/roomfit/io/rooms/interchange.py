@@ -42,7 +42,7 @@ def read_collada(path: Path) -> RoomModel:
         vertices = np.roll(vertices, -1, axis=1)
     up = "y" if head["up"] == "Y_UP" else "z"
     kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
-    findings = ()
+    findings: tuple[Finding, ...] = ()
     if kinds:
         text = f"The drawing has parts that are no faces, ignored: {_counted(kinds)}."
         findings = (Finding(Code.ENTITIES_IGNORED, text, kinds, graded="info"),)
@@ -88,7 +88,7 @@ def read_ifc(path: Path, space: str | None = None) -> RoomModel:
     chosen = space or names[0]
     own = [polygon for polygon, owner in zip(polygons, owners, strict=True) if owner == chosen]
     kinds = {str(k): int(n) for k, n in dict(head["ignored"].get(chosen, {})).items()}
-    findings = ()
+    findings: tuple[Finding, ...] = ()
     if kinds:
         text = (
             f"The boundaries of the space {chosen!r} do not cover it; ignored within others are: "
