@@ -73,7 +73,11 @@ _LOG = logging.getLogger("roomfit")
 
 
 def check_campaign_recordings(
-    campaign: Campaign, out: Path | None = None, *, overwrite: bool = False
+    campaign: Campaign,
+    out: Path | None = None,
+    *,
+    between_hz: tuple[float, float] | None = None,
+    overwrite: bool = False,
 ) -> CheckedRecordings:
     """Read everything that a campaign names and examine it, see `check_recordings`.
 
@@ -81,6 +85,8 @@ def check_campaign_recordings(
     ----------
     out : Path, optional
         Folder for a picture of room and positions, ``room.png``.
+    between_hz : (lowest, highest), optional
+        Bands to examine in place of the campaign's, see `identify_arguments`.
 
     Raises
     ------
@@ -94,7 +100,7 @@ def check_campaign_recordings(
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
-    own = identify_arguments(campaign)
+    own = identify_arguments(campaign, between_hz)
     with located(str(campaign.path)):
         checked = check_recordings(
             own["scene"],

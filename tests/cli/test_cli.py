@@ -54,8 +54,8 @@ def test_a_check_of_a_room_loads_no_pictures_and_no_statistics(tmp_path):
     assert "can be traced" in done.stdout + done.stderr
 
 
-COMMANDS = ("batch", "catalogue", "check", "compare", "coverage", "demo", "design", "export",
-            "identify", "impedance", "init", "paper", "predict", "reverberation",
+COMMANDS = ("batch", "cache", "catalogue", "check", "compare", "coverage", "demo", "design",
+            "export", "identify", "impedance", "init", "paper", "predict", "reverberation",
             "schema")  # fmt: skip
 
 
@@ -211,6 +211,17 @@ def test_check_of_a_campaign_reads_the_room_as_the_campaign_says(tmp_path, monke
     assert "30.22 m3" in capsys.readouterr().out
     assert run_command(monkeypatch, "check", campaign, "--unit", "mm") == 2
     assert "itself specifies" in capsys.readouterr().err
+
+
+def test_check_examines_other_bands_than_the_campaign_s(tmp_path, monkeypatch, capsys):
+    campaign = write_campaign(tmp_path)
+    assert run_command(monkeypatch, "check", campaign, "--bands", "1000-2000") in (0, 1)
+    heads = re.findall(r"direct .* S/N +(.*)", capsys.readouterr().out)
+    assert heads[0].split() == ["1000", "2000"]
+    (tmp_path / "r.obj").write_text(box_obj())
+    room = tmp_path / "r.obj"
+    assert run_command(monkeypatch, "check", room, "--unit", "m", "--bands", "1000") == 2
+    assert "has no bands" in capsys.readouterr().err
 
 
 def late_campaign(folder, samples=40):
