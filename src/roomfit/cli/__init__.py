@@ -104,8 +104,9 @@ def _shown(options: argparse.Namespace) -> Iterator[None]:
     """Let the logger ``roomfit`` pass as much as a call asks for."""
     logger = logging.getLogger("roomfit")
     before = logger.level
-    if options.quiet or options.verbose:
-        logger.setLevel(logging.ERROR if options.quiet else logging.DEBUG)
+    quiet, verbose = (getattr(options, name, False) for name in ("quiet", "verbose"))
+    if quiet or verbose:
+        logger.setLevel(logging.ERROR if quiet else logging.DEBUG)
     try:
         yield
     finally:
