@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -14,6 +15,9 @@ settings.register_profile(
     "roomfit", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
 )
 settings.load_profile("roomfit")
+# No test writes into the folder of whoever runs it, nor does any process that a test starts; those
+# of the cache name a folder of their own.
+os.environ["ROOMFIT_CACHE"] = "off"
 
 DATA = Path(__file__).resolve().parents[1].parent / "shared" / "data"
 

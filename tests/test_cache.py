@@ -16,17 +16,21 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+import shared_cache
 from roomfit.air import Air
 from roomfit.cache import (
     CACHE_FOLDER,
     BrokenRecordError,
     Cache,
-    cache_of,
+    cache_files,
     cached,
     check_output_folder,
     digest,
+    limited,
     load_record,
+    make_room,
     save_record,
+    user_cache,
     whole_output_folder,
 )
 from roomfit.errors import InputError
@@ -220,6 +224,102 @@ def test_a_cache_that_cannot_be_written_leaves_the_value_and_says_so(tmp_path):
     assert Code.CACHE_NOT_WRITTEN in {f.code for f in found.findings}
 
 
+@pytest.fixture
+def own_cache(tmp_path, monkeypatch) -> Path:
+    """The folder of this test's cache, for the processes that it starts, too."""
+    monkeypatch.setenv("ROOMFIT_CACHE", str(tmp_path / "kept here"))
+    return tmp_path / "kept here"
+
+
+def test_no_test_writes_into_the_folder_of_whoever_runs_it():
+    assert os.environ["ROOMFIT_CACHE"] == "off"
+    assert user_cache() is None
+
+
+def test_the_cache_is_where_the_system_has_such_files_or_where_the_environment_says(
+    tmp_path, monkeypatch, own_cache
+):
+    assert user_cache().folder == own_cache
+    monkeypatch.delenv("ROOMFIT_CACHE")
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
+    assert user_cache().folder.is_relative_to(tmp_path / "home")
+    monkeypatch.setattr("roomfit.cache.user_cache_dir", lambda *_: "~/.cache/roomfit")
+    assert user_cache() is None  # no home: not a folder called "~" in the current one
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_the_limit_stays_and_a_damaged_one_is_the_usual(own_cache):
+    usual = user_cache().limit_bytes
+    for key in range(3):
+        keep(user_cache(), key)
+    assert len(cache_files(limited(user_cache(), 20_000))) == 2
+    assert user_cache().limit_bytes == 20_000
+    assert keep(user_cache(), 2)
+    (own_cache / "limit-bytes").write_text("much")
+    assert user_cache().limit_bytes == usual
+
+
+def test_incomplete_files_of_living_runs_stay_and_those_of_killed_ones_go(own_cache):
+    keep(user_cache(), 1)
+    living, killed = own_cache / ".sheet-a.npz.abcdefgh", own_cache / ".sheet-b.npz.abcdefgh"
+    for file in (living, killed):
+        file.write_bytes(b"half")
+    os.utime(killed, (1, 1))
+    make_room(Cache(own_cache, 0), 0)
+    assert sorted(own_cache.iterdir()) == [living]
+
+
+@pytest.mark.parametrize("fault", ["read-only", "full", "a file"])
+def test_no_fault_of_the_cache_fails_a_run(tmp_path, monkeypatch, own_cache, capsys, fault):
+    from roomfit.cli import main
+
+    campaign = write_campaign(tmp_path / "campaign", ("to_hz = 1000", "to_hz = 500"))
+    if fault == "a file":
+        own_cache.write_text("in the way")
+
+    def refused(*_args: object) -> None:
+        raise OSError(28 if fault == "full" else 30, "refused")
+
+    if fault != "a file":
+        monkeypatch.setattr("roomfit.cache.save_record", refused)
+    main(["identify", str(campaign), "--out", str(tmp_path / "out")])
+    assert "carpet" in capsys.readouterr().out
+    codes = {f["code"] for f in json.loads((tmp_path / "out/result.json").read_text())["findings"]}
+    assert "cache-not-written" in codes
+
+
+def test_runs_that_share_a_cache_do_not_disturb_each_other(tmp_path):
+    """Four processes write, find and remove the same twenty files."""
+    program = [sys.executable, shared_cache.__file__, str(tmp_path)]
+    runs = [subprocess.Popen([*program, str(seed)]) for seed in range(4)]
+    assert [run.wait() for run in runs] == [0, 0, 0, 0]
+    sizes = [status.st_size for _, status in cache_files(Cache(tmp_path))]
+    # each makes room before it renames
+    assert 0 < sum(sizes) <= shared_cache.LIMIT_BYTES + 3 * max(sizes)
+
+
+def test_the_command_shows_limits_and_empties_the_cache(own_cache, capsys, monkeypatch):
+    from roomfit.cli import main
+
+    main(["cache"])
+    assert "made when there is something to keep" in capsys.readouterr().out
+    keep(user_cache(), 1)
+    main(["cache", "--limit", "0.5"])
+    shown = capsys.readouterr().out.splitlines()
+    assert shown[0].startswith(f"{own_cache}: 0.0 MB of at most 500.0 MB")
+    assert shown[1].split() == ["sheet", "1", "0.0", "MB"]
+    main(["cache", "--clear"])
+    assert cache_files(user_cache()) == []
+    assert user_cache().limit_bytes == 500_000_000
+    with pytest.raises(SystemExit):
+        main(["cache", "--limit", "-1"])
+    monkeypatch.setenv("ROOMFIT_CACHE", "off")
+    capsys.readouterr()
+    main(["cache"])
+    assert "no cache" in capsys.readouterr().out
+
+
 def test_without_a_cache_nothing_is_written(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     assert not cached(None, "sheet", (1,), lambda: Sheet("x", np.ones(3)), [Sheet]).found
@@ -227,13 +327,14 @@ def test_without_a_cache_nothing_is_written(tmp_path, monkeypatch):
 
 
 def test_an_output_folder_with_nothing_but_a_cache_counts_as_empty(tmp_path):
+    """Those of earlier roomfits lay there: they are ignored, and go with the result they served."""
     out = tmp_path / "out"
-    keep(cache_of(out), 1)
+    (out / CACHE_FOLDER).mkdir(parents=True)
+    (out / CACHE_FOLDER / "trace-0.npz").write_bytes(b"old")
     check_output_folder(out)
     with whole_output_folder(out) as folder:
         (folder / "result.json").write_text("new")
-    assert sorted(p.name for p in out.iterdir()) == [CACHE_FOLDER, ".roomfit-files", "result.json"]
-    assert keep(cache_of(out), 1)
+    assert sorted(p.name for p in out.iterdir()) == [".roomfit-files", "result.json"]
     assert [p.name for p in tmp_path.iterdir()] == ["out"]
     with pytest.raises(InputError, match="not empty"):
         check_output_folder(out)
@@ -246,7 +347,6 @@ def test_overwriting_leaves_no_file_of_the_earlier_run_and_every_foreign_one(tmp
             (folder / name).write_text("old")
     (out / "notes.txt").write_text("mine")
     (out / "decay_1_notes.png").write_text("mine")
-    keep(cache_of(out), 1)
     with whole_output_folder(out, overwrite=True) as folder:
         (folder / "result.json").write_text("new")
         (folder / "decay_01_a.png").write_text("new")
@@ -257,7 +357,6 @@ def test_overwriting_leaves_no_file_of_the_earlier_run_and_every_foreign_one(tmp
         "notes.txt": "mine",
         "decay_1_notes.png": "mine",
     }
-    assert keep(cache_of(out), 1)
 
 
 def test_an_error_while_overwriting_removes_nothing(tmp_path):
@@ -298,37 +397,37 @@ def numbers_of(out: Path) -> dict:
     return content
 
 
-def kept(out: Path, kind: str) -> list[Path]:
-    return sorted((out / CACHE_FOLDER).glob(f"{kind}-*.npz"))
+def kept(folder: Path, kind: str) -> list[Path]:
+    return sorted(folder.glob(f"{kind}-*.npz"))
 
 
 @pytest.mark.slow
-def test_a_killed_run_continues_and_ends_with_the_same_bits(tmp_path):
+def test_a_killed_run_continues_and_ends_with_the_same_bits(tmp_path, own_cache):
     out, whole = tmp_path / "out", tmp_path / "whole"
     command = prediction_command(tmp_path / "campaign", out)
     run = subprocess.Popen(command, stdout=subprocess.DEVNULL)
     # a pair's numbers are kept when they are done: the trace is, and three pairs are not
-    while not kept(out, "pair"):
+    while not kept(own_cache, "pair"):
         assert run.poll() is None
         time.sleep(0.01)
     run.send_signal(signal.SIGKILL)
     assert run.wait() == -signal.SIGKILL
-    assert [p.name for p in out.iterdir()] == [CACHE_FOLDER]
-    found = {p: p.stat().st_ino for kind in ("trace", "pair") for p in kept(out, kind)}
-    assert len(kept(out, "pair")) < 4
+    assert not out.exists()
+    found = {p: p.stat().st_ino for kind in ("trace", "pair") for p in kept(own_cache, kind)}
+    assert len(kept(own_cache, "pair")) < 4
     subprocess.run(command, check=True, stdout=subprocess.DEVNULL)
-    assert len(kept(out, "pair")) == 4
+    assert len(kept(own_cache, "pair")) == 4
     # what was kept was used: nothing was written a second time
     assert {p: p.stat().st_ino for p in found} == found
     other = prediction_command(tmp_path / "campaign", whole)
     subprocess.run([*other, "--no-cache"], check=True, stdout=subprocess.DEVNULL)
     assert numbers_of(out) == numbers_of(whole)
     assert (out / "predicted.csv").read_bytes() == (whole / "predicted.csv").read_bytes()
-    assert not (whole / CACHE_FOLDER).exists()
+    assert not list(tmp_path.rglob(CACHE_FOLDER))
 
 
 @pytest.mark.slow
-def test_two_runs_in_one_folder_do_not_break_each_other(tmp_path):
+def test_two_runs_in_one_folder_do_not_break_each_other(tmp_path, own_cache):
     out = tmp_path / "out"
     command = prediction_command(tmp_path / "campaign", out)
     runs = [subprocess.Popen(command, stdout=subprocess.DEVNULL) for _ in range(2)]

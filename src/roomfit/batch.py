@@ -8,6 +8,7 @@ and one that fails stops no other.
 from __future__ import annotations
 
 import glob
+import logging
 import os
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import Executor
@@ -30,6 +31,8 @@ from roomfit.report.html import tables_page
 from roomfit.report.wording import Cell, Row, Table
 from roomfit.typing import Progress
 from roomfit.workers import completed, keep_one_thread, result_of
+
+_LOG = logging.getLogger("roomfit")
 
 Status = Literal["done", "refused", "failed", "waiting"]
 ROOMS, FAILURES = "rooms", "failures"
@@ -189,6 +192,7 @@ def identify_rooms(
     try:
         ends = _in_this_process(jobs) if pool is None else _in_pool(pool, jobs)
         for n_done, (number, status, message) in enumerate(ends, start=1):
+            _LOG.info("%s: %s", missing[number].name, status)
             _note(out, missing[number], status, message)
             if progress is not None:
                 progress(n_done / len(jobs))
@@ -204,7 +208,7 @@ def identify_room(campaign: Path, folder: Path) -> str:
     Where the folder has come into being meanwhile, by whomever, it stays as it is.
     """
     try:
-        identify_to_folder(campaign, folder, keep=False)
+        identify_to_folder(campaign, folder)
     except StoreError:
         raise
     except RoomfitError as error:

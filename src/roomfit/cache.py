@@ -16,6 +16,7 @@ import os
 import shutil
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass
@@ -28,9 +29,10 @@ from pathlib import Path
 from typing import Any, Generic, ParamSpec, TypeVar
 
 import numpy as np
+from platformdirs import user_cache_dir
 
 from roomfit._checks import ARCHIVE_DAMAGE
-from roomfit.errors import CannotTell, InputError, RoomfitError, StoreError
+from roomfit.errors import InputError, RoomfitError, StoreError
 from roomfit.findings import Code, Finding
 
 if sys.platform != "win32":
@@ -201,7 +203,7 @@ def _rebuilt(
 _AT_CWD, _RENAME_EXCHANGE, _RENAME_SWAP = -100, 2, 2
 # Within an output folder: the names of the result's own files.
 _LIST = ".roomfit-files"
-# Within an output folder: intermediate results of a run.
+# Within an output folder of an earlier roomfit: its intermediate results, which are ignored.
 CACHE_FOLDER = ".roomfit-cache"
 
 
@@ -253,7 +255,7 @@ def whole_output_folder(path: Path, *, overwrite: bool = False) -> Iterator[Path
     leaves nothing: neither the folder nor a changed file of an earlier one. With `overwrite`, the
     new folder and an earlier one change places in one step, so that either the old result is there
     or the new one, whole. The new one has a list of its files, ``.roomfit-files``; files that the
-    earlier list names and this run did not write are gone, and all others stay, as does the cache.
+    earlier list names and this run did not write are gone, and all others stay.
 
     Where the system cannot exchange folders (Windows, some network disks), the old one is renamed
     first: a run that is killed between the two leaves it under a hidden name, and the next run puts
@@ -444,8 +446,6 @@ def _recover(path: Path, parent: Path) -> None:
         else:
             old.rename(path)
     remove_leftovers(parent, f".{path.name}.making-")
-    for file in (path / CACHE_FOLDER).glob(".*.npz.????????"):
-        _remove(file)
 
 
 def _put_in_place(aside: Path, path: Path) -> None:
@@ -470,8 +470,6 @@ def _put_in_place(aside: Path, path: Path) -> None:
             old.rename(path)
             raise
         old.rename(aside)  # which is removed
-    if (aside / CACHE_FOLDER).exists():
-        (aside / CACHE_FOLDER).rename(path / CACHE_FOLDER)
 
 
 def _earlier(path: Path) -> set[str]:
@@ -623,7 +621,9 @@ def _holds_only_cache(path: Path) -> bool:
 
 
 DEFAULT_LIMIT_BYTES = 2 * 2**30
-_SUFFIX = ".npz"
+_SUFFIX, _LIMIT = ".npz", "limit-bytes"
+# An incomplete file that was not touched for so long is that of a run that was killed.
+_ABANDONED_S = 3600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -645,35 +645,50 @@ class Cached(Generic[T]):
     findings: tuple[Finding, ...] = ()
 
 
-def cache_of(output: Path, limit_bytes: int = DEFAULT_LIMIT_BYTES) -> Cache:
-    """Return the cache that belongs to an output folder: a hidden folder within it.
+def user_cache() -> Cache | None:
+    """Return this user's cache, or None where there is to be none.
 
-    Examples
-    --------
-    >>> cache_of(Path("out")).folder.name
-    '.roomfit-cache'
+    The variable ``ROOMFIT_CACHE`` of the environment names another folder, or is ``off``. Without
+    it the folder is that which the system has for such files; a user without a home has none.
     """
-    return Cache(Path(output) / CACHE_FOLDER, limit_bytes)
-
-
-@contextmanager
-def cache_unless_refused(output: Path, *, keep: bool = True) -> Iterator[Cache | None]:
-    """Give the cache of an output folder; what is refused leaves none that was not there before.
-
-    Interrupted runs do leave it, and go on from it. None is given where `keep` is false.
-    """
-    cache = cache_of(output)
-    folders = (cache.folder, *cache.folder.absolute().parents)
-    new = [folder for folder in folders if not folder.exists()]
+    chosen = os.environ.get("ROOMFIT_CACHE", "")
+    if chosen.lower() == "off":
+        return None
+    folder = Path(os.path.expanduser(chosen) if chosen else user_cache_dir("roomfit", False))  # noqa: PTH111 -- does not raise
+    if not chosen and not folder.is_absolute():
+        return None
     try:
-        yield cache if keep else None
-    except (InputError, CannotTell):
-        if new and keep:
-            shutil.rmtree(cache.folder, ignore_errors=True)
-            for folder in new[1:]:
-                with suppress(OSError):  # not empty: another's
-                    folder.rmdir()
-        raise
+        limit_bytes = int((folder / _LIMIT).read_text(encoding="ascii"))
+    except (OSError, ValueError):
+        limit_bytes = DEFAULT_LIMIT_BYTES
+    return Cache(folder.absolute(), limit_bytes)
+
+
+def cache_files(cache: Cache) -> list[tuple[Path, os.stat_result]]:
+    """Return the files of a cache, the least recently used first."""
+    found = []
+    for path in cache.folder.glob(f"[!.]*{_SUFFIX}"):
+        with suppress(OSError):  # another run has just removed it
+            found.append((path, path.stat()))
+    return sorted(found, key=lambda each: (each[1].st_mtime_ns, each[0]))
+
+
+def limited(cache: Cache, limit_bytes: int) -> Cache:
+    """Keep the limit of a cache for all later runs, and remove what exceeds it.
+
+    Raises
+    ------
+    StoreError
+        The disk refuses.
+    """
+    try:
+        cache.folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise _cannot_be_made(cache.folder, error) from error
+    write_text_atomically(cache.folder / _LIMIT, str(limit_bytes))
+    cache = Cache(cache.folder, limit_bytes)
+    make_room(cache, 0)
+    return cache
 
 
 def cached(
@@ -727,7 +742,7 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
         cache.folder.mkdir(parents=True, exist_ok=True)
         with _whole_file(path) as aside:
             save_record(aside, value)
-            _make_room(cache, aside)
+            make_room(cache, aside.stat().st_size)
     except OSError as error:
         return (
             Finding(
@@ -740,26 +755,22 @@ def _keep(cache: Cache, kind: str, path: Path, value: object) -> tuple[Finding, 
     return ()
 
 
-def _make_room(cache: Cache, newest: Path) -> None:
-    """Remove the files that were not used for the longest time until the rest is within limits.
+def make_room(cache: Cache, n_bytes: int) -> None:
+    """Remove what was not used for longest until so many bytes more are within the limit.
 
-    Incomplete files of interrupted runs are among them.
+    Incomplete files go when their run was killed; those of living ones are left alone.
     """
-    files = []
-    for path in cache.folder.iterdir():
-        try:
-            status = path.stat()
-        except FileNotFoundError:  # another run has just removed it
-            continue
-        if path.is_file():
-            files.append((status.st_mtime_ns, status.st_size, path))
-    total = sum(size for _, size, _ in files)
-    for _, size, path in sorted(files):
+    for aside in cache.folder.glob(f".*{_SUFFIX}.????????"):
+        with suppress(OSError):
+            if time.time() - aside.stat().st_mtime > _ABANDONED_S:
+                _remove(aside)
+    files = cache_files(cache)
+    total = n_bytes + sum(status.st_size for _, status in files)
+    for path, status in files:
         if total <= cache.limit_bytes:
             break
-        if path != newest:
-            _remove(path)
-            total -= size
+        _remove(path)
+        total -= status.st_size
 
 
 def _remove(path: Path) -> None:

@@ -6,6 +6,7 @@ measurement, export materials, or run a demonstration on a room whose absorption
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
@@ -15,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from roomfit.cache import (
-    cache_unless_refused,
     check_output_folder,
     shared_folder,
     sole_writer,
+    user_cache,
     whole_output_folder,
     write_bytes_atomically,
     write_json_atomically,
@@ -36,7 +37,7 @@ from roomfit.inversion.identify import identify
 from roomfit.inversion.measurements import measured_scene
 from roomfit.inversion.usable import CheckedRecordings, check_recordings
 from roomfit.io.campaign import Campaign, read_campaign
-from roomfit.io.door import files_read, reading_noted
+from roomfit.io.door import files_read, read_text, reading_noted
 from roomfit.io.draft import draft_campaign, matching_files, read_positions
 from roomfit.io.encoding import csv_text, input_digests
 from roomfit.io.exports import export_materials, read_material_table
@@ -61,15 +62,22 @@ from roomfit.report.comparison import (
     comparison_rows,
 )
 from roomfit.report.figures import in_file_name, write_pictures
+from roomfit.report.pdf import report_pdf
 from roomfit.report.text import findings_text
 from roomfit.results import Result
 from roomfit.settings import Settings
 from roomfit.synthetic.boxes import PLAN_BANDS, demo_plan, write_measured_box
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 
+_LOG = logging.getLogger("roomfit")
+
 
 def check_campaign_recordings(
-    campaign: Campaign, out: Path | None = None, *, overwrite: bool = False
+    campaign: Campaign,
+    out: Path | None = None,
+    *,
+    between_hz: tuple[float, float] | None = None,
+    overwrite: bool = False,
 ) -> CheckedRecordings:
     """Read everything that a campaign names and examine it, see `check_recordings`.
 
@@ -77,6 +85,8 @@ def check_campaign_recordings(
     ----------
     out : Path, optional
         Folder for a picture of room and positions, ``room.png``.
+    between_hz : (lowest, highest), optional
+        Bands to examine in place of the campaign's, see `identify_arguments`.
 
     Raises
     ------
@@ -90,7 +100,7 @@ def check_campaign_recordings(
 
     if out is not None:
         check_output_folder(out, overwrite=overwrite)
-    own = identify_arguments(campaign)
+    own = identify_arguments(campaign, between_hz)
     with located(str(campaign.path)):
         checked = check_recordings(
             own["scene"],
@@ -197,8 +207,8 @@ def export_result(
     Parameters
     ----------
     result_file : Path
-        A ``result.json`` or an ``absorption.csv``.
-    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf"}
+        A ``result.json`` or an ``absorption.csv``; for "pdf" with its ``report.html`` beside it.
+    wanted : {"catt", "odeon", "isimpa", "raven", "pyroomacoustics", "csv", "excel", "gltf", "pdf"}
     out : Path
         The file to write; for "raven", which has a file for each material, the folder.
     scattering : float, optional
@@ -232,7 +242,7 @@ def export_result(
     The result has no scattering; 0.1 was written for every material.
     """
     out = Path(out)
-    if wanted in ("excel", "gltf"):
+    if wanted in ("excel", "gltf", "pdf"):
         _check_place(out, overwrite)
         write_bytes_atomically(out, _whole_export(Path(result_file), wanted, campaign_file))
         return ExportedFiles((out,), ())
@@ -254,6 +264,11 @@ def export_result(
 def _whole_export(result_file: Path, wanted: str, campaign_file: Path | None) -> bytes:
     if wanted == "excel":
         return workbook_bytes(result_file)
+    if wanted == "pdf":
+        # the page that was written beside the result
+        own = result_file.suffix.lower() in (".html", ".htm")
+        page = result_file if own else result_file.with_name("report.html")
+        return report_pdf(read_text(page, "report"))
     if campaign_file is None:
         raise InputError(
             "glTF holds the room, which a result does not",
@@ -370,7 +385,8 @@ def predict_to_folder(
     check_output_folder(out, overwrite=overwrite)
     campaign = read_campaign(campaign_file, to_fit=False)
     arguments = predict_arguments(campaign, read_result(absorption_file), changes, *(wanted or ()))
-    with located(str(campaign_file)), cache_unless_refused(out, keep=use_cache) as cache:
+    cache = user_cache() if use_cache else None
+    with located(str(campaign_file)):
         predicted = predict(**arguments, cache=cache, progress=part(progress, 0.0, 0.95))
     with whole_output_folder(out, overwrite=overwrite) as folder:
         write_predicted(folder, predicted, files_read())
@@ -499,7 +515,7 @@ def identify_to_folder(
     overwrite : bool
         Write into a folder that is not empty.
     keep : bool
-        Keep the trace in the output folder, so that a run that was interrupted continues from it.
+        Keep the trace in the user's cache, so that a run that was interrupted continues from it.
     noted : callable, optional
         Takes what is wrong with arrivals, before the minutes that a fit may last.
     progress : callable, optional
@@ -521,7 +537,8 @@ def identify_to_folder(
     project = project_details(campaign.project, campaign.path.parent)
     arguments = identify_arguments(campaign, between_hz)
     arguments["settings"] = replace(arguments["settings"], quick=quick)
-    with located(str(campaign_file)), cache_unless_refused(out, keep=keep) as cache:
+    cache = user_cache() if keep else None
+    with located(str(campaign_file)):
         if noted is not None:
             measured = arguments["measurements"]
             responses = [m for m in measured if isinstance(m, Measurement)]
@@ -541,6 +558,7 @@ def identify_to_folder(
         write_result(folder, answer, inputs)
         write_text_atomically(folder / "report.html", page)
         if not quick:
+            _LOG.info("drawing")
             write_pictures(folder, answer, part(progress, 0.95, 1.0))
     return answer
 
@@ -566,6 +584,7 @@ def run_demo(
     with whole_output_folder(out, overwrite=overwrite) as folder:
         (folder / "campaign").mkdir()
         plan, rng = demo_plan(), np.random.default_rng(seed)
+        _LOG.info("simulating measurements")
         campaign = write_measured_box(plan, folder / "campaign", rng, part(progress, 0.0, 0.4))
         answer = identify_to_folder(campaign, folder / "result", progress=part(progress, 0.4, 1.0))
         rows = [plan.materials.index(name) for name in answer.materials]

@@ -1,10 +1,11 @@
-"""Decay times and nothing else: mean absorption by three formulas, materials by their priors."""
+"""Decay times and nothing else: mean absorption by four formulas, materials by their priors."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
+from reverberation import covered
 from roomfit.bands import bands_between
 from roomfit.errors import InputError
 from roomfit.eyring import eyring_time_s
@@ -54,23 +55,77 @@ def test_eyring_is_the_inverse_of_eyring_s_time_with_air():
 
 
 def test_formulas_are_in_the_order_that_theory_says():
-    """ln(1 - a) < -a: Sabine's absorption is larger. Uneven walls: Arau's room decays slower."""
+    """ln(1 - a) < -a: Sabine's absorption is larger. Uneven walls: Arau's room decays slower.
+
+    And Fitzroy's the slowest: a harmonic mean is below a geometric one.
+    """
     priors = (
         material_prior("walls", BANDS, prior=(0.05, 0.01)),
         material_prior("floor", BANDS, prior=(0.6, 0.05)),
     )
-    sabine, eyring, arau = found([0.6, 0.6], priors).mean[:, 0]
+    answer = found([0.6, 0.6], priors)
+    sabine, eyring, arau, fitzroy = answer.mean[:, 0]
     assert np.all(sabine > eyring)
     assert np.all(arau > eyring)
+    # between them the priors, which are narrow, leave little
+    assert np.all(fitzroy > arau - 0.01)
+
+
+def test_fitzroy_s_time_is_the_mean_of_the_times_that_each_pair_of_walls_would_give():
+    alpha = np.array([0.12, 0.43])
+    area, _ = absorption_area_m2("Fitzroy", alpha, AREAS_M2)
+    total, inverse = AREAS_M2.sum(), 0.0
+    for across in AREAS_M2:
+        own = across @ alpha / across.sum()
+        inverse += across.sum() / total / (-total * np.log(1.0 - own))
+    assert 1.0 / area == pytest.approx(inverse, rel=1e-12)
+
+
+def test_intervals_allow_for_what_formulas_disagree_on_and_for_nothing_where_they_agree():
+    """Alike: 5 % of the time alone. A soft floor: by the two areas' ratio."""
+    alike = found(
+        [0.9, 0.9], (material_prior("room", BANDS, prior=(0.15, 0.1)),), np.full((3, 1), 48.0)
+    )
+    _, eyring, _, fitzroy = alike.mean[:, 2] - alike.mean[:, 1]
+    np.testing.assert_allclose(eyring, fitzroy, rtol=1e-9)
+    priors = tuple(
+        material_prior(n, BANDS, prior=(a, s))
+        for n, a, s in (("walls", 0.05, 0.02), ("floor", 0.6, 0.2))
+    )
+    uneven = found([0.6, 0.6], priors)
+    eyring = uneven.mean[FORMULAS.index("Eyring")]
+    own = uneven.absorption[FORMULAS.index("Eyring"), :, 0, 0]
+    areas = {f: absorption_area_m2(f, own, AREAS_M2)[0] for f in FORMULAS}
+    apart = np.log(areas["Eyring"] / areas["Fitzroy"])
+    assert apart > 0.2
+    relative = (eyring[2] - eyring[1]) / eyring[0]
+    # less than the datum alone would leave, for the priors know something too
+    assert np.all(
+        (relative > 0.2 * 2 * 1.96 * apart) & (relative < 2 * 1.96 * np.hypot(apart, 0.05))
+    )
+
+
+def test_intervals_of_simulated_rooms_hold_as_far_as_the_pages_say():
+    """Twenty rooms of a kind, of `benchmarks/reverberation.py`; binomial bounds of 99 %."""
+    rows = covered(20, seed=2)
+    eyring, fitzroy = (FORMULAS.index(f) for f in ("Eyring", "Fitzroy"))
+    for kind, known in (("alike", "surface"), ("cubic", "surface"), ("cubic", "table")):
+        assert rows[kind, known][:, eyring, 0].sum() >= 15
+    assert rows["flat", "table"][:, fitzroy, 0].sum() >= 15
+    # what no prior says no formula knows: a soft ceiling over a flat room of hard walls
+    assert np.median(rows["flat", "surface"][:, eyring, 1]) < -0.3
 
 
 def test_priors_decide_the_split_and_the_mean_stays():
-    """A known floor leaves all to the walls; the mean is that of the broad priors within 3 %."""
+    """A known floor leaves all to the walls; the mean is that of the broad priors within 5 %.
+
+    By 3 % it moves since the floor is the softer then, and formulas disagree by more.
+    """
     known = (unknown_material("walls", 2), material_prior("floor", BANDS, absorption=0.3))
     broad = tuple(unknown_material(n, 2) for n in ("walls", "floor"))
     given, free = (found([0.9, 0.9], priors) for priors in (known, broad))
     np.testing.assert_allclose(given.absorption[:, 1], 0.3, rtol=1e-6)
-    np.testing.assert_allclose(given.mean[:2, 0], free.mean[:2, 0], rtol=0.03)
+    np.testing.assert_allclose(given.mean[:2, 0], free.mean[:2, 0], rtol=0.05)
     width = free.absorption[:, :, 2] - free.absorption[:, :, 1]
     assert np.all(width > 3.0 * (free.mean[:, 2] - free.mean[:, 1])[:, None])
 
@@ -130,7 +185,7 @@ def test_a_table_that_is_none_is_refused_with_its_line(tmp_path, content, words)
 
 
 @pytest.mark.parametrize("room", [True, False])
-def test_the_command_prints_three_formulas_with_a_room_or_volume_and_surface(
+def test_the_command_prints_every_formula_with_a_room_or_volume_and_surface(
     tmp_path, monkeypatch, capsys, room
 ):
     (tmp_path / "t30.csv").write_text(TABLE)

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import argparse
 import errno
+import logging
 import os
 import signal
 import sys
@@ -20,6 +21,7 @@ from contextlib import contextmanager
 import roomfit
 from roomfit.cli import (
     batch,
+    cache,
     catalogue,
     check,
     compare,
@@ -41,6 +43,7 @@ from roomfit.errors import InputError, RoomfitError, StoreError
 
 _COMMANDS = (
     batch,
+    cache,
     catalogue,
     check,
     compare,
@@ -72,7 +75,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
     try:
         with _ended_like_an_interrupt():
             options = _parsed(sys.argv[1:] if arguments is None else list(arguments))
-            options.run(options)
+            with _shown(options):
+                options.run(options)
             sys.stdout.flush()
     except RoomfitError as error:
         warn(error)
@@ -93,6 +97,20 @@ def main(arguments: Sequence[str] | None = None) -> None:
         text = "the disk is full, or the output cannot grow"
         warn(StoreError(text, found=str(error), hint="make room, and run the command again"))
         sys.exit(2)
+
+
+@contextmanager
+def _shown(options: argparse.Namespace) -> Iterator[None]:
+    """Let the logger ``roomfit`` pass as much as a call asks for."""
+    logger = logging.getLogger("roomfit")
+    before = logger.level
+    quiet, verbose = (getattr(options, name, False) for name in ("quiet", "verbose"))
+    if quiet or verbose:
+        logger.setLevel(logging.ERROR if quiet else logging.DEBUG)
+    try:
+        yield
+    finally:
+        logger.setLevel(before)
 
 
 _FULL = (errno.ENOSPC, errno.EFBIG, getattr(errno, "EDQUOT", errno.ENOSPC))

@@ -65,6 +65,11 @@ def add_command(
         name, help=about.partition("\n")[0], description=about, allow_abbrev=False
     )
     parser.set_defaults(run=run)
+    much = parser.add_mutually_exclusive_group()
+    much.add_argument(
+        "-q", "--quiet", action="store_true", help="On standard error, show errors only."
+    )
+    much.add_argument("-v", "--verbose", action="store_true", help="Show the details of stages.")
     return parser
 
 

@@ -7,7 +7,8 @@ import sys
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, positive_number
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -58,7 +59,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.workers import cluster_pool
 
     paths, out = campaign_paths(options.campaigns), Path(options.out)
-    with progress_line("identifying rooms") as progress:
+    with shown_progress("identifying rooms") as progress:
         if options.workers is None and options.scheduler is None:
             rows = identify_rooms(paths, out, shard=options.shard, progress=progress)
         else:

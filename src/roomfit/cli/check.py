@@ -6,7 +6,7 @@ import argparse
 import sys
 from pathlib import Path
 
-from roomfit.cli.arguments import Commands, add_command
+from roomfit.cli.arguments import Commands, add_command, number_range
 from roomfit.cli.terminal import say
 
 _IN_DOUBT = 1
@@ -26,6 +26,11 @@ def add(commands: Commands) -> None:
     parser.add_option("--unit", "m, mm, cm, ft or in; needed where the format does not state it.")
     parser.add_option("--up", "Axis that points up: z or y.")
     parser.add_option(
+        "--bands",
+        "Of a campaign: bands to examine, as 500-2000, in place of from_hz and to_hz.",
+        type=number_range,
+    )
+    parser.add_option(
         "--out", "Of a campaign: folder for a picture of room and positions.", type=Path
     )
     parser.add_overwrite()
@@ -43,6 +48,8 @@ def run(options: argparse.Namespace) -> None:
     if room.suffix.lower() != ".toml":
         if options.out is not None:
             raise InputError("a room by itself has no positions to draw", found="--out")
+        if options.bands is not None:
+            raise InputError("a room by itself has no bands", found="--bands")
         result = check_room(RoomSpec(file=room, unit=options.unit, up=options.up))
         say(room_text(str(room), result))
         sys.exit(0 if result.traceable else 2)
@@ -62,7 +69,9 @@ def run(options: argparse.Namespace) -> None:
         return  # of impedances: there are no recordings to examine
     from roomfit.commands import check_campaign_recordings  # all of roomfit: not for a room
 
-    checked = check_campaign_recordings(campaign, options.out, overwrite=options.overwrite)
+    checked = check_campaign_recordings(
+        campaign, options.out, between_hz=options.bands, overwrite=options.overwrite
+    )
     say(f"\n{recordings_text(checked)}")
     if options.out is not None:
         say(f"\nroom.png is in {options.out}")

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number, whole_number
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -67,7 +68,7 @@ def run(options: argparse.Namespace) -> None:
         workers=options.workers,
         scheduler=options.scheduler,
     )
-    with progress_line("estimating coverage") as progress:
+    with shown_progress("estimating coverage") as progress:
         result = estimate_coverage_to_folder(
             options.campaign, options.out, settings, progress=progress
         )

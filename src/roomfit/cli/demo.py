@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, whole_number
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -25,7 +26,7 @@ def run(options: argparse.Namespace) -> None:
     from roomfit.commands import demo_text, run_demo
 
     out: Path = options.out
-    with progress_line("simulating and identifying") as progress:
+    with shown_progress("simulating and identifying") as progress:
         answer, true_absorption = run_demo(
             out, options.seed, overwrite=options.overwrite, progress=progress
         )

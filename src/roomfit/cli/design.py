@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, whole_number
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -38,7 +39,7 @@ def run(options: argparse.Namespace) -> None:
         "most_sources": options.sources,
         "criterion": options.criterion,
     }
-    with progress_line("choosing where to measure") as progress:
+    with shown_progress("choosing where to measure") as progress:
         design = design_to_folder(
             options.campaign,
             options.out,

@@ -10,12 +10,12 @@ from roomfit.cli.terminal import say
 
 
 def add(commands: Commands) -> None:
-    about = "Write the absorption that was found as materials of another program."
+    about = "Write what was found as materials of another program, or the report as PDF."
     parser = add_command(commands, "export", about, run)
     parser.add_argument("result", type=Path, help="result.json or absorption.csv of a fit.")
     parser.add_option(
         "--format",
-        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel or gltf.",
+        "catt, odeon, isimpa, raven, pyroomacoustics, csv, excel, gltf, or pdf (the report).",
         required=True,
     )
     parser.add_out("File to write; for raven a folder.")

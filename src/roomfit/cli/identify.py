@@ -3,10 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import logging
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command, number_range
-from roomfit.cli.terminal import progress_line, say, warn
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
+
+_LOG = logging.getLogger("roomfit")
 
 
 def add(commands: Commands) -> None:
@@ -25,16 +29,14 @@ def add(commands: Commands) -> None:
         help="A first answer: no search for faults of files, positions and chain, no pictures.",
     )
     parser.add_overwrite()
-    parser.add_argument(
-        "--no-cache", action="store_true", help="Do not keep the trace for a later run."
-    )
+    parser.add_argument("--no-cache", action="store_true", help="Neither use nor keep a trace.")
 
 
 def run(options: argparse.Namespace) -> None:
     from roomfit.commands import identify_to_folder
     from roomfit.report.text import answer_text
 
-    with progress_line("identifying") as progress:
+    with shown_progress("identifying") as progress:
         answer = identify_to_folder(
             options.campaign,
             options.out,
@@ -42,7 +44,7 @@ def run(options: argparse.Namespace) -> None:
             quick=options.quick,
             overwrite=options.overwrite,
             keep=not options.no_cache,
-            noted=lambda doubt: warn(f"{doubt.severity}: {doubt.sentence}"),
+            noted=lambda doubt: _LOG.warning("%s: %s", doubt.severity, doubt.sentence),
             progress=progress,
         )
     say(answer_text(answer))

@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -20,7 +21,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     from roomfit.impedance.campaign import impedance_to_folder
 
-    with progress_line("identifying impedances") as progress:
+    with shown_progress("identifying impedances") as progress:
         result = impedance_to_folder(
             options.campaign, options.out, overwrite=options.overwrite, progress=progress
         )

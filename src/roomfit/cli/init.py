@@ -19,7 +19,9 @@ def add(commands: Commands) -> None:
     parser = add_command(commands, "init", about, run)
     parser.add_argument("folder", type=Path, help="Folder of the campaign to be.")
     parser.add_option(
-        "--room", "Room (.obj, .ac, .ply, .stl, .glb, .geo, .dxf) of the campaign.", type=Path
+        "--room",
+        "Room (.obj, .ac, .ply, .stl, .glb, .geo, .dxf, .dae, .ifc) of the campaign.",
+        type=Path,
     )
     parser.add_option(
         "--shoebox", "In place of a room file: lengths along x, y, z.", nargs=3, type=number

@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 
 from roomfit.cli.arguments import Commands, add_command, positive_number
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -24,7 +25,7 @@ def add(commands: Commands) -> None:
 def run(options: argparse.Namespace) -> None:
     from roomfit.suh2001.output import paper_text, run_paper
 
-    with progress_line("repeating the paper") as progress:
+    with shown_progress("repeating the paper") as progress:
         result = run_paper(
             options.out,
             seeds=options.seeds,

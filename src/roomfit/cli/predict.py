@@ -6,7 +6,8 @@ import argparse
 from pathlib import Path
 
 from roomfit.cli.arguments import Commands, add_command
-from roomfit.cli.terminal import progress_line, say
+from roomfit.cli.terminal import say
+from roomfit.report.progress import shown_progress
 
 
 def add(commands: Commands) -> None:
@@ -46,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
 
     changes = [read_change(text) for text in options.changes or []]
     wanted = WantedPairs(pair_choice(options.pairs), options.state or "")
-    with progress_line("predicting") as progress:
+    with shown_progress("predicting") as progress:
         predicted = predict_to_folder(
             options.campaign,
             options.absorption,

@@ -12,7 +12,7 @@ from roomfit.cli.terminal import say
 def add(commands: Commands) -> None:
     about = (
         "Find the mean absorption of a room from decay times, where no position is known.\n\n"
-        "By Sabine, Eyring and Arau-Puchades, each with an interval, and split over materials by "
+        "By Sabine, Eyring, Arau-Puchades and Fitzroy, with intervals, and split over materials by "
         "their priors."
     )
     parser = add_command(commands, "reverberation", about, run)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -43,6 +44,8 @@ from roomfit.impedance.result import ImpedanceResult
 from roomfit.impedance.wave_model import Nuisances, WaveModel, model_without_paths, wave_model
 from roomfit.scene import Scene
 from roomfit.typing import FloatArray, Progress, part
+
+_LOG = logging.getLogger("roomfit")
 
 # Another minimum whose cost at first sight is at most this many times the lowest is followed, too.
 _RIVAL = 1.5
@@ -174,7 +177,9 @@ def identify_impedance(
     if findings:
         return result_without_fit(problem, findings, time.perf_counter() - began)
     problem = replace(problem, model=wave_model(scene, observed.frequency_hz, observed.tau_s))
+    _LOG.info("searching starts")
     starts = multistart(problem, settings.random_starts, rng, part(progress, 0.0, 0.3))
+    _LOG.info("fitting impedances")
     fit = polish(problem, starts[0].x, progress=part(progress, 0.3, 0.6))
     rivals = _rivals(problem, starts, fit)
     if observed.noise is None:

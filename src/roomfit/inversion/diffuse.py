@@ -17,7 +17,7 @@ from roomfit.logit import Z95, expit, logit
 from roomfit.materials.priors import MaterialPrior, prior_logit_law
 from roomfit.typing import FloatArray
 
-Formula = Literal["Sabine", "Eyring", "Arau-Puchades"]
+Formula = Literal["Sabine", "Eyring", "Arau-Puchades", "Fitzroy"]
 FORMULAS: tuple[Formula, ...] = get_args(Formula)
 # Of a decay time: a just noticeable difference, which no formula of a diffuse field undercuts.
 LEAST_RELATIVE_SD = 0.05
@@ -27,7 +27,7 @@ _DONE = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DiffuseAbsorption:
-    """Absorption by three formulas of a diffuse field: the room's mean, and materials by priors."""
+    """Absorption by four formulas of a diffuse field: the room's mean, and materials by priors."""
 
     bands: Bands
     materials: tuple[str, ...]
@@ -44,7 +44,7 @@ def absorption_area_m2(
 
     Parameters
     ----------
-    formula : {"Sabine", "Eyring", "Arau-Puchades"}
+    formula : {"Sabine", "Eyring", "Arau-Puchades", "Fitzroy"}
     absorption : float array, shape (n_materials,)
         0 < absorption < 1.
     areas_m2 : float array, shape (3, n_materials)
@@ -58,21 +58,24 @@ def absorption_area_m2(
     Notes
     -----
     With S the area, a the mean absorption and a_i that of the walls S_i across one axis: ``S a``
-    [1]_, ``-S ln(1 - a)`` [2]_, and S times the product of ``(-ln(1 - a_i)) ** (S_i / S)`` [3]_.
+    [1]_, ``-S ln(1 - a)`` [2]_, and S times the geometric [3]_ or the harmonic mean [4]_ of
+    ``-ln(1 - a_i)``, weighted by ``S_i / S``.
 
     References
     ----------
     .. [1] W. C. Sabine, Collected Papers on Acoustics (1922).
     .. [2] C. F. Eyring, J. Acoust. Soc. Am. 1, 217-241 (1930).
     .. [3] H. Arau-Puchades, "An improved reverberation formula", Acustica 65, 163-180 (1988).
+    .. [4] D. Fitzroy, "Reverberation formula which seems to be more accurate with nonuniform
+           distribution of absorption", J. Acoust. Soc. Am. 31, 893-897 (1959).
 
     Examples
     --------
-    Walls that are all alike have one absorption by Eyring and by Arau-Puchades:
+    Walls that are all alike have one absorption by all formulas but Sabine's:
 
     >>> alike = np.array([0.2]), np.array([[20.0], [24.0], [60.0]])
     >>> [round(absorption_area_m2(f, *alike)[0], 6) for f in FORMULAS]
-    [20.8, 23.206929, 23.206929]
+    [20.8, 23.206929, 23.206929, 23.206929]
     """
     across = areas_m2.sum(axis=1)
     total, own = float(across.sum()), areas_m2.sum(axis=0)
@@ -83,10 +86,23 @@ def absorption_area_m2(
         return -total * float(np.log1p(-mean)), own / (1.0 - mean)
     used = across > 0.0
     means = (areas_m2[used] @ absorption) / across[used]
-    losses = -np.log1p(-means)
-    area = total * float(np.exp(np.sum(across[used] / total * np.log(losses))))
+    losses, shares = -np.log1p(-means), across[used] / total
+    if formula == "Fitzroy":
+        area = total / float(np.sum(shares / losses))
+        by_axis = (area / total) ** 2 / (losses**2 * (1.0 - means))
+        return area, by_axis @ areas_m2[used]
+    area = total * float(np.exp(np.sum(shares * np.log(losses))))
     by_axis = area / total / (losses * (1.0 - means))
     return area, by_axis @ areas_m2[used]
+
+
+def _disagreement(formula: Formula, absorption: FloatArray, areas_m2: FloatArray) -> float:
+    """Return by how much another formula's area is off this one's at most, relatively.
+
+    Sabine's, which holds for small absorption only, is off others but is no measure for them.
+    """
+    areas = {f: absorption_area_m2(f, absorption, areas_m2)[0] for f in FORMULAS}
+    return max(abs(float(np.log(areas[f] / areas[formula]))) for f in FORMULAS if f != "Sabine")
 
 
 def diffuse_absorption(
@@ -101,8 +117,11 @@ def diffuse_absorption(
 ) -> DiffuseAbsorption:
     """Return mean absorption and its split over materials from decay times, position by position.
 
-    The decay time of a band, its standard deviation that of the mean over positions and at least
-    5 %, is one datum on the logits of all materials, whose Gaussian priors are updated by it.
+    The decay time of a band is one datum on the logits of all materials, whose Gaussian priors are
+    updated by it. Its standard deviation is that of the mean over positions, 5 % at least, and with
+    it that of the formula: by how much the others differ from it at the absorption that was found.
+    All agree where walls are alike; they part where priors say that absorption is uneven, and the
+    field is the less diffuse. Where priors tell no walls apart, they are taken to be alike.
 
     Parameters
     ----------
@@ -141,7 +160,10 @@ def diffuse_absorption(
     for i, formula in enumerate(FORMULAS):
         for band in range(len(bands)):
             sd = float(relative[band] * whole_m2[band] / walls_m2[band])
-            datum = float(np.log(walls_m2[band])), sd
+            value = float(np.log(walls_m2[band]))
+            first = _updated(formula, (value, sd), priors, areas_m2, band)
+            own = np.clip(first[1][:, 0], 1e-9, 1.0 - 1e-9)
+            datum = value, float(np.hypot(sd, _disagreement(formula, own, areas_m2)))
             mean[i, :, band], each[i, :, :, band] = _updated(formula, datum, priors, areas_m2, band)
     return DiffuseAbsorption(
         bands, tuple(k.name for k in priors), middle_s, relative * middle_s, mean, each

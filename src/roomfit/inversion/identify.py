@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Sequence
 from dataclasses import replace
@@ -97,6 +98,8 @@ from roomfit.uncertainty.posterior import band_draws, plain_logit_covariance
 from roomfit.uncertainty.sampling import check_sampler
 from roomfit.uncertainty.smoothing import smoothed
 
+_LOG = logging.getLogger("roomfit")
+
 
 @one_blas_thread
 def identify(
@@ -164,6 +167,7 @@ def identify(
     settings = Settings() if settings is None else settings
     names = [p.name for p in (*scene.sources, *scene.receivers)]
     check_groups({g.name: g.members for g in scene.groups}, names)
+    _LOG.info("evaluating the measurements")
     measured = collect_measurements(
         scene, measurements, bands, directivities or {}, settings.decay_range_db
     )
@@ -185,13 +189,16 @@ def identify(
                 traced.far_images or settings.model == "coherent"
             )
             refine = _refinement(measured, priors, settings)
+            _LOG.info("fitting %s", "pressures and energies" if pressures else "energies")
             if pressures:
                 task = coherent_task(measured, priors, traced, start, settings)
                 coherent = fit_coherent(task, traced, part(done, 0.45, 0.85))
+                _LOG.info("finding confidence intervals")
                 fits = coherent_answers(coherent, settings, refine, part(done, 0.85, 0.98))
             else:
                 late = part(done, 0.45, 0.98)
                 fits = estimate_energies(measured, priors, traced, start, settings, refine, late)
+            _LOG.info("examining positions and lengths")
             outline = _outline(measured, priors, (traced, fits), settings, offsets, moved_m)
             if outline is None:
                 break
@@ -212,6 +219,7 @@ def identify(
             estimates, priors, bands, settings.smoothness_per_octave, areas_m2=areas_m2
         )
     fits = replace(fits, answers=estimates)
+    _LOG.info("predicting the measured pairs")
     findings = (*_quick_findings(settings), *_findings(measured, priors, traced, fits))
     result = combine(measured, priors, traced, fits, findings, settings)
     return replace(result, evaluations=made[0], seconds=time.perf_counter() - began)

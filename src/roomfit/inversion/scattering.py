@@ -9,6 +9,7 @@ the final trace get a weight in every band, for scattering and for directivity.
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable, Sequence
 from dataclasses import fields, replace
 
@@ -37,6 +38,8 @@ from roomfit.solvers.least_squares import fit_band
 from roomfit.tracing.paths import Paths, TraceSettings
 from roomfit.tracing.trace import trace
 from roomfit.typing import BoolArray, FloatArray, IntArray, Progress
+
+_LOG = logging.getLogger("roomfit")
 
 # Takes coefficients (n_materials, n_bands); gives the best log likelihood of each band, (n_bands,).
 ScatteringFit = Callable[[FloatArray], FloatArray]
@@ -153,6 +156,7 @@ def choose_scattering(
         raise InputError(
             "no such scattering coefficients", found=str(tuple(grid)), needed="values from 0 to 1"
         )
+    _LOG.info("choosing the scattering")
     unknown = np.flatnonzero(fitted)
     sweeps = 0 if common else _MAX_SWEEPS
     n_fits, n_done = len(values) * (1 + sweeps * unknown.size), 0

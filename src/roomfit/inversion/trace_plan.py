@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -24,6 +25,8 @@ from roomfit.tracing.rays import RayStatistics, Trace, expected_paths, path_byte
 from roomfit.tracing.trace import fitting_radii_m, trace
 from roomfit.typing import FloatArray, Progress
 
+_LOG = logging.getLogger("roomfit")
+
 TRACE_CLASSES = (Trace, Paths, RayStatistics, Finding, Code)
 
 
@@ -44,6 +47,14 @@ def cached_trace(
     InputError
         See `roomfit.tracing.trace.trace`.
     """
+    _LOG.info("tracing")
+    _LOG.debug(
+        "%d pairs for %.2f s: image sources to order %d, %d rays a source",
+        len(scene.pairs),
+        settings.duration_s,
+        settings.image_order,
+        settings.n_rays,
+    )
     found = cached(
         cache,
         "trace",
@@ -51,6 +62,7 @@ def cached_trace(
         lambda: trace(scene, settings, scattering, progress),
         TRACE_CLASSES,
     )
+    _LOG.debug("%d paths%s", len(found.value.paths.pair), ", kept earlier" * found.found)
     if found.found and progress is not None:
         progress(1.0)
     return found

@@ -549,6 +549,7 @@ def _room_spec(path: Path, room: RoomTable) -> RoomSpec:
         up=room.up,
         materials=dict(room.materials),
         lengths_sd=room.lengths_sd,
+        space=room.space,
     )
 
 

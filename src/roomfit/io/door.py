@@ -17,10 +17,14 @@ import json
 import logging
 import math
 import os
+import signal
 import stat
+import subprocess
+import sys
+import tempfile
 import warnings
 import zipfile
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from contextvars import ContextVar
 from pathlib import Path
 from typing import Any
@@ -49,7 +53,10 @@ LIMITS: Mapping[str, tuple[float, str]] = {
     "constants": (10000, "constants of one .geo file"),
     "statement_letters": (20000, "letters of one statement of a .geo file"),
     "part_pairs": (20000, "pairs of parts of one plane of a .geo file, over all planes"),
-    "reading_s": (20, "seconds of processor time for reading one HDF5 file (SOFA, MAT 7.3)"),
+    "reading_s": (
+        20,
+        "seconds of processor time for reading one file of SOFA, MAT 7.3, COLLADA or IFC",
+    ),
 }
 _VARIABLE = "ROOMFIT_LIMITS"
 _ALWAYS_UNPACKED_BYTES = 2**26
@@ -281,6 +288,76 @@ def read_text(path: Path, what: str, *, most: str = "text_bytes") -> str:
             hint="check that the file's name ends as its format demands",
         )
     return decoded(content)
+
+
+_CHILD = Path(__file__).with_name("child.py")
+_LIBRARIES_BYTES = 2**30
+_LONGEST_HEAD = 2**26
+_PATIENCE = 6.0
+
+
+@contextlib.contextmanager
+def of_child(
+    kind: str, content: bytes, library: str
+) -> Iterator[tuple[Any, Callable[[Any], np.ndarray[Any, Any]]]]:
+    """Read a file by a library of others, in a process of its own that it may end or keep for ever.
+
+    Given are what the process says of the file, as JSON, and a function that returns the next
+    array of float64 of a shape. The process may have been led astray, so nothing is taken as is.
+
+    Parameters
+    ----------
+    kind : {"hdf5", "dae", "ifc"}
+    content : bytes
+    library : str
+        What the library is called in messages.
+
+    Raises
+    ------
+    ValueError
+        It failed, came to no end, gave no answer (also where that raises within the block), or
+        the file holds more than the limits of files allow.
+    """
+    most_bytes = unpacked_limit_bytes(len(content))
+    seconds = limit("reading_s")
+    # the file, its numbers as they lie in it and as float64, and the libraries
+    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
+    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
+    no_end = f"{library} did not come to an end within {seconds:g} s"
+    with tempfile.TemporaryFile() as answer:
+        try:
+            done = subprocess.run(
+                [sys.executable, "-P", str(_CHILD), kind, *arguments],
+                input=content,
+                stdout=answer,
+                stderr=subprocess.DEVNULL,
+                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
+                # of the clock: a busy machine gives a process a part of its time only
+                timeout=_PATIENCE * seconds,
+                check=False,
+            )
+        except subprocess.TimeoutExpired:
+            raise ValueError(no_end) from None
+        answer.seek(0)
+        if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
+            raise ValueError(no_end)
+        if done.returncode != 0:
+            raise ValueError(f"{library} failed (exit status {done.returncode})")
+
+        def array(wanted: Any) -> np.ndarray[Any, Any]:
+            shape = [int(length) for length in wanted]
+            size = math.prod(shape)
+            if not 0 <= 8 * size <= most_bytes:
+                raise ValueError("more numbers than it said")
+            return np.frombuffer(answer.read(8 * size), dtype=np.float64).reshape(shape)
+
+        try:
+            head = json.loads(answer.readline(_LONGEST_HEAD))
+            if "error" in head:
+                raise ValueError(str(head["error"]))
+            yield head, array
+        except (LookupError, TypeError, AttributeError, RecursionError) as error:
+            raise ValueError(f"{library} gave no answer ({type(error).__name__})") from error
 
 
 def decoded(content: bytes) -> str:

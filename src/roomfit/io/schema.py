@@ -71,7 +71,9 @@ class RoomTable(Table):
     """``[room]``."""
 
     file: str | None = None
-    """OBJ, AC3D (.ac), PLY, STL, GLB, CATT-Acoustic (.geo) or DXF; recognised by the extension."""
+    """OBJ, AC3D (.ac), PLY, STL, GLB, CATT-Acoustic (.geo), DXF, COLLADA (.dae) or IFC."""
+    space: str | None = None
+    """Of a building model (IFC): name of the space that is the room, where it has several."""
     shoebox: tuple[float, float, float] | None = None
     """Three lengths along x, y and z of a box with one corner at the origin."""
     polygons: PolygonTable | None = None
@@ -79,7 +81,7 @@ class RoomTable(Table):
     unit: str | None = None
     """m, mm, cm, ft or in; required where the file states none (OBJ, AC3D, PLY, STL)."""
     up: Literal["z", "y"] | None = None
-    """Axis that points up in the file. Default: y for GLB, z for all others."""
+    """Axis that points up in the file. Default: y for GLB, COLLADA's own, z for all others."""
     materials: dict[str, str] = {}
     """From names of surfaces, groups or the file's own materials to names of materials."""
     lengths_sd: tuple[Metre, Metre, Metre] | None = None

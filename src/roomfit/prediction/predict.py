@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import time
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -40,6 +41,8 @@ from roomfit.signals.decay import DecayCurve, in_jnd, jnd_of
 from roomfit.signals.iso3382 import VALUE_NAMES, MeasuredValues, ValueName
 from roomfit.typing import BoolArray, FloatArray, Progress, part
 from roomfit.uncertainty.posterior import AbsorptionPosterior, draw_absorption
+
+_LOG = logging.getLogger("roomfit")
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -254,6 +257,7 @@ def predict(
         cache,
         part(progress, 0.02, 0.5),
     )
+    _LOG.info("predicting")
     # of each state, the changed one first
     numbers: list[list[PairNumbers]] = [[] for _ in states]
     cache_findings: list[Finding] = []

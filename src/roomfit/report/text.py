@@ -418,8 +418,9 @@ def diffuse_text(found: DiffuseAbsorption) -> str:
             rows.append(f"{name:<{width}}  " + "  ".join(f"{cell:>13}" for cell in cells))
     words = (
         "Decay times determine the mean alone, as far as the field is diffuse; the formulas "
-        "differ by what that means. What stands for single materials is their priors, moved "
-        "together until they give this mean: nothing more is known of any of them. Impulse "
+        "differ by what that means, and intervals allow for it where priors tell walls apart; "
+        "elsewhere walls are taken to be alike. What stands for single materials is their priors, "
+        "moved together until they give this mean: nothing more is known of any of them. Impulse "
         "responses and positions would separate them (roomfit identify)."
     )
     return "\n".join([*rows, "", textwrap.fill(words, 100)])

@@ -7,32 +7,20 @@ References
 
 from __future__ import annotations
 
-import json
-import math
-import os
-import signal
-import subprocess
-import sys
-import tempfile
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
-from typing import IO
+from typing import Any
 
 import numpy as np
 
 from roomfit._checks import read_only
 from roomfit.errors import InputError
-from roomfit.io.door import limit, unpacked_limit_bytes
+from roomfit.io.door import of_child
 from roomfit.io.responses.recordings import Recording, ResponseSpec, pick
 from roomfit.typing import FloatArray
 
-_PROGRAM = Path(__file__).with_name("hdf5_child.py")
-_LIBRARIES_BYTES = 2**30
 _KEPT_BYTES = 2**27
-_LONGEST_HEAD = 2**26
-_PATIENCE = 6.0
 
 Attributes = Mapping[str, str | float]
 
@@ -54,7 +42,7 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
 
     Left out are links to elsewhere, and dimensions of netCDF without values. Everything comes back
     as plain arrays and texts, which nobody may change. The library reads in a process of its own
-    (`hdf5_child`), since damaged files end it or keep it for ever.
+    (`roomfit.io.child`), since damaged files end it or keep it for ever.
 
     Raises
     ------
@@ -66,62 +54,23 @@ def read_hdf5_variables(content: bytes) -> tuple[dict[str, Hdf5Variable], Attrib
 
 
 def _in_child(content: bytes) -> tuple[dict[str, Hdf5Variable], Attributes]:
-    most_bytes = unpacked_limit_bytes(len(content))
-    seconds = limit("reading_s")
-    # the file, its numbers as they lie in it and as float64, and the libraries
-    memory_bytes = 2 * len(content) + 3 * most_bytes + _LIBRARIES_BYTES
-    arguments = [f"{number:.0f}" for number in (memory_bytes, max(seconds, 1.0), most_bytes)]
-    with tempfile.TemporaryFile() as answer:
-        try:
-            done = subprocess.run(
-                [sys.executable, "-P", str(_PROGRAM), *arguments],
-                input=content,
-                stdout=answer,
-                stderr=subprocess.DEVNULL,
-                env={**os.environ, "OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"},
-                # of the clock: a busy machine gives a process a part of its time only
-                timeout=_PATIENCE * seconds,
-                check=False,
-            )
-        except subprocess.TimeoutExpired:
-            raise ValueError(_no_end(seconds)) from None
-        answer.seek(0)
-        if done.returncode == -getattr(signal, "SIGXCPU", 0) != 0:
-            raise ValueError(_no_end(seconds))
-        if done.returncode != 0:
-            raise ValueError(f"the HDF5 library failed (exit status {done.returncode})")
-        return _received(answer, most_bytes)
+    with of_child("hdf5", content, "the HDF5 library") as (head, arrays):
+        return _received(head, arrays)
 
 
 # the pairs of a campaign often lie in one file
 _of_last_file = lru_cache(maxsize=1)(_in_child)
 
 
-def _no_end(seconds: float) -> str:
-    return f"the HDF5 library did not come to an end within {seconds:g} s"
-
-
-def _received(answer: IO[bytes], most_bytes: float) -> tuple[dict[str, Hdf5Variable], Attributes]:
-    """Return what the child has written; it may have been led astray, so nothing is taken as is."""
+def _received(
+    head: Any, array: Callable[[Any], FloatArray]
+) -> tuple[dict[str, Hdf5Variable], Attributes]:
     variables: dict[str, Hdf5Variable] = {}
-    try:
-        head = json.loads(answer.readline(_LONGEST_HEAD))
-        if "error" in head:
-            raise ValueError(str(head["error"]))
-        for member in head["members"]:
-            values = None
-            if member["shape"] is not None:
-                shape = [int(length) for length in member["shape"]]
-                size = math.prod(shape)
-                if not 0 <= 8 * size <= most_bytes:
-                    raise ValueError("more numbers than it said")
-                content = answer.read(8 * size)
-                values = read_only(np.frombuffer(content, dtype=np.float64).reshape(shape))
-            axes = tuple(str(axis) for axis in member["axes"])
-            variables[str(member["name"])] = Hdf5Variable(values, axes, dict(member["attributes"]))
-        return variables, dict(head["attributes"])
-    except (KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise ValueError(f"the HDF5 library gave no answer ({type(error).__name__})") from error
+    for member in head["members"]:
+        values = None if member["shape"] is None else read_only(array(member["shape"]))
+        axes = tuple(str(axis) for axis in member["axes"])
+        variables[str(member["name"])] = Hdf5Variable(values, axes, dict(member["attributes"]))
+    return variables, dict(head["attributes"])
 
 
 _SIGNATURE = b"\x89HDF\r\n\x1a\n"

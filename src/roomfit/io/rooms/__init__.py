@@ -17,6 +17,7 @@ from roomfit.geometry.mesh import WELD_TOLERANCE_M, Mesh, refuse, shoebox_mesh
 from roomfit.io.door import check_limit
 from roomfit.io.rooms.catt import read_catt
 from roomfit.io.rooms.dxf import read_dxf
+from roomfit.io.rooms.interchange import read_collada, read_ifc
 from roomfit.io.rooms.mesh_formats import read_ac3d, read_glb, read_obj, read_ply, read_stl
 from roomfit.io.rooms.model import (
     METRES_PER_UNIT,
@@ -36,6 +37,8 @@ READERS: dict[str, Callable[[Path], RoomModel]] = {
     ".glb": read_glb,
     ".geo": read_catt,
     ".dxf": read_dxf,
+    ".dae": read_collada,
+    ".ifc": read_ifc,
 }
 
 
@@ -126,6 +129,10 @@ def read_model(spec: RoomSpec) -> tuple[RoomModel, str]:
             needed=f"one of {', '.join(READERS)}",
             hint=f"did you mean {like}?" if like else "export the room as OBJ",
         )
+    if spec.space is not None:
+        if suffix != ".ifc":
+            raise InputError("only a building model has spaces", found=spec.space, needed=".ifc")
+        return read_ifc(path, spec.space), str(path)
     return READERS[suffix](path), str(path)
 
 

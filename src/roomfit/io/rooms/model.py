@@ -86,20 +86,21 @@ class PolygonSpec:
 class RoomSpec:
     """Which room to read, and how to understand it. One of the first three is given."""
 
-    # OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, or DXF, by the end of its name
+    # OBJ, AC3D, PLY, STL, GLB, CATT-Acoustic's GEO, DXF, COLLADA or IFC, by the end of its name
     file: Path | None = None
     # Lengths along x, y and z of a box with one corner at the origin
     shoebox: tuple[float, float, float] | None = None
     polygons: PolygonSpec | None = None
     # m, mm, cm, ft or in. None: what the format prescribes (GLB, GEO, shoebox and polygons:
-    # m) or the file says (DXF's $INSUNITS).
+    # m) or the file says (DXF's $INSUNITS, COLLADA, IFC).
     unit: str | None = None
-    up: str | None = None  # None: what the format prescribes (GLB: y, all others: z)
+    up: str | None = None  # None: what the format prescribes (GLB: y) or COLLADA says; others: z
     # From the name of a surface, a group or a file's material (in that precedence) to a
     # material. Surfaces that are not named keep the file's material name.
     materials: Mapping[str, str] = field(default_factory=dict)
     # Standard deviations of a box's lengths in m, which then are fitted
     lengths_sd: tuple[float, float, float] | None = None
+    space: str | None = None  # of a building model (IFC) that has several
 
     def __post_init__(self) -> None:
         given = [self.file is not None, self.shoebox is not None, self.polygons is not None]

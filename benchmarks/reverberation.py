@@ -1,0 +1,158 @@
+"""How often the 95 % intervals of `roomfit reverberation` contain the true mean absorption.
+
+Decay times come from rays that walls absorb and scatter (Lambert's law) in boxes, followed here in
+NumPy and by no part of roomfit: the energy of the whole room, T30 from -5 to -35 dB. At so many
+positions they scatter as ISO 3382-2 (annex A) has it for impulse responses.
+
+    python benchmarks/reverberation.py --rooms 100
+"""
+
+from __future__ import annotations
+
+import argparse
+
+import numpy as np
+
+from roomfit.bands import bands_between
+from roomfit.inversion.diffuse import FORMULAS, diffuse_absorption
+from roomfit.logit import expit, logit
+from roomfit.materials.priors import MaterialPrior, unknown_material
+from roomfit.typing import FloatArray
+
+SPEED_M_S, BANDWIDTH_HZ, N_POSITIONS, N_RAYS = 343.0, 707.0, 6, 3000
+# of logit absorption, where a table of materials says what the walls are
+TABLE_SD = 0.5
+KINDS = ("alike", "cubic", "uneven", "flat")
+
+
+def ray_decay_s(
+    lengths_m: FloatArray, absorption: FloatArray, scattering: float, rng: np.random.Generator
+) -> float:
+    """Return T30 of a box: walls x = 0, x = L, y = 0 and so on absorb energy, and scatter it."""
+    at = rng.random((N_RAYS, 3)) * lengths_m
+    ways = rng.standard_normal((N_RAYS, 3))
+    ways /= np.linalg.norm(ways, axis=1)[:, None]
+    energy, time_s, rows = np.ones(N_RAYS), np.zeros(N_RAYS), np.arange(N_RAYS)
+    times, losses = [], []
+    while energy.sum() > 1e-5 * N_RAYS:
+        ways = np.where(np.abs(ways) < 1e-12, 1e-12, ways)
+        reach = np.where(ways > 0.0, lengths_m - at, -at) / ways
+        axis = np.argmin(reach, axis=1)
+        step = np.maximum(reach[rows, axis], 0.0)
+        at = np.clip(at + step[:, None] * ways, 0.0, lengths_m)
+        time_s = time_s + step / SPEED_M_S
+        far = ways[rows, axis] > 0.0
+        lost = energy * absorption[2 * axis + far]
+        times.append(time_s)
+        losses.append(lost)
+        energy = energy - lost
+        ways[rows, axis] *= -1.0
+        diffuse = rng.random(N_RAYS) < scattering
+        sine2, turn = rng.random(N_RAYS), 2.0 * np.pi * rng.random(N_RAYS)
+        tangent = np.stack([np.cos(turn), np.sin(turn)], axis=1) * np.sqrt(sine2)[:, None]
+        for k in range(3):
+            own = np.flatnonzero(diffuse & (axis == k))
+            ways[own, k] = np.where(far[own], -1.0, 1.0) * np.sqrt(1.0 - sine2[own])
+            ways[own[:, None], np.delete(np.arange(3), k)] = tangent[own]
+    order = np.argsort(np.concatenate(times))
+    t, left = np.concatenate(times)[order], 1.0 - np.concatenate(losses)[order].cumsum() / N_RAYS
+    # what is integrated backwards is the energy from each time on
+    steps = np.diff(t, prepend=0.0) * np.concatenate([[1.0], left[:-1]])
+    level_db = 10.0 * np.log10(np.maximum(steps[::-1].cumsum()[::-1] / steps.sum(), 1e-12))
+    used = (level_db <= -5.0) & (level_db >= -35.0)
+    grid = np.linspace(t[used][0], t[used][-1], 200)
+    return -60.0 / float(np.polyfit(grid, np.interp(grid, t, level_db), 1)[0])
+
+
+def room(kind: str, rng: np.random.Generator) -> tuple[FloatArray, FloatArray, float]:
+    """Return lengths, absorption of the six walls, and scattering of a room of a kind.
+
+    alike: all walls one absorption. cubic: near a cube, walls of 0.05 to 0.4. uneven: a usual
+    room, hard but for the ceiling or another wall. flat: the same, 3 m high and far wider.
+    """
+    near = rng.uniform(0.85, 1.18, 3)
+    usual = np.array([rng.uniform(1.6, 2.6), rng.uniform(1.2, 1.9), 1.0])
+    wide = np.array([rng.uniform(4.0, 7.0), rng.uniform(3.0, 5.0), 1.0])
+    shape = {"cubic": near, "alike": usual, "uneven": usual, "flat": wide}[kind]
+    volume = np.exp(rng.uniform(np.log(50.0), np.log(500.0)))
+    lengths_m = shape * (volume / np.prod(shape)) ** (1.0 / 3.0)
+    absorption = expit(rng.normal(float(logit(np.array([0.15]))[0]), 0.7, 6))
+    if kind == "alike":
+        absorption[:] = absorption[0]
+    if kind in ("uneven", "flat"):
+        absorption = rng.uniform(0.03, 0.12, 6)
+        absorption[5 if kind == "flat" else rng.integers(6)] = rng.uniform(0.5, 0.9)
+    return lengths_m, absorption, float(rng.uniform(0.1, 0.5))
+
+
+def scattered(decay_s: float, rng: np.random.Generator) -> FloatArray:
+    """Return what is measured of T30, shape (n_positions, 1); the spread of ISO 3382-2."""
+    sd = 0.55 * decay_s * np.sqrt((1.0 + 1.52 / 10.0) / (BANDWIDTH_HZ * decay_s))
+    noise: FloatArray = sd * rng.standard_normal((N_POSITIONS, 1))
+    return decay_s + noise
+
+
+def priors_of(
+    known: str, absorption: FloatArray, rng: np.random.Generator
+) -> tuple[MaterialPrior, ...]:
+    """Return what is known of the walls: nothing but the surface, the walls apart, or a table."""
+    if known == "surface":
+        return (unknown_material("room", 1),)
+    if known == "walls":
+        return tuple(unknown_material(f"wall {i}", 1) for i in range(6))
+    off = logit(absorption) + TABLE_SD * rng.standard_normal(6)
+    return tuple(MaterialPrior(f"wall {i}", off[i : i + 1], np.full(1, TABLE_SD)) for i in range(6))
+
+
+def covered(n_rooms: int, seed: int = 1) -> dict[tuple[str, str], FloatArray]:
+    """Return, by kind of room and what is known, shape (n_rooms, n_formulas, 3).
+
+    Whether the interval holds the truth, the error, and the width.
+    """
+    found: dict[tuple[str, str], list[FloatArray]] = {}
+    octave = bands_between("octave", 1000.0, 1000.0)
+    for number, kind in enumerate(KINDS):
+        rng = np.random.default_rng((seed, number))
+        for _ in range(n_rooms):
+            lengths_m, absorption, scattering = room(kind, rng)
+            areas = np.repeat(np.prod(lengths_m) / lengths_m, 2)
+            truth = float(areas @ absorption / areas.sum())
+            measured_s = scattered(ray_decay_s(lengths_m, absorption, scattering, rng), rng)
+            for known in ("surface", "walls", "table"):
+                by_axis = np.zeros((3, 6))
+                by_axis[np.repeat(np.arange(3), 2), np.arange(6)] = areas
+                if known == "surface":
+                    by_axis = np.full((3, 1), areas.sum() / 3.0)
+                answer = diffuse_absorption(
+                    measured_s,
+                    octave,
+                    priors_of(known, absorption, rng),
+                    by_axis,
+                    float(np.prod(lengths_m)),
+                    speed_of_sound_m_s=SPEED_M_S,
+                    attenuation_per_m=np.zeros(1),
+                )
+                value, lower, upper = answer.mean[:, :, 0].T
+                inside = (lower <= truth) & (truth <= upper)
+                row = np.stack([inside, value / truth - 1.0, (upper - lower) / truth], axis=1)
+                found.setdefault((kind, known), []).append(row)
+    return {key: np.stack(rows) for key, rows in found.items()}
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rooms", type=int, default=100, help="Of each kind.")
+    parser.add_argument("--seed", type=int, default=1)
+    options = parser.parse_args()
+    print("room     known     formula         holds   mean error   median width of the interval")
+    for (kind, known), rows in covered(options.rooms, options.seed).items():
+        for formula, own in zip(FORMULAS, rows.transpose(1, 0, 2), strict=True):
+            holds, error, width = own[:, 0].mean(), own[:, 1].mean(), np.median(own[:, 2])
+            print(
+                f"{kind:<8} {known:<9} {formula:<14} {100 * holds:5.0f} % {100 * error:+9.0f} % "
+                f"{100 * width:12.0f} %"
+            )
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,153 @@
+"""COLLADA and IFC: rooms of drawing programs and of building models, read in a process apart."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from roomfit.errors import InputError
+from roomfit.findings import Code, Finding
+from roomfit.geometry.mesh import Surface
+from roomfit.io.door import check_limit, of_child, read_bytes
+from roomfit.io.rooms.model import METRES_PER_UNIT, Polygon, RoomModel, finite, joined
+from roomfit.typing import FloatArray
+
+
+def read_collada(path: Path) -> RoomModel:
+    """Read the polygons of a COLLADA file's scene [1]_ by pycollada.
+
+    A surface has the name of its geometry, and the file's material. The unit is that of the
+    element ``unit``, m where there is none; the axis that points up that of ``up_axis``.
+
+    Raises
+    ------
+    InputError
+        pycollada is not installed; no COLLADA file, damaged, without faces, or with holes.
+
+    References
+    ----------
+    .. [1] The Khronos Group, "COLLADA - Digital Asset Schema Release 1.4.1" (2008).
+    """
+    head, polygons = _polygons(path, "dae", "pycollada", "cad")
+    factor = finite(str(head["unit_m"]), str(path))
+    # a factor that has no name of its own is put into the corners
+    unit = next((u for u, m in METRES_PER_UNIT.items() if abs(m - factor) < 1e-9), None)
+    vertices, faces = joined(polygons)
+    if unit is None:
+        vertices, unit = vertices * factor, "m"
+    if head["up"] == "X_UP":
+        vertices = np.roll(vertices, -1, axis=1)
+    up = "y" if head["up"] == "Y_UP" else "z"
+    kinds = {str(kind): int(n) for kind, n in dict(head["ignored"]).items()}
+    findings: tuple[Finding, ...] = ()
+    if kinds:
+        text = f"The drawing has parts that are no faces, ignored: {_counted(kinds)}."
+        findings = (Finding(Code.ENTITIES_IGNORED, text, kinds, graded="info"),)
+    return RoomModel(vertices, faces, findings, unit, up)
+
+
+def read_ifc(path: Path, space: str | None = None) -> RoomModel:
+    """Read a space of a building model in IFC [1]_ by ifcopenshell: metres, z up.
+
+    Where the boundaries of the space (IfcRelSpaceBoundary) cover its body, they are the surfaces,
+    with the names of walls, doors and windows, their classes as groups, and their materials, those
+    of layers joined by " + ". Else the faces of the body are named by the largest boundary on
+    which they lie, and what lies within another is passed over with a finding; without boundaries
+    surfaces are "floor", "ceiling" and "wall".
+
+    Parameters
+    ----------
+    path : Path
+    space : str, optional
+        Name of the space; may be left out where only one has a body.
+
+    Raises
+    ------
+    InputError
+        ifcopenshell is not installed; no IFC file, damaged, or without such a space.
+
+    References
+    ----------
+    .. [1] ISO 16739-1:2024, "Industry Foundation Classes (IFC)".
+    """
+    head, polygons = _polygons(path, "ifc", "ifcopenshell", "ifc")
+    owners = [str(name) for name in head["spaces"]]
+    names = list(dict.fromkeys(owners))
+    if space not in names if space is not None else len(names) > 1:
+        raise InputError(
+            "the building model has several spaces" if space is None else "there is no such space",
+            where=str(path),
+            found=", ".join(map(repr, names))[:300] if space is None else repr(space),
+            needed='space = "NAME" under [room]' if space is None else ", ".join(names)[:300],
+        )
+    if len(owners) != len(polygons):
+        raise _damaged(path, "ifc", "ifcopenshell gave no answer")
+    chosen = space or names[0]
+    own = [polygon for polygon, owner in zip(polygons, owners, strict=True) if owner == chosen]
+    kinds = {str(k): int(n) for k, n in dict(head["ignored"].get(chosen, {})).items()}
+    findings: tuple[Finding, ...] = ()
+    if kinds:
+        text = (
+            f"The boundaries of the space {chosen!r} do not cover it; ignored within others are: "
+            f"{_counted(kinds)}."
+        )
+        findings = (Finding(Code.ENTITIES_IGNORED, text, kinds, graded="warning"),)
+    return RoomModel(*joined(own), findings, "m", "z")
+
+
+def _counted(kinds: dict[str, int]) -> str:
+    return ", ".join(f"{count} {kind}" for kind, count in sorted(kinds.items()))
+
+
+def _damaged(path: Path, kind: str, found: str) -> InputError:
+    return InputError(
+        f"this {'COLLADA' if kind == 'dae' else 'IFC'} file cannot be read",
+        where=str(path),
+        found=found[:300],
+        hint="the file may be damaged or cut short: export it again",
+    )
+
+
+def _polygons(path: Path, kind: str, library: str, extra: str) -> tuple[Any, list[Polygon]]:
+    """Return what the process says of the file, and its polygons."""
+    content = read_bytes(path, "room file", most="text_bytes")
+    try:
+        with of_child(kind, content, library) as (head, array):
+            corners, each = (array(shape) for shape in head["shapes"])
+            surfaces = [
+                Surface(str(name), str(group) or None, str(material) or None)
+                for name, group, material in head["surfaces"]
+            ]
+            check_limit("faces", len(each), str(path))
+            return head, _cut(corners, each, surfaces)
+    except ValueError as error:
+        if "ModuleNotFoundError" in str(error):
+            raise InputError(
+                f"{path.suffix} files are read by {library}, which is not installed",
+                where=str(path),
+                hint=f"pip install roomfit[{extra}]",
+            ) from None
+        raise _damaged(path, kind, str(error)) from error
+
+
+def _cut(corners: FloatArray, each: FloatArray, surfaces: Sequence[Surface]) -> list[Polygon]:
+    """Return polygons from all corners, shape (n, 3), and each one's number of corners and surface.
+
+    Raises
+    ------
+    ValueError
+        They do not go together.
+    """
+    if corners.ndim != 2 or corners.shape[1:] != (3,) or each.ndim != 2 or each.shape[1:] != (2,):
+        raise ValueError("arrays of another shape than it said")
+    if not (np.isfinite(corners).all() and (np.abs(corners) < 1e9).all()):
+        raise ValueError("a coordinate that is not a finite number")
+    numbers = each[:, 0].astype(np.int64)
+    if (numbers < 1).any() or numbers.sum() != len(corners):
+        raise ValueError("polygons of another number of corners than it said")
+    parts = np.split(corners, np.cumsum(numbers)[:-1])
+    # an index beyond is an answer that makes no sense, as `of_child` says
+    return [(part, surfaces[int(number)]) for part, number in zip(parts, each[:, 1], strict=True)]

@@ -1,0 +1,187 @@
+"""The progress of a long job: stage, share, remaining time; drawn, in a notebook, or as lines.
+
+Stages are messages of the logger ``roomfit`` (INFO; details are DEBUG), the share comes from the
+functions that take ``progress``. Nothing is shown unless a job runs within `shown_progress`.
+"""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import sys
+import threading
+import time
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager, suppress
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:  # it needs numpy, which `roomfit --help` must not wait for
+    from roomfit.typing import Progress
+
+_EVERY_S = 0.5
+# Before, a pace is that of what came first; and stages differ in theirs.
+_LEAST_S, _LEAST_SHARE, _STEADY = 10.0, 0.05, 1.5
+
+
+def remaining_s(reports: Sequence[tuple[float, float]], now_s: float) -> float | None:
+    """Return how long a job is going to take from now on, or None where its pace does not say.
+
+    The pace must be known from 10 s and 5 % of the job, and that since half of the time must be
+    that of the whole time within a factor of 1.5.
+
+    Parameters
+    ----------
+    reports : sequence of (s, fraction)
+        When which fraction was done, since the job began; rising.
+    now_s : float
+
+    Examples
+    --------
+    >>> remaining_s([(10.0 * i, 0.1 * i) for i in range(1, 6)], 50.0)
+    50.0
+    >>> remaining_s([(1.0, 0.5), (50.0, 0.55)], 50.0) is None
+    True
+    """
+    done = reports[-1][1] if reports else 0.0
+    if now_s < _LEAST_S or not _LEAST_SHARE <= done < 1.0:
+        return None
+    before_s, before = 0.0, 0.0
+    for at_s, fraction in reports:
+        if at_s > now_s / 2.0:
+            break
+        before_s, before = at_s, fraction
+    pace, recent = done / now_s, (done - before) / (now_s - before_s)
+    if not 1.0 / _STEADY <= recent / pace <= _STEADY:
+        return None
+    return round((1.0 - done) / recent, 6)
+
+
+def _in_words(seconds: float) -> str:
+    if seconds < 60.0:
+        return f"about {max(round(seconds, -1), 10.0):.0f} s left"
+    if seconds < 5400.0:
+        return f"about {seconds / 60.0:.0f} min left"
+    return f"about {seconds / 3600.0:.1f} h left"
+
+
+class _Stages(logging.Handler):
+    """The state of a job, from what it logs and reports."""
+
+    def __init__(self, description: str, *, lines: bool) -> None:
+        super().__init__()
+        self.description, self.lines, self.stage = description, lines, ""
+        self.began = time.monotonic()
+        self.reports: list[tuple[float, float]] = []
+
+    def seconds(self) -> float:
+        return time.monotonic() - self.began
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Keep a stage; write it, and any detail, where no line is drawn again and again."""
+        # names come from files, and could steer the terminal
+        text = "".join(c if c.isprintable() else "?" for c in record.getMessage())
+        if record.levelno == logging.INFO:
+            self.stage = text
+        if self.lines or record.levelno != logging.INFO:
+            cleared = "" if self.lines else f"\r{'':{_width()}}\r"
+            with suppress(OSError, ValueError):
+                sys.stderr.write(f"{cleared}{_clock(self.seconds())}  {text}\n")
+                sys.stderr.flush()
+
+    def report(self, fraction: float) -> None:
+        if not self.reports or fraction > self.share():
+            self.reports.append((self.seconds(), min(max(fraction, 0.0), 1.0)))
+
+    def share(self) -> float:
+        return self.reports[-1][1] if self.reports else 0.0
+
+    def text(self) -> str:
+        now_s, done = self.seconds(), self.share()
+        left_s = remaining_s(self.reports, now_s)
+        left = "" if left_s is None else f", {_in_words(left_s)}"
+        stage = f": {self.stage}" if self.stage else ""
+        return f"{100 * done:3.0f} %  {_clock(now_s)}  {self.description}{stage}{left}"
+
+
+def _clock(seconds: float) -> str:
+    minutes, rest = divmod(int(seconds), 60)
+    return f"{minutes}:{rest:02d}"
+
+
+def _width() -> int:
+    return shutil.get_terminal_size().columns - 1
+
+
+@contextmanager
+def shown_progress(description: str) -> Iterator[Progress]:
+    """Show the progress of the jobs within, and give the function that they report it to.
+
+    On a terminal, one line on standard error that is drawn again and again; in a notebook a bar
+    (ipywidgets, the extra ``notebook``) or, without it, such a line; elsewhere a line of text for
+    each stage. The level of the logger ``roomfit`` says how much: INFO where it is not set, DEBUG
+    for details, and above INFO nothing.
+
+    Examples
+    --------
+    >>> with shown_progress("identifying") as progress:
+    ...     progress(0.5)
+    """
+    logger = logging.getLogger("roomfit")
+    before = logger.level
+    if before == logging.NOTSET:
+        logger.setLevel(logging.INFO)
+    if not logger.isEnabledFor(logging.INFO):
+        yield lambda _fraction: None
+        return
+    notebook = _is_notebook()
+    stages = _Stages(description, lines=not (notebook or sys.stderr.isatty()))
+    ended, draw = threading.Event(), None
+    if not stages.lines:
+        bar = _bar() if notebook else None
+        # by a thread, so that the clock moves during a long step, too
+        draw = threading.Thread(target=_drawn, args=(stages, bar, ended), daemon=True)
+        draw.start()
+    logger.addHandler(stages)
+    try:
+        yield stages.report
+    finally:
+        logger.removeHandler(stages)
+        logger.setLevel(before)
+        ended.set()
+        if draw is not None:
+            draw.join()
+
+
+def _drawn(stages: _Stages, bar: Any, ended: threading.Event) -> None:
+    while not ended.wait(_EVERY_S):
+        if bar is not None:
+            bar.value, bar.description = stages.share(), stages.text()
+            continue
+        width = _width()
+        sys.stderr.write(f"\r{stages.text()[:width]:<{width}}")
+        sys.stderr.flush()
+    if bar is not None:
+        bar.close()
+        return
+    sys.stderr.write(f"\r{'':{_width()}}\r")
+    sys.stderr.flush()
+
+
+def _is_notebook() -> bool:
+    """Whether cells run here: an IPython that has a kernel, not one on a terminal."""
+    shell = sys.modules.get("IPython")
+    own = shell.get_ipython() if shell is not None else None
+    return own is not None and getattr(own, "kernel", None) is not None
+
+
+def _bar() -> Any:
+    """Return a shown bar from 0 to 1, or None without ipywidgets."""
+    try:
+        from IPython.display import display
+        from ipywidgets import FloatProgress, Layout
+    except ImportError:
+        return None
+    wide = {"description_width": "initial"}
+    bar = FloatProgress(0.0, min=0.0, max=1.0, style=wide, layout=Layout(width="100%"))
+    display(bar)
+    return bar
