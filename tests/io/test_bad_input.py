@@ -397,7 +397,7 @@ def test_digests_are_of_what_was_read_and_names_may_be_any(tmp_path, monkeypatch
     inputs = json.loads((tmp_path / "out" / "result.json").read_text())["provenance"][
         "inputs_sha256"
     ]
-    assert reported == {name.encode(errors="replace").decode(): own for name, own in before.items()}
+    assert inputs == {name.encode(errors="replace").decode(): own for name, own in before.items()}
     assert "caf?" in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
 
 
