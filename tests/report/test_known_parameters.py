@@ -170,7 +170,7 @@ def test_identify_ends_well_with_a_table_that_holds_t30_alone(tmp_path, monkeypa
         rows.writerow(["source", "receiver", "parameter", 500, 1000])
         rows.writerows([["LS1", "MP1", "T30", 0.28, 0.28], ["LS1", "MP2", "T30", 0.29, 0.28]])
     out = tmp_path / "out"
-    assert run_command(monkeypatch, "identify", campaign, "--out", out) == 0
+    assert run_command(monkeypatch, "identify", campaign, "--out", out, "-q") == 0
     shown = capsys.readouterr()
     assert shown.err == ""
     lines = shown.out.splitlines()
