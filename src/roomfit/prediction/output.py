@@ -13,7 +13,6 @@ from matplotlib.figure import Figure
 from roomfit.cache import write_json_atomically, write_text_atomically
 from roomfit.errors import InputError
 from roomfit.io.encoding import csv_text, finding_content, numbers_or_null, provenance
-from roomfit.prediction.decay import RELATIVE
 from roomfit.report.figures import (
     LOWEST_DB,
     OKABE_ITO,
@@ -24,7 +23,9 @@ from roomfit.report.figures import (
 )
 from roomfit.report.text import findings_text
 from roomfit.report.wording import decay_time_key, html_findings, html_table, parameter
-from roomfit.signals.iso3382 import VALUE_NAMES, ValueName
+from roomfit.signals.decay import FIT_RANGES_DB
+from roomfit.signals.iso3382 import ValueName
+from roomfit.signals.speech import sti_missing
 from roomfit.typing import FloatArray
 
 if TYPE_CHECKING:
@@ -76,10 +77,13 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
                 "receiver": p.receiver,
                 "use": p.use,
                 "parameters": _parameters(p.parameters),
+                "sti": _one_number(p.sti),
             }
             for p in predicted.pairs
         ],
         "mean": _parameters(predicted.mean),
+        "sti": _one_number(predicted.sti),
+        "sti_missing": sti_missing(predicted.bands) or None,
         "findings": [finding_content(f) for f in predicted.findings],
         "prediction": {
             "draws": predicted.n_draws,
@@ -93,13 +97,17 @@ def predicted_content(predicted: Predicted, inputs: Iterable[Path]) -> dict[str,
 def predicted_rows(
     predicted: Predicted,
 ) -> Iterator[tuple[tuple[str, str, str, str], tuple[float, ...]]]:
-    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown."""
+    """Yield one row a pair, parameter and band: its texts and its numbers, NaN where unknown.
+
+    The speech transmission index has one row a pair, and no band.
+    """
     for pair in predicted.pairs:
-        for name, v in pair.parameters.items():
+        for name, v in _with_sti(pair.parameters, pair.sti).items():
             numbers_of = [v.predicted, v.lower95, v.upper95, v.measured, v.jnd, v.mean_of_others]
-            unknown = np.full(len(predicted.bands), np.nan)
+            unknown = np.full(v.predicted.size, np.nan)
             numbers_of += [getattr(v.change, c, unknown) for c in _OF_A_CHANGE]
-            for band, centre in enumerate(predicted.bands.centres_hz):
+            centres_hz = predicted.bands.centres_hz if name != "STI" else [np.nan]
+            for band, centre in enumerate(centres_hz):
                 values = (float(centre), *(float(n[band]) for n in numbers_of))
                 yield (pair.source, pair.receiver, pair.use or "", name), values
 
@@ -109,20 +117,33 @@ def predicted_csv(predicted: Predicted) -> str:
     rows = []
     for texts, (centre_hz, *values) in predicted_rows(predicted):
         cells = [f"{v:.4f}" if np.isfinite(v) else "" for v in values]
-        rows.append([*texts, f"{centre_hz:g}", *cells])
+        rows.append([*texts, f"{centre_hz:g}" if np.isfinite(centre_hz) else "", *cells])
     return csv_text(COLUMNS, rows)
 
 
+def _with_sti(
+    table: Mapping[ValueName, PredictedValue], sti: PredictedValue | None
+) -> dict[str, PredictedValue]:
+    """Return parameters by name, the speech transmission index last."""
+    named: dict[str, PredictedValue] = {str(name): v for name, v in table.items()}
+    return named | ({} if sti is None else {"STI": sti})
+
+
 def _parameters(table: Mapping[ValueName, PredictedValue]) -> dict[str, Any]:
-    found: dict[str, Any] = {}
-    for name, v in table.items():
-        rows = asdict(v)
-        rows |= rows.pop("change") or {}
-        found[name] = {key: numbers_or_null(row) for key, row in rows.items()}
-    return found
+    return {name: _rows_of(v) for name, v in table.items()}
 
 
-_SHOWN: tuple[tuple[ValueName, str, str], ...] = (
+def _rows_of(value: PredictedValue) -> dict[str, list[float | None]]:
+    rows = asdict(value)
+    rows |= rows.pop("change") or {}
+    return {key: numbers_or_null(row) for key, row in rows.items()}
+
+
+def _one_number(value: PredictedValue | None) -> dict[str, float | None] | None:
+    return None if value is None else {key: row[0] for key, row in _rows_of(value).items()}
+
+
+_SHOWN: tuple[tuple[str, str, str], ...] = (
     ("T20_s", "T20 s", "{:.2f}"),
     ("T30_s", "T30 s", "{:.2f}"),
     ("EDT_s", "EDT s", "{:.2f}"),
@@ -131,8 +152,10 @@ _SHOWN: tuple[tuple[ValueName, str, str], ...] = (
     ("D50_percent", "D50 %", "{:.0f}"),
     ("TS_ms", "TS ms", "{:.0f}"),
     ("G_dB", "G dB", "{:.1f}"),
+    ("STI", "STI", "{:.2f}"),
 )
 _MEAN = "Mean over the pairs (over those measured, where some are): predicted, 95 % interval"
+_STI = "Speech transmission index (IEC 60268-16), mean over the pairs, 95 % interval"
 _USES = {None: "not measured", "fit": "measured", "validate": "measured, kept for validation"}
 _PAIRS_SHOWN = 12
 # Of every pair one decay time and one measure of early against late: the first that is known.
@@ -147,7 +170,8 @@ def predict_text(predicted: Predicted) -> str:
     parts = []
     if predicted.changes:
         parts.append("Changed: " + "; ".join(predicted.changes))
-    parts += [mean_table(predicted), pairs_text(predicted), findings_text(predicted.findings)]
+    parts += [mean_table(predicted), sti_text(predicted), pairs_text(predicted)]
+    parts.append(findings_text(predicted.findings))
     return "\n\n".join(p for p in parts if p).replace("result.json)", "predicted.json)")
 
 
@@ -155,23 +179,34 @@ def predicted_html(predicted: Predicted) -> str:
     """Return the mean over the pairs, and all findings, in HTML."""
     caption = "; ".join((_MEAN, *(f"changed: {c}" for c in predicted.changes)))
     columns = ("Hz", *(f"{f:g}" for f in predicted.bands.centres_hz))
-    table = html_table(caption, columns, _lines(predicted.mean))
+    table = html_table(caption, columns, _lines(_with_sti(predicted.mean, None)))
+    if predicted.sti is not None:
+        table += html_table(_STI, ("", "mean"), _lines({"STI": predicted.sti}))
     return table + html_findings(predicted.findings)
 
 
 def mean_table(predicted: Predicted) -> str:
     """Return the mean of every parameter with its interval, and the measured mean below it."""
-    return "\n".join([_MEAN, _head(predicted), *map(_justified, _lines(predicted.mean))])
+    return "\n".join(
+        [_MEAN, _head(predicted), *map(_justified, _lines(_with_sti(predicted.mean, None)))]
+    )
+
+
+def sti_text(predicted: Predicted) -> str:
+    """Return the speech transmission index of the mean, or why there is none."""
+    if predicted.sti is None:
+        return f"STI is not predicted: {sti_missing(predicted.bands)}."
+    return "\n".join([_STI, *map(_justified, _lines({"STI": predicted.sti}))])
 
 
 def pairs_text(predicted: Predicted) -> str:
-    """Return T20 and C80, or what is nearest to them, of every pair, a dozen at most."""
+    """Return T20 and C80, or what is nearest to them, and STI of every pair, a dozen at most."""
     lines = ["By pair", _head(predicted)]
     for pair in predicted.pairs[:_PAIRS_SHOWN]:
         lines.append(f"{pair.source} to {pair.receiver}, {_USES[pair.use]}")
         chosen = [next((n for n in names if n in pair.parameters), None) for names in _OF_A_PAIR]
         shown = {name: value for name, value in pair.parameters.items() if name in chosen}
-        lines += map(_justified, _lines(shown))
+        lines += map(_justified, _lines(_with_sti(shown, pair.sti)))
     left = len(predicted.pairs) - _PAIRS_SHOWN
     if left > 0:
         lines.append(f"... and {left} more in predicted.csv")
@@ -187,7 +222,7 @@ def _justified(cells: Sequence[str]) -> str:
     return f"{first:<17}  " + "  ".join(f"{c:>20}" for c in others)
 
 
-def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
+def _lines(table: Mapping[str, PredictedValue]) -> list[list[str]]:
     """Return the cells of a line a parameter, and of further ones: measured, before a change."""
     lines = []
     for name, label, form in _SHOWN:
@@ -210,12 +245,12 @@ def _lines(table: Mapping[ValueName, PredictedValue]) -> list[list[str]]:
             carried = _with_bounds(form, c.carried, c.carried_lower95, c.carried_upper95)
             lines.append(["  carried over", *carried])
         rows = (c.change, c.change_lower95, c.change_upper95)
-        if RELATIVE[VALUE_NAMES.index(name)]:
+        if name in FIT_RANGES_DB:
             lines.append(["  change %", *_with_bounds("{:+.0f}", *(100 * (r - 1) for r in rows))])
         else:
             signed = form.replace(":", ":+")
-            unit = label.split()[1].replace("%", "points")
-            lines.append([f"  change {unit}", *_with_bounds(signed, *rows)])
+            unit = label.partition(" ")[2].replace("%", "points")
+            lines.append([f"  change {unit}".rstrip(), *_with_bounds(signed, *rows)])
     return lines
 
 
