@@ -352,7 +352,7 @@ def predict_to_folder(
     use_cache: bool = True,
     progress: Progress | None = None,
 ) -> Predicted:
-    """Predict a campaign and write predicted.json, predicted.csv and pictures into a folder.
+    """Predict a campaign; write predicted.json, .csv, .html and pictures into a folder.
 
     Pictures of the first 24 pairs; the files contain all. A run that was interrupted continues from
     its last finished step, unless `use_cache` is false.

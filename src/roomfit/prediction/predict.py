@@ -81,7 +81,9 @@ class PredictedValue:
     # error that the model is granted
     sd_rest: FloatArray
     measured: FloatArray
-    jnd: FloatArray  # predicted minus measured in just noticeable differences
+    # predicted minus measured in just noticeable differences; of a changed room what was predicted
+    # before the change, NaN where that is not known
+    jnd: FloatArray
     mean_of_others: FloatArray  # over the other fitted measurements: a baseline
     change: ValueChange | None = None  # where materials were changed
 
@@ -284,6 +286,14 @@ def predict(
             progress(0.5 + 0.5 * (i + 1) / len(scene.pairs))
     observed = _with_sti(scene, bands, observed, numbers[-1], speech_db)
     means, sti = _predicted_means(scene, numbers, observed)
+    pairs = _predicted_pairs(scene, bands, numbers, observed)
+    if changes and len(states) == 1:
+        # the room as it was measured is not known: nothing stands beside the measurement
+        pairs = tuple(
+            replace(p, parameters=_without_jnd(p.parameters), sti=_without_jnd({0: p.sti})[0])
+            for p in pairs
+        )
+        means, sti = _without_jnd(means), _without_jnd({0: sti})[0]
     lower, upper = absorption.lower95.copy(), absorption.upper95.copy()
     lower[changed], upper[changed] = np.quantile(drawn[:, changed], (0.025, 0.975), axis=0)
     return Predicted(
@@ -293,7 +303,7 @@ def predict(
         lower,
         upper,
         tuple(change_text(c) for c in changes),
-        _predicted_pairs(scene, bands, numbers, observed),
+        pairs,
         means,
         (
             *room.findings,
@@ -557,6 +567,8 @@ def _model_sd(own: PairNumbers, row: int, name: str) -> FloatArray:
 
 
 N = TypeVar("N", bound=str)
+K = TypeVar("K")
+V = TypeVar("V", PredictedValue, PredictedValue | None)
 
 
 def _table(
@@ -588,13 +600,20 @@ def _table(
             np.std(after.draws[:, row], axis=0),
             rest_sd,
             measured[row],
-            in_jnd(name, measured[row], after.values[row]),
+            in_jnd(name, measured[row], states[-1].values[row]),
             mean_of_others[row],
             _change(name, row, states, measured[row], measured_sd[row])
             if len(states) > 1
             else None,
         )
     return table
+
+
+def _without_jnd(table: Mapping[K, V]) -> dict[K, V]:
+    return {
+        name: v if v is None else replace(v, jnd=np.full_like(v.jnd, np.nan))
+        for name, v in table.items()
+    }
 
 
 def _change(
